@@ -104,6 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the avatar, or one a picture; with --check 0 for pictures that will do and 1 for others."""
+    if args.mine and args.check:
+        raise UsageError("--mine signs an avatar, --check makes none: leave one of them out")
     if args.front.is_dir():
         return photo_folder.run(args, _one)
     if args.ray is not None:

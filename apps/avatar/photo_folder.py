@@ -14,6 +14,7 @@ from glsplat.errors import FormatError, GlsplatError
 
 from ..farming import on_ray
 from ..usage import UsageError
+from .mine import sign_mine
 
 __all__ = ["run"]
 
@@ -51,6 +52,9 @@ def run(args: argparse.Namespace, one: Callable[[argparse.Namespace], int]) -> i
     for count, (place, made) in enumerate(_all(pieces, args.ray), 1):
         code, said, why = made
         print(said, end="", flush=True)
+        if args.mine and code == 0:
+            why = _signed(args.out / f"{pictures[place].stem}.glb")
+            code = 1 if why else 0
         if why:
             print(f"{pictures[place]}: {why}", file=sys.stderr)
         print(f"{count} of {len(pictures)} pictures", file=sys.stderr, flush=True)
@@ -63,8 +67,18 @@ def _of(args: argparse.Namespace, picture: Path) -> argparse.Namespace:
     own = copy(args)
     own.front = picture
     own.out = None if args.out is None else args.out / f"{picture.stem}.glb"
+    own.mine = False  # signed here, with this computer's key, wherever it is made
     own.debug = None if args.debug is None else args.debug / picture.stem
     return own
+
+
+def _signed(path: Path) -> str:
+    """Why it could not be, or ""."""
+    try:
+        sign_mine(path)
+    except GlsplatError as error:
+        return str(error)
+    return ""
 
 
 def _all(

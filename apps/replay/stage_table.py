@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 
 from glsplat.evaluate.machine import machine
+from glsplat.gl.software import is_software
 from glsplat.net.pace.stages import median_p95
 
 from .streaming import STAGES, Result
@@ -14,7 +15,6 @@ from .streaming import STAGES, Result
 __all__ = ["comparison_markdown", "frame_text", "table_markdown", "table_text"]
 
 
-_SOFTWARE = ("llvmpipe", "softpipe", "lavapipe")
 _DEFERS = "This driver defers work: most of the drawing is in the stage that waits for it (resolve)."
 
 
@@ -26,7 +26,7 @@ def table_text(result: Result) -> str:
     lines = [f"{'stage':28}{'where':8}{'median':>9}{'p95':>9}   ms"]
     for name, place, median, p95 in _rows(result):
         lines.append(f"{name:28}{place:8}{median:9.2f}{p95:9.2f}")
-    if any(name in result.driver for name in _SOFTWARE):
+    if is_software(result.driver):
         lines.append(_DEFERS)
     return "\n".join(lines)
 

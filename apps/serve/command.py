@@ -12,7 +12,7 @@ from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
-from glsplat.data import embedded_file
+from glsplat.data import PEOPLE, embedded_file
 from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.face.feed import FaceFeed
@@ -263,6 +263,7 @@ def run(args: argparse.Namespace) -> int:
         idle=not args.no_idle,
         face=None if face is None else face.feed,
         lead=None if study is None else study.lead,
+        people=PEOPLE if args.scene is None and not args.avatar and study is None else (),
     )
 
     tasks: list[asyncio.Future[None]] = []  # kept, or they would be dropped while they wait

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from glsplat.avatar import Avatar
@@ -44,7 +46,8 @@ def make_avatar(order: Order, progress: Progress) -> Avatar:
     """An avatar of the order's pictures. Raises LowConfidenceError for what the capture check finds, GlsplatError."""
     # here, in the process that does the work: the server itself needs none of this
     from glsplat.authoring.photo.photo_file import Photo, photo_of
-    from glsplat.authoring.reconstruct import from_photos
+    from glsplat.authoring.reconstruct.photos import check_photos, reconstruct, refuse
+    from glsplat.authoring.reconstruct.reconstructor import Options
     from glsplat.errors import CaptureError
 
     def photo(side: str) -> Photo | None:
@@ -57,16 +60,28 @@ def make_avatar(order: Order, progress: Progress) -> Avatar:
 
     front = photo("front")
     assert front is not None
-    try:
-        return from_photos(
-            front,
-            back=photo("back"),
-            left=photo("left"),
-            right=photo("right"),
-            height=order.height,
-            anyway=order.anyway,
-            meta={"consent": _CONSENT},
-            progress=progress,
-        )
-    except CaptureError as error:
-        raise LowConfidenceError(str(error), error.findings) from None
+    options = Options(height=order.height, progress=progress)
+    shots = check_photos(front, back=photo("back"), left=photo("left"), right=photo("right"), progress=progress)
+
+    def make() -> Avatar:
+        notes = {"consent": _CONSENT} | ({"title": order.title} if order.title else {})
+        try:
+            done = reconstruct(shots, options, anyway=True, meta=notes)
+        except CaptureError as error:  # of what nobody is found in
+            raise LowConfidenceError(str(error), error.findings) from None
+        if not order.anyway and not refused:  # what was refused once is wanted all the same
+            hold(partial(refuse, shots, done.made), lambda: done.avatar)
+        return done.avatar
+
+    def hold(check: Callable[[], None], then: Callable[[], Avatar]) -> None:
+        try:
+            check()
+        except CaptureError as error:
+            refused.append(error)
+            nobody = any(shot.capture.person is None for shot in shots.values())
+            raise LowConfidenceError(str(error), error.findings, None if nobody else then) from None
+
+    refused: list[CaptureError] = []
+    if not order.anyway:
+        hold(partial(refuse, shots), make)
+    return make()

@@ -21,6 +21,7 @@ from glsplat.arrays import instance
 from glsplat.errors import ContextError, ShaderError
 from glsplat.gl import current
 from glsplat.gl.owner import ContextGuard, Owner, check_process, destroy_when_dropped, owner_of, release_dropped
+from glsplat.gl.software import is_software
 from glsplat.gl.state import GLState
 from glsplat.shaders import Variant, flatten, link
 
@@ -327,8 +328,7 @@ def _check_version(ctx: moderngl.Context) -> None:
 
 def _probed(ctx: moderngl.Context, backend: str, owner: Owner, state: GLState | None = None) -> Context:
     _check_version(ctx)
-    renderer = ctx.info["GL_RENDERER"].lower()
-    software = any(name in renderer for name in ("llvmpipe", "softpipe", "swrast", "swiftshader"))
+    software = is_software(ctx.info["GL_RENDERER"])
     scratch = ctx.framebuffer([ctx.texture((1, 1), 4)])
     layers = _vertex_layers(ctx, scratch)
     ids = _vertex_ids(ctx)

@@ -141,4 +141,5 @@ class AvatarInfo:
     untracked: str = ""  # why tracking is not solved, told to the client that sends it
     still: str = ""  # why poses do nothing, told with the picture; "" where they do something, or are refused
     made: bool = False  # of a photograph that a client sent: clients may delete it
+    title: str = ""  # what its owner calls it, for people; "": its name
     file: Callable[[], WebFile] | None = None  # makes what a browser draws it from; None: nothing it could draw

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
+from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
-from glsplat.net.messages import Request
+from glsplat.net.messages import MAX_BYTES, Request
 from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.poses.answers import Answers
 from glsplat.net.render_loop import RenderLoop
@@ -24,7 +25,7 @@ from glsplat.net.session import Close, Warn
 if TYPE_CHECKING:
     from glsplat.net.workers.pool import WorkerPool
 
-__all__ = ["Conversation", "cut_off"]
+__all__ = ["Conversation", "cut_off", "make_socket"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
@@ -181,6 +182,17 @@ class Conversation:
             return
         async with asyncio.timeout(self._write_timeout):
             await (self._ws.send_str(data) if isinstance(data, str) else self._ws.send_bytes(data))
+
+
+def make_socket(heartbeat: float, timeout: float) -> web.WebSocketResponse:
+    """The server's side of a WebSocket: seconds between pings, and for whatever a client has to answer."""
+    return web.WebSocketResponse(
+        compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
+        max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given
+        heartbeat=heartbeat,
+        timeout=timeout,
+        protocols=(SUBPROTOCOL,),
+    )
 
 
 def cut_off(request: web.Request) -> None:

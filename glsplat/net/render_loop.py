@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
+from glsplat.gl.software import is_software
 from glsplat.net.backend import AvatarInfo, PoseSolver, Rendered, RenderJob
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.fault_tracker import FaultTracker
@@ -36,6 +37,7 @@ __all__ = ["ClientStream", "RenderLoop"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
+_BACK, _LONGEST_BACK = 9.0, 1.0  # of the time that a picture took, and seconds: the pause after it for others
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
 _PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the render loop gives up
 
@@ -48,6 +50,7 @@ class RenderLoop(ABC):
         self.stages: StageTimes = StageTimes()
         self.failures: int = 0  # in a row
         self.rebuilds: int = 0  # contexts lost and made anew
+        self.stands_back: Callable[[], bool] = lambda: False  # while others need the processor that draws
         self._clock = clock
         self._adaptive_quality = AdaptiveQuality(rate)
         self._drawing: ClientStream | None = None
@@ -218,6 +221,8 @@ class RenderLoop(ABC):
                 self._turns.remove(channel.address, channel)
                 del self._leaving[channel.number]
                 then()
+            if self.stands_back() and is_software(self.driver):
+                await asyncio.sleep(min(_LONGEST_BACK, _BACK * (now - start)))
 
     async def _stand_by(self) -> None:
         """Wait until there is something to draw with."""

@@ -11,7 +11,7 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,8 +22,8 @@ from aiohttp import web
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.labels import driven_by
-from glsplat.net.conversation import Conversation, cut_off
-from glsplat.net.guard.access import SUBPROTOCOL, Access, server_tls
+from glsplat.net.conversation import Conversation, cut_off, make_socket
+from glsplat.net.guard.access import Access, is_loopback, server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import ClientQuota, CpuBudget, Limits
@@ -84,7 +84,7 @@ class Server:
 
     A pool has workers draw, and SIGHUP starts them anew one after the other; anything else draws on one thread.
     ``uploads`` lets clients add to those; ``backend`` then has to draw what lies in its folder, too. ``lead`` has a
-    word in what each client is shown.
+    word in what each client is shown. ``later`` gives what is offered once clients can connect, in a thread.
     """
 
     def __init__(
@@ -94,6 +94,7 @@ class Server:
         offered: Sequence[AvatarInfo] = (AvatarInfo(name="default"),),
         uploads: Uploads | None = None,
         lead: Lead | None = None,
+        later: Callable[[], Iterable[AvatarInfo]] = tuple,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
         self.render_loop = LocalLoop(backend, clock, self.config.fps) if isinstance(backend, Backend) else backend
@@ -109,14 +110,15 @@ class Server:
         self._answers = Answers(self._splat_files.sha256, self._splat_files.why, clock)
         self._channels: dict[int, ClientStream] = {}
         self._drawer = Drawer(self.render_loop, self.config.wire, self.config.session, clock)
-        self._previews = Previews(self._drawer, self._offers, self.gate.rights, self._channels, self.config.private)
+        shown = self._drawer, self._offers, self.gate.rights, self._channels
+        self._previews = Previews(*shown, self.config.private, self.stats, self.offer)
         self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
         self.fitting: asyncio.Task[None] | None = None  # finds it
+        self._later, self.all_offered = later, asyncio.Event()
+        self._adder: asyncio.Task[None] | None = None
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
-        self._totals = Counts()
-        self._numbers = 0
-        self._draining = False
+        self._totals, self._numbers, self._draining = Counts(), 0, False
         self._started = clock()
         self._runner: web.AppRunner | None = None
         self._pages: Pages | None = None
@@ -148,11 +150,13 @@ class Server:
             raise
         app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
         pages = self._pages = Pages(self.stats, self.offer, self._healthy, tls is not None, self.config.access.host)
-        pages.history.start()
-        app.add_routes([web.get("/ws", self._websocket), *self._splat_files.routes(), *pages.routes()])
-        app.add_routes(self._previews.routes())
-        if self._uploads is not None:
+        self._previews.curves = pages.history.fields
+        own = (*self._splat_files.routes(), *pages.routes(), *self._previews.routes())
+        app.add_routes([web.get("/ws", self._websocket), *own])
+        if (uploads := self._uploads) is not None:
             app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
+            if isinstance(self.render_loop, LocalLoop) and is_loopback(self.config.access.host):  # its user's own machine
+                self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
             app.add_routes(self._lead.open(self._end))
         app.on_response_prepare.append(set_headers)
@@ -164,12 +168,13 @@ class Server:
         self._started = clock()
         if self.config.fit:  # whoever connects meanwhile is offered the configured size
             self.fitting = asyncio.create_task(self._fit())
+        self._adder = asyncio.create_task(self._add_later())
 
     async def stop(self) -> None:
         """Take no more requests, send the pictures under way, close the clients (1001), end the threads."""
         self._draining = True
-        if self.fitting is not None:
-            self.fitting.cancel()
+        for task in filter(None, (self.fitting, self._adder)):
+            task.cancel()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self.config.drain_timeout):
                 channels = self._channels.values()
@@ -180,12 +185,9 @@ class Server:
         closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.gate.close()
-        if self._pages is not None:
-            await self._pages.history.stop()
-        if self._uploads is not None:
-            await self._uploads.stop()
-        if self._lead is not None:
-            await self._lead.stop()
+        for part in (None if self._pages is None else self._pages.history, self._uploads, self._lead):
+            if part is not None:
+                await part.stop()
         if self._runner is not None:
             await self._runner.cleanup()
         await self.render_loop.stop()
@@ -262,6 +264,7 @@ class Server:
             "max_side": wire.max_side,
             "size": wire.size,
             "rate": None if self.fitted is None else round(self.fitted.rate, 1),
+            "loading": not self.all_offered.is_set(),
             "quality": wire.quality,
             "light": None if wire.light is None else wire.light.to_json(),
             "window": self.config.session.window,
@@ -283,12 +286,26 @@ class Server:
     async def _fit(self) -> None:
         self.fitted = await self._drawer.fitted(self._offers[self._offers.names[0]], self.config.wire.max_side)
 
+    async def _add_later(self) -> None:
+        if self.fitting is not None:
+            await asyncio.wait([self.fitting])
+        more = iter(self._later())
+        try:
+            while (one := await asyncio.to_thread(next, more, None)) is not None:
+                if one.name not in self._offers.names:
+                    self._offers.add(one)
+            await self._splat_files.prepare()
+        except Exception:  # what is offered by now is shown all the same
+            log.exception("not everybody can be offered")
+        finally:
+            self.all_offered.set()
+
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         if self._draining or len(self._channels) >= self.config.max_clients:
             self.gate.refused += 1
             text = f"the server is full ({self.config.max_clients} clients); try again later\n"
             return web.Response(status=503, text=text, headers={"Retry-After": "5"})
-        ws = self._make_socket()
+        ws = make_socket(self.config.heartbeat, self.config.write_timeout)
         entered = self.gate.enter(request, ws)
         if isinstance(entered, web.Response):
             return entered
@@ -311,21 +328,11 @@ class Server:
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
             cut_off(request)
-            if not ws.prepared:  # gone before its handshake was answered: aiohttp would close what never opened
-                return web.Response(status=400)
-            return ws
+            # gone before its handshake was answered: aiohttp would close what never opened
+            return ws if ws.prepared else web.Response(status=400)
         finally:
             self._close_channel(channel, talk.goodbye)
             self.gate.leave(request, entered)
-
-    def _make_socket(self) -> web.WebSocketResponse:
-        return web.WebSocketResponse(
-            compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
-            max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given
-            heartbeat=self.config.heartbeat,
-            timeout=self.config.write_timeout,
-            protocols=(SUBPROTOCOL,),
-        )
 
     def _open_channel(self, request: web.Request, quota: ClientQuota) -> ClientStream:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
@@ -338,10 +345,11 @@ class Server:
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
         notice = partial(rights.label, user, asked.avatar)
-        owner = f"account {user.name}" if user is not None else address
         member = None
         if asked.room is not None:
-            member = self._rooms.join(asked, one, number, owner, clock(), lambda: self._replace(number), notice())
+            again = partial(self._end, number, "connected anew elsewhere")
+            owner = f"account {user.name}" if user is not None else address
+            member = self._rooms.join(asked, one, number, owner, clock(), again, notice())
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
         channel = self.render_loop.open(number, session, solver, address, one, member)
@@ -370,10 +378,6 @@ class Server:
 
     def _enterable(self, user: User | None) -> tuple[str, ...]:
         return self.gate.rights.enterable(user, self._rooms.names)
-
-    def _replace(self, number: int) -> None:
-        """The person of that client has come back on another connection."""
-        self._end(number, "connected anew elsewhere")
 
     def _end(self, number: int, reason: str) -> None:
         """Close the connection of a client that did nothing wrong."""

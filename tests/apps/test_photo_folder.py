@@ -56,7 +56,28 @@ def test_what_is_refused(people, tmp_path, capsys):
         ([people], "missing: -o/--out, a folder"),
         ([people, "-o", tmp_path, "--back", "b.jpg"], "--back is about one person"),
         ([people / "ann.jpg", "-o", tmp_path / "a.glb", "--ray"], "--ray is for a folder of pictures"),
+        ([people, "--mine", "--check"], "--mine signs an avatar, --check makes none"),
+        ([people / "ann.jpg", "--mine", "--check"], "--mine signs an avatar, --check makes none"),
     ):
         (people / "ann.png").unlink(missing_ok=True)
         assert main(["avatar", "photo", *map(str, words)]) == 2
         assert why in capsys.readouterr().err
+
+
+def test_what_is_mine_is_signed_where_the_command_runs(people, tmp_path, monkeypatch, capsys):
+    """Whatever makes it, on a cluster too, is not told to sign: it would with a key of its own machine."""
+    signed, out = [], tmp_path / "avatars"
+
+    def one(args):
+        assert not args.mine
+        return 1 if args.front.stem == "ann" else 0
+
+    monkeypatch.setattr(photo_folder, "sign_mine", signed.append)
+    assert photo_folder.run(asked(people, "-o", out, "--mine"), one) == 1 and signed == [out / "bob.glb"]
+
+    def refused(path):
+        raise FormatError(f"{path}: cannot be written")
+
+    monkeypatch.setattr(photo_folder, "sign_mine", refused)
+    assert photo_folder.run(asked(people, "-o", out, "--mine"), lambda args: 0) == 1
+    assert capsys.readouterr().err.count("cannot be written") == 2

@@ -43,7 +43,8 @@ def taking(serve: Any, tmp_path: Path) -> Any:
     """``taking(**of UploadConfig)``: a server whose pictures are stored, and whose avatars a stub makes."""
 
     def described(name: str, avatar: Avatar) -> AvatarInfo:
-        return AvatarInfo(name=name, solver=as_tracked, height=1.7, parts=frozenset({"head"}), made=True)
+        title = str(avatar.meta.get("title"))
+        return AvatarInfo(name=name, title=title, solver=as_tracked, height=1.7, parts=frozenset({"head"}), made=True)
 
     def start(**options: Any) -> Any:
         folder = tmp_path / "avatars"
@@ -132,6 +133,48 @@ def test_what_is_wrong_is_said_and_it_is_made_anyway(open_page: OpenPage, taking
     page.page.click("#photo-anyway")
     page.until("!document.querySelector('#photo-wear').hidden")
     assert page.page.is_hidden("#photo-findings")
+
+
+def test_made_anyway_sends_no_picture_again(open_page: OpenPage, taking: Any) -> None:
+    page = opened(open_page, taking())
+    posted: list[tuple[str, int]] = []
+    page.page.on(
+        "request", lambda one: one.method == "POST" and posted.append((one.url, len(one.post_data_buffer or b"")))
+    )
+    send(page, picture("doubt known"))
+    page.until("!document.querySelector('#photo-anyway').hidden")
+    page.page.click("#photo-anyway")
+    page.until("!document.querySelector('#photo-wear').hidden")
+    assert [url.rpartition("/")[2] for url, _ in posted] == ["avatars", "anyway"] and posted[1][1] == 0
+    # the picture was looked at once
+    assert page.page.locator("#photo-steps li").all_text_contents() == ["looking at the picture", "making the person"]
+
+
+@pytest.mark.parametrize(
+    ("file", "written", "shown"),
+    [("Zoë 2.jpg", "", "Zoë 2"), ("<img src=x>.jpg", "", "img src x"), ("x.jpg", "Ann O'Neil", "Ann O'Neil")],
+)
+def test_its_owner_names_it(open_page: OpenPage, taking: Any, file: str, written: str, shown: str) -> None:
+    served = taking()
+    page = opened(open_page, served)
+    page.page.set_input_files("#photo-front", picture() | {"name": file})
+    if written:
+        page.page.fill("#photo-name", "<b>no</b>")
+        page.page.check("#photo-consent")
+        page.page.click("#photo-make")
+        page.until("document.activeElement.id === 'photo-name'")
+        assert "up to 32 letters" in page.page.text_content("#photo-warning")
+        page.page.fill("#photo-name", written)
+    page.page.check("#photo-consent")
+    page.page.click("#photo-make")
+    page.until("!document.querySelector('#photo-wear').hidden")
+    page.page.click("#photo-wear")
+    page.until("document.querySelector('#avatar').value.startsWith('photo-')")
+    assert page.page.text_content("#who") == shown
+    assert page.page.text_content("#photo-delete") == f"Delete {shown}"
+    tile = "[...document.querySelectorAll('#people .person')].find((one) => one.ariaPressed === 'true')"
+    assert page.js(f"{tile}.lastElementChild.textContent") == shown
+    page.until(f"{tile}.querySelector('img')?.naturalWidth > 0")  # and has a picture
 
 
 def test_a_failure_is_said_and_another_picture_chosen(open_page: OpenPage, taking: Any) -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 from glsplat.avatar import Avatar
+from glsplat.data import person
 from glsplat.errors import FormatError
 from glsplat.formats import load
 from glsplat.scene import Rigged
 
-__all__ = ["AvatarStore"]
+__all__ = ["AvatarStore", "WithPeople"]
 
 
 class AvatarStore(Mapping[str, Rigged]):
@@ -44,3 +45,28 @@ class AvatarStore(Mapping[str, Rigged]):
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{name}.glb"
+
+
+class WithPeople(Mapping[str, Rigged]):
+    """``given`` by name, then the embedded ``people`` of other names, each loaded when it is first asked for.
+
+    What is pickled of it is names alone: the process that draws loads its own.
+    """
+
+    def __init__(self, given: Mapping[str, Rigged], people: Collection[str]) -> None:
+        self._given, self._people = given, tuple(people)
+
+    def __getitem__(self, name: str) -> Rigged:
+        if name in self._people and name not in self._given:
+            return person(name)
+        return self._given[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._given or name in self._people
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._given
+        yield from (name for name in self._people if name not in self._given)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)

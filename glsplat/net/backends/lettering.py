@@ -19,6 +19,7 @@ _LEAST = 11.0  # pixels from the lower to the upper edge, however far away a lab
 _ROWS = 40  # pixels of a label before it is projected
 _MARGIN = 10
 _WIDEST = 4096
+_GAP, _FADED = 2.0, 0.8  # pixels between two labels, and what is left of one that had to give way
 _BACK, _INK = 0.55, 235  # alpha of the board, grey of the letters
 
 Box = tuple[int, int, int, int]  # x, y, width, height
@@ -27,17 +28,70 @@ Box = tuple[int, int, int, int]  # x, y, width, height
 def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Sequence[Label]) -> Box:
     """Write labels into images [V, H, W, 4], premultiplied, farthest first; returns the box that holds what changed.
 
-    Empty where nothing did.
+    Empty where nothing did. Where two would cover each other the farther one stands above the nearer, and fainter.
     """
     changed: Box = (0, 0, 0, 0)
+    for label, corners, opacity in _placed(labels, cameras):
+        for image, camera in zip(images, cameras, strict=True):
+            changed = union(changed, _draw(image, camera, corners, _patch(label.text), opacity))
+    return changed
+
+
+def _placed(labels: Sequence[Label], cameras: Sequence[Camera]) -> list[tuple[Label, NDArray[np.float64], float]]:
+    """Each label that is in front of all eyes with its corners [4, 3] and its opacity, the farthest first."""
     middle = np.mean([camera.position for camera in cameras], axis=0)
-    for label in sorted(labels, key=lambda one: -float(np.linalg.norm(one.place - middle))):
+    taken: list[NDArray[np.float64]] = []
+    found = []
+    for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.place - middle))):
         corners = _corners(label, cameras)
         if corners is None:
             continue
-        for image, camera in zip(images, cameras, strict=True):
-            changed = union(changed, _draw(image, camera, corners, _patch(label.text), label.opacity))
-    return changed
+        moved = _apart(corners, cameras, taken)
+        taken.append(_boxes(moved, cameras))
+        found.append((label, moved, label.opacity * (1.0 if moved is corners else _FADED)))
+    return found[::-1]
+
+
+def _apart(
+    corners: NDArray[np.float64], cameras: Sequence[Camera], taken: Sequence[NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """``corners`` [4, 3] raised so far that no eye sees them over one of ``taken``; lowered where up is out of sight.
+
+    The board stays at its distance, so both eyes see it there. Unmoved where there is no room for it at all.
+    """
+    first, seen = cameras[0], _boxes(corners, cameras)
+    down = np.mean([camera.viewmat[1, :3] for camera in cameras], axis=0)
+    deep = np.mean([(corners @ camera.viewmat[2, :3] + camera.viewmat[2, 3]).mean() for camera in cameras])
+    for way in (-1.0, 1.0):
+        moved, boxes = corners, seen
+        for _ in range(len(taken) + 1):  # one that is passed is not met again
+            hit = next((other for other in taken if _cover(boxes, other)), None)
+            if hit is None:
+                break
+            pixels = (boxes[:, 3] - hit[:, 1] if way < 0 else hit[:, 3] - boxes[:, 1]).max() + _GAP
+            moved = moved + way * down * pixels * deep / float(first.K[1, 1])
+            boxes = _boxes(moved, cameras)
+        inside = boxes[:, 1].min() >= min(0.0, seen[:, 1].min()) and boxes[:, 3].max() <= max(
+            first.height, seen[:, 3].max()
+        )
+        if moved is corners or inside:
+            return moved
+    return corners
+
+
+def _boxes(corners: NDArray[np.float64], cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """[V, 4] pixels: left, upper, right and lower edge of a board in each picture."""
+    found = []
+    for camera in cameras:
+        seen = corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        pixels = (seen @ camera.K.T)[:, :2] / np.maximum(seen[:, 2:], camera.near)
+        found.append(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]))
+    return np.array(found)
+
+
+def _cover(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Whether two boards cover each other in a picture of any eye."""
+    return bool(np.any(np.all((one[:, :2] < other[:, 2:]) & (other[:, :2] < one[:, 2:]), axis=1)))
 
 
 def _corners(label: Label, cameras: Sequence[Camera]) -> NDArray[np.float64] | None:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.data import person
 from glsplat.errors import GlsplatError
 from glsplat.formats.web.write import web_file
 from glsplat.net.backend import AvatarInfo, Backend
-from glsplat.net.backends.avatar_store import AvatarStore
+from glsplat.net.backends.avatar_store import AvatarStore, WithPeople
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.messages import PARTS
+from glsplat.net.options import NAME
 from glsplat.net.pages.lead import Lead
 from glsplat.net.server import Server, ServerConfig
 from glsplat.scene import Rigged, SceneLike, is_rigged
@@ -63,6 +65,7 @@ def make_server(
     idle: bool = False,  # eyes of tracked users that no sensor sees look around and blink
     face: FaceFeed | None = None,  # a face that is tracked beside the headset, of one user at a time
     lead: Lead | None = None,  # leads the clients through more than pictures, such as a study
+    people: Collection[str] = (),  # names of glsplat.data.PEOPLE that clients may choose, too, soon after the start
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
 
@@ -92,6 +95,8 @@ def make_server(
         choices = AvatarStore(others, uploads.folder, name)
         takes, kept = _uploads(uploads, rendering, calibration, {name, *others}, solver, consent, idle, face)
         offers += kept
+    if people:
+        choices = WithPeople(choices, people)
     for one in offers:
         _say(one)
     places = {one: what if isinstance(what, SceneFile) else SceneFile.of(what) for one, what in (rooms or {}).items()}
@@ -106,7 +111,39 @@ def make_server(
         backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1])
     else:
         backend = ProcessBackend(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
-    return Server(backend, config, offers, takes, lead)
+    later = partial(
+        _people,
+        people,
+        avatar,
+        rendering,
+        partial(offered, calibration=calibration, solver=solver, idle=idle, face=face),
+        consent,
+    )
+    return Server(backend, config, offers, takes, lead, later)
+
+
+def _people(
+    names: Collection[str],
+    shown: object,
+    rendering: RenderConfig | None,
+    describe: Callable[[str, Rigged], AvatarInfo],
+    consent: ConsentPolicy | None,
+) -> Iterator[AvatarInfo]:
+    """The embedded people of ``names``, but the one who is ``shown`` anyway; each is loaded when it is its turn."""
+    for name in names:
+        avatar = person(name)
+        if avatar is shown:
+            continue
+        try:
+            _checked({name: avatar}, "", rendering)
+        except GlsplatError as error:  # without what this server draws by
+            log.info("%s", error)
+            continue
+        if consent is not None:
+            from glsplat.consent.file import OnFile
+
+            consent.add(name, [OnFile(nobody=True)])
+        yield describe(name, avatar)
 
 
 def _say(one: AvatarInfo) -> None:
@@ -185,8 +222,10 @@ def offered(
     skeleton = avatar.skeleton
     parts = frozenset(part for part in PARTS if part in skeleton.names)
     file = partial(web_file, avatar) if isinstance(avatar, Avatar) else None
+    said = avatar.meta.get("title") if isinstance(avatar, Avatar) else None
+    title = said if isinstance(said, str) and NAME.fullmatch(said) else ""  # a file may say anything
     if why := why_not_tracked(skeleton):
-        return AvatarInfo(name=name, skeleton=skeleton, parts=parts, untracked=why, file=file)
+        return AvatarInfo(name=name, title=title, skeleton=skeleton, parts=parts, untracked=why, file=file)
     height = Body.of(skeleton).eye_height / EYES_OF_STATURE
     base = calibration or Calibration(automatic=True)
 
@@ -195,7 +234,7 @@ def offered(
         fitted = fitted if span is None else fitted.with_span(skeleton, span)
         return TrackingSolver(skeleton, fitted, solver, idle, face)
 
-    return AvatarInfo(name=name, skeleton=skeleton, solver=solving, height=height, parts=parts, file=file)
+    return AvatarInfo(name=name, title=title, skeleton=skeleton, solver=solving, height=height, parts=parts, file=file)
 
 
 def _checked(avatars: Mapping[str, Rigged], scene: str, rendering: RenderConfig | None) -> dict[str, Rigged]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 import time
@@ -13,8 +14,11 @@ from glsplat.net.face.feed import FaceFeed
 
 __all__ = ["FaceListener"]
 
+log: logging.Logger = logging.getLogger("glsplat.net")
+
 _HOST = "127.0.0.1"
 _LARGEST = 16384  # bytes of a packet that are read; VRCFaceTracking's bundles have 4096
+_AGAIN = 0.2  # seconds after an error of the system's, which may last
 _BUSY, _PAUSE = 0.005, 3.0  # seconds of work in a row, after which so many times as much is rest: a flood takes no core
 
 
@@ -49,15 +53,20 @@ class FaceListener:
         self._socket.close()
 
     def _listen(self) -> None:
-        busy = 0.0
+        busy, failing = 0.0, False
         while not self._ends.is_set():
             before = time.perf_counter()
             try:
                 packet = self._socket.recv(_LARGEST)
             except TimeoutError:
                 continue
-            except OSError:  # of one packet: a sender that is gone, where the system says so
+            except OSError as error:  # of one packet: a sender that is gone, where the system says so
+                if not failing:
+                    log.warning("the port of the face cannot be read just now (%s); it is tried again", error.strerror)
+                failing = True
+                self._ends.wait(_AGAIN)
                 continue
+            failing = False
             came, worked = time.perf_counter(), time.thread_time()
             self.feed.heard(packet, came)
             busy = max(0.0, busy - (came - before) / _PAUSE) + time.thread_time() - worked

@@ -40,6 +40,7 @@ class Catalogue:
         return [
             {
                 "name": one.name,
+                "title": one.title,
                 "height": None if one.height is None else round(one.height, 4),
                 "tracking": one.solver is not None,
                 "head": "head" in one.parts,

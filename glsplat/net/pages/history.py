@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 __all__ = ["History"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
 
 STEP = 2.0
 """Seconds between two values."""
@@ -46,8 +49,15 @@ class History:
         return {"step": STEP, "most": _LENGTH, "fps": fps, "age": age, "load": load}
 
     async def _run(self) -> None:
+        failing = False
         while True:
-            self.add(self._stats(), machine_load())
+            try:
+                self.add(self._stats(), machine_load())
+                failing = False
+            except Exception:  # a curve with a hole is better than none from here on
+                if not failing:
+                    log.exception("the numbers of the status page cannot be taken just now")
+                failing = True
             await asyncio.sleep(STEP)
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+from base64 import b64encode
 from collections.abc import Callable, Mapping
 from functools import cache
+from hashlib import sha256
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import simplejpeg
@@ -23,6 +25,9 @@ from glsplat.net.pace.fitting import Fitted, fit
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import Session, SessionConfig
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import User
 
 __all__ = ["Drawer", "Previews", "flattened", "pair"]
 
@@ -83,7 +88,7 @@ class Drawer:
 
 
 class Previews:
-    """GET /thumbnails/NAME and /pictures/NUMBER. ``private``: what clients see is nobody else's."""
+    """GET /thumbnails/NAME, /pictures/NUMBER and /status.json. ``private``: what clients see is nobody else's."""
 
     def __init__(
         self,
@@ -92,15 +97,24 @@ class Previews:
         rights: Rights,
         channels: Mapping[int, ClientStream],
         private: bool,
+        stats: Callable[[], Mapping[str, Any]] = dict,
+        offer: Callable[[User | None], Mapping[str, Any]] = lambda user: {"avatars": []},
     ) -> None:
         self._drawer, self._offers, self._rights, self._channels = drawer, offers, rights, channels
+        self._stats, self._offer = stats, offer
+        self.curves: Callable[[], Mapping[str, Any]] = dict  # of the last minutes, for the status page
         self._private = private or rights.accounts is not None  # an account's pictures are its own
         self._kept: dict[tuple[str, str], bytes] = {}
+        self._small: dict[int, tuple[Encoded, asyncio.Task[bytes]]] = {}  # by client, of what it was sent last
         self._drawing = asyncio.Lock()
 
     def routes(self) -> list[web.RouteDef]:
         """Behind the gate, like /session."""
-        return [web.get("/thumbnails/{name}", self._thumbnail), web.get("/pictures/{number:[0-9]{1,9}}", self._picture)]
+        return [
+            web.get("/thumbnails/{name}", self._thumbnail),
+            web.get("/pictures/{number:[0-9]{1,9}}", self._picture),
+            web.get("/status.json", self._status),
+        ]
 
     @property
     def private(self) -> bool:
@@ -111,6 +125,21 @@ class Previews:
         """Whether /pictures has something of that client."""
         channel = self._channels.get(number)
         return not self._private and channel is not None and channel.newest is not None
+
+    def tag(self, name: str, user: User | None) -> str:
+        """What changes with the picture of an avatar that ``user`` may drive; "" while it is not drawn."""
+        data = self._kept.get((name, self._rights.label(user, name)))
+        return "" if data is None else sha256(data).hexdigest()[:16]
+
+    async def small(self, number: int) -> bytes:
+        """JPEG of what a client was sent last, which ``shows`` says there is: made once a picture, whoever asks."""
+        encoded = self._channels[number].newest
+        assert encoded is not None
+        made = self._small.get(number)
+        if made is None or made[0] is not encoded:
+            self._small = {key: one for key, one in self._small.items() if key in self._channels}
+            made = self._small[number] = encoded, asyncio.create_task(asyncio.to_thread(_small, encoded))
+        return await asyncio.shield(made[1])
 
     def forget(self, name: str) -> None:
         """Another avatar may have that name from now on."""
@@ -134,16 +163,29 @@ class Previews:
                     self._kept[key] = data
         if data is None:
             return web.Response(status=404, text="there is no such avatar here\n")
-        return web.Response(body=data, content_type="image/jpeg", headers=_UNKEPT)
+        tag = self.tag(name, user)
+        if any(known.value == tag for known in request.if_none_match or ()):
+            return web.Response(status=304, headers=_UNKEPT | {"ETag": f'"{tag}"'})
+        headers = _UNKEPT | ({"ETag": f'"{tag}"'} if tag else {})
+        return web.Response(body=data, content_type="image/jpeg", headers=headers)
 
     async def _picture(self, request: web.Request) -> web.Response:
         number = int(request.match_info["number"])
         if not self.shows(number):
             return web.Response(status=404, text="there is no such picture for you\n")
-        encoded = self._channels[number].newest
-        assert encoded is not None
-        data = await asyncio.to_thread(_small, encoded)
-        return web.Response(body=data, content_type="image/jpeg", headers=_UNKEPT)
+        return web.Response(body=await self.small(number), content_type="image/jpeg", headers=_UNKEPT)
+
+    async def _status(self, request: web.Request) -> web.Response:
+        """All that the status page shows, in one answer; of avatars what tells whether their pictures are new."""
+        user = user_of(request)
+        offer, stats = self._offer(user), self._stats()
+        shown = [one["id"] for one in stats["clients"] if one["picture"]]
+        pictures = {number: b64encode(await self.small(number)).decode() for number in shown if self.shows(number)}
+        avatars = [{name: one[name] for name in ("name", "title")} for one in offer["avatars"]]
+        for one in avatars:
+            one["tag"] = self.tag(one["name"], user)
+        told = {"stats": stats, "history": self.curves(), "avatars": avatars, "pictures": pictures}
+        return web.json_response(told, headers=_UNKEPT)
 
 
 def flattened(encoded: Encoded) -> NDArray[np.uint8]:

@@ -51,7 +51,8 @@ class Pages:
         self.history: History = History(stats)
 
     def routes(self) -> list[web.RouteDef]:
-        """What the application is made of."""
+        """What the application is made of. From now on numbers are kept for the curves."""
+        self.history.start()
         return [
             web.get("/", self._status),
             web.get("/healthz", self._healthz),

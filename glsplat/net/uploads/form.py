@@ -8,11 +8,12 @@ from collections.abc import Mapping
 
 from aiohttp import ClientError, web
 
+from glsplat.net.options import NAME
 from glsplat.net.uploads.job import VIEWS, Order, UploadConfig
 
 __all__ = ["RefusedError", "check_head", "discard", "read_order", "split_form"]
-_FIELDS = ("height", "anyway", "consent")
-_FIELD = 64  # characters of a field
+_FIELDS = ("height", "anyway", "consent", "name")
+_FIELD = 128  # bytes of a field: 32 letters of any script
 _TYPES = ("image/jpeg", "image/png", "image/webp")
 _HEIGHTS = 0.5, 2.8  # metres
 _FORM = 65_536  # bytes of a form beside its pictures
@@ -119,7 +120,15 @@ def _order(fields: Mapping[str, str], pictures: Mapping[str, bytes], config: Upl
         raise RefusedError(400, "consent=yes is needed: that this is you, or that this person agreed")
     if fields.get("anyway", "no") not in ("yes", "no"):
         raise RefusedError(400, "anyway needs yes or no")
-    return Order(pictures=pictures, height=_height(fields.get("height", "")), anyway=fields.get("anyway") == "yes")
+    title = fields.get("name", "")
+    if title and not NAME.fullmatch(title):
+        raise RefusedError(400, "name needs 1 to 32 letters, digits, blanks or _.'- between them")
+    return Order(
+        pictures=pictures,
+        height=_height(fields.get("height", "")),
+        anyway=fields.get("anyway") == "yes",
+        title=title,
+    )
 
 
 def _height(text: str) -> float | None:

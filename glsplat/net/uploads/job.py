@@ -29,9 +29,13 @@ Progress = Callable[[str, float], None]
 class LowConfidenceError(GlsplatError):
     """The pictures are not what an avatar should be made of; it may be asked for all the same."""
 
-    def __init__(self, message: str, findings: Sequence[Finding] = ()) -> None:
+    def __init__(
+        self, message: str, findings: Sequence[Finding] = (), go_on: Callable[[], Avatar] | None = None
+    ) -> None:
         super().__init__(message)
         self.findings: tuple[Finding, ...] = tuple(findings)
+        self.go_on: Callable[[], Avatar] | None = go_on
+        """Makes it all the same, from what is known by now; None where it cannot be made. In the maker's process."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -41,6 +45,7 @@ class Order:
     pictures: Mapping[str, bytes]  # files as they came, by what of VIEWS they show
     height: float | None = None  # metres
     anyway: bool = False  # make it of doubtful pictures, too
+    title: str = ""  # what its owner calls it
 
 
 Make = Callable[[Order, Progress], Avatar]
@@ -68,6 +73,7 @@ class UploadConfig:
     seconds: float = 600.0  # a job may take, from when it is worked on
     receive: float = 120.0  # seconds that the pictures may take to come
     stall: float = 10.0  # seconds without a byte of them
+    patience: float = 120.0  # seconds that a refused job's process waits for the word to go on all the same
     nice: int = 10  # of the process that works, so that drawing goes first
 
 
@@ -89,6 +95,7 @@ class Job:
     findings: tuple[Finding, ...] = ()  # what refused it
     notes: tuple[Finding, ...] = ()  # what the avatar was guessed from
     ended: float | None = None  # on the clock of time.monotonic()
+    goes_on: bool = False  # it failed, and can go on where it was
     cancelled: bool = False
 
     def progress(self, step: str, share: float) -> None:
@@ -98,11 +105,15 @@ class Job:
             self.steps.append(step)
         self.share = min(1.0, max(0.0, share))
 
-    def fail(self, error: str, findings: Sequence[Finding] = ()) -> None:
-        """It comes to nothing."""
-        self.state, self.order, self.ended = "failed", None, time.monotonic()
+    def fail(self, error: str, findings: Sequence[Finding] = (), goes_on: bool = False) -> None:
+        """It comes to nothing, unless it ``goes_on``."""
+        self.state, self.order, self.ended, self.goes_on = "failed", None, time.monotonic(), goes_on
         self.error = error[:_WORDS]
         self.findings = _kept(findings)
+
+    def again(self) -> None:
+        """It is wanted all the same."""
+        self.state, self.ended, self.goes_on, self.error, self.findings = "waiting", None, False, "", ()
 
     def done(self, notes: Sequence[Finding] = ()) -> None:
         """The avatar is offered."""
@@ -118,6 +129,7 @@ class Job:
             "steps": list(self.steps),
             "share": round(self.share, 3),
             "error": self.error or None,
+            "goes_on": self.goes_on,
             "findings": [
                 {"side": side, "code": code, "kind": kind, "text": text}
                 for kind, found in (("refusal", self.findings), ("note", self.notes))

@@ -32,6 +32,8 @@ class JobQueue:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="make")
         self._wake = asyncio.Event()
         self._maker: Maker | None = None
+        self._held: tuple[Job, Maker] | None = None  # was refused, and may go on
+        self._patience: asyncio.TimerHandle | None = None  # with it
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
@@ -42,6 +44,7 @@ class JobQueue:
         """End what is worked on, forget the rest."""
         for job in list(self._jobs.values()):
             self.cancel(job)
+        self._let_go()
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -68,6 +71,18 @@ class JobQueue:
             job.order, job.state = order, "waiting"
             self._wake.set()
 
+    def go_on(self, job: Job) -> str:
+        """Make it of what it was refused for, from where it was; why not, or ""."""
+        if self._held is None or self._held[0] is not job:
+            return "it cannot go on where it was; send the pictures again"
+        if len(self._open()) > self._config.waiting:
+            return "others are being made or wait, as many as this server takes; try again in a minute"
+        if self._patience is not None:
+            self._patience.cancel()
+        job.again()
+        self._wake.set()
+        return ""
+
     def find(self, name: str) -> Job | None:
         """The job of that name, also for a while after its end."""
         self._forget()
@@ -84,7 +99,14 @@ class JobQueue:
             job.cancelled, job.order = True, None
             if job.state == "making" and self._maker is not None:
                 self._maker.stop()
+        if self._held is not None and self._held[0] is job:
+            self._let_go()
         self._jobs.pop(job.name, None)
+
+    @property
+    def works(self) -> bool:
+        """Whether one of them is worked on."""
+        return self._maker is not None
 
     def counts(self) -> dict[str, int]:
         """For /stats: jobs by state."""
@@ -104,19 +126,36 @@ class JobQueue:
     async def _run(self) -> None:
         while True:
             self._wake.clear()
-            job = next((job for job in self._jobs.values() if job.state == "waiting"), None)
+            held = [] if self._held is None else [self._held[0]]  # while it is there, nothing else is being made
+            job = next((job for job in (*held, *self._jobs.values()) if job.state == "waiting"), None)
             if job is None:
                 await self._wake.wait()
             else:
                 await self._make(job)
 
+    def _let_go(self) -> None:
+        """Of the one that was refused: what it knows is forgotten."""
+        if self._patience is not None:
+            self._patience.cancel()
+        if self._held is not None:
+            (job, maker), self._held = self._held, None
+            job.goes_on = False
+            maker.close()
+
     async def _make(self, job: Job) -> None:
         order, job.order, job.state = job.order, None, "making"
-        assert order is not None
-        self._maker = Maker(self._config)
         work = asyncio.get_running_loop().run_in_executor
+        held = None
+        if self._held is not None and self._held[0] is job:
+            held, self._held = self._held[1], None
+        self._let_go()  # memory is for one at a time
+        self._maker = maker = held or Maker(self._config)
         try:
-            data = await work(self._thread, self._maker.make, order, job.progress)
+            if held is not None:
+                data = await work(self._thread, maker.go_on, job.progress)
+            else:
+                assert order is not None
+                data = await work(self._thread, maker.make, order, job.progress)
             del order
             avatar = await work(self._thread, self._keep, job, data)
             if job.cancelled:  # while it was written
@@ -127,14 +166,20 @@ class JobQueue:
         except UnwantedError:
             pass
         except LowConfidenceError as error:
-            job.fail(str(error), error.findings)
+            job.fail(str(error), error.findings, maker.waits and not job.cancelled)
+            if job.goes_on:
+                self._held = job, maker
+                loop = asyncio.get_running_loop()
+                self._patience = loop.call_later(self._config.patience, self._let_go)
+            else:
+                maker.close()
         except GlsplatError as error:
             job.fail(str(error))
         except MakerFaultError as error:
             log.warning("an avatar could not be made: %s", error)
             job.fail("it could not be made, for a reason of the server's own; another picture may do")
         except asyncio.CancelledError:
-            self._maker.stop()
+            maker.stop()
             raise
         except Exception:
             log.exception("an avatar could not be kept")

@@ -42,11 +42,17 @@ class Uploads:
             web.post("/avatars", self._post),
             web.get("/avatars/{name}", self._get),
             web.delete("/avatars/{name}", self._delete),
+            web.post("/avatars/{name}/anyway", self._anyway),
         ]
 
     async def stop(self) -> None:
         """Give up what is being made."""
         await self._queue.stop()
+
+    @property
+    def works(self) -> bool:
+        """Whether an avatar is being made."""
+        return self._queue.works
 
     def counts(self) -> Mapping[str, int]:
         """For /stats."""
@@ -93,6 +99,14 @@ class Uploads:
         if job is None:
             return web.Response(status=404, text="there is no such avatar in the making\n")
         return _answer(self._status(job))
+
+    async def _anyway(self, request: web.Request) -> web.Response:
+        """Go on with what was refused. Who knows the name had it made: it is in no list."""
+        job, user = self._queue.find(request.match_info["name"]), user_of(request)
+        if job is None or (user is not None and job.account != user.name):
+            return web.Response(status=404, text="there is no such avatar in the making\n")
+        why = self._queue.go_on(job)
+        return _answer(self._status(job), 202) if not why else web.Response(status=409, text=f"{why}\n")
 
     async def _delete(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]

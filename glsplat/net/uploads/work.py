@@ -13,12 +13,14 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any
 
+from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.net.uploads.job import Finding, LowConfidenceError, Make, Order, Progress, UploadConfig
@@ -28,6 +30,7 @@ __all__ = ["Maker", "MakerFaultError", "UnwantedError"]
 _LINE = 65_536  # bytes of what the process tells at once
 _TELL = 0.1  # seconds between two lines about the same step
 _CANCELLED, _LATE = "cancelled", "late"
+_GO_ON = "go on"
 _BEFORE_OTHERS = "1000"  # where memory runs out, the system ends this process first
 
 
@@ -40,13 +43,19 @@ class MakerFaultError(Exception):
 
 
 class Maker:
-    """Makes one avatar in a process of its own, which has ended when ``make`` returns or raises."""
+    """Makes one avatar in a process of its own, which has ended when ``make`` or ``go_on`` returns or raises.
+
+    Unless it then ``waits``: refused pictures are made an avatar of by ``go_on`` all the same, or ``close`` ends it.
+    """
 
     def __init__(self, config: UploadConfig) -> None:
         self._config = config
         self._process: SpawnProcess | None = None
+        self._pipe: Connection | None = None
         self._ended = ""  # why the process was ended from here
         self._lock = threading.Lock()
+        self.waits: bool = False
+        """Whether ``go_on`` may be called."""
 
     def make(self, order: Order, progress: Progress) -> bytes:
         """A .glb file made of ``order``; ``progress`` is called on this thread.
@@ -55,37 +64,42 @@ class Maker:
         UnwantedError after ``stop``.
         """
         spawn = multiprocessing.get_context("spawn")
-        pipe, theirs = spawn.Pipe()
+        self._pipe, theirs = spawn.Pipe()
         process = spawn.Process(
             target=_work, args=(self._config.make, self._config.nice, theirs), name="glsplat maker", daemon=True
         )
-        timer = threading.Timer(self._config.seconds, self._end, (_LATE,))
         try:
             with self._lock:
                 if self._ended:
                     raise UnwantedError
                 process.start()
                 self._process = process
-            timer.start()
-            theirs.close()
-            return self._follow(pipe, order, progress)
-        except (EOFError, OSError):  # it is gone, or does not keep to what was agreed
-            if self._ended == _CANCELLED:
-                raise UnwantedError from None
-            if self._ended == _LATE:
-                most = self._config.seconds
-                raise GlsplatError(f"it took more than {most:g} s and was given up; try again later") from None
-            raise MakerFaultError(f"its process ended{_how(process)}") from None
+        except BaseException:
+            self.close()
+            raise
         finally:
-            timer.cancel()
-            with self._lock:
-                self._process = None
-            if process.pid is not None:
-                process.kill()
-                process.join()
-                process.close()
-            pipe.close()
             theirs.close()
+        return self._followed(self._pipe, process, order, progress)
+
+    def go_on(self, progress: Progress) -> bytes:
+        """As ``make``, from where its process waits."""
+        pipe, process = self._pipe, self._process
+        if not self.waits or pipe is None or process is None:
+            raise UnwantedError
+        self.waits = False
+        return self._followed(pipe, process, None, progress)
+
+    def close(self) -> None:
+        """End the process, if there is one. Twice is once."""
+        with self._lock:
+            process, self._process = self._process, None
+        self.waits = False
+        if process is not None:
+            process.kill()
+            process.join()
+            process.close()
+        if self._pipe is not None:
+            self._pipe.close()
 
     def stop(self) -> None:
         """Nobody wants it any more. From any thread, at any time."""
@@ -97,7 +111,26 @@ class Maker:
             if self._process is not None:
                 self._process.kill()
 
-    def _follow(self, pipe: Connection, order: Order, progress: Progress) -> bytes:
+    def _followed(self, pipe: Connection, process: SpawnProcess, order: Order | None, progress: Progress) -> bytes:
+        timer = threading.Timer(self._config.seconds, self._end, (_LATE,))
+        timer.start()
+        try:
+            return self._follow(pipe, order, progress)
+        except (EOFError, OSError):  # it is gone, or does not keep to what was agreed
+            if self._ended == _CANCELLED:
+                raise UnwantedError from None
+            if self._ended == _LATE:
+                most = self._config.seconds
+                raise GlsplatError(f"it took more than {most:g} s and was given up; try again later") from None
+            raise MakerFaultError(f"its process ended{_how(process)}") from None
+        finally:
+            timer.cancel()
+            if not self.waits:
+                self.close()
+
+    def _follow(self, pipe: Connection, order: Order | None, progress: Progress) -> bytes:
+        if order is None:
+            pipe.send(_GO_ON)
         while True:
             told = _read(pipe.recv_bytes(_LINE))
             kind = told.get("kind")
@@ -106,6 +139,7 @@ class Maker:
             elif kind == "step":
                 progress(str(told.get("step")), _share(told.get("share")))
             elif kind == "refused":
+                self.waits = told.get("waits") is True and not self._ended
                 raise LowConfidenceError(str(told.get("error")), _findings(told.get("findings")))
             elif kind == "failed":
                 raise GlsplatError(str(told.get("error")))
@@ -161,17 +195,26 @@ def _work(make: Make, nice: int, pipe: Connection) -> None:
         try:
             tell("ready")
             order = pipe.recv()
-            avatar = make(order, progress)
-            data = io.BytesIO()
-            save(avatar, data, format="glb")
-            tell("avatar")
-            pipe.send_bytes(data.getbuffer())
-        except LowConfidenceError as error:
-            tell("refused", error=_line(error), findings=[list(found) for found in error.findings])
+            go_on: Callable[[], Avatar] | None = partial(make, order, progress)
+            while go_on is not None:
+                try:
+                    avatar = go_on()
+                except LowConfidenceError as error:
+                    go_on = error.go_on
+                    found = [list(one) for one in error.findings]
+                    tell("refused", error=_line(error), findings=found, waits=go_on is not None)
+                    if go_on is not None:
+                        pipe.recv()  # whoever does not send it ends this process
+                    continue
+                data = io.BytesIO()
+                save(avatar, data, format="glb")
+                tell("avatar")
+                pipe.send_bytes(data.getbuffer())
+                break
         except GlsplatError as error:
             tell("failed", error=_line(error))
-        except OSError:
-            raise
+        except (OSError, EOFError):
+            return
         except BaseException as error:  # also MemoryError, and what libraries end a program with
             tell("fault", error=f"{type(error).__name__}{_place(error)}")
 

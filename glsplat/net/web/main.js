@@ -20,6 +20,7 @@ import { addVoice } from './voice/panel.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
+const SOON = 2000; // ms until a server that still loads avatars is asked again
 const NUMBERS = 500; // ms between two looks at the figures
 const CIRCLE = 1.2; // metres from the middle of a room to who stands in it, at least
 const ENOUGH = 15; // pictures a second that look like a movement
@@ -173,7 +174,7 @@ async function askOffer() {
 function offered(session) {
   offer = session;
   const named = (value) => ({ value, label: `${value}` });
-  settings.setOptions('avatar', session.avatars.map(({ name }) => named(name)));
+  settings.setOptions('avatar', session.avatars.map(({ name, title }) => ({ value: name, label: title || name })));
   const rooms = (session.rooms ?? []).map(({ name, people, seats }) => ({ value: name, label: `${name} (${people} of ${seats})` }));
   settings.setOptions('room', [{ value: '', label: 'None: alone' }, ...rooms]);
   const drivers = [{ value: 'rest', label: 'Standing still' }];
@@ -191,6 +192,7 @@ function offered(session) {
   stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));
   photo.offered(session.upload, chosenAvatar());
   document.getElementById('no-photo').hidden = Boolean(session.upload);
+  if (session.loading) setTimeout(askOffer, SOON); // there will be more to choose from
   const making = sessionStorage.getItem(MAKING);
   if (making && upload.now.state === 'idle') upload.resume(making);
 }
@@ -265,7 +267,7 @@ function tell() {
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
   page.status((stage.notice ? capital(stage.notice) : words[connection.state]) + where, stage.notice ? 'error' : 'info');
   const waits = connection.state === 'waiting' && connection.problem !== 'token';
-  const name = chosenAvatar()?.name ?? 'glsplat';
+  const name = chosenAvatar()?.title || (chosenAvatar()?.name ?? 'glsplat');
   page.title(name === 'default' ? 'Demo avatar' : name, waits ? 'Try again now' : '');
 }
 
@@ -347,6 +349,7 @@ connection.token = sessionStorage.getItem(TOKEN);
 
 orbit.attach(canvas);
 viewer.covered = () => page.covered();
+viewer.ready = () => viewer.driver !== null; // who moves is not shown standing first
 viewer.rests = () => upload.busy; // who makes an avatar needs the machine, which may be this one
 viewer.onDrive = ({ tracking, t }) => {
   if (recorder.recording && tracking) recorder.add(tracking, t);

@@ -16,9 +16,9 @@ _FROM_PHOTO = photos.make_avatar
 
 def make_avatar(order: Order, progress: Progress) -> Avatar:
     """As that of photos.py."""
-    from glsplat.authoring.reconstruct import from_photos
+    from glsplat.authoring.reconstruct import Options
 
-    from_photos.__kwdefaults__["steps"] = 12
+    Options.__init__.__kwdefaults__["steps"] = 12
     return _FROM_PHOTO(order, progress)
 
 

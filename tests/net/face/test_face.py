@@ -234,3 +234,36 @@ def test_a_flood_does_not_take_a_core(listener: FaceListener) -> None:
         time.sleep(0.0005)
     spent = time.process_time() - before - (time.thread_time() - own)
     assert spent < 0.5
+
+
+def test_a_port_that_cannot_be_read_is_said_once_and_takes_no_core(caplog: pytest.LogCaptureFixture) -> None:
+    class Broken:
+        """A socket of which nothing can be read until it is mended."""
+
+        def __init__(self, real: socket.socket) -> None:
+            self.real, self.reads, self.whole = real, 0, False
+
+        def recv(self, size: int) -> bytes:
+            self.reads += 1
+            if self.whole:
+                return self.real.recv(size)
+            raise OSError(9, "Bad file descriptor")
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self.real, name)
+
+    listener = FaceListener(FaceFeed(), 0)
+    broken = listener._socket = Broken(listener._socket)  # type: ignore[assignment]
+    with listener:
+        until(lambda: broken.reads >= 2)
+        began, before = time.monotonic(), broken.reads
+        until(lambda: broken.reads >= before + 2)
+        assert time.monotonic() - began > 0.15
+        assert caplog.text.count("cannot be read just now (Bad file descriptor)") == 1
+        broken.whole = True
+
+        def heard() -> bool:
+            sent(listener, message(FT + "JawOpen", 0.5))
+            return listener.feed.face(time.perf_counter())[0].get("jawOpen") == 0.5
+
+        until(heard)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from base64 import b64decode
 from dataclasses import replace
 
 import aiohttp
@@ -15,6 +16,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.access import Access
+from glsplat.net.pages import previews
 from glsplat.net.pages.history import History
 from glsplat.net.pages.previews import SIDE, flattened
 from glsplat.net.server import ServerConfig
@@ -146,3 +148,80 @@ def test_addresses_of_strangers_fill_nothing(serve):
     headers = {"Authorization": f"bearer {TOKEN}", "Host": "localhost"}
     codes = [json.loads(body)["svg"] for _, body in asked(serve, *["/reach"] * 20, config=guarded, headers=headers)]
     assert all(TOKEN in code for code in codes) and len(codes) == 20
+
+
+def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
+    monkeypatch.setattr("glsplat.net.pages.history.STEP", 0.005)
+    count = 0
+
+    def stats():
+        nonlocal count
+        count += 1
+        if count in (2, 3):
+            raise RuntimeError("a fault")
+        return {"fps": float(count), "stages": {}}
+
+    async def main():
+        history = History(stats)
+        history.start()
+        while count < 6:
+            await asyncio.sleep(0.005)
+        await history.stop()
+        return history.fields()["fps"]
+
+    fps = asyncio.run(main())
+    assert fps[:3] == [1.0, 4.0, 5.0] and caplog.text.count("cannot be taken just now") == 1
+
+
+def test_the_status_page_asks_once_for_everything(serve, monkeypatch):
+    """Pictures are made smaller once a picture, whoever looks; thumbnails are sent again only where they are others."""
+    made = []
+    small = previews._small
+    monkeypatch.setattr(previews, "_small", lambda encoded: made.append(encoded) or small(encoded))
+
+    async def main():
+        async with serve() as server, aiohttp.ClientSession() as http:
+
+            async def get(path, **headers):
+                async with http.get(f"http://127.0.0.1:{server.port}{path}", headers=headers) as answer:
+                    return answer.status, answer.headers.copy(), await answer.read()
+
+            told = json.loads((await get("/status.json"))[2])
+            assert set(told) == {"stats", "history", "avatars", "pictures"} and told["pictures"] == {}
+            assert told["avatars"] == [{"name": "default", "title": "", "tag": ""}]
+            async with Client(server.url) as client:
+                await client.render(eyes())
+                answers = await asyncio.gather(*(get("/status.json") for _ in range(5)), get("/pictures/1"))
+                told = json.loads(answers[0][2])
+                (picture,) = told["pictures"].values()
+                assert b64decode(picture) == answers[-1][2] and simplejpeg.is_jpeg(b64decode(picture))
+                assert list(told["pictures"]) == ["1"] and len(made) == 1
+                await client.render(eyes())
+                await get("/status.json")
+                assert len(made) == 2
+            while server.stats()["clients"]:
+                await asyncio.sleep(0.01)
+            assert json.loads((await get("/status.json"))[2])["pictures"] == {}
+            status, headers, body = await get("/thumbnails/default")
+            tag = json.loads((await get("/status.json"))[2])["avatars"][0]["tag"]
+            assert status == 200 and body and tag and headers["ETag"] == f'"{tag}"'
+            assert (await get("/thumbnails/default", **{"If-None-Match": f'"{tag}"'}))[::2] == (304, b"")
+            assert (await get("/thumbnails/default", **{"If-None-Match": '"x"'}))[2] == body
+
+    asyncio.run(main())
+
+
+def test_the_status_of_a_private_server_shows_nobody(serve):
+    async def main():
+        config = ServerConfig(port=0, private=True, access=Access(token=TOKEN))
+        async with serve(config=config) as server, aiohttp.ClientSession() as http:
+            url = f"http://127.0.0.1:{server.port}/status.json"
+            async with http.get(url) as answer:
+                assert answer.status == 401
+            async with Client(server.url, TOKEN) as client:
+                await client.render(eyes())
+                async with http.get(url, headers={"Authorization": f"Bearer {TOKEN}"}) as answer:
+                    told = await answer.json()
+                    assert told["pictures"] == {} and told["stats"]["clients"][0]["avatar"] is None
+
+    asyncio.run(main())

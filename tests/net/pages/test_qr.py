@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from xml.etree import ElementTree
 
 import aiohttp
 import cv2
@@ -53,7 +54,12 @@ def test_a_terminals_code_is_read_on_any_ground(text, ground):
 def test_the_pages_code_is_read(text):
     """Drawn by hand: a path of moves and horizontal strokes."""
     drawn = qr.svg(text)
-    assert drawn.startswith('<svg role="img" ') and f"<title>{text}</title>" in drawn and "style" not in drawn
+    assert (
+        drawn.startswith("<svg ")
+        and ' role="img" ' in drawn
+        and f"<title>{text}</title>" in drawn
+        and "style" not in drawn
+    )
     size = int(re.search(r'width="(\d+)" height="\1"', drawn)[1]) // 4
     picture, x, y = np.full((size, size), 255, np.uint8), 0, 0.0
     path = re.search(r'stroke="#000" d="([^"]+)"', drawn)[1]
@@ -102,3 +108,11 @@ def test_the_status_page_shows_the_address_it_was_asked_by():
     for host, page in asyncio.run(main()).items():
         assert qr.svg(f"http://{host}/vr") in page and f"<code>http://{host}/vr</code>. It asks for the token." in page
         assert token not in page
+
+
+def test_an_svg_can_be_made_smaller_and_stands_alone() -> None:
+    """Without a view box a page that gives it another size cuts it off; without a namespace it is no file."""
+    for text in ("http://localhost:8000/vr", "https://a-longer-name.example:8443/vr#token=" + "x" * 40):
+        root = ElementTree.fromstring(qr.svg(text))
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        assert root.get("viewBox") == f"0 0 {root.get('width')} {root.get('height')}"

@@ -6,6 +6,7 @@ import asyncio
 import gzip
 import http.client
 import json
+import re
 from contextlib import closing
 from importlib import resources
 from pathlib import Path
@@ -50,7 +51,7 @@ def test_every_file_of_the_page_is_served_without_a_token(serve):
     paths = sorted(p.relative_to(WEB).as_posix() for p in WEB.rglob("*") if p.is_file())
     assert "index.html" in paths
     answers = ask(serve, *(("GET", f"/vr/{path}", {}) for path in ["", *paths]), config=GUARDED)
-    assert answers[0][2] == (WEB / "index.html").read_bytes()
+    assert answers[0][2] == answers[1 + paths.index("index.html")][2]
     types = {
         "html": "text/html",
         "css": "text/css",
@@ -59,7 +60,8 @@ def test_every_file_of_the_page_is_served_without_a_token(serve):
         "txt": "text/plain",
     }
     for path, (status, headers, body) in zip(paths, answers[1:], strict=True):
-        assert status == 200 and body == (WEB / path).read_bytes(), path
+        plain = re.sub(rb'<link rel="modulepreload" href="[^"]*">\n *', b"", body) if path.endswith(".html") else body
+        assert status == 200 and plain == (WEB / path).read_bytes(), path
         assert headers["Content-Type"].split(";")[0] == types.get(path.rpartition(".")[2], headers["Content-Type"])
         assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
         assert headers["Cross-Origin-Opener-Policy"] == headers["Cross-Origin-Resource-Policy"] == "same-origin"
@@ -172,16 +174,18 @@ def test_what_the_server_offers(serve):
 
     async def main():
         async with serve(config=config, offered=offered) as server:
+            await server.all_offered.wait()
             before = await asyncio.to_thread(session, server.port)
             async with Client(server.url):
                 return before, await asyncio.to_thread(session, server.port)
 
     before, during = asyncio.run(main())
+    plain = {"title": "", "made": False, "hand_out": None}
     assert before == {
         "v": 1,
         "avatars": [
-            {"name": "ann", "height": 1.7123, "tracking": True, "head": True, "made": False, "hand_out": None},
-            {"name": "a room", "height": None, "tracking": False, "head": False, "made": False, "hand_out": None},
+            {"name": "ann", "height": 1.7123, "tracking": True, "head": True, **plain},
+            {"name": "a room", "height": None, "tracking": False, "head": False, **plain},
         ],
         "rooms": [],
         "upload": None,
@@ -190,6 +194,7 @@ def test_what_the_server_offers(serve):
         "max_side": 2048,
         "size": [640, 480],
         "rate": None,
+        "loading": False,
         "quality": 70,
         "window": 2,
         "clients": 0,
@@ -216,6 +221,31 @@ def test_motions_and_recording_are_the_files_of_the_package(serve):
     assert recording[2] == (data / "recording.jsonl").read_bytes()
     assert recording[1]["Content-Security-Policy"].startswith("default-src 'none'")
     assert unknown[0] == 404 and b"idle, walk" in unknown[2] and b"/x" not in unknown[2]
+
+
+def test_a_page_names_each_module_that_its_scripts_import(tmp_path):
+    files = {
+        "index.html": '<head>\n  <script type="module" src="main.js"></script>\n</head>',
+        "deep/other.html": '<script type="module" src="../main.js"></script>',
+        "plain.html": "<p>import { a } from './a.js'</p>",
+        "main.js": "// import './no.js'\nimport { a } from './b/a.js';\nimport {\n  c,\n} from './c.js';\n"
+        "import './gone.js';\n"
+        "const late = () => import('./late.js');\n",
+        "b/a.js": "import { c } from '../c.js';\nexport { d } from './d.js';\n",
+        "b/d.js": "import '../main.js';\nnew Worker('./worker.js');\n",
+        "c.js": "export const c = 1;\n",
+        "late.js": "import './c.js';\n",
+        "no.js": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    site = Site(tmp_path)
+    named = {name: re.findall(rb'modulepreload" href="([^"]+)"', site.files[name].body) for name in site.files}
+    assert named["index.html"] == [b"main.js", b"b/a.js", b"c.js", b"b/d.js"]
+    assert named["deep/other.html"] == [b"../main.js", b"../b/a.js", b"../c.js", b"../b/d.js"]
+    assert not any(found for name, found in named.items() if name not in ("index.html", "deep/other.html"))
+    assert site.files["plain.html"].body.decode() == files["plain.html"]
 
 
 def test_only_files_of_known_types_are_read(tmp_path):

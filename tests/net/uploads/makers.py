@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -45,12 +46,20 @@ def make(order: Order, progress: Progress) -> Avatar:
     if "refuse" in word:
         raise GlsplatError("the JPEG file is damaged;\n  copy it again")
     if "doubt" in word and not order.anyway:
-        raise LowConfidenceError("the picture has two faults", _FAULTS)
+        go_on = partial(_finished, order, progress, word) if "known" in word else None
+        raise LowConfidenceError("the picture has two faults", _FAULTS, go_on)
+    return _finished(order, progress, word)
+
+
+def _finished(order: Order, progress: Progress, word: str) -> Avatar:
+    if "worse" in word:
+        raise LowConfidenceError("the body does not fit", _FAULTS[:1], partial(_finished, order, progress, "known"))
     if "busy" in word:
         for step in range(1000):
             progress(f"step {step}", 2.0)
     progress("making the person", 1.0)
     avatar = thinned(default_avatar(), 1 if "large" in word else 100, dict(order.pictures), order.height)
+    avatar = replace(avatar, meta=dict(avatar.meta) | {"process": os.getpid(), "title": order.title})
     if "guess" in word:
         noted = [{"side": "front", "code": "arms", "text": "Hold your arms away."}, "no finding"]
         avatar = replace(avatar, meta=dict(avatar.meta) | {"guessed": noted})

@@ -9,8 +9,13 @@ import aiohttp
 import pytest
 
 from glsplat.formats import load
-from tests.net.uploads.conftest import GUARD
-from tests.net.uploads.makers import PICTURE
+from glsplat.net.guard.access import Access
+from glsplat.net.server import Server, ServerConfig
+from glsplat.net.uploads.job import UploadConfig
+from glsplat.net.uploads.routes import Uploads
+from tests.net.conftest import FakeBackend
+from tests.net.uploads.conftest import GUARD, described, until
+from tests.net.uploads.makers import PICTURE, make
 
 
 def form(**fields) -> aiohttp.FormData:
@@ -262,5 +267,112 @@ def test_a_server_without_a_folder_takes_nothing(serve):
                 assert (await answer.json())["upload"] is None
             async with http.post(f"{origin}/avatars?consent=yes", data=b"x") as answer:
                 assert answer.status == 404
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("word", [b"doubt known", b"doubt known worse"])
+def test_what_was_refused_goes_on_where_it_was(takes, word):
+    async def main():
+        async with takes() as client:
+            _, told = await client.post(word)
+            name = told["name"]
+            told = await client.until(name, "failed")
+            assert told["goes_on"] and told["findings"]
+            before = told["steps"]
+            while told["state"] == "failed":
+                assert told["goes_on"]
+                status, told = await client.ask("POST", f"/avatars/{name}/anyway")
+                assert status == 202 and told["state"] == "waiting" and not told["findings"] and told["error"] is None
+                told = await client.until(name, "done", "failed")
+            assert told["steps"] == [*before, "making the person"]  # the picture is looked at once
+            assert client.kept() == [f"{name}.glb"] and await client.offered() == ["default", name]
+            status, text = await client.ask("POST", f"/avatars/{name}/anyway")
+            assert status == 409 and "send the pictures again" in text
+
+    asyncio.run(main())
+
+
+def test_what_was_refused_is_forgotten_when_another_comes_or_nobody_does(takes):
+    async def main():
+        async with takes(patience=0.3) as client:
+            refused = (await client.post(b"doubt known"))[1]["name"]
+            await client.until(refused, "failed")
+            while (await client.ask("GET", f"/avatars/{refused}"))[1]["goes_on"]:
+                await asyncio.sleep(0.02)
+            assert (await client.ask("POST", f"/avatars/{refused}/anyway"))[0] == 409
+        async with takes() as client:
+            first = (await client.post(b"doubt known"))[1]["name"]
+            assert (await client.until(first, "failed"))["goes_on"]
+            await client.made()
+            assert not (await client.ask("GET", f"/avatars/{first}"))[1]["goes_on"]
+            second = (await client.post(b"doubt known"))[1]["name"]
+            await client.until(second, "failed")
+            assert (await client.ask("DELETE", f"/avatars/{second}"))[0] == 204
+            assert (await client.ask("POST", f"/avatars/{second}/anyway"))[0] == 404
+            plain = (await client.post(b"doubt"))[1]["name"]
+            assert not (await client.until(plain, "failed"))["goes_on"]
+            assert (await client.ask("POST", f"/avatars/{plain}/anyway", headers={}))[0] == 401
+            third = (await client.post(b"doubt known"))[1]["name"]
+            assert (await client.until(third, "failed"))["goes_on"]  # and the server stops with it
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("title", ["Zoë", "Ann-Marie O'Neil 2", "日本語"])
+def test_its_owner_names_it(takes, title):
+    async def main():
+        async with takes() as client:
+            name = await client.made(form(front=PICTURE, name=title), query="")
+            assert load(client.folder / f"{name}.glb").meta["title"] == title
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("title", ["<b>x</b>", "a" * 33, "../etc", "a\nb", "\u202egnp.exe", " "])
+def test_names_that_are_none_are_refused(takes, title):
+    async def main():
+        async with takes() as client:
+            status, text = await client.post(form(front=PICTURE, name=title), query="")
+            assert status == (400 if title.strip() else 202), text
+            assert title == " " or "name needs 1 to 32 letters" in text
+
+    asyncio.run(main())
+
+
+def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes, tmp_path):
+    async def main():
+        async with takes() as client:
+            loop = client.server.render_loop
+            assert not loop.stands_back()
+            _, told = await client.post(f"hold {tmp_path / 'go on'}".encode())
+            await client.until(told["name"], "making")
+            assert loop.stands_back()
+            (tmp_path / "go on").touch()
+            await client.until(told["name"], "done")
+            assert not loop.stands_back()
+            refused = (await client.post(b"doubt known"))[1]["name"]
+            await client.until(refused, "failed")
+            assert not loop.stands_back()  # what waits for a word needs no machine
+
+    asyncio.run(main())
+
+
+def test_where_others_look_on_drawing_goes_first(tmp_path):
+    async def main():
+        uploads = Uploads(UploadConfig(folder=tmp_path, make=make), described)
+        config = ServerConfig(port=0, access=Access(host="0.0.0.0", insecure=True))
+        server = Server(FakeBackend(), config, uploads=uploads)
+        await server.start()
+        try:
+            url = f"http://127.0.0.1:{server.port}/avatars?consent=yes"
+            async with aiohttp.ClientSession() as http:
+                headers = {"Content-Type": "image/jpeg"}
+                async with http.post(url, data=b"wait", headers=headers) as answer:
+                    assert answer.status == 202
+            await until(lambda: uploads.works)
+            assert not server.render_loop.stands_back()
+        finally:
+            await server.stop()
 
     asyncio.run(main())

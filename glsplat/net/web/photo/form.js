@@ -3,6 +3,7 @@
 import { fitted } from './shrink.js';
 
 const VIEWS = ['front', 'back', 'left', 'right'];
+const TITLE = /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u; // as glsplat/net/options.py has names
 const SIDES = { front: 'From the front', back: 'From behind', left: 'From the left', right: 'From the right' };
 
 /** `deeds`: wear(name), remove(name), both promises. Shown while `offer` has something. */
@@ -11,7 +12,7 @@ export class PhotoForm {
   #upload;
   #deeds;
   #offer = null; // of GET /session: {views, picture_bytes, body_bytes}, or null
-  #sent = null; // {pictures, height}: what is to be made anyway
+  #sent = null; // {pictures, height, title}: what is to be made anyway
   #shown = ''; // the blob address of the picture that is shown
   #worn = null; // the avatar that is worn, where it can be deleted
   #sure = false; // the next press deletes
@@ -34,7 +35,7 @@ export class PhotoForm {
 
   /** Another avatar is worn. */
   wears(worn) {
-    this.#worn = worn?.made ? worn.name : null;
+    this.#worn = worn?.made ? worn : null;
     this.#sure = false;
     this.#showDelete();
   }
@@ -61,7 +62,7 @@ export class PhotoForm {
       this.#upload.cancel();
       this.#get('photo-front').focus();
     });
-    on('photo-anyway', 'click', () => this.#upload.start(this.#sent.pictures, { ...this.#sent, anyway: true }));
+    on('photo-anyway', 'click', () => this.#anyway());
     on('photo-wear', 'click', () => this.#wear());
     on('photo-delete', 'click', () => this.#delete());
   }
@@ -72,7 +73,15 @@ export class PhotoForm {
     const other = this.#get(id === 'photo-front' ? 'photo-take' : 'photo-front');
     if (file) other.value = '';
     this.#preview(this.#front());
+    this.#get('photo-name').placeholder = titleOf(file?.name ?? '') || 'not given';
     this.#warn('');
+  }
+
+  /** From where it was; from the start where that is forgotten. */
+  async #anyway() {
+    if (this.#upload.now.goes_on && (await this.#upload.goOn())) return;
+    if (this.#sent) this.#upload.start(this.#sent.pictures, { ...this.#sent, anyway: true });
+    else this.#upload.resume(this.#upload.now.name); // which says that it is forgotten
   }
 
   #front() {
@@ -93,6 +102,10 @@ export class PhotoForm {
     const [height, wrong] = this.#height();
     if (!this.#front()) return this.#warn('Choose or take a picture from the front first.', 'photo-front');
     if (wrong) return this.#warn('The height needs metres from 0.5 to 2.8, such as 1.75.', 'photo-height');
+    const title = this.#get('photo-name').value.trim() || titleOf(this.#front().name);
+    if (!TITLE.test(title)) {
+      return this.#warn('The name needs up to 32 letters and digits, blanks between them.', 'photo-name');
+    }
     if (!this.#get('photo-consent').checked) {
       return this.#warn('Say first that this is you, or that this person agreed.', 'photo-consent');
     }
@@ -105,8 +118,8 @@ export class PhotoForm {
       const sides = VIEWS.filter((_, i) => files[i]);
       const most = Math.min(this.#offer.picture_bytes, this.#offer.body_bytes / sides.length);
       for (const view of sides) pictures[view] = await fitted(files[VIEWS.indexOf(view)], most);
-      this.#sent = { pictures, height };
-      this.#upload.start(pictures, { height });
+      this.#sent = { pictures, height, title };
+      this.#upload.start(pictures, this.#sent);
     } catch (error) {
       this.#warn(capital(error.message), 'photo-front');
     } finally {
@@ -125,7 +138,7 @@ export class PhotoForm {
   #warn(text, id) {
     const line = this.#get('photo-warning');
     line.textContent = text;
-    for (const field of ['photo-front', 'photo-height', 'photo-consent']) {
+    for (const field of ['photo-front', 'photo-name', 'photo-height', 'photo-consent']) {
       this.#get(field).setAttribute('aria-invalid', String(field === id));
     }
     if (id) this.#get(id).focus();
@@ -152,7 +165,7 @@ export class PhotoForm {
       this.#showDelete();
       return;
     }
-    const error = await this.#deeds.remove(this.#worn);
+    const error = await this.#deeds.remove(this.#worn.name);
     if (error) this.#warn(capital(error));
   }
 
@@ -160,11 +173,11 @@ export class PhotoForm {
     const button = this.#get('photo-delete');
     if (!this.#worn && this.#document.activeElement === button) this.#get('avatar').focus();
     this.#get('photo-delete-row').hidden = !this.#worn;
-    button.textContent = this.#sure ? 'Press again to delete it for good' : `Delete ${this.#worn ?? ''}`;
+    button.textContent = this.#sure ? 'Press again to delete it for good' : `Delete ${this.#worn?.title || this.#worn?.name || ''}`;
   }
 
   #show() {
-    const { state, share, steps, findings } = this.#upload.now;
+    const { state, share, steps, findings, goes_on: goesOn } = this.#upload.now;
     const { busy } = this.#upload;
     const moved = this.#document.activeElement?.closest('#photo-form, #photo-work'); // it may be hidden in a moment
     this.#get('photo-form').hidden = state !== 'idle';
@@ -181,7 +194,7 @@ export class PhotoForm {
     this.#list('photo-findings', findings.map(({ side, text }) => `${SIDES[side] ?? capital(side)}: ${text}`));
     this.#get('photo-cancel').hidden = !busy;
     this.#get('photo-again').hidden = state !== 'failed';
-    this.#get('photo-anyway').hidden = state !== 'failed' || !findings.length || !this.#sent;
+    this.#get('photo-anyway').hidden = state !== 'failed' || !findings.length || !(goesOn || this.#sent);
     this.#get('photo-wear').hidden = state !== 'done';
     if (moved && !moved.checkVisibility()) this.#focus();
     else if (this.#document.activeElement === this.#document.body && moved) this.#focus();
@@ -217,5 +230,9 @@ export class PhotoForm {
     );
   }
 }
+
+/** What a picture file's name says of who is in it: letters and digits, at most 32; '' where it says nothing. */
+const titleOf = (file) => file.replace(/\.[^.]*$/, '').replace(/[^\p{L}\p{N}_ .'-]+/gu, ' ').trim().replace(/^[^\p{L}\p{N}]+/u, '')
+  .slice(0, 32).replace(/[^\p{L}\p{N}_.]+$/u, '');
 
 const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);

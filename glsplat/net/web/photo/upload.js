@@ -2,7 +2,7 @@
 
 const PAUSE = 500; // ms between two looks
 const PATIENCE = 60; // looks in a row that nobody answers
-const IDLE = { state: 'idle', name: '', share: 0, ahead: 0, steps: [], error: '', findings: [] };
+const IDLE = { state: 'idle', name: '', share: 0, ahead: 0, steps: [], error: '', findings: [], goes_on: false };
 
 /** Event `change`. `now.state` is idle, sending, waiting, making, done or failed; `share` of 1 of the step in hand. */
 export class Upload extends EventTarget {
@@ -20,13 +20,14 @@ export class Upload extends EventTarget {
     return ['sending', 'waiting', 'making'].includes(this.now.state);
   }
 
-  /** Send `pictures` ({front: Blob, back, left, right}) with what is known: {height, anyway}. */
-  async start(pictures, { height = null, anyway = false } = {}) {
+  /** Send `pictures` ({front: Blob, back, left, right}) with what is known: {height, anyway, title}. */
+  async start(pictures, { height = null, anyway = false, title = '' } = {}) {
     const run = ++this.#run;
     const form = new FormData();
     form.append('consent', 'yes');
     if (height !== null) form.append('height', String(height));
     if (anyway) form.append('anyway', 'yes');
+    if (title) form.append('name', title);
     for (const [view, picture] of Object.entries(pictures)) form.append(view, picture, view);
     this.#become({ ...IDLE, state: 'sending' });
     let answer;
@@ -40,6 +41,16 @@ export class Upload extends EventTarget {
     else this.#become({ state: 'failed', error: answer.text.trim() || `the server answers ${answer.status}` });
   }
 
+  /** Have what was refused made all the same, from where it was. Promises false where the server has forgotten it. */
+  async goOn() {
+    const run = ++this.#run;
+    const response = await this.#ask('POST', '/anyway').catch(() => null);
+    const answer = response?.ok ? await response.json().catch(() => null) : null;
+    if (run !== this.#run) return true;
+    if (answer) this.#follow(answer, run);
+    return answer !== null;
+  }
+
   /** Follow what was begun before the page was loaded again. */
   resume(name) {
     this.#follow({ ...IDLE, state: 'waiting', name }, ++this.#run);
@@ -49,12 +60,12 @@ export class Upload extends EventTarget {
   cancel() {
     this.#run++;
     this.#request?.abort();
-    if (this.busy && this.now.name) this.#ask('DELETE').catch(() => {}); // it ends by itself otherwise
+    if ((this.busy || this.now.goes_on) && this.now.name) this.#ask('DELETE').catch(() => {}); // it ends by itself otherwise
     this.#become(IDLE);
   }
 
-  #ask(method) {
-    return this.#connection.fetch(`avatars/${this.now.name}`, { method });
+  #ask(method, more = '') {
+    return this.#connection.fetch(`avatars/${this.now.name}${more}`, { method });
   }
 
   async #follow(told, run) {

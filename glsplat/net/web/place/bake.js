@@ -24,12 +24,22 @@ const BOUNCE = 0.16; // of what falls in, as light from everywhere
 
 /** RGBA bytes of the atlas for one of LOOKS. */
 export function bake(look) {
+  const rows = baking(look);
+  for (;;) {
+    const { done, value } = rows.next();
+    if (done) return value;
+  }
+}
+
+/** The same, a row of texels at a time: who shows pictures meanwhile does other things between two of them. */
+export function* baking(look) {
   const bytes = new Uint8Array(4 * ATLAS.width * ATLAS.height).fill(255);
   const horizon = shown(look.sky.horizon);
   const falls = lightIn(look);
   for (const [rect, at] of faces(look)) {
     const [left, top, width, height] = rect;
     for (let y = 0; y < height; y++) {
+      yield;
       for (let x = 0; x < width; x++) {
         // the outer texels lie on the edges: linear filtering never reads a neighbour face
         const { point, normal } = at((x + 0.5) / width, (y + 0.5) / height);

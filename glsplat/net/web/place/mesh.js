@@ -9,6 +9,7 @@ const FRAME = { wide: 0.055, deep: 0.035, colour: [0.2, 0.115, 0.052] }; // arou
 const FEET = { reach: 0.16, wide: 0.05, high: 0.04 };
 const SEAM = 0.02; // metres by which a wall goes on behind its neighbours: no light falls through
 const SASH = { wide: 0.07, deep: 0.09, bar: 0.04 }; // of a window
+const HIDDEN = SASH.wide / 2;
 const [HILLS, FAR] = [48, 44]; // pieces around, metres away: nearer than the far plane of a headset, 50
 
 /** Floats of what one of LOOKS has of triangles, all facing inwards: culled from outside, one looks into the room. */
@@ -38,14 +39,18 @@ export function starMesh({ sky: { stars } }) {
   return new Float32Array(out);
 }
 
-/** The frame and the feet of a mirror whose glass has these corners (around it from the lower left), and looks along `normal`. */
-export function mirrorMesh(glass, normal) {
+/**
+ * The frame and the feet of a mirror whose glass has these corners (around it from the lower left), and looks along `normal`;
+ * `lit` [3]: of its colour, what the light of the place leaves.
+ */
+export function mirrorMesh(glass, normal, lit = [1, 1, 1]) {
   const [low, right, , left] = glass;
   const [u, width] = span(low, right);
   const [v, height] = span(low, left);
   const at = (a, b, c) => [0, 1, 2].map((i) => low[i] + a * u[i] + b * v[i] + c * normal[i]);
   const out = [];
-  const { wide, deep, colour } = FRAME;
+  const { wide, deep } = FRAME;
+  const colour = FRAME.colour.map((value, k) => value * lit[k]);
   const bar = (from, to) => blockOf(out, at, [u, v, normal], from, to, colour);
   const [front, back] = [0.006, -deep];
   bar([-wide, -wide, back], [0, height + wide, front]);
@@ -96,7 +101,9 @@ function wallOf(side, [w, , d]) {
 /** A wall around its windows. */
 function wall(out, side, { half, windows }) {
   const { at, normal, reach } = wallOf(side, half);
-  const own = windows.filter(([which]) => which === side);
+  // the edges of a wall lie within the sashes: on their faces they would shine through in single pixels
+  const own = windows.filter(([which]) => which === side)
+    .map(([which, from, to, bottom, top]) => [which, from - HIDDEN, to + HIDDEN, bottom - HIDDEN, top + HIDDEN]);
   const cuts = (from, to, marks) => [...new Set([from, ...marks, to])].sort((a, b) => a - b);
   const along = cuts(-reach - SEAM, reach + SEAM, own.flatMap(([, a, b]) => [a, b]));
   const up = cuts(-SEAM, half[1] + SEAM, own.flatMap(([, , , a, b]) => [a, b]));

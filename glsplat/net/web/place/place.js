@@ -1,7 +1,7 @@
 // Draws a place: room, sky, the shadows of who stands in it, a mirror with its frame. Knows neither avatars nor sessions.
 
 import { multiply, place as placeOf } from '../space/matrix.js';
-import { ATLAS, FACES, GRAIN, bake, grain, shown } from './bake.js';
+import { ATLAS, FACES, GRAIN, bake, baking, grain, shown } from './bake.js';
 import { LOOKS } from './looks.js';
 import { flatMesh, floorMesh, mirrorMesh, roomMesh, starMesh } from './mesh.js';
 import { build } from './program.js';
@@ -10,7 +10,10 @@ import { GLASS, ROOM, SHADOW, SKY } from './shaders.js';
 const MOST_BLOBS = 16;
 const STRIDE = 36; // bytes a vertex
 const IN_PASSTHROUGH = 0.62; // how dark shadows are on a floor that is not ours
+const TURN = 8; // ms in a row that baking takes of a page that shows pictures
 const SOURCES = { sky: SKY, room: ROOM, shadow: SHADOW, glass: GLASS };
+
+const baked = new Map(); // by name: the bytes of the faces; null while it is worked on
 
 export class Place {
   /** Triangles of the room and texels of its textures, for whoever counts. */
@@ -29,6 +32,13 @@ export class Place {
     [this.#room, this.#stars, this.#passing] = [this.#buffer(), this.#buffer(), this.#buffer()];
   }
 
+  /** Whether `choose` takes no time. Where it would, the place is worked out meanwhile, a little at a time. */
+  prepare(name) {
+    if (!LOOKS[name] || baked.get(name)) return true;
+    if (!baked.has(name)) bakeBetween(name);
+    return false;
+  }
+
   /** Which of LOOKS is drawn; false where there is none of that name. It is worked out when it is first chosen. */
   choose(name) {
     const look = LOOKS[name] ?? null;
@@ -37,7 +47,7 @@ export class Place {
     if (!look) return false;
     const gl = this.#gl;
     this.#textures ??= { faces: gl.createTexture(), grain: gl.createTexture() };
-    this.#texture(this.#textures.faces, gl.RGBA, ATLAS.width, ATLAS.height, bake(look), gl.CLAMP_TO_EDGE);
+    this.#texture(this.#textures.faces, gl.RGBA, ATLAS.width, ATLAS.height, baked.get(name) ?? bake(look), gl.CLAMP_TO_EDGE);
     const floor = grain(look);
     this.#metres = floor?.metres ?? [0, 0];
     const side = floor ? GRAIN : 1;
@@ -98,7 +108,8 @@ export class Place {
     gl.uniformMatrix4fv(at.clip_from_room, false, clip);
     this.#fill(this.#passing, flatMesh(glass, normal));
     this.#draw(this.#passing);
-    this.#fill(this.#passing, mirrorMesh(glass, normal));
+    const lit = this.#look.ambient.map((value, k) => Math.min(1, value / LOOKS.day.ambient[k]));
+    this.#fill(this.#passing, mirrorMesh(glass, normal, lit));
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.DEPTH_BUFFER_BIT); // before all that the room has
     this.#solid(clip, this.#passing);
@@ -179,6 +190,19 @@ export class Place {
     gl.bindBuffer(gl.ARRAY_BUFFER, mesh.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, floats, gl.DYNAMIC_DRAW);
     mesh.vertices = (4 * floats.length) / STRIDE;
+  }
+}
+
+async function bakeBetween(name) {
+  baked.set(name, null);
+  const rows = baking(LOOKS[name]);
+  for (;;) {
+    const until = performance.now() + TURN;
+    while (performance.now() < until) {
+      const { done, value } = rows.next();
+      if (done) return baked.set(name, value);
+    }
+    await new Promise((done) => setTimeout(done));
   }
 }
 

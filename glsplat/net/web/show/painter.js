@@ -1,6 +1,7 @@
 // Everything the page draws with WebGL2: a place, the newest pair, a mirror's frame, labels. Knows no sessions.
 
 import { Place } from '../place/place.js';
+import { shown } from '../place/bake.js';
 import { buildPrograms } from './shaders.js';
 import { add, axis, invert, multiply, place, scale } from '../space/matrix.js';
 import { pictureQuad } from '../space/picture.js';
@@ -78,11 +79,11 @@ export class Painter {
     gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
   }
 
-  /** Bind a framebuffer (null: the canvas) and clear it; see-through where the room is to show. */
-  begin(framebuffer, transparent) {
+  /** Bind a framebuffer (null: the canvas) and clear it to a look's horizon; see-through where the room is to show. */
+  begin(framebuffer, transparent, look = null) {
     const gl = this.#gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-    gl.clearColor(0, 0, 0, transparent ? 0 : 1);
+    gl.clearColor(...(look && !transparent ? shown(look.sky.horizon) : [0, 0, 0]), transparent ? 0 : 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
@@ -93,9 +94,9 @@ export class Painter {
   /**
    * One view {transform, projection, viewport}: index 0 or 1 of the pair. `room`: draw the place as well, else (in
    * passthrough) its mirror and shadows alone. `mirror`: {glass, normal}; `blobs`: shadows of place/shadow.js, which
-   * the mirror shows where there is one.
+   * the mirror shows where there is one; `picture` false leaves the pair out.
    */
-  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [] }) {
+  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [], picture = true }) {
     const gl = this.#gl;
     const { transform, projection, viewport: { x, y, width, height } } = eye;
     gl.viewport(x, y, width, height);
@@ -110,7 +111,7 @@ export class Painter {
       if (room) this.#drawFloor(clip, transform);
       if (mirror) this.#drawMirror(clip, mirror.glass);
     }
-    if (this.#asked) this.#drawPicture(clip, transform, index);
+    if (this.#asked && picture) this.#drawPicture(clip, transform, index);
     else if (mirror && !placed) this.#drawFlat(clip, [3, 2, 0, 1].map((i) => mirror.glass[i]), COLOURS.glass);
     for (const label of labels) this.#drawLabel(clip, label);
   }

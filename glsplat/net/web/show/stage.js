@@ -2,6 +2,7 @@
 
 import { onWire, turned } from '../draw/light.js';
 import { lightOf } from '../place/light.js';
+import { LOOKS } from '../place/looks.js';
 import { below, fromBox } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
 import { IDENTITY, invert } from '../space/matrix.js';
@@ -12,6 +13,7 @@ import { Here } from './here.js';
 import { Names } from './names.js';
 import { Painter } from './painter.js';
 
+const FIRST = 3000; // ms that all else waits for the first picture: the place, and drawing on this device
 const COMPLAINT = 4000; // ms for which a server's complaint is repeated to the user
 
 export class Stage {
@@ -23,6 +25,7 @@ export class Stage {
   #complaint = { text: '', until: 0 };
   #asked = 0; // when the pair on the screen was asked for
   #seen = true; // whether that pair has been drawn
+  #opened = performance.now();
   #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
   #painted = []; // what the canvas shows
 
@@ -68,19 +71,27 @@ export class Stage {
    */
   frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, around, labels = () => [], asks = true, now }) {
     const light = this.#falling(where, around);
-    const here = this.here.draws(views, where, this.figures.rate('shown', now), now);
+    const first = !this.shownId && performance.now() - this.#opened < FIRST;
+    const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
     let sent = 0;
     if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, now });
     this.advance(now);
+    const look = this.settings.get('place');
+    const bare = first || !this.painter.place.prepare(look);
     const own = here && this.here.people.size > 0;
     if (framebuffer || own) this.#painted = [];
-    else if (this.#shows(views, room)) return sent;
+    else if (this.#shows(views, room, bare)) return sent;
     const hung = labels();
-    this.painter.begin(framebuffer, transparent);
-    const how = { room, mirror: where.glass ? where : null, look: this.settings.get('place'), blobs: this.#shadows(here, where, drive, now) };
+    this.painter.begin(framebuffer, transparent, bare ? LOOKS[look] : null);
+    if (bare && !here) {
+      views.forEach((view, i) => this.painter.view(view, i, { room: false, labels: hung }));
+      this.drawn();
+      return sent;
+    }
+    const how = { room, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
-      this.painter.forget();
-      views.forEach((view, i) => this.painter.view(view, i, how));
+      // the pair stays: it is what there is to see should it be back to pictures
+      views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
       const inside = where.view === 'own' && this.canHide;
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
@@ -97,9 +108,9 @@ export class Stage {
    * Whether the canvas shows this already; from now on it does. The same picture is not drawn again: the machine may be
    * the one that draws the avatar.
    */
-  #shows(views, room) {
+  #shows(views, room, bare) {
     const eyes = views.flatMap(({ transform, projection, viewport }) => [...transform, ...projection, ...Object.values(viewport)]);
-    const wanted = [this.painter, this.painter.shownAs, this.settings.get('place'), room, ...eyes];
+    const wanted = [this.painter, this.painter.shownAs, this.settings.get('place'), room, bare, ...eyes];
     const same = wanted.length === this.#painted.length && wanted.every((value, i) => value === this.#painted[i]);
     this.#painted = wanted;
     return same;

@@ -22,6 +22,7 @@ export class Viewer {
   #handle = 0;
   covered = () => ({ top: 0, right: 0, bottom: 0, left: 0 }); // CSS pixels of the canvas that something lies over
   rests = () => false; // whether others need the machine: then it draws and asks now and then
+  ready = () => true; // whether it is known by now what moves the avatar
   onDrive = () => {}; // hears of what moves the avatar, every frame
 
   /** `adds(drive)` is what is sent of what the driver says. */
@@ -64,10 +65,10 @@ export class Viewer {
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
     const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
     this.onDrive(drive);
-    const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform }) => transform)) + width + height;
+    const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform, projection }) => [transform, projection])) + width + height;
     const room = this.#settings.get('room') !== '';
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
-    const asks = moves || now - this.#asked > KEEP;
+    const asks = this.ready() && (moves || now - this.#asked > KEEP);
     const shown = this.#stage.shownId;
     if (this.#stage.frame(views, room ? IN_ROOM : HERE, drive, { alpha: true, room: true, asks, now })) {
       [this.#last, this.#asked] = [key, now];

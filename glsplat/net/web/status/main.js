@@ -1,4 +1,5 @@
-// The server's status page: what it says of itself, asked anew every two seconds. Everything comes from this server.
+// The server's status page: what it says of itself, asked anew every two seconds in one request. Everything comes from
+// this server.
 
 import { curve } from './curve.js';
 
@@ -12,7 +13,7 @@ const CURVES = [
 ];
 const COLUMNS = ['id', 'avatar', 'room', 'a second', 'form', 'size', 'sent', 'dropped', 'failed', 'window'];
 const sent = new Map(); // by client: {count, at} of the last look, for its rate
-const pictures = new Map(); // by address: blob address
+const pictures = new Map(); // by avatar: {tag, address} of its picture, a blob
 
 function ask(path) {
   const token = sessionStorage.getItem(TOKEN);
@@ -35,13 +36,13 @@ function make(tag, text = '', attributes = {}) {
 
 async function look() {
   try {
-    const [stats, history, session] = await Promise.all([json('stats'), json('history'), json('session')]);
+    const { stats, history, avatars, pictures: sentLast } = await json('status.json');
     $('trouble').textContent = '';
     summary(stats);
     curves(history);
     clients(stats.clients);
-    await now(stats.clients);
-    await people(session.avatars);
+    now(stats.clients, sentLast);
+    await people(avatars);
   } catch (error) {
     $('trouble').textContent = `The server does not answer (${error.message}); what stands here is old. It is asked again.`;
   }
@@ -62,7 +63,10 @@ function curves(history) {
     const caption = make('figcaption', label);
     caption.append(make('strong', values.length ? show(values.at(-1)) : '–'));
     const highest = Math.max(least, ...values);
-    figure.append(caption, curve(values, history.most, highest, `${label}, at most ${show(highest)} in the last five minutes`));
+    const scale = make('p', '', { class: 'scale' });
+    const [from, to] = [`${Math.round((history.most * history.step) / 60)} min ago`, 'now'];
+    scale.append(make('span', from), make('span', `at most ${show(highest)}`), make('span', to));
+    figure.append(caption, curve(values, history.most, highest, `${label}, at most ${show(highest)} in the last five minutes`), scale);
     return figure;
   });
   $('curves').replaceChildren(...made);
@@ -89,13 +93,13 @@ function clients(list) {
 }
 
 /** What clients were sent last, where that is nobody's secret. */
-async function now(list) {
-  const shown = list.filter(({ picture }) => picture);
+function now(list, sentLast) {
+  const shown = list.filter(({ id }) => sentLast[id]);
   $('now').hidden = !shown.length;
   const made = [];
   for (const { id, avatar, room } of shown) {
-    const address = await picture(`pictures/${id}`, true);
-    if (address) made.push(tile(address, `Client ${id}`, room ? `client ${id}, room ${room}` : `client ${id}: ${avatar}`));
+    const address = `data:image/jpeg;base64,${sentLast[id]}`;
+    made.push(tile(address, `Client ${id}`, room ? `client ${id}, room ${room}` : `client ${id}: ${avatar}`));
   }
   $('pictures').replaceChildren(...made);
 }
@@ -103,7 +107,7 @@ async function now(list) {
 async function people(avatars) {
   $('avatars').hidden = !avatars.length;
   const made = [];
-  for (const { name } of avatars) made.push(tile(await picture(`thumbnails/${encodeURIComponent(name)}`, false), name, name));
+  for (const { name, title, tag } of avatars) made.push(tile(await picture(name, tag), title || name, title || name));
   $('people').replaceChildren(...made);
 }
 
@@ -113,15 +117,15 @@ function tile(address, alt, text) {
   return figure;
 }
 
-/** A picture's blob address; null where there is none. One that does not change is asked for once. */
-async function picture(path, changes) {
-  if (!changes && pictures.has(path)) return pictures.get(path);
-  const response = await ask(path).catch(() => null);
-  if (!response?.ok) return null;
+/** The blob address of an avatar's picture, or null; asked for once, and again when its tag is another. */
+async function picture(name, tag) {
+  const before = pictures.get(name);
+  if (before && (!tag || tag === before.tag)) return before.address;
+  const response = await ask(`thumbnails/${encodeURIComponent(name)}`).catch(() => null);
+  if (!response?.ok) return before?.address ?? null;
   const address = URL.createObjectURL(await response.blob());
-  const before = pictures.get(path);
-  if (before) setTimeout(() => URL.revokeObjectURL(before), PAUSE);
-  pictures.set(path, address);
+  if (before) setTimeout(() => URL.revokeObjectURL(before.address), PAUSE);
+  pictures.set(name, { tag: response.headers.get('ETag')?.replaceAll('"', '') ?? tag, address });
   return address;
 }
 

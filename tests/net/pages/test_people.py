@@ -1,0 +1,95 @@
+"""Embedded people: offered by themselves, after clients can connect; drawn when they are chosen."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import pickle
+import threading
+
+import aiohttp
+
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.data import PEOPLE, default_avatar, person
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.backends.avatar_store import WithPeople
+from glsplat.net.backends.server import make_server
+from glsplat.net.server import Server, ServerConfig
+from tests.net.conftest import FakeBackend
+
+
+async def session(server: Server) -> dict:
+    async with aiohttp.ClientSession() as http, http.get(f"http://127.0.0.1:{server.port}/session") as answer:
+        return json.loads(await answer.text())
+
+
+def test_what_is_loaded_later_keeps_nobody_waiting():
+    go_on = threading.Event()
+
+    def later():
+        yield AvatarInfo(name="default", height=9.0)  # there is one of that name: it stays
+        go_on.wait(60)
+        yield AvatarInfo(name="late", height=1.7)
+
+    async def main():
+        server = Server(FakeBackend(), ServerConfig(port=0), later=later)
+        await server.start()
+        try:
+            told = await session(server)
+            assert told["loading"] and [one["name"] for one in told["avatars"]] == ["default"]
+            assert told["avatars"][0]["height"] is None
+            go_on.set()
+            await asyncio.wait_for(server.all_offered.wait(), 60)
+            told = await session(server)
+            assert not told["loading"] and [one["name"] for one in told["avatars"]] == ["default", "late"]
+        finally:
+            await server.stop()
+        stopped = Server(FakeBackend(), ServerConfig(port=0), later=lambda: [AvatarInfo(name="x")])
+        await stopped.start()
+        await stopped.stop()  # at once, in the middle of it
+
+    asyncio.run(main())
+
+
+def test_a_fault_in_loading_ends_the_wait(caplog):
+    def later():
+        yield AvatarInfo(name="one")
+        raise RuntimeError("a fault")
+
+    async def main():
+        server = Server(FakeBackend(), ServerConfig(port=0), later=later)
+        await server.start()
+        try:
+            await asyncio.wait_for(server.all_offered.wait(), 60)
+            return await session(server)
+        finally:
+            await server.stop()
+
+    assert [one["name"] for one in asyncio.run(main())["avatars"]] == ["default", "one"]
+    assert "a fault" in caplog.text
+
+
+def test_each_person_is_offered_but_the_one_who_is_shown_anyway():
+    async def main(scene, policy):
+        server = make_server(scene, ServerConfig(port=0), own_process=False, people=PEOPLE, consent=policy)
+        server.render_loop._backend = FakeBackend()
+        await server.start()
+        try:
+            await asyncio.wait_for(server.all_offered.wait(), 120)
+            return await session(server)
+        finally:
+            await server.stop()
+
+    policy = ConsentPolicy()
+    policy.add("default", [])
+    told = asyncio.run(main(person(PEOPLE[-1]), policy))
+    assert [one["name"] for one in told["avatars"]] == ["default", *PEOPLE[:-1]]
+    assert all(one["tracking"] and one["head"] and one["height"] > 1.4 for one in told["avatars"][1:])
+
+
+def test_the_process_that_draws_is_told_names_and_loads_what_is_chosen():
+    given = {PEOPLE[0]: default_avatar()}
+    avatars = pickle.loads(pickle.dumps(WithPeople({}, PEOPLE)))
+    assert len(pickle.dumps(avatars)) < 1000 and list(avatars) == list(PEOPLE) and "nobody" not in avatars
+    assert avatars[PEOPLE[1]].skeleton.names == person(PEOPLE[1]).skeleton.names
+    assert WithPeople(given, PEOPLE)[PEOPLE[0]] is given[PEOPLE[0]] and len(WithPeople(given, PEOPLE)) == len(PEOPLE)
