@@ -322,6 +322,7 @@ class Server:
             compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
             max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given
             heartbeat=self.config.heartbeat,
+            autoping=False,  # answers to pings measure links (conversation.py)
             timeout=self.config.write_timeout,
             protocols=(SUBPROTOCOL,),
         )

@@ -26,7 +26,7 @@ from glsplat.data import PEOPLE, default_avatar, person
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.motion.motion import load_embedded_motion
 from glsplat.net.codec.encode import covered_box, encode_picture
-from glsplat.net.pace.adaptive_quality import SCALES
+from glsplat.net.pace.ladder import SCALES
 from glsplat.renderer import Renderer
 
 __all__ = ["Cost", "costs", "markdown"]

@@ -126,7 +126,7 @@ class _Client:
     def __init__(self, policy: Policy, window: int, seed: int) -> None:
         self.policy, self.window, self.chance = policy, window, Random(seed)
         self.mailbox: float | None = None  # when the newest request was made
-        self.drawing = False
+        self.drawing = self.resting = False
         self.under_way: set[int] = set()
         self.numbers = count(1)
         self.arrived = 0.0  # of the newest picture
@@ -193,11 +193,17 @@ class _Simulation:
         self._at(now + REFRESH, lambda: self._refresh(client))
 
     def _draw(self, client: _Client) -> None:
-        if client.drawing or client.mailbox is None or len(client.under_way) >= client.window:
+        if client.drawing or client.resting or client.mailbox is None or len(client.under_way) >= client.window:
             return
         rest = client.policy.rest(self._now)
         if rest > 0:
-            self._at(self._now + rest, lambda: self._draw(client))
+            client.resting = True
+
+            def rested() -> None:
+                client.resting = False
+                self._draw(client)
+
+            self._at(self._now + max(rest, 1e-4), rested)
             return
         asked, client.mailbox, client.drawing = client.mailbox, None, True
         number = next(client.numbers)

@@ -48,6 +48,7 @@ class LinkEstimator:
 
     def __init__(self) -> None:
         self.newest: Delivered | None = None
+        self.newest_rate: float = inf  # bits a second, of the newest delivery alone
         self._way: dict[int, tuple[float, int]] = {}  # by number: when it was written, bytes
         self._pings: dict[bytes, float] = {}
         self._delivered: deque[Delivered] = deque(maxlen=_CHAIN)
@@ -120,6 +121,7 @@ class LinkEstimator:
             self._rates = deque([entry for entry in self._rates if entry[0] >= self._slow[0]], _MOST)
             self._slow = []
         self._rates.append((now, sample))
+        self.newest_rate = sample
         window = max(RATE_WINDOW, ROUNDS * base)
         while len(self._rates) > _FEWEST and now - self._rates[0][0] > window:
             self._rates.popleft()

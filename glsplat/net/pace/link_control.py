@@ -26,6 +26,7 @@ _SOON = 3.0  # seconds
 _CUT, _PAUSE = 0.85, 0.4  # what a cut leaves; seconds from one to the next, or two round trips
 _QUEUE, _QUEUED = 0.008, 0.3  # seconds, and parts of a picture's time, that each has to wait where too much is spent
 _LATE, _TRIPS = 0.02, 1.25  # seconds, and round trips, by which a picture is late that has not just lost a packet
+_GOOD = 0.8  # of the rate: a picture that came so fast is not late any more
 _AGAIN = 0.05  # seconds after which to look again while one is
 _LEARN = 0.15  # how far a picture moves what is expected of the next
 _EXCESS, _GAIN = 1.05, 1.04  # of the bytes there are: so much too many are changed at once, and so little is not won
@@ -42,6 +43,7 @@ class LinkControl:
         self._cap = inf if cap is None else cap
         self._spend = inf  # bits a second
         self._cut_at, self._updated = -inf, -inf
+        self._late = False  # a picture was later than a lost packet makes it, and no good one has come since
         self._begun: dict[int, float] = {}  # pictures that are made just now: since when
         self._making = 0.0  # seconds that takes
         self._interval = 0.0  # seconds between two pictures that the link does not hold back
@@ -58,7 +60,7 @@ class LinkControl:
     # ----------------------------------------------------------------------------------------------------- what happens
 
     def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
-        """A picture is begun that was asked for with so many ``pixels`` an eye, in that quality: how to make it."""
+        """A picture is begun that was asked for with so many ``pixels``, in that JPEG quality: how to make it."""
         self._begin(number, now)
         rungs = ladder(quality, crop)
         if rungs is not self._rungs:  # another wish: as much less of it as of the one before
@@ -123,7 +125,25 @@ class LinkControl:
     @property
     def spend(self) -> float:
         """Bits a second that may be spent."""
-        return min(self._spend, USE * self.link.rate, self._cap)
+        rate = min(self.link.rate, self.link.newest_rate) if self._late else self.link.rate
+        return min(self._spend, USE * rate, self._cap)
+
+    def status(self) -> dict[str, float | None]:
+        """For /stats: Mbit/s that the link takes and that are spent, ms of round trip, queue and age."""
+
+        def known(value: float, digits: int = 2) -> float | None:
+            return round(value, digits) if isfinite(value) else None
+
+        age, rung = self.age, self._rungs[self._index] if self._rungs else None
+        return {
+            "rate": known(self.link.rate / 1e6),
+            "spend": known(self.spend / 1e6),
+            "round_trip": known(self.link.base * 1e3, 1),
+            "queue": known(self.link.standing * 1e3, 1),
+            "age": None if age is None else known(age * 1e3, 1),
+            "scale": None if rung is None else rung.scale,
+            "quality": None if rung is None else rung.quality,
+        }
 
     def _rest(self, now: float) -> float:
         """Until the way is free enough."""
@@ -131,6 +151,7 @@ class LinkControl:
         if not link.known:
             return 0.0
         if link.overdue(now) > _LATE + _TRIPS * link.base:
+            self._late = True
             return _AGAIN
         rate = min(link.rate, self._cap)
         own = 8 * self._bytes_of_one() / rate
@@ -155,6 +176,7 @@ class LinkControl:
         link, rate = self.link, self.link.rate
         newest = link.newest
         assert newest is not None
+        self._late = self._late and link.newest_rate < _GOOD * rate
         soon = now - self._cut_at < _SOON
         passed = min(max(0.0, now - self._updated), 0.5)
         self._updated = now
