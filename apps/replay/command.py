@@ -72,7 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, help="requests in all (default: all of it once, at most 20 s)")
     parser.add_argument("--seconds", type=float, metavar="S", help="play it so long, over and over where it is shorter")
     parser.add_argument("--loop", action="store_true", help="play it over and over, for --seconds or until Ctrl-C")
-    parser.add_argument("--window", type=int, default=2, help="pictures under way (default 2; 3 from 15 ms round trip)")
+    parser.add_argument("--window", type=int, help="pictures under way (default: as the server says)")
+    parser.add_argument("--fixed", action="store_true", help="do not say when pictures arrive: none is fitted to the link")
     parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
     parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
     parser.add_argument(
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--fps needs 1 to 240, not {args.fps:g}")
     if args.frames is not None and args.frames < 1:
         raise UsageError(f"--frames needs at least 1, not {args.frames}")
-    if not 1 <= args.window <= 8:
+    if args.window is not None and not 1 <= args.window <= 8:
         raise UsageError(f"--window needs 1 to 8, not {args.window}")
     if args.quality is not None and not 1 <= args.quality <= 100:
         raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
@@ -188,7 +189,7 @@ def _report_several(args: argparse.Namespace, runs: list[tuple[str, str, Result]
     if args.json:
         print(json.dumps([{"link": place, "policy": policy, **result.summary()} for place, policy, result in runs]))
         return
-    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, {args.fps:g} Hz, window {args.window}\n")
+    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, {args.fps:g} Hz, window {args.window or 'as the server says'}\n")
     print(comparison_markdown(runs))
 
 
@@ -197,7 +198,8 @@ async def _stream(
 ) -> Result:
     bars = not args.json and sys.stderr.isatty()
     async with over(simulated, args.url) as url:
-        async with Client(url, token, window=args.window, mirror=args.mirror, cafile=args.tls_ca) as client:
+        options = {"window": args.window, "mirror": args.mirror, "cafile": args.tls_ca, "adapt": not args.fixed}
+        async with Client(url, token, **options) as client:
             with tqdm(total=frames, desc=policy, unit="frame", disable=not bars, leave=False) as bar:
                 return await stream(
                     client,
@@ -208,7 +210,7 @@ async def _stream(
                     quality=args.quality,
                     crop=args.crop,
                     policy=policy,
-                    window=args.window,
+                    window=args.window or 2,
                     keep=bool(args.save),
                     progress=bar.update,
                 )

@@ -110,6 +110,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="hold N pictures a second a client: coarser levels of detail first, then smaller pictures, as replies say",
     )
+    parser.add_argument(
+        "--bitrate",
+        type=float,
+        metavar="MBIT",
+        help="send each client whose pictures fit themselves to its link at most so many Mbit/s (default: what it takes)",
+    )
+    parser.add_argument(
+        "--fixed", action="store_true", help="send the size and quality that are asked for, whatever the link takes"
+    )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_solver(parser)
     parser.add_argument(
@@ -161,6 +170,10 @@ def check(args: argparse.Namespace) -> None:
     check_rooms(args)
     if args.fps is not None and not 1 <= args.fps <= 240:
         raise UsageError(f"--fps needs 1 to 240 pictures a second, not {args.fps:g}")
+    if args.bitrate is not None and not 0.1 <= args.bitrate <= 1e5:
+        raise UsageError(f"--bitrate needs 0.1 to 100000 Mbit/s, not {args.bitrate:g}")
+    if args.bitrate is not None and args.fixed:
+        raise UsageError("--fixed sends what is asked for, however much: leave out --bitrate, or --fixed")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     if max(_pixels(args)) > args.max_size:
@@ -193,7 +206,12 @@ def server_config(
         port=args.port,
         tls=keys.tls,
         wire=wire,
-        session=SessionConfig(window=args.window, watermark=watermark),
+        session=SessionConfig(
+            window=args.window,
+            adapt=not args.fixed,
+            bitrate=None if args.bitrate is None else args.bitrate * 1e6,
+            watermark=watermark,
+        ),
         limits=Limits(per_address=args.max_per_address, waiting=args.max_waiting),
         max_clients=args.max_clients,
         scene=Path(args.scene).name if args.scene else "default avatar",

@@ -39,7 +39,8 @@ class Client:
     the mirror image; ``height`` and arm ``span`` from wrist to wrist (metres) fit the avatar to the user whose
     tracking is sent. ``room`` is where to meet others, as ``name``, who stands ``at`` x, z metres from its centre and
     degrees about y (None: where there is a free place). ``cafile`` is the certificate to trust on wss.
-    ``timeout`` is in seconds, of connecting and of each picture.
+    ``timeout`` is in seconds, of connecting and of each picture. ``adapt`` tells the server when each arrives, which
+    then fits them to the link: smaller, cropped, of lower quality (``Reply.info["size"]`` and ``["detail"]`` say so).
 
     May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
     All methods raise ProtocolError when the server reports an error or goes away (``code`` "closed", "timeout", ...).
@@ -61,6 +62,7 @@ class Client:
         at: tuple[float, float, float] | None = None,
         cafile: str | Path | None = None,
         timeout: float = 10.0,
+        adapt: bool = False,
     ) -> None:
         self.url: str = _checked_url(url)
         _check_token(token)
@@ -76,7 +78,7 @@ class Client:
         asked |= {"room": room, "name": name, "at": place}
         self._query = {key: value for key, value in asked.items() if value is not None}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
-        self._cafile = cafile
+        self._cafile, self._adapt = cafile, flag(adapt, "adapt", GlsplatError)
         self._timeout: float = number(timeout, "timeout", GlsplatError)
         if self._timeout <= 0:
             raise GlsplatError(f"timeout needs seconds above 0, not {self._timeout:g}")
@@ -124,7 +126,7 @@ class Client:
         except BaseException:
             await http.close()
             raise
-        connection = ClientConnection(self.url, http, ws)
+        connection = ClientConnection(self.url, http, ws, self._adapt)
         if self._ours():  # another task was quicker
             await connection.close()
         else:
@@ -231,7 +233,7 @@ class Client:
         now = time.perf_counter()
         number = connection.flow.newest + 1
         message = request_message(number, cameras, t=now * 1e3, **fields)
-        message["ack"] = connection.flow.taken
+        message |= connection.flow.acknowledging(now)
         try:
             data = _encoder.encode(message)
         except (TypeError, ValueError, RecursionError) as error:  # what JSON cannot say

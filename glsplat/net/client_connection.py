@@ -25,13 +25,18 @@ _GOODBYE = 1.0  # seconds for a server to agree to the end of a TLS connection
 
 
 class ClientConnection:
-    """An open WebSocket and what is under way on it. Belongs to the event loop that made it."""
+    """An open WebSocket and what is under way on it. Belongs to the event loop that made it.
 
-    def __init__(self, url: str, http: aiohttp.ClientSession, ws: aiohttp.ClientWebSocketResponse) -> None:
+    ``adapt`` tells the server when pictures arrive, so that it fits them to the link.
+    """
+
+    def __init__(
+        self, url: str, http: aiohttp.ClientSession, ws: aiohttp.ClientWebSocketResponse, adapt: bool = False
+    ) -> None:
         self.loop = asyncio.get_running_loop()
         self.turn = asyncio.Lock()  # of those who ask for one picture and wait for it
         self.flow: FlowControl = FlowControl()
-        self._url = url
+        self._url, self._adapt = url, adapt
         self._http, self._ws = http, ws
         self._socket = ws.get_extra_info("socket")
         self._waiting: dict[int, asyncio.Future[ReceivedReply]] = {}
@@ -74,7 +79,7 @@ class ClientConnection:
 
     async def acknowledge(self) -> None:
         """Tell the server what was taken."""
-        await self.send_text(self.flow.acknowledgement())
+        await self.send_text(self.flow.acknowledgement(time.perf_counter()))
 
     def take_all(self) -> None:
         """Acknowledge, with the next message, also what receive() has not taken: a full window would hold it back."""
@@ -154,7 +159,7 @@ class ClientConnection:
             self._fail(failure)
 
     async def _arrived(self, reply: Reply, at: float) -> None:
-        answer = self.flow.arrived(reply.frame_id)
+        answer = self.flow.arrived(reply.frame_id, at if self._adapt else None)
         if answer.frame_id is None:
             return
         self._drop(answer.replaced, answer.frame_id)

@@ -111,6 +111,11 @@ class Conversation:
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, clock())
+                elif message.type == WSMsgType.PING:
+                    await self._pong(message.data)
+                elif message.type == WSMsgType.PONG:
+                    if session.link is not None:
+                        session.link.ponged(bytes(message.data), clock())
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
             if text is not None:
@@ -151,6 +156,8 @@ class Conversation:
             try:
                 posed = frame.poses is not None
                 packed = self._answers.pack(frame) if posed else await self._render_loop.pack(self.channel, frame)
+                if not isinstance(packed, str):
+                    await self._ping()
                 for data in [packed] if isinstance(packed, str) else packed:
                     await self._send(data)
             except TimeoutError:
@@ -177,6 +184,18 @@ class Conversation:
                     await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))
                 return cut_off(self._request)
 
+    async def _pong(self, data: bytes) -> None:
+        if not self._ws.closed:
+            await self._ws.pong(data)
+
+    async def _ping(self) -> None:
+        """Measure the way there and back with next to nothing, where the client's link is looked at."""
+        link = self.channel.session.link
+        ping = None if link is None else link.ping(clock())
+        if ping is not None and not self._ws.closed:
+            async with asyncio.timeout(self._write_timeout):
+                await self._ws.ping(ping)
+
     async def _send(self, data: str | bytes) -> None:
         if self._ws.closed:
             return
@@ -190,6 +209,7 @@ def make_socket(heartbeat: float, timeout: float) -> web.WebSocketResponse:
         compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
         max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given
         heartbeat=heartbeat,
+        autoping=False,  # answers to pings measure links
         timeout=timeout,
         protocols=(SUBPROTOCOL,),
     )

@@ -33,6 +33,7 @@ __all__ = [
     "PICTURE",
     "SH_DEGREE",
     "Alpha",
+    "Arrival",
     "Eye",
     "LegacyCamera",
     "LegacyMessage",
@@ -143,12 +144,20 @@ class LegacyCamera(msgspec.Struct):
     eye: Literal["left", "right"] = "left"
 
 
+class Arrival(msgspec.Struct, frozen=True):
+    """What a client says of the picture that ``ack`` names. Milliseconds."""
+
+    age: float  # from when it was asked for until it arrived, or was shown
+    held: float = 0.0  # from when it arrived until this message
+
+
 class Message(msgspec.Struct):
     """A request, or an acknowledgement; null is the same as absent where a type allows it."""
 
     v: int | None = None
     frame_id: int | None = None
     ack: int | None = None
+    arrival: Arrival | None = None
     t: float | None = None
     want: str | None = None
     eyes: list[Eye] | None = None

@@ -7,6 +7,7 @@ pointless (the newest request wins), what to acknowledge, when to ask again and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 
@@ -57,6 +58,7 @@ class FlowControl:
         self.refused: int = 0  # frame_id of the newest request that was answered with an error
         self.said: str = ""  # the newest error that names no request, such as too many messages
         self._sent: dict[int, float] = {}  # frame_id: seconds
+        self._arrivals: dict[int, tuple[float, float]] = {}  # frame_id: seconds from the request, and when it came
         self._left: set[int] = set()  # frame_ids whose waiter left: their pictures are for nobody
         self._subjects: dict[int, object] = {}
 
@@ -100,11 +102,18 @@ class FlowControl:
         """The subject of a request: until a later picture is taken."""
         return self._subjects.get(frame_id)
 
-    def arrived(self, frame_id: int) -> Answer:
-        """A picture came. Of one answered before, or never asked for, ``frame_id`` is None."""
+    def arrived(self, frame_id: int, now: float | None = None) -> Answer:
+        """A picture came, at ``now`` where the server is to hear of that.
+
+        Of one answered before, or never asked for, ``frame_id`` is None.
+        """
         requested = self._sent.pop(frame_id, None)
         if requested is None:
             return Answer(None)
+        if now is not None:
+            self._arrivals[frame_id] = now - requested, now
+            if len(self._arrivals) > _SUBJECTS:  # of a client that takes nothing
+                del self._arrivals[next(iter(self._arrivals))]
         wanted = frame_id not in self._left
         self._left.discard(frame_id)
         return Answer(frame_id, requested, wanted, self._replace(frame_id))
@@ -130,9 +139,20 @@ class FlowControl:
             del self._subjects[number]
         return bool(self._sent)
 
-    def acknowledgement(self) -> str:
+    def acknowledging(self, now: float) -> dict[str, Any]:
+        """The fields that acknowledge what was taken; how it arrived is said once."""
+        fields: dict[str, Any] = {"ack": self.taken}
+        arrival = self._arrivals.get(self.taken)
+        for number in [number for number in self._arrivals if number <= self.taken]:
+            del self._arrivals[number]
+        if arrival is not None:
+            age, at = arrival
+            fields["arrival"] = {"age": round(age * 1e3, 3), "held": round(max(0.0, now - at) * 1e3, 3)}
+        return fields
+
+    def acknowledgement(self, now: float) -> str:
         """The message that only acknowledges."""
-        return f'{{"v":{VERSION},"ack":{self.taken}}}'
+        return msgspec.json.encode({"v": VERSION, **self.acknowledging(now)}).decode()
 
     def end(self) -> None:
         """The connection ended: nothing is under way any more."""

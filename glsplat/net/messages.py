@@ -23,6 +23,7 @@ from glsplat.net.fields import (
     PICTURE,
     SH_DEGREE,
     Alpha,
+    Arrival,
     Eye,
     LegacyCamera,
     LegacyMessage,
@@ -47,6 +48,7 @@ __all__ = [
     "PARTS",
     "VERSION",
     "Ack",
+    "Arrival",
     "Decoder",
     "PictureOptions",
     "Request",
@@ -65,6 +67,8 @@ PARTS = ("head",)
 """What a request may leave out of an avatar: the splats of the joint of that name and of all that hangs from it."""
 
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
+LONGEST = 60_000.0
+"""Milliseconds that an ``arrival`` may speak of."""
 NEAREST = 1e-6  # metres; nearer than any near plane makes sense
 
 
@@ -111,6 +115,7 @@ class Request:
     fault: str = ""  # why ``tracking`` cannot be solved, told when the picture is due
     t: float | None = None  # milliseconds of the client's clock as they came, echoed
     ack: int | None = None  # newest frame_id the client has received
+    arrival: Arrival | None = None  # what it says of that
     options: PictureOptions = DEFAULT
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
@@ -123,6 +128,7 @@ class Ack:
     """A message that only acknowledges: {"v": 1, "ack": 7}."""
 
     frame_id: int
+    arrival: Arrival | None = None
 
 
 _decoder = msgspec.json.Decoder(Message)
@@ -181,7 +187,7 @@ class Decoder:
             asked = [name for name in PICTURE if getattr(m, name) not in (None, False)]
             if m.ack is None or asked:
                 raise ProtocolError("a request needs frame_id" + (f" (found {', '.join(asked)})" if asked else ""))
-            return Ack(m.ack)
+            return Ack(m.ack, m.arrival)
         o = self.options
         if m.pose is not None and m.tracking is not None:
             raise ProtocolError("a request has either pose or tracking, not both")
@@ -213,6 +219,7 @@ class Decoder:
             fault=fault,
             t=m.t,
             ack=m.ack,
+            arrival=m.arrival,
             options=PictureOptions(
                 quality=quality, crop=m.crop, alpha=alpha, hide=hide, box=m.box, light=light_of(m.light)
             ),
@@ -236,6 +243,7 @@ class Decoder:
             fault=fault,
             t=m.t,
             ack=m.ack,
+            arrival=m.arrival,
             eyes=(),
             poses=True,
             faces=faces_of(m.faces, self.options.max_distance),
@@ -354,6 +362,11 @@ def _check_ids(m: Message) -> None:
     for name, value in (("frame_id", m.frame_id), ("ack", m.ack)):
         if value is not None and not 0 <= value <= MAX_ID:
             raise ProtocolError(f"{name} needs a whole number from 0 to {MAX_ID}")
+    if m.arrival is not None:
+        if m.ack is None:
+            raise ProtocolError("arrival needs ack, which says of what picture it is")
+        if not all(0 <= ms <= LONGEST for ms in (m.arrival.age, m.arrival.held)):
+            raise ProtocolError(f"arrival needs milliseconds from 0 to {LONGEST:g} in age and held")
 
 
 def error_text(code: str, message: str, frame_id: int | None = None) -> str:

@@ -70,7 +70,7 @@ def client_options(
     if window is not None:
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
-        session = replace(session, window=int(window))
+        session = replace(session, window=int(window), widest=int(window))
     listed = [name for name in avatars if rights.may_drive(user, name)]
     free = rights.drivable(user, listed)
     avatar = query.get("avatar", next(iter([*free, *listed]), ""))

@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
@@ -191,22 +192,26 @@ class RenderLoop(ABC):
             channel.newest = encoded
         frame.times["total"] = (self._clock() - frame.arrived) * 1e3
         self.stages.add(frame.times)
-        session.sending(request)
         if request.form == "single-legacy":
-            return [pack_single(request.eyes[0], encoded.pictures[0])]
-        assert request.frame_id is not None
-        info = frame.info(encoded.boxes)
-        return [pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)]
+            packed = pack_single(request.eyes[0], encoded.pictures[0])
+        else:
+            assert request.frame_id is not None
+            info = frame.info(encoded.boxes)
+            packed = pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)
+        session.sending(request, len(packed), self._clock())
+        return [packed]
 
     async def _run(self) -> None:
         while True:
             await self._stand_by()
             start = self._clock()
-            channel = self._turns.next(lambda channel: channel.ready(self._solved), start)
+            rests: list[float] = []  # seconds that clients wait whose links take nothing yet
+            channel = self._turns.next(partial(self._ready, start, rests), start)
             if channel is None:
                 self._wake.clear()
+                rests += filter(None, [self._turns.rest(start)])
                 with suppress(TimeoutError):
-                    async with asyncio.timeout(self._turns.rest(start) or None):
+                    async with asyncio.timeout(min(rests, default=None)):
                         await self._wake.wait()
                 continue
             self._drawing, self._drawing_since = channel, start
@@ -223,6 +228,13 @@ class RenderLoop(ABC):
                 then()
             if self.stands_back() and is_software(self.driver):
                 await asyncio.sleep(min(_LONGEST_BACK, _BACK * (now - start)))
+
+    def _ready(self, now: float, rests: list[float], channel: ClientStream) -> bool:
+        """Whether a client's picture can be drawn, and its link would take it."""
+        if channel.again is None and channel.session.waits_for_picture and (rest := channel.session.rest(now)) > 0:
+            rests.append(rest)
+            return False
+        return channel.ready(self._solved)
 
     async def _stand_by(self) -> None:
         """Wait until there is something to draw with."""
@@ -267,7 +279,10 @@ class RenderLoop(ABC):
         arrived, times = self._clock() - waited, {"wait": waited * 1e3}
         frame = Frame(channel, request, arrived, times, request.cameras, channel.notice(), solution=solution)
         if request.form == "native" and channel.number:  # older clients know one size; 0 is the server itself
-            frame.detail = self._adaptive_quality.detail(channel.number, self._clock())
+            timely = self._adaptive_quality.detail(channel.number, self._clock())
+            rung = channel.session.rung(request, self._clock())
+            frame.detail = timely if rung is None else timely.within(rung)
+            frame.smaller = frame.detail.scale < timely.scale
             frame.cameras = frame.detail.resized(request.cameras)
         return frame
 
@@ -335,7 +350,7 @@ class RenderLoop(ABC):
             cameras=cameras,
             pose=pose,
             frame_id=request.frame_id,
-            options=request.options if channel.member is None else channel.member.options(request),
+            options=frame.options,
             avatar=channel.shown.name,
             room=room,
             viewer=channel.number,
@@ -357,7 +372,7 @@ class RenderLoop(ABC):
         now = self._clock()
         frame.times["render"] = (now - start) * 1e3
         frame.levels = rendered.levels
-        self._adaptive_quality.drawn(frame.channel.number, now - start, rendered.coarsest, now)
+        self._adaptive_quality.drawn(frame.channel.number, now - start, rendered.coarsest, now, frame.smaller)
         if len(rendered.images) != len(frame.request.eyes):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
         if rendered.box is not None:

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Any
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
-from glsplat.net.messages import MAX_ID, Ack, Decoder, Request, error_text
+from glsplat.net.messages import MAX_ID, Ack, Arrival, Decoder, Request, error_text
+from glsplat.net.pace.link_control import LinkControl
 
 if TYPE_CHECKING:
+    from glsplat.net.pace.ladder import Rung
     from glsplat.watermark.mark import Watermark, WatermarkKey
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
@@ -39,6 +41,9 @@ class SessionConfig:
     forgive: float = 0.5  # ... and how many a second are forgiven
     handshake: float = 10.0  # seconds from the connection to the first valid request
     idle: float = 60.0  # seconds without any message
+    widest: int = 8  # window of who says when pictures arrive, and asked for none of its own
+    adapt: bool = True  # fit pictures to the links of those who say so
+    bitrate: float | None = None  # bits a second that each of them is sent at most; None: what the link takes
     watermark: WatermarkKey | None = None  # what the pictures of each session are marked with, if they are
 
 
@@ -91,6 +96,7 @@ class Session:
         self.last_size: tuple[int, int] = (0, 0)
         watermark = self.config.watermark
         self.mark: Watermark | None = None if watermark is None else watermark.new_mark()
+        self.link: LinkControl | None = None  # from the first message on that says when a picture arrived
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
@@ -119,7 +125,7 @@ class Session:
         try:
             message = self._decoder.decode(data)
             if isinstance(message, Ack):
-                self._acknowledge(message.frame_id)
+                self._acknowledge(message.frame_id, message.arrival, now)
                 return None
             return self._accept(message, now)
         except ProtocolError as error:
@@ -150,7 +156,25 @@ class Session:
     def ready(self) -> bool:
         """True while a request waits and the window has room for its picture."""
         waits = bool(self._pending) or self._kept is not None
-        return waits and len(self._under_way.keys() | set(self._unacked)) < self.config.window
+        return waits and len(self._under_way.keys() | set(self._unacked)) < self.window
+
+    @property
+    def window(self) -> int:
+        """Pictures under way or unacknowledged at most; of a link that is looked at, ``rest`` says when, not how many."""
+        return self.config.window if self.link is None else self.config.widest
+
+    def rung(self, request: Request, now: float) -> Rung | None:
+        """How a picture that is begun now is made; None: as it was asked for."""
+        if self.link is None:
+            return None
+        assert request.frame_id is not None
+        first, options = request.cameras[0], request.options
+        pixels = first.width * first.height * len(request.cameras)
+        return self.link.rung(request.frame_id, pixels, options.quality, options.crop, now)
+
+    def rest(self, now: float) -> float:
+        """Seconds for which no picture of it is to be begun."""
+        return 0.0 if self.link is None else self.link.rest(now)
 
     @property
     def waits_for_picture(self) -> bool:
@@ -194,9 +218,14 @@ class Session:
         self._under_way[request.frame_id] = not request.poses
         return request, now - arrived
 
-    def sending(self, request: Request) -> None:
-        """The picture of ``request`` is about to be written; from here on the client may acknowledge it."""
+    def sending(self, request: Request, nbytes: int = 0, now: float = 0.0) -> None:
+        """The picture of ``request`` is about to be written; from here on the client may acknowledge it.
+
+        ``nbytes`` says how much of the link it takes; 0: next to nothing.
+        """
         assert request.frame_id is not None
+        if self.link is not None and nbytes:
+            self.link.written(request.frame_id, nbytes, now)
         self._newest_sent = max(self._newest_sent, request.frame_id)
         if request.ack is not None:  # a client that never acknowledges is held back by its socket alone
             self._unacked.append(request.frame_id)
@@ -213,6 +242,8 @@ class Session:
         """The picture of ``request`` cannot be drawn; returns the error text to send."""
         assert request.frame_id is not None
         self._under_way.pop(request.frame_id, None)
+        if self.link is not None:
+            self.link.failed(request.frame_id)
         self.counts.failed += 1
         return error_text(code, message, request.frame_id)
 
@@ -233,7 +264,8 @@ class Session:
         """Counts, window and the id in the watermark (hex), for /stats."""
         return asdict(self.counts) | {
             "mark": None if self.mark is None else f"{self.mark.session:08x}",
-            "window": self.config.window,
+            "window": self.window,
+            "link": None if self.link is None else self.link.status(),
             "unacknowledged": len(self._unacked),
             "under_way": len(self._under_way),
             "waiting": len({id(entry) for entry in (*self._pending.values(), self._kept) if entry is not None}),
@@ -241,7 +273,7 @@ class Session:
 
     def _accept(self, request: Request, now: float) -> Request | None:
         if request.ack is not None:
-            self._acknowledge(request.ack)
+            self._acknowledge(request.ack, request.arrival, now)
         elif self._unacked:
             self._unacked.clear()  # it acknowledged before and stopped: its next request shows that it lives
         # the oldest form has one eye a message and no use for a number, and others may leave it out
@@ -268,12 +300,16 @@ class Session:
         self._pending[slot] = (request, now)
         return request
 
-    def _acknowledge(self, frame_id: int) -> None:
+    def _acknowledge(self, frame_id: int, arrival: Arrival | None, now: float) -> None:
         """Free the window up to ``frame_id``. Clients that received nothing yet send 0, which is always legal."""
         if frame_id > max(self._newest_sent, 0):
             raise ProtocolError(f"ack names {frame_id}, which was never sent", "bad_ack")
         while self._unacked and self._unacked[0] <= frame_id:
             self._unacked.popleft()
+        if arrival is not None and self.config.adapt:
+            if self.link is None:
+                self.link = LinkControl(self.config.bitrate)
+            self.link.acknowledged(frame_id, arrival.age / 1e3, arrival.held / 1e3, now)
 
     def _limited(self, now: float) -> Warn | Close | None:
         self.counts.limited += 1

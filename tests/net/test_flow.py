@@ -34,7 +34,7 @@ def test_a_picture_answers_its_request_and_all_before():
 def test_acknowledge_at_once_only_what_holds_others_back():
     flow = asked(1, 2)
     flow.arrived(1)
-    assert flow.take(1) and Decoder().decode(flow.acknowledgement()) == Ack(1)
+    assert flow.take(1) and Decoder().decode(flow.acknowledgement(1.0)) == Ack(1)
     flow.arrived(2)
     assert not flow.take(2) and flow.taken == 2
     flow.take(1)  # taken late: an acknowledgement never goes back
@@ -152,7 +152,7 @@ def test_with_the_servers_half_nothing_gets_stuck(steps, policy):
                 assert flow.arrived(message).frame_id == message
                 decoded = message
                 if flow.take(message):
-                    assert session.receive(flow.acknowledgement(), now) is None
+                    assert session.receive(flow.acknowledgement(now), now) is None
         assert session.status()["under_way"] <= 2
 
     for kind in steps:

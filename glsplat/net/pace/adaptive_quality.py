@@ -2,6 +2,7 @@
 
 Two knobs, in this order: the level of detail, then the size. What is taken away comes back when there is time again,
 after a while that grows each time it proves too early: nothing swings. Times come in as arguments; no clock is read.
+What a link takes is decided elsewhere (link_control.py) and only handed on here, in ``Detail``.
 """
 
 from __future__ import annotations
@@ -9,15 +10,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from glsplat.camera import Camera
+from glsplat.net.pace.ladder import SCALES, Rung
 
 __all__ = ["FULL", "AdaptiveQuality", "Detail"]
-
-SCALES = (1.0, 0.875, 0.75, 0.625, 0.5)
-"""Of a picture's side; smaller ones are not drawn, whatever the rate."""
 
 BIAS = 0.5
 """Halvings of the density a step, of the level of detail; at most _BIASES steps."""
@@ -40,6 +40,16 @@ class Detail:
 
     bias: float = 0.0  # RenderConfig.lod_bias and this
     scale: float = 1.0  # of its sides
+    rung: Rung | None = None  # what the link takes, where that is less
+
+    def within(self, rung: Rung) -> Detail:
+        """The same for a link that takes no more than ``rung``: of both sizes the smaller."""
+        return self if rung.full else Detail(self.bias, min(self.scale, rung.scale), rung)
+
+    def fields(self, levels: Sequence[int]) -> dict[str, Any]:
+        """What a reply says of it."""
+        said: dict[str, Any] = {"levels": levels, "bias": self.bias, "scale": self.scale}
+        return said if self.rung is None else said | {"quality": self.rung.quality, "why": "link"}
 
     def resized(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         """The same views with fewer pixels, at least one a side."""
@@ -98,8 +108,11 @@ class AdaptiveQuality:
             del self._states[gone]
         return Detail(-BIAS * state.steps, SCALES[state.scale])
 
-    def drawn(self, viewer: int, seconds: float, coarsest: bool, now: float) -> None:
-        """A picture took that long; ``coarsest``: there is no coarser level for anything in it."""
+    def drawn(self, viewer: int, seconds: float, coarsest: bool, now: float, smaller: bool = False) -> None:
+        """A picture took that long; ``coarsest``: there is no coarser level for anything in it.
+
+        ``smaller``: it was drawn smaller than ``detail`` said, so that it tells what is too slow, and nothing else.
+        """
         state = self._states.get(viewer)
         if state is None or self.rate is None:
             return
@@ -116,10 +129,11 @@ class AdaptiveQuality:
         excess = own + sum(min(own, _DEARER * load) for one, load in loads.items() if one != viewer)
         if len(state.times) < (_FEW if excess > _FAR else _LOOK):
             return
-        state.took[state.steps, state.scale] = took
+        if not smaller:
+            state.took[state.steps, state.scale] = took
         if excess > 1:
             self._worse(state, excess, now)
-        elif now - state.since >= state.hold and excess * self._dearer(state, took) < _ROOM:
+        elif not smaller and now - state.since >= state.hold and excess * self._dearer(state, took) < _ROOM:
             self._better(state, now)
 
     def refused(self, viewer: int, now: float) -> None:

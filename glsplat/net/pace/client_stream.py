@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -14,7 +14,7 @@ from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.limits import CpuShare
-from glsplat.net.messages import Request, eye_fields
+from glsplat.net.messages import PictureOptions, Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.poses.history import PoseHistory, Poses
@@ -62,6 +62,7 @@ class Frame:
     box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
     detail: Detail = FULL  # less than was asked for, where a rate is held
+    smaller: bool = False  # than the time for drawing it asks for
     levels: tuple[int, ...] = ()  # of detail that were drawn
     driver: str = ""  # what drew it
     solution: SolutionFuture | None = None  # of its tracking
@@ -69,6 +70,13 @@ class Frame:
     moved: bool = False  # whoever had it cannot draw it, another may
     losses: int = 0  # of those who were drawing it
     poses: Poses | None = None  # what is sent instead of a picture
+
+    @property
+    def options(self) -> PictureOptions:
+        """How it is encoded: as it was asked for, or as the link takes it."""
+        request, member, rung = self.request, self.channel.member, self.detail.rung
+        asked = request.options if member is None else member.options(request)
+        return asked if rung is None else replace(asked, quality=rung.quality, crop=rung.crop)
 
     def info(self, boxes: Sequence[tuple[int, int, int, int]] | None) -> dict[str, Any]:
         """The JSON object of the reply (docs/protocol.md, section 4)."""
@@ -93,7 +101,7 @@ class Frame:
         if self.box is not None:
             info["box"] = self.box
         if any(self.levels) or self.detail != FULL:
-            info["detail"] = {"levels": self.levels, "bias": self.detail.bias, "scale": self.detail.scale}
+            info["detail"] = self.detail.fields(self.levels)
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
         if self.job is not None and self.job.room is not None:

@@ -265,7 +265,8 @@ function toggleRecording() {
 function tell() {
   const words = { off: 'Not connected', connecting: 'Connecting…', open: 'Connected', waiting: 'Not connected' };
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
-  page.status((stage.notice ? capital(stage.notice) : words[connection.state]) + where, stage.notice ? 'error' : 'info');
+  const said = stage.notice ? capital(stage.notice) : stage.link || words[connection.state];
+  page.status(said + where, stage.notice ? 'error' : 'info');
   const waits = connection.state === 'waiting' && connection.problem !== 'token';
   const name = chosenAvatar()?.title || (chosenAvatar()?.name ?? 'glsplat');
   page.title(name === 'default' ? 'Demo avatar' : name, waits ? 'Try again now' : '');

@@ -144,6 +144,14 @@ export class Stage {
     return performance.now() < this.#complaint.until ? this.#complaint.text : '';
   }
 
+  /** What the link takes away from the pictures, in a sentence; empty while it takes all. */
+  get link() {
+    const { why, scale } = this.info.detail ?? {};
+    if (why !== 'link' || this.connection.state !== 'open') return '';
+    const less = scale < 1 ? `${Math.round(100 * scale)} % of their size` : 'lower quality';
+    return `The connection is slow: pictures have ${less} for now.`;
+  }
+
   /** Forget what was shown: another avatar, another place. */
   clear() {
     this.#scene++;
@@ -222,6 +230,7 @@ export class Stage {
       bitmaps: pictures.open,
       textures: painter.textures,
       drawn: this.here.stats(),
+      link: this.link,
       server: Object.fromEntries(
         figures.names().filter((name) => name.startsWith('server ')).map((name) => [name.slice(7), figures.median(name)]),
       ),

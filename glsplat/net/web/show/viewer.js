@@ -65,7 +65,8 @@ export class Viewer {
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
     const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
     this.onDrive(drive);
-    const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform, projection }) => [transform, projection])) + width + height;
+    const seen = views.map(({ transform, projection }) => [transform, projection]);
+    const key = drive.tracking || drive.pose ? '' : JSON.stringify(seen) + width + height;
     const room = this.#settings.get('room') !== '';
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
     const asks = this.ready() && (moves || now - this.#asked > KEEP);

@@ -6,6 +6,7 @@ import { parseReply } from './reply.js';
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
 const MOST_BUFFERED = 128 * 1024; // bytes that may wait in the socket before requests are left out
+const LONGEST = 60_000; // ms that the server hears of
 const REMEMBERED = 2048; // requests whose replies may still come: 20 s at 90 Hz
 
 /**
@@ -28,6 +29,7 @@ export class Connection extends EventTarget {
   #failures = 0;
   #asked = new Map(); // by frame_id: what goes with the reply
   #acknowledged = 0; // frame_id received on this connection; another one knows nothing of it
+  #arrival = null; // {age, at} of that picture, in ms, until the server has heard of it
 
   /** `options()` gives the query of /ws at each attempt: {avatar, height, span, window}, those that are set. */
   constructor(options) {
@@ -83,8 +85,19 @@ export class Connection extends EventTarget {
     const frameId = ++this.sentId;
     this.#asked.set(frameId, { asked, sent: performance.now() });
     if (this.#asked.size > REMEMBERED) this.#asked.delete(this.#asked.keys().next().value);
-    this.#socket.send(JSON.stringify({ v: 1, frame_id: frameId, ack: this.#acknowledged, ...request }));
+    this.#socket.send(JSON.stringify({ v: 1, frame_id: frameId, ...this.#acknowledging(), ...request }));
     return frameId;
+  }
+
+  /** The fields that acknowledge the newest picture, and once how it arrived: the server fits pictures to the link. */
+  #acknowledging() {
+    const fields = { ack: this.#acknowledged };
+    if (this.#arrival) {
+      const { age, at } = this.#arrival;
+      fields.arrival = { age: Math.min(age, LONGEST), held: Math.min(performance.now() - at, LONGEST) };
+      this.#arrival = null;
+    }
+    return fields;
   }
 
   #connect() {
@@ -102,6 +115,7 @@ export class Connection extends EventTarget {
       if (socket !== this.#socket) return;
       wasOpen = true;
       this.#acknowledged = 0;
+      this.#arrival = null;
       this.opened++;
       this.#become('open', '', '');
     };
@@ -129,16 +143,18 @@ export class Connection extends EventTarget {
     this.#failures = 0; // not when it opens: a server may accept and drop at once
     this.received++;
     this.receivedId = this.#acknowledged = Math.max(this.#acknowledged, reply.id);
+    const found = this.#asked.get(reply.id);
+    const now = performance.now();
+    if (found && reply.id === this.#acknowledged) this.#arrival = { age: now - found.sent, at: now };
     // a request that waits for room in the window is drawn now, not only when the next one brings the news
     const listens = this.#socket.readyState === WebSocket.OPEN;
-    if (listens && this.sentId > reply.id) this.#socket.send(`{"v":1,"ack":${this.#acknowledged}}`);
-    const found = this.#asked.get(reply.id);
+    if (listens && this.sentId > reply.id) this.#socket.send(JSON.stringify({ v: 1, ...this.#acknowledging() }));
     for (const id of this.#asked.keys()) {
       if (id > reply.id) break;
       this.#asked.delete(id); // once a reply has come, none to an earlier request will
     }
     if (!found) return;
-    const detail = { reply, buffer: data, asked: found.asked, sent: found.sent, ms: performance.now() - found.sent };
+    const detail = { reply, buffer: data, asked: found.asked, sent: found.sent, ms: now - found.sent };
     this.dispatchEvent(new CustomEvent('reply', { detail }));
   }
 

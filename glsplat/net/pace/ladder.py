@@ -1,0 +1,106 @@
+"""What pictures are made of where the link does not take all of them: rungs of size and JPEG quality, the best first.
+
+The steps are those of docs/measured/ladder.md that no other beats in both bytes and LPIPS, over four avatars
+(``python -m tools.docs.measured ladder``). First of all what cannot be seen is left out: the black around the avatar,
+which takes over a third of a whole picture's bytes. Coarser chroma is no step: 4:1:1 takes more bytes than 4:2:0. How often pictures come is no matter of the table, which knows still pictures only: see ``GOOD``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import exp, log
+
+__all__ = ["CALM", "CROPPED", "GOOD", "SCALES", "STEPS", "Rung", "Step", "ladder", "visible_loss"]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A row of the measured table."""
+
+    scale: float  # of the picture's sides
+    quality: int  # JPEG
+    nbytes: float  # of the avatar's box, as parts of those at full size and quality 80
+    lpips: float  # against the uncompressed picture of full size
+
+
+SCALES = (1.0, 0.875, 0.75, 0.625, 0.5)
+"""Of a picture's side; smaller ones are not drawn, whatever the rate."""
+
+STEPS = (
+    Step(1.0, 95, 1.94, 0.0026),
+    Step(1.0, 90, 1.40, 0.0042),
+    Step(1.0, 80, 1.00, 0.0084),
+    Step(1.0, 70, 0.83, 0.0131),
+    Step(1.0, 60, 0.72, 0.0175),
+    Step(1.0, 50, 0.65, 0.0231),
+    Step(1.0, 40, 0.59, 0.0288),
+    Step(1.0, 30, 0.52, 0.0396),
+    Step(1.0, 20, 0.44, 0.0598),
+    Step(0.875, 30, 0.43, 0.0755),
+    Step(0.75, 40, 0.39, 0.0955),
+    Step(0.75, 30, 0.346, 0.1072),
+    Step(0.75, 20, 0.298, 0.1316),
+    Step(0.625, 30, 0.273, 0.1507),
+    Step(0.625, 20, 0.234, 0.1731),
+    Step(0.5, 30, 0.205, 0.2070),
+    Step(0.5, 20, 0.171, 0.2290),
+    Step(0.5, 10, 0.132, 0.2768),
+)
+"""By size, from the best quality that is on the front to the worst."""
+
+CROPPED = 0.62
+"""Bytes of the avatar's box, as parts of those of the whole picture."""
+
+GOOD, CALM = 0.03, 25.0
+"""Up to that LPIPS pictures come as often as they are drawn; below, first so often a second; last of all, less."""
+
+_FINE = 2  # steps of quality from one rung to the next
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """How a picture is made. ``bits``: what that takes, as parts of what was asked for."""
+
+    scale: float
+    quality: int
+    crop: bool
+    bits: float
+
+    @property
+    def full(self) -> bool:
+        """Whether it is what was asked for."""
+        return self.bits == 1.0
+
+
+@lru_cache(maxsize=128)
+def ladder(quality: int, crop: bool) -> tuple[Rung, ...]:
+    """The rungs below a picture of that ``quality``, whole or only its ``crop``; ever fewer bits, the first has 1."""
+    asked = _interpolated(1.0, quality).nbytes
+    whole = 1.0 if crop else CROPPED
+    found = [Rung(1.0, quality, crop, 1.0), *([] if crop else [Rung(1.0, quality, True, CROPPED)])]
+    for scale in SCALES:
+        steps = [step for step in STEPS if step.scale == scale]
+        best, worst = steps[0].quality, steps[-1].quality
+        for finer in [*range(min(best, quality), worst, -_FINE), worst]:
+            bits = whole * _interpolated(scale, finer).nbytes / asked
+            if finer <= quality and bits < found[-1].bits:
+                found.append(Rung(scale, finer, True, bits))
+    return tuple(found)
+
+
+def visible_loss(rung: Rung) -> float:
+    """LPIPS of a picture that is made like that, by the table."""
+    return _interpolated(rung.scale, rung.quality).lpips
+
+
+def _interpolated(scale: float, quality: int) -> Step:
+    steps = [step for step in STEPS if step.scale == scale]
+    quality = min(max(quality, steps[-1].quality), steps[0].quality)
+    finer = min((step for step in steps if step.quality >= quality), key=lambda step: step.quality)
+    coarser = max((step for step in steps if step.quality <= quality), key=lambda step: step.quality)
+    if finer is coarser:
+        return finer
+    part = (finer.quality - quality) / (finer.quality - coarser.quality)
+    nbytes = exp(log(finer.nbytes) + part * log(coarser.nbytes / finer.nbytes))
+    return Step(scale, quality, nbytes, finer.lpips + part * (coarser.lpips - finer.lpips))

@@ -1,0 +1,294 @@
+"""Streams over links that are only computed: a virtual clock, no sockets, no sleeps; the same numbers each time.
+
+What is real is the server's control of a link (glsplat/net/pace). The rest is a model:
+
+- The display asks at 72 Hz; requests are small and take half of the round trip.
+- The newest request is drawn when the renderer is free: 50 ms for a pair of full size (the 20 a second of the issue),
+  (0.18 + 0.82 scale^2) as much for smaller ones (docs/streaming.md: 33, 57 and 86 ms at 512, 768 and 1024), then 4 ms
+  to encode. Pictures vary by a tenth in size.
+- The bottleneck is one queue, first in, first out, that never overflows. A lost packet (1,448 bytes) is sent again when
+  three later ones of its picture arrived, else after two round trips; lost again, after 200 ms and the round trip.
+  Whatever lies behind it waits (TCP delivers in order). TCP's own window is not modelled: with loss that would send
+  less than the link takes.
+- The client acknowledges at once, decodes in 4 ms and shows the newest picture at its next refresh.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from random import Random
+from typing import Protocol
+
+from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
+from glsplat.net.pace.link_control import LinkControl
+
+__all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "play"]
+
+REFRESH = 1 / 72
+DRAW, ENCODE, DECODE = 0.050, 0.004, 0.004  # seconds
+FULL = 63_000  # bytes of a pair at full size and quality 80, whole
+QUALITY = 80
+PIXELS = 1024 * 1024
+PACKET = 1448  # bytes
+WINDOW = 2  # pictures under way where nothing adapts
+WARM_UP = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """``rate`` gives Mbit/s at a moment."""
+
+    rate: Callable[[float], float]
+    round_trip: float  # seconds
+    loss: float = 0.0  # of the packets
+
+
+class Policy(Protocol):
+    """What a server does for one client: LinkControl, or what it is compared with."""
+
+    def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung: ...
+    def written(self, number: int, nbytes: int, now: float) -> None: ...
+    def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
+    def ping(self, now: float) -> bytes | None: ...
+    def rest(self, now: float) -> float: ...
+
+
+class Fixed:
+    """As it was: full quality, two pictures under way."""
+
+    window = WINDOW
+
+    def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
+        return ladder(quality, crop)[0]
+
+    def written(self, number: int, nbytes: int, now: float) -> None: ...
+
+    def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
+
+    def ping(self, now: float) -> bytes | None:
+        return None
+
+    def rest(self, now: float) -> float:
+        return 0.0
+
+
+class Oracle(Fixed):
+    """Knows the rate of this moment (``part`` of it is its own) and the size of the next picture."""
+
+    window = 8
+
+    def __init__(self, link: Link, part: float = 1.0, use: float = 0.93) -> None:
+        self._link, self._part, self._use = link, part, use
+        self._free, self._own, self._begun, self._least = 0.0, 0.0, 0.0, 0.0
+
+    def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
+        rungs = ladder(quality, crop)
+        spend = self._use * self._part * self._link.rate(now) * 1e6
+        for rung in rungs:
+            calm = 0.0 if rung.full or visible_loss(rung) <= GOOD else 1 / CALM
+            self._least = max(_draw_time(rung), calm)
+            if 8 * FULL * rung.bits <= spend * self._least:
+                break
+        self._begun = now
+        return rung
+
+    def written(self, number: int, nbytes: int, now: float) -> None:
+        self._own = 8 * nbytes / (self._part * self._link.rate(now) * 1e6)
+        self._free = max(self._free, now) + self._own
+
+    def rest(self, now: float) -> float:
+        return max(0.0, self._free - now - DRAW - 0.5 * self._own, self._begun + self._least - now)
+
+
+@dataclass
+class Outcome:
+    """Of one client, behind the warm-up."""
+
+    ages: list[tuple[float, float]] = field(default_factory=list)  # second, age in seconds of what is on show
+    shown: int = 0
+    nbytes: float = 0.0
+    losses: list[float] = field(default_factory=list)  # LPIPS of the pictures that were shown
+    changes: int = 0  # of the rung
+    full: int = 0  # pictures as they were asked for
+    most_waiting: float = 0.0  # pictures in the queue at most when one is written, that one included
+    seconds: float = 0.0
+
+    def age(self, part: float, begin: float = 0.0, end: float = float("inf")) -> float:
+        """That quantile, in seconds, between two moments."""
+        ages = sorted(age for at, age in self.ages if begin <= at < end)
+        return ages[min(len(ages) - 1, int(part * len(ages)))] if ages else float("nan")
+
+
+class _Client:
+    def __init__(self, policy: Policy, window: int, seed: int) -> None:
+        self.policy, self.window, self.chance = policy, window, Random(seed)
+        self.mailbox: float | None = None  # when the newest request was made
+        self.drawing = self.resting = False
+        self.under_way: set[int] = set()
+        self.numbers = count(1)
+        self.arrived = 0.0  # of the newest picture
+        self.decoded: tuple[float, Rung] | None = None
+        self.on_show: float | None = None
+        self.rung: Rung | None = None
+        self.outcome = Outcome()
+
+
+def play(
+    link: Link, policies: Sequence[Policy], seconds: float = 60.0, seed: int = 1, starts: Sequence[float] = ()
+) -> list[Outcome]:
+    """So many seconds after the warm-up, a client a policy, all behind one bottleneck."""
+    return _Simulation(link, policies, seconds, seed, starts).run()
+
+
+class _Simulation:
+    def __init__(
+        self, link: Link, policies: Sequence[Policy], seconds: float, seed: int, starts: Sequence[float]
+    ) -> None:
+        self._link, self._end = link, WARM_UP + seconds
+        self._clients = [
+            _Client(policy, getattr(policy, "window", 8), seed * 100 + i) for i, policy in enumerate(policies)
+        ]
+        self._starts = list(starts) or [0.003 * i for i in range(len(policies))]
+        self._free = 0.0  # when the bottleneck has sent what it was given
+        self._now = 0.0
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = count()
+
+    def run(self) -> list[Outcome]:
+        for client, start in zip(self._clients, self._starts, strict=True):
+            self._at(start, lambda client=client: self._refresh(client))
+        while self._events and self._events[0][0] < self._end:
+            self._now, _, act = heapq.heappop(self._events)
+            act()
+        for client in self._clients:
+            client.outcome.seconds = self._end - WARM_UP
+        return [client.outcome for client in self._clients]
+
+    def _at(self, when: float, act: Callable[[], None]) -> None:
+        heapq.heappush(self._events, (max(when, self._now), next(self._order), act))
+
+    @property
+    def _counts(self) -> bool:
+        return self._now >= WARM_UP
+
+    def _refresh(self, client: _Client) -> None:
+        now = self._now
+        if client.decoded is not None:
+            client.on_show, rung = client.decoded
+            client.decoded = None
+            if self._counts:
+                client.outcome.shown += 1
+                client.outcome.losses.append(visible_loss(rung))
+        if client.on_show is not None and self._counts:
+            client.outcome.ages.append((now - WARM_UP, now - client.on_show))
+
+        def received() -> None:
+            client.mailbox = now
+            self._draw(client)
+
+        self._at(now + self._link.round_trip / 2, received)
+        self._at(now + REFRESH, lambda: self._refresh(client))
+
+    def _draw(self, client: _Client) -> None:
+        if client.drawing or client.resting or client.mailbox is None or len(client.under_way) >= client.window:
+            return
+        rest = client.policy.rest(self._now)
+        if rest > 0:
+            client.resting = True
+
+            def rested() -> None:
+                client.resting = False
+                self._draw(client)
+
+            self._at(self._now + max(rest, 1e-4), rested)
+            return
+        asked, client.mailbox, client.drawing = client.mailbox, None, True
+        number = next(client.numbers)
+        client.under_way.add(number)
+        rung = client.policy.rung(number, PIXELS, QUALITY, False, self._now)
+        if self._counts and client.rung is not None:
+            client.outcome.changes += rung != client.rung
+        client.rung = rung
+
+        def drawn() -> None:
+            client.drawing = False
+            self._at(self._now + ENCODE, lambda: self._write(client, number, asked, rung))
+            self._draw(client)
+
+        self._at(self._now + _draw_time(rung), drawn)
+
+    def _write(self, client: _Client, number: int, asked: float, rung: Rung) -> None:
+        now, trip = self._now, self._link.round_trip
+        nbytes = round(FULL * rung.bits * (1 + 0.1 * client.chance.uniform(-1, 1)))
+        ping = client.policy.ping(now)
+        if ping is not None:
+            there = max(now, self._free) + trip
+            self._at(there, lambda: client.policy.ponged(ping, there))  # type: ignore[attr-defined]
+        client.policy.written(number, nbytes, now)
+        waiting = max(0.0, self._free - now)
+        begin = max(now, self._free)
+        self._free = self._sent(begin, nbytes)
+        own = self._free - begin
+        if self._counts:
+            client.outcome.most_waiting = max(client.outcome.most_waiting, (waiting + own) / own)
+        arrives = max(self._through(client, begin, nbytes), client.arrived)
+        client.arrived = arrives
+
+        def arrived() -> None:
+            if self._counts:
+                client.outcome.nbytes += nbytes
+                client.outcome.full += rung.full
+            self._at(arrives + trip / 2, acknowledged)
+            self._at(arrives + DECODE, decoded)
+
+        def acknowledged() -> None:
+            client.under_way.discard(number)
+            client.policy.acknowledged(number, arrives - asked, 0.0, self._now)
+            self._draw(client)
+
+        def decoded() -> None:
+            client.decoded = asked, rung
+
+        self._at(arrives, arrived)
+
+    def _sent(self, begin: float, nbytes: float) -> float:
+        """When the bottleneck has sent that, in steps of 2 ms, as its rate may change."""
+        bits, now, step = 8.0 * nbytes, begin, 0.002
+        while True:
+            rate = self._link.rate(now) * 1e6
+            if bits <= rate * step:
+                return now + bits / rate
+            bits -= rate * step
+            now += step
+
+    def _through(self, client: _Client, begin: float, nbytes: int) -> float:
+        """When all of a picture is there, with what is lost sent again."""
+        trip, loss = self._link.round_trip, self._link.loss
+        done = self._free + trip / 2
+        if not loss:
+            return done
+        packets = -(-nbytes // PACKET)
+        each = (self._free - begin) / packets
+        latest = done
+        for index in range(packets):
+            if client.chance.random() >= loss:
+                continue
+            at = begin + each * (index + 1) + trip / 2  # when it would have come
+            again = at + (3 * each + trip if packets - index > 3 else 2 * trip + 0.01)
+            while client.chance.random() < loss:
+                again += 0.2 + trip
+            self._free += each
+            latest = max(latest, again)
+        return latest
+
+
+def _draw_time(rung: Rung) -> float:
+    return DRAW * (0.18 + 0.82 * rung.scale**2)
+
+
+def adaptive() -> LinkControl:
+    """What a server does now."""
+    return LinkControl()
