@@ -183,13 +183,13 @@ def samples(folder: Path) -> None:
     for name in ("me.glb", "small.glb"):
         glsplat.save(small(), folder / name)
     places = np.random.default_rng(1).normal(size=(300, 3))
-    looks = {"scales": np.full((300, 3), 0.1), "opacities": np.full(300, 0.9), "rgb": np.full((300, 3), 0.5)}
-    room = glsplat.Splats.create(places, np.tile([1, 0, 0, 0], (300, 1)), **looks)
+    turns, sizes, grey = np.tile([1, 0, 0, 0], (300, 1)), np.full((300, 3), 0.1), np.full((300, 3), 0.5)
+    room = glsplat.Splats.create(places, turns, sizes, np.full(300, 0.9), rgb=grey)
     for name in ("room.ply", "room.glb", "scan.spz", "scan.ply"):
         glsplat.save(room, folder / name)
     rate = 16000
     tone = 0.3 * np.sin(2 * np.pi * 150 * np.arange(rate // 4) / rate)
-    (folder / "hello.wav").write_bytes(wav_bytes(Sound(tone, rate)))
+    (folder / "hello.wav").write_bytes(wav_bytes(Sound(tone.astype(np.float32), rate)))
     rows = ["participant,type,method,score"]
     cells = [("self", "ours"), ("self", "video"), ("other", "ours"), ("other", "video")]
     for who in range(6):
