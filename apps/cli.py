@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import ModuleType
 from typing import NamedTuple
 
 import glsplat
@@ -91,16 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments[:1])
 
     try:
-        module = import_module(f".{MODULES.get(chosen.command, chosen.command)}", __package__)
-        command = CommandParser(
-            prog=f"glsplat {chosen.command}",
-            description=module.HELP,
-            epilog=f"example:\n  {module.EXAMPLE}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(command)
-        words = joined(arguments[1:])
-        args = module.parsed(command, words) if hasattr(module, "parsed") else command.parse_args(words)
+        module, args = parsed(chosen.command, arguments[1:])
         code = int(module.run(args) or 0)
         sys.stdout.flush()  # here, where a full disk can still be reported
         return code
@@ -117,6 +109,20 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"glsplat {chosen.command}: {error.strerror or error}", file=sys.stderr)
         _forget_output()
         return 1
+
+
+def parsed(name: str, words: Sequence[str]) -> tuple[ModuleType, argparse.Namespace]:
+    """A command's module, and what the words behind its name say. Raises SystemExit or UsageError for mistakes."""
+    module = import_module(f".{MODULES.get(name, name)}", __package__)
+    command = CommandParser(
+        prog=f"glsplat {name}",
+        description=module.HELP,
+        epilog=f"example:\n  {module.EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(command)
+    words = joined(words)
+    return module, module.parsed(command, words) if hasattr(module, "parsed") else command.parse_args(words)
 
 
 def listed(group: str) -> str:

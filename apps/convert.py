@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import save, suffixes
 from glsplat.formats.fidelity import read_back
 from glsplat.formats.transform import transformed
+from glsplat.light import Light
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content, Scene
 from glsplat.scenes.loading import load
@@ -89,11 +92,21 @@ def turned(scene: Content, up: str) -> Content:
     skeleton = Skeleton(rig.names, rig.parents, turn @ rig.rest, rig.inverse_bind @ turn.T)
     if isinstance(scene, RiggedMesh):
         morphs = None if scene.morphs is None else scene.morphs.turned(turn[:3, :3])
-        return replace(scene, vertices=scene.vertices @ turn[:3, :3].T, skeleton=skeleton, morphs=morphs)
+        vertices, meta = scene.vertices @ turn[:3, :3].T, _turned_meta(scene.meta, turn)
+        return replace(scene, vertices=vertices, skeleton=skeleton, morphs=morphs, meta=meta)
     levels = [replace(level, content=_turned(level.content, turn, skeleton)) for level in scene.levels]
     return replace(_turned(scene, turn, skeleton), levels=tuple(levels))
 
 
 def _turned(avatar: Avatar, turn: NDArray[np.float64], skeleton: Skeleton) -> Avatar:
     shapes = None if avatar.shapes is None else avatar.shapes.turned(turn[:3, :3])
-    return replace(avatar, splats=transformed(avatar.splats, turn), skeleton=skeleton, shapes=shapes, levels=())
+    meta = _turned_meta(avatar.meta, turn)
+    splats = transformed(avatar.splats, turn)
+    return replace(avatar, splats=splats, skeleton=skeleton, shapes=shapes, meta=meta, levels=())
+
+
+def _turned_meta(meta: Mapping[str, Any], turn: NDArray[np.float64]) -> Mapping[str, Any]:
+    """The notes of a file; the light that was estimated of its photograph has the world's axes."""
+    if "light" not in meta:
+        return meta
+    return dict(meta) | {"light": Light.from_json(meta["light"]).turned(turn[:3, :3]).to_json()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 
 from apps.cli import main
+from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import save
+from glsplat.formats import load, save
 from glsplat.light.light import Light
 from glsplat.scenes import load_scene
+from glsplat.scenes.scene_file import upright
 from tests.light.lit import random_light, surfaced
 from tests.scenes import limb
 
@@ -90,3 +93,16 @@ def test_a_broken_file_is_one_line(
 def test_an_unknown_name_lists_the_presets(avatar: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", str(avatar), "-o", str(tmp_path / "a.png"), "--light", "noon"]) == 1
     assert "studio, day, evening" in capsys.readouterr().err
+
+
+def test_convert_turns_the_light_of_the_photograph(tmp_path: Path) -> None:
+    light = random_light(3)
+    person = surfaced(limb(40))
+    save(replace(person, meta=dict(person.meta) | {"light": light.to_json()}), tmp_path / "lying.glb")
+    assert main(["convert", str(tmp_path / "lying.glb"), str(tmp_path / "up.glb"), "--up", "z"]) == 0
+    turned = load(tmp_path / "up.glb")
+    assert isinstance(turned, Avatar)
+    found = Light.from_json(turned.meta["light"])
+    expected = light.turned(upright("z")[:3, :3])
+    np.testing.assert_allclose(found.uniforms(), expected.uniforms(), atol=1e-6)
+    assert not found.same(light)

@@ -97,3 +97,20 @@ def test_a_colour_needs_a_direction_and_a_direction_a_length() -> None:
         Light(NINE, None, (1, 1, 1))
     with pytest.raises(FormatError, match="not zero"):
         Light.hemisphere((1, 1, 1), (0, 0, 0), (0, 0, 0), (1, 1, 1))
+
+
+def test_a_turned_light_lights_what_turns_with_it_alike() -> None:
+    """Any rotation, on normals all around: what faced a light faces it still."""
+    rng = np.random.default_rng(8)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    way = rng.normal(size=3)
+    light = Light(rng.normal(size=(9, 3)), way / np.linalg.norm(way), (1, 2, 3))
+    normals = rng.normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    turned = light.turned(turn)
+    np.testing.assert_allclose(turned.irradiance(normals @ turn.T), light.irradiance(normals), atol=1e-12)
+    assert turned.sun_direction is not None and light.sun_direction is not None
+    np.testing.assert_allclose(normals @ turn.T @ turned.sun_direction, normals @ light.sun_direction, atol=1e-12)
+    assert not np.allclose(turned.irradiance(normals), light.irradiance(normals), atol=0.1)
+    assert Light((np.arange(27) / 9).reshape(9, 3)).turned(turn).sun_direction is None

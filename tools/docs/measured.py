@@ -1,6 +1,6 @@
 """Pages of docs/measured: tables that commands print, with commit, driver and date, and their copies elsewhere.
 
-    python -m tools.docs.measured               # all pages, ten minutes; nothing else should run on the machine
+    python -m tools.docs.measured               # all pages, twenty minutes; nothing else should run on the machine
     python -m tools.docs.measured frame         # one of them
     python -m tools.docs.measured --copies      # measures nothing: writes the copies anew
 
@@ -64,9 +64,7 @@ def pages_with_copies() -> Iterator[Path]:
 
 def command(*words: str) -> str:
     """What ``glsplat WORDS`` prints."""
-    print("glsplat", *words, file=sys.stderr, flush=True)
-    done = subprocess.run([sys.executable, "-m", "apps.cli", *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
-    return done.stdout.decode()
+    return script("apps.cli", *words)
 
 
 def frame() -> Iterator[Table]:
@@ -118,6 +116,42 @@ def stream() -> Iterator[Table]:
         yield "links", note, _markdown(text)
 
 
+def knobs() -> Iterator[Table]:
+    """What each setting costs and saves."""
+    folder = ROOT / "out" / "measured" / "report"
+    command("report", "--quick", "-o", str(folder))
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    for scene in report["scenes"]:
+        rows = ["| knob | setting | time, of the default | PSNR, dB | largest error |", "|---|---|--:|--:|--:|"]
+        for row in scene["settings"]:
+            cells = (row["knob"], row["setting"], f"{row['ratio']:.2f}", f"{row['psnr']:.1f}", f"{row['maximum']:.3f}")
+            rows.append("| " + " | ".join(cells) + " |")
+        width, height = scene["size"]
+        yield (
+            "moving" if scene["scene"].endswith("in motion") else "still",
+            f"`glsplat report --quick`, {scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width} x\n"
+            f"{height} pixels, against `glsplat/reference.py` in float64. The default measured twice differs by\n"
+            f"{scene['noise_ms'] / scene['settings'][0]['ms']['median']:.0%}: nearer shares say nothing.",
+            "\n".join(rows),
+        )
+
+
+def poses() -> Iterator[Table]:
+    """What answers in poses cost."""
+    text = script("tools.net.poses", "--people", "1", "10", "--rate", "20", "72")
+    note = "`python -m tools.net.poses`: everybody of a room sends and draws everybody, the embedded recording."
+    yield "room", note, _markdown(text)
+    rest = "\n".join(line for line in text.splitlines() if line and not line.startswith("|"))
+    yield "work", "The same without sockets, and a thousand listeners of one speaker.", f"```\n{rest}\n```"
+
+
+def script(module: str, *words: str) -> str:
+    """What ``python -m MODULE WORDS`` prints."""
+    print("python -m", module, *words, file=sys.stderr, flush=True)
+    done = subprocess.run([sys.executable, "-m", module, *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return done.stdout.decode()
+
+
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -129,6 +163,8 @@ def _markdown(text: str) -> str:
 PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "frame": ("A frame", frame),
     "stream": ("The stream", stream),
+    "knobs": ("Settings", knobs),
+    "poses": ("Poses over the wire", poses),
 }
 
 
@@ -139,6 +175,8 @@ def written(page: str) -> bytes:
     driver = json.loads(command("bench", "--static", "--sizes", "64x64", "--frames", "3", "--json"))["driver"]
     text = [
         f"# {title}, measured",
+        "",
+        "<!-- not run: minutes of a quiet machine -->",
         "",
         f"    python -m tools.docs.measured {page}        # wrote this page",
         "",

@@ -8,6 +8,7 @@ The photograph is of a participant that comes with glsplat. Look at every pictur
 from __future__ import annotations
 
 import io
+import json
 import subprocess
 import sys
 import tempfile
@@ -48,7 +49,7 @@ def clip() -> None:
     """readme-clip.webp: both eyes of somebody who stands before ben, forth and back: its end meets its beginning."""
     avatar = person("ben")
     motion = load_motion("wave-and-turn", avatar.skeleton)
-    head = np.linalg.inv(FLIP_YZ @ glsplat.look_at((-0.12, 1.6, 1.5), (-0.12, 1.46, 0.0)))
+    head = np.linalg.inv(FLIP_YZ @ glsplat.look_at((-0.2, 1.6, 1.5), (-0.2, 1.46, 0.0)))
     eyes = glsplat.stereo_cameras(head, ipd=0.063, fov=50, size=(SIDE, SIDE), background=WALL)
     frames = []
     with glsplat.Renderer(avatar, size=(SIDE, SIDE), views=2) as renderer:
@@ -71,13 +72,16 @@ def photo() -> None:
     """readme-photo.jpg: the photograph, and the avatar from three sides."""
     with tempfile.TemporaryDirectory() as made:
         picture, avatar = participants_folder() / "capture" / f"{WHO}.jpg", Path(made) / "me.glb"
+        pose = Path(made) / "pose.json"  # the photograph's own
+        turns = np.array(json.loads(picture.with_suffix(".json").read_bytes())["pose"])
+        pose.write_text(json.dumps({k: np.asarray(v).tolist() for k, v in glsplat.Pose(turns).to_smplx().items()}))
         run("avatar", "photo", str(picture), "-o", str(avatar))
         row = [cv2.imread(str(picture))]
         for i, eye in zip(count(), ((0.0, 1.0, 2.9), (2.1, 1.0, 2.1), (-2.4, 1.0, -1.7))):
             shot = Path(made) / f"{i}.png"
             place = ",".join(map(str, eye))
             run("render", str(avatar), "--eye", place, "--target", "0,0.92,0", "--background", "0.86,0.86,0.88",
-                "--size", "600x900", "--fov", "40", "--motion", "idle", "-o", str(shot))  # fmt: skip
+                "--size", "600x900", "--fov", "40", "--pose", str(pose), "-o", str(shot))  # fmt: skip
             row.append(cv2.imread(str(shot)))
     height = 520
     tiles = [
@@ -89,11 +93,13 @@ def photo() -> None:
 def room() -> None:
     """readme-room.jpg: three people of one room, as one of them sees them on the flat page."""
     config = ServerConfig(port=0, rooms={"lab": 3})
-    who = {"Ann": "anna", "Ben": "ben", "Zoë": "default"}
-    others = {name: person(name) for name in ("anna", "ben")}
+    who = {"Ann": "anna", "Zoë": "p02", "Ben": "default"}
+    guest = glsplat.load(participants_folder() / "p02.npz")
+    assert isinstance(guest, glsplat.RiggedMesh)
+    others: dict[str, glsplat.Avatar | glsplat.RiggedMesh] = {"anna": person("anna"), "p02": guest}
 
     def made(config: ServerConfig) -> Server:
-        return make_server(glsplat.default_avatar(), config, avatars=others)
+        return make_server(person("ben"), config, avatars=others, rooms={"lab": glsplat.Scene([])})
 
     with Served(make=made, config=config) as served, chromium() as browser, ExitStack() as stack:
         for name, avatar in who.items():

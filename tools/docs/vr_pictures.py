@@ -1,21 +1,28 @@
-"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, other places, and the page.
+"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, other places, the page, a photograph.
 
-    python -m tools.docs.vr_pictures [docs/images [mirror facing own places page]]
+    python -m tools.docs.vr_pictures [docs/images [mirror facing own places page photo]]
 
 The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta. Look at every picture.
 """
 
 from __future__ import annotations
 
+import json
+import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
 
 import glsplat
+from glsplat.data import participants_folder
 from glsplat.net.backends.server import make_server
+from tests.browser.opened import Opened
 from tests.browser.served import Served
 from tests.browser.vr import enter, fresh, hands, pose, see, settings, steer
 from tools.docs.chromium import chromium, page_of
@@ -57,6 +64,49 @@ def seen_in(browser: Any, address: str, view: str, **values: Any) -> dict[str, A
         return see(page)
 
 
+def photo(browser: Any) -> np.ndarray:
+    """The page of a server of its own: a picture is chosen, its avatar is made, and worn."""
+    with tempfile.TemporaryDirectory() as made:
+        command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--allow-upload", made]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+            try:
+                assert server.stdout is not None
+                port = urlsplit(json.loads(server.stdout.readline())["url"]).port
+                init = settings(size=512, driver="motion:idle", drawer=True)
+                with page_of(browser, f"http://localhost:{port}/vr", init, (1280, 800), xr=False) as page:
+                    return np.hstack(list(shots(page)))
+            finally:
+                server.terminate()
+
+
+def shots(page: Opened) -> Iterator[np.ndarray]:
+    """The drawer with the picture, the drawer with the steps, and the avatar that is worn."""
+    page.until("!document.querySelector('#photo').hidden", PATIENCE)
+    page.js("document.querySelector('#photo').open = true")
+    page.page.set_input_files("#photo-front", str(participants_folder() / "capture" / "p06.jpg"))
+    page.page.check("#photo-consent")
+    page.js("document.querySelector('#photo-shown').scrollIntoView({block: 'center'})")
+    drawer = page.page.locator("#panel")
+    yield shot_of(page, drawer.bounding_box())
+    page.page.click("#photo-make")
+    page.until("document.querySelectorAll('#photo-steps li').length > 4", 4 * PATIENCE)
+    page.js("document.querySelector('#photo-steps').scrollIntoView({block: 'center'})")
+    yield shot_of(page, drawer.bounding_box())
+    page.until("!document.querySelector('#photo-wear').hidden", 4 * PATIENCE)
+    page.page.click("#photo-wear")
+    before = page.js("window.glsplat.stats().shown")
+    page.until(f"window.glsplat.stats().shown > {before} + 12", PATIENCE)
+    yield shot_of(page, {"x": 0, "y": 0, "width": 860, "height": 800})
+
+
+def shot_of(page: Opened, box: Any) -> np.ndarray:
+    """A part of the page, 800 pixels high, RGB."""
+    encoded = np.frombuffer(page.page.screenshot(clip=dict(box) | {"y": 0, "height": 800}), np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image[..., ::-1])
+
+
 def main(folder: Path, names: list[str]) -> None:
     with Served(make=lambda config: make_server(glsplat.default_avatar(), config)) as served, chromium() as browser:
         for view in DEVICE:
@@ -73,8 +123,10 @@ def main(folder: Path, names: list[str]) -> None:
                 page.until("document.querySelector('#people img') !== null", PATIENCE)
                 shot = np.frombuffer(page.page.screenshot(), np.uint8)
                 save(folder, "vr-page", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
+        if "photo" in names:
+            save(folder, "vr-photo", photo(browser))
 
 
 if __name__ == "__main__":
-    given = sys.argv[2:] or [*DEVICE, "places", "page"]
+    given = sys.argv[2:] or [*DEVICE, "places", "page", "photo"]
     main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"), given)

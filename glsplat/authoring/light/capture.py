@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.light.occlusion import ambient_occlusion
-from glsplat.authoring.light.surfaces import nearest_on, opened
+from glsplat.authoring.light.surfaces import nearest_open, opened
 from glsplat.authoring.paint.light import Light as Lamp
 from glsplat.authoring.paint.light import find_light
 from glsplat.authoring.paint.shot import FittedPicture
@@ -78,7 +78,7 @@ def with_captured_light(
 
     Splats from ``photographed`` on (teeth, lashes) have colours that no photograph gave: these hold no light.
     """
-    where = nearest_on(mesh, avatar.splats, captured.occlusion)
+    where = nearest_open(mesh, avatar.splats, captured.occlusion)
     normals = where.directions(vertex_normals(mesh.vertices, mesh.faces))
     shade = np.repeat(where.at(captured.shade[:, None]), 3, axis=1)
     if photographed is not None:

@@ -17,7 +17,7 @@ from glsplat.rotations import signed_axes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["Nearest", "nearest_on", "open_pose", "opened", "surface_carried", "with_surface"]
+__all__ = ["Nearest", "nearest_open", "open_pose", "opened", "surface_carried", "with_surface"]
 
 F64 = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Nearest:
         return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12))
 
 
-def nearest_on(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
+def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
     """Where on the mesh (in the zero pose, as the splats are) each splat lies.
 
     Of layers that are near, the one that is open by the vertices' ``occlusion`` [V], and parallel to the splat.
@@ -115,7 +115,7 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
     normals = vertex_normals(mesh.posed(Pose.zero(len(mesh.skeleton))), mesh.faces)
 
     def surfaced(one: Avatar) -> Avatar:
-        where = nearest_on(mesh, one.splats, occlusion)
+        where = nearest_open(mesh, one.splats, occlusion)
         surface = Surface.of(where.directions(normals), opened(where.at(occlusion)))
         return replace(one, splats=replace(one.splats, surface=surface))
 

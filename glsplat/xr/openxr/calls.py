@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from glsplat.errors import ContextError, ContextLostError
 
-__all__ = ["INSTALL", "called", "function", "pyopenxr"]
+__all__ = ["INSTALL", "called", "function", "pyopenxr", "quietly"]
 
 INSTALL = "pip install 'glsplat[openxr]'"
 
@@ -24,6 +24,12 @@ def pyopenxr() -> Any:
     except (ImportError, OSError, AttributeError) as error:  # its loader, or PyOpenGL's libraries
         raise ContextError(f"pyopenxr cannot be loaded: {str(error).splitlines()[0]:.160}") from None
     return xr
+
+
+def quietly(destroy: Callable[[Any], None], handle: Any) -> None:
+    """Destroy it; what a runtime that is gone had is gone."""
+    with suppress(pyopenxr().exception.XrException):
+        destroy(handle)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import numpy as np
 
 from glsplat.errors import ContextError
 from glsplat.tracking.sample import Transform
-from glsplat.xr.openxr.calls import called, function, pyopenxr
+from glsplat.xr.openxr.calls import called, function, pyopenxr, quietly
 from glsplat.xr.runtime import Devices
 
 __all__ = ["WANTED", "DeviceReader", "transform_of"]
@@ -97,7 +97,7 @@ class DeviceReader:
             made = xr.create_action_set(
                 instance, xr.ActionSetCreateInfo(action_set_name="wearer", localized_action_set_name="Wearer")
             )
-            stack.callback(_quietly, xr.destroy_action_set, made)
+            stack.callback(quietly, xr.destroy_action_set, made)
             self._paths = [xr.string_to_path(instance, f"/user/hand/{side}") for side in _SIDES]
             kinds = xr.ActionType
 
@@ -151,7 +151,7 @@ class DeviceReader:
     def _action_space(self, action: Any, path: Any, stack: ExitStack) -> Any:
         xr = self._xr
         space = xr.create_action_space(self._session, xr.ActionSpaceCreateInfo(action=action, subaction_path=path))
-        stack.callback(_quietly, xr.destroy_space, space)
+        stack.callback(quietly, xr.destroy_space, space)
         return space
 
     def _located(self, what: Any, space: Any, time: int) -> Transform | None:
@@ -182,7 +182,7 @@ class DeviceReader:
         tracker = self._made(lambda: xr.create_hand_tracker_ext(self._session, info))
         if tracker is None:
             return None
-        stack.callback(_quietly, xr.destroy_hand_tracker_ext, tracker)
+        stack.callback(quietly, xr.destroy_hand_tracker_ext, tracker)
         locate = function(self._instance, "xrLocateHandJointsEXT")
         room = (xr.HandJointLocationEXT * _JOINTS)()
         joints = np.frombuffer(room, _HAND)
@@ -206,7 +206,7 @@ class DeviceReader:
         tracker = self._made(lambda: xr.create_body_tracker_fb(self._session, info))
         if tracker is None:
             return None
-        stack.callback(_quietly, xr.destroy_body_tracker_fb, tracker)
+        stack.callback(quietly, xr.destroy_body_tracker_fb, tracker)
         locate = function(self._instance, "xrLocateBodyJointsFB")
         room = (xr.BodyJointLocationFB * count)()
         joints = np.frombuffer(room, _BODY)
@@ -229,7 +229,7 @@ class DeviceReader:
         tracker = self._made(lambda: xr.create_face_tracker2_fb(self._session, info))
         if tracker is None:
             return None
-        stack.callback(_quietly, xr.destroy_face_tracker2_fb, tracker)
+        stack.callback(quietly, xr.destroy_face_tracker2_fb, tracker)
         weigh = function(self._instance, "xrGetFaceExpressionWeights2FB")
         weights, sure = (ctypes.c_float * 70)(), (ctypes.c_float * 2)()
         found = xr.FaceExpressionWeights2FB(weights=weights, confidences=sure)
@@ -248,7 +248,7 @@ class DeviceReader:
         tracker = self._made(lambda: xr.create_facial_tracker_htc(self._session, info))
         if tracker is None:
             return None
-        stack.callback(_quietly, xr.destroy_facial_tracker_htc, tracker)
+        stack.callback(quietly, xr.destroy_facial_tracker_htc, tracker)
         express = function(self._instance, "xrGetFacialExpressionsHTC")
         weights = (ctypes.c_float * (14 if kind == 1 else 37))()
         found = xr.FacialExpressionsHTC(expression_weightings=weights)
@@ -269,11 +269,3 @@ class DeviceReader:
             if type(error) is not ContextError:  # the runtime is gone
                 raise
         return None
-
-
-def _quietly(destroy: Callable[[Any], None], handle: Any) -> None:
-    """Destroy it; what a runtime that is gone had is gone."""
-    try:
-        destroy(handle)
-    except pyopenxr().exception.XrException:
-        pass

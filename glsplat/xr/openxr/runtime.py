@@ -10,7 +10,7 @@ from typing import Any
 from glsplat.errors import ContextError, ContextLostError
 from glsplat.gl.context import Context
 from glsplat.tracking.sample import Transform
-from glsplat.xr.openxr.calls import called, function, pyopenxr
+from glsplat.xr.openxr.calls import called, function, pyopenxr, quietly
 from glsplat.xr.openxr.devices import WANTED, DeviceReader, transform_of
 from glsplat.xr.openxr.graphics import EGL_ENABLE, OPENGL_ENABLE, api_in_use, graphics_binding
 from glsplat.xr.runtime import Blend, Devices, Event, Fov, FrameTiming, Projection, State, ViewPose
@@ -202,7 +202,7 @@ class OpenXrRuntime:
             raise ContextError(f"the OpenXR loader knows no API layer {', '.join(layers)}") from None
         except xr.exception.XrException as error:
             raise ContextError(f"the OpenXR runtime does not answer ({type(error).__name__}): {START}") from None
-        self._stack.callback(_quietly, xr.destroy_instance, instance)
+        self._stack.callback(quietly, xr.destroy_instance, instance)
         self.name = ""
         with called("xrGetInstanceProperties"):
             self.name = xr.get_instance_properties(instance).runtime_name.decode(errors="replace")
@@ -250,7 +250,7 @@ class OpenXrRuntime:
             session = xr.create_session(
                 self._instance, xr.SessionCreateInfo(system_id=self._system, next=graphics_binding(api))
             )
-            self._stack.callback(_quietly, xr.destroy_session, session)
+            self._stack.callback(quietly, xr.destroy_session, session)
             self.formats: tuple[int, ...] = tuple(map(int, xr.enumerate_swapchain_formats(session)))
         return session
 
@@ -267,8 +267,8 @@ class OpenXrRuntime:
         else:
             self._kind, self._base = kinds.LOCAL, -EYES
         self._space = self._reference(self._kind, None, self._base)
-        self._stack.callback(lambda: _quietly(xr.destroy_space, self._space))
-        self._stack.callback(_quietly, xr.destroy_space, self._view)
+        self._stack.callback(lambda: quietly(xr.destroy_space, self._space))
+        self._stack.callback(quietly, xr.destroy_space, self._view)
 
     def _reference(self, kind: Any, place: Transform | None, raised: float = 0.0) -> Any:
         xr = self._xr
@@ -283,10 +283,10 @@ class OpenXrRuntime:
         xr, flags = self._xr, self._xr.PassthroughFlagsFB.IS_RUNNING_AT_CREATION_BIT
         with called("XR_FB_passthrough"):
             made = xr.create_passthrough_fb(self._session, xr.PassthroughCreateInfoFB(flags=flags))
-            self._stack.callback(_quietly, xr.destroy_passthrough_fb, made)
+            self._stack.callback(quietly, xr.destroy_passthrough_fb, made)
             info = xr.PassthroughLayerCreateInfoFB(passthrough=made, flags=flags)
             self._passthrough = xr.create_passthrough_layer_fb(self._session, info)
-            self._stack.callback(_quietly, xr.destroy_passthrough_layer_fb, self._passthrough)
+            self._stack.callback(quietly, xr.destroy_passthrough_layer_fb, self._passthrough)
 
     def _layer(self, projection: Projection) -> Any:
         """The layer's structures, made once for the same images: pyopenxr takes a while, and a frame waits for it."""
@@ -359,7 +359,7 @@ class _Swapchain:
 
     def close(self) -> None:
         """xrDestroySwapchain."""
-        _quietly(self._xr.destroy_swapchain, self.handle)
+        quietly(self._xr.destroy_swapchain, self.handle)
 
 
 def _as(data: Any, kind: Any) -> Any:
@@ -369,9 +369,3 @@ def _as(data: Any, kind: Any) -> Any:
 
 def _fov(fov: Any) -> Fov:
     return Fov(fov.angle_left, fov.angle_right, fov.angle_up, fov.angle_down)
-
-
-def _quietly(destroy: Any, handle: Any) -> None:
-    """Destroy it; what a runtime that is gone had is gone."""
-    with suppress(pyopenxr().exception.XrException):
-        destroy(handle)

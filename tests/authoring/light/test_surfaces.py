@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.authoring.light.capture import CapturedLight, with_captured_light
 from glsplat.authoring.light.occlusion import ambient_occlusion
-from glsplat.authoring.light.surfaces import nearest_on, surface_carried, with_surface
+from glsplat.authoring.light.surfaces import nearest_open, surface_carried, with_surface
 from glsplat.avatar import Avatar
 from glsplat.light.light import Light
 from glsplat.light.surface import Surface
@@ -48,8 +48,8 @@ def test_what_lies_inside_is_dark_and_lends_nothing_its_normal() -> None:
     near = rigged(ball(0.3), ball(0.296, name="inside"))  # as the inside of a cheek
     splats = on_the_vertices(near, outer).splats
     deep = replace(splats, means=(splats.means - (0, 1, 0)) * 0.992 + (0, 1, 0))
-    assert nearest_on(near, deep, occlusion).at(occlusion).min() > 0.8
-    assert nearest_on(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
+    assert nearest_open(near, deep, occlusion).at(occlusion).min() > 0.8
+    assert nearest_open(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
 
 
 def test_two_balls_shade_each_other_where_they_touch() -> None:
