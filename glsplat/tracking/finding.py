@@ -7,7 +7,7 @@ from math import exp, hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.body import Body, levelled
 from glsplat.tracking.solve.quat import Quat, Vec, clamp, length, rotate, sub, swing_twist_y, yaw_quat
 
 __all__ = ["Finder", "with_arms"]
@@ -25,7 +25,6 @@ SEATED = 1.36  # metres: who has eyes lower than that may as well sit on a chair
 WALKED, ROOM = 1.5, 0.7  # metres: ... unless it went that far, or somewhere that far away, at that height, ...
 HANGS, AHEAD = (0.42, 0.52), 0.1  # of the eye height: ... or wrists hung that far below the eyes, and no further ahead
 LOWER, DOUBTED = 0.88, 5.0  # of the size known so far, seconds: what is lower may be a crouch for that long, likewise
-NECK = (0.0, 0.09, 0.09)  # metres from where the head turns to between the eyes
 ARM = 0.53  # of the eye height that a wrist is from between the eyes at most, hanging
 FAR, WIDE = 0.95, 0.9  # of the time, wrists are nearer than a farthest reach, than arms stretched sideways
 SHOULDERS = (0.65, 1.05)  # of the eye height; hands of arms that are stretched sideways are between
@@ -73,8 +72,7 @@ class Finder:
         """
         up, facing = rotate(head, (0.0, 1.0, 0.0))[1], yaw_quat(-(swing_twist_y(head) or 0.0))
         hands = [rotate(facing, sub(hand, eye)) for hand in hands]
-        # a head that is bowed turns about the neck: where the eyes were if it were level
-        eye = (eye[0], eye[1] + sub(NECK, rotate(head, NECK))[1], eye[2])
+        eye = levelled(eye, head)
         before, self._before = self._before or eye, eye
         moved = sub(eye, before)
         rate = 1 / max(dt, 1e-4)

@@ -13,13 +13,6 @@ __all__ = ["Hands"]
 
 HOLD, SINK, REGAIN = 0.25, 0.35, 0.2  # seconds: a lost hand stays, sinks to the side, is taken up again
 
-RELAXED = (0.2, 0.25, 0.8, 0.9)
-"""Aside and ahead of a metre down from the shoulder, share of the reach, radians that the forearm is lifted.
-
-Half-way from arms that hang to where hands of captured people are in the median (0.1 m aside, 0.33 m below and 0.13 m
-ahead of the shoulder): a hand that nobody sees is rarely at the side.
-"""
-
 
 @dataclass(slots=True)
 class _Memory:
@@ -72,13 +65,12 @@ class Hands:
         return place, turn
 
     def _relaxed(self, index: int, torso: Torso) -> tuple[Vec, Quat]:
-        """A relaxed hand in the chest's frame: gravity and the pelvis decide where, the forearm in line with it."""
+        """A hanging hand, the palm towards the thigh, in the chest's frame: gravity and the pelvis decide where."""
         arm = self.arms[index]
         sign = arm.sign
         inverse = conj(torso.spine3)
-        aside, ahead, share, lift = RELAXED
-        down = unit(rotate(inverse, rotate(torso.pelvis, (aside * sign, -1.0, ahead))))
-        far = share * arm.reach
+        down = unit(rotate(inverse, rotate(torso.pelvis, (0.12 * sign, -1.0, 0.12))))
+        far = 0.96 * arm.reach
         x, y, z = arm.rest
-        turn = mul(inverse, mul(torso.pelvis, mul(to_quat((-lift, 0.0, 0.0)), to_quat((0.0, 0.0, -1.45 * sign)))))
+        turn = mul(inverse, mul(torso.pelvis, to_quat((0.0, 0.0, -1.45 * sign))))
         return (x + down[0] * far, y + down[1] * far, z + down[2] * far), turn
