@@ -6,7 +6,9 @@ import argparse
 import json
 import platform
 import re
+import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +67,7 @@ def bench(args: argparse.Namespace) -> int:
     jobs = [(name, motion, rate) for rate in rates for name, motion in motions]
     for name, motion, rate in tqdm(jobs, unit="clip", disable=not sys.stderr.isatty(), leave=False):
         rows += rows_of(name, motion, rate, skeleton, config, network)
-    text = table(rows, args.brief, groups)
+    text = table(rows, args.brief, groups, {Path(name).stem: name for name in args.motions})
     if args.table:
         insert(Path(args.table), text)
     if args.json:
@@ -84,10 +86,15 @@ def bench(args: argparse.Namespace) -> int:
     return 0
 
 
-def table(rows: list[Row], brief: bool = False, groups: re.Pattern[str] | None = None) -> str:
+def table(
+    rows: list[Row],
+    brief: bool = False,
+    groups: re.Pattern[str] | None = None,
+    files: Mapping[str, str] | None = None,
+) -> str:
     """Markdown: the clips at each rate, unless it is to be brief, the means of groups and of all, weighted by frames.
 
-    Below it, where the learned solver is much worse than the naive baseline.
+    Below it, where the learned solver is much worse than the naive baseline, and what draws that (``files``: of clips).
     """
     head = (
         "| clip | Hz | solver | MPJPE cm | said | 95 % | upper | lower | root | hands | fingers | MPJRE deg "
@@ -109,7 +116,7 @@ def table(rows: list[Row], brief: bool = False, groups: re.Pattern[str] | None =
         "Said: the error that the solver itself expects. 95 %: of means over ten seconds. "
         f"Times: median a sample, one core, fingers included ({where}).",
     ]
-    return "\n".join([*lines, "", *_faults(rows)])
+    return "\n".join([*lines, "", *_faults(rows, files or {})])
 
 
 def _mean(rows: list[Row], name: str) -> Row:
@@ -122,7 +129,7 @@ def _mean(rows: list[Row], name: str) -> Row:
     )
 
 
-def _faults(rows: list[Row]) -> list[str]:
+def _faults(rows: list[Row], files: Mapping[str, str]) -> list[str]:
     """Ten seconds that the learned solver has FAULT worse than the naive one, a line each."""
     naive = {(row.clip, row.rate): row.windows for row in rows if row.solver == "naive"}
     out = []
@@ -130,8 +137,10 @@ def _faults(rows: list[Row]) -> list[str]:
         seconds = row.score.frames / row.rate / len(row.windows)
         for i, (ours, theirs) in enumerate(zip(row.windows, naive[row.clip, row.rate], strict=True)):
             if row.solver == "learned" and ours > theirs + FAULT:
+                which = f"--motion {shlex.quote(files.get(row.clip, row.clip))} --rate {row.rate:g}"
                 out.append(
-                    f"- {row.clip}, {row.rate:g} Hz, from {i * seconds:.1f} s: {ours:.1f} cm, naive {theirs:.1f}"
+                    f"- {row.clip}, {row.rate:g} Hz, from {i * seconds:.1f} s: {ours:.1f} cm, naive {theirs:.1f}: "
+                    f"`glsplat tracking show {which} --from {i * seconds:.1f} --seconds {seconds:.1f} -o window.png`"
                 )
     head = f"{WINDOW:g} seconds that the learned solver has more than {FAULT:g} cm worse than the naive one:"
     return [head, "", *out] if out else [f"{head} none."]

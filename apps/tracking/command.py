@@ -15,7 +15,7 @@ from tqdm import tqdm
 from glsplat.errors import PoseError
 from glsplat.evaluate.tracking_score import TrackingScore, score
 from glsplat.skinning.pose import Pose
-from glsplat.tracking.calibration import Calibration, calibrate
+from glsplat.tracking.calibration import Calibration, calibrate, found_size
 from glsplat.tracking.derive import (
     EXTRAS,
     Disturbance,
@@ -71,6 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("-o", "--output", required=True, metavar="JSON", help="the calibration")
     command.add_argument("--height", type=float, help="the user's stature in metres")
     command.add_argument("--floor", type=float, help="y of the floor in the tracking space (default 0)")
+    command.add_argument(
+        "--find-size", action="store_true", help="by what a session finds by itself: nobody has to stand still"
+    )
     add_skeleton(command)
     command.set_defaults(work=run_calibrate)
 
@@ -141,7 +144,11 @@ def run_calibrate(args: argparse.Namespace) -> int:
     """A calibration file from a recording, or from a height."""
     skeleton = skeleton_of(args.avatar)
     _different(args.output, args.recording)
-    if args.recording:
+    if args.recording and args.find_size:
+        calibration = found_size(list(replay(args.recording)), skeleton, args.floor or 0.0)
+        if calibration.eye_height is None:
+            raise PoseError(f"{args.recording}: nobody is seen to stand for a second; give --height in metres")
+    elif args.recording:
         calibration = calibrate(list(replay(args.recording)), skeleton, args.floor, args.height)
     elif args.height is not None:
         calibration = Calibration.of_height(skeleton, args.height, args.floor or 0.0)
@@ -150,7 +157,8 @@ def run_calibrate(args: argparse.Namespace) -> int:
     calibration.save(args.output)
     worn = [name for name, mount in zip(TRACKERS, calibration.mounts, strict=True) if mount is not None]
     trackers = f", trackers: {', '.join(worn)}" if worn else ""
-    print(f"{args.output}: scale {calibration.scale:.3f}, floor {calibration.floor:.3f} m{trackers}")
+    found = "" if calibration.found is None else f" (a session finds {calibration.found:.3f})"
+    print(f"{args.output}: scale {calibration.scale:.3f}{found}, floor {calibration.floor:.3f} m{trackers}")
     return 0
 
 

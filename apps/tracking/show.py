@@ -15,15 +15,17 @@ from tqdm import tqdm
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
+from glsplat.evaluate.baseline import baseline
 from glsplat.io.files import open_regular
 from glsplat.io.npz import array_names
 from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
-from glsplat.tracking.recording import PoseTrack, read_poses
+from glsplat.tracking.derive import derive, truth_from_motion, with_expressions
+from glsplat.tracking.recording import read_poses
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
-from ..args import load_avatar, positive, size
+from ..args import load_avatar, motion_of, not_negative, positive, size
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, stack
 from ..usage import UsageError, output_kind
@@ -33,7 +35,8 @@ __all__ = ["add_show"]
 
 Image = NDArray[np.uint8]
 
-BONE, TARGET, MISSED, TRUE = (255, 210, 60), (80, 230, 120), (255, 80, 80), (150, 150, 255)
+Colour = tuple[int, int, int]
+BONE, TARGET, MISSED, TRUE, NAIVE = (255, 210, 60), (80, 230, 120), (255, 80, 80), (150, 150, 255), (150, 110, 90)
 BACKGROUND = (0.16, 0.17, 0.19)
 TILES = 10  # moments on a contact sheet
 
@@ -46,6 +49,14 @@ def add_show(commands: Any) -> None:
         "-o", "--output", required=True, metavar="OUT", help="folder/, clip .mp4 or .webm (VP9), contact sheet .png"
     )
     command.add_argument("--truth", metavar="JSONL", help="draw these poses too (from-motion --truth)")
+    command.add_argument(
+        "--motion",
+        metavar="MOTION",
+        help="head and hands of this motion instead of a recording, with its truth and the naive baseline",
+    )
+    command.add_argument("--rate", type=positive, default=72.0, help="samples a second of --motion (default 72)")
+    command.add_argument("--from", dest="first", type=not_negative, default=0.0, help="first second that is drawn")
+    command.add_argument("--seconds", type=positive, help="that are drawn (default: all)")
     command.add_argument("--size", type=size, default=(512, 512), help="pixels of a view (default 512x512)")
     command.add_argument("--fps", type=positive, default=24.0, help="pictures a second of the recording (default 24)")
     command.add_argument("--side", type=float, default=60.0, help="degrees from the front the camera stands")
@@ -58,13 +69,25 @@ def show(args: argparse.Namespace) -> int:
     target = Path(args.output)
     what = "a clip .mp4 or .webm, a contact sheet .png"
     kind = output_kind("-o", args.output, (*CLIPS, ".png"), what, folder="PNG files")
-    tracker = tracker_of(args, skeleton_of(args.avatar))
-    samples = samples_of(args.recording)
+    if args.motion and (args.recording or args.truth):
+        raise UsageError("--motion has its own head, hands and truth; leave the recording and --truth out")
+    skeleton = skeleton_of(args.avatar)
+    tracker = tracker_of(args, skeleton)
+    others: list[tuple[NDArray[np.float64], Colour]] = []
+    if args.motion:
+        motion = motion_of(args.motion, skeleton)
+        truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, args.rate)
+        samples = with_expressions(derive(skeleton, truth), motion)
+        others = [(baseline(truth, "naive"), NAIVE), (truth.positions, TRUE)]
+    else:
+        samples = samples_of(args.recording)
+        if args.truth:
+            others = [(read_poses(args.truth).joints, TRUE)]
     if max(args.size) > 4096 or args.fps > 1000:
         raise UsageError("--size needs at most 4096 a side and --fps at most 1000")
-    truth = read_poses(args.truth) if args.truth else None
-    frames = _chosen(samples, args.fps, TILES if kind == ".png" else None)
-    painter = Painter(args, tracker, truth)
+    samples, part = _until(samples, args.first, args.seconds)
+    frames = {part + i for i in _chosen(samples[part:], args.fps, TILES if kind == ".png" else None)}
+    painter = Painter(args, tracker, others)
     bar = tqdm(enumerate(samples), total=len(samples), unit="sample", disable=not sys.stderr.isatty(), leave=False)
     pictures: list[Image] = []
     with painter.drawing() as draw:
@@ -89,6 +112,16 @@ def show(args: argparse.Namespace) -> int:
     return 0
 
 
+def _until(samples: list[Sample], first: float, seconds: float | None) -> tuple[list[Sample], int]:
+    """The samples up to the end of what is drawn, and the first that is; those before it are solved all the same."""
+    since = [sample.t - samples[0].t for sample in samples]
+    part = next((i for i, t in enumerate(since) if t >= first - 1e-6), len(samples))
+    end = next((i for i, t in enumerate(since) if seconds is not None and t > first + seconds), len(samples))
+    if part >= end:
+        raise UsageError(f"--from {first:g}: there are {since[-1]:.1f} s; nothing is left to draw")
+    return samples[:end], part
+
+
 def _chosen(samples: list[Sample], fps: float, count: int | None) -> set[int]:
     """Indices of the samples that become pictures: ``count`` evenly, or one each 1/fps seconds."""
     if count is not None:
@@ -104,8 +137,14 @@ def _chosen(samples: list[Sample], fps: float, count: int | None) -> set[int]:
 class Painter:
     """Camera at the side of the avatar, the renderer where there is one, lines over it."""
 
-    def __init__(self, args: argparse.Namespace, tracker: Tracker, truth: PoseTrack | None) -> None:
-        self.args, self.tracker, self.truth = args, tracker, truth
+    def __init__(
+        self, args: argparse.Namespace, tracker: Tracker, others: list[tuple[NDArray[np.float64], Colour]]
+    ) -> None:
+        self.args, self.tracker, self.others = (
+            args,
+            tracker,
+            others,
+        )  # other bodies [T, 55, 3] to be drawn, in the world
         self.avatar = None if args.stick else self._avatar(args.avatar)
         self.renderer: Any = None
 
@@ -145,10 +184,9 @@ class Painter:
         else:
             shade = [round(255 * v) for v in BACKGROUND]
             image = np.full((camera.height, camera.width, 3), shade, np.uint8)
-        if self.truth is not None:
-            scale, floor = tracker.calibration.scale, tracker.calibration.floor
-            true = (self.truth.joints[min(index, len(self.truth.joints) - 1)] - (0, floor, 0)) / scale
-            self._bones(image, camera, true, TRUE)
+        scale, floor = tracker.calibration.scale, tracker.calibration.floor
+        for body, colour in self.others:
+            self._bones(image, camera, (body[min(index, len(body) - 1)] - (0, floor, 0)) / scale, colour)
         self._bones(image, camera, joints, BONE)
         self._targets(image, camera, sample)
         planted = "".join(s[0].upper() for s in ("left", "right") if f"{s}_planted" in tracker.flags) or "-"
@@ -160,7 +198,7 @@ class Painter:
         width, height = self.args.size
         return Camera(look_at(eye, middle), pinhole(width, height, 40.0), width, height, background=BACKGROUND)
 
-    def _bones(self, image: Image, camera: Camera, joints: NDArray[np.float64], colour: tuple[int, int, int]) -> None:
+    def _bones(self, image: Image, camera: Camera, joints: NDArray[np.float64], colour: Colour) -> None:
         pixels = _project(camera, joints)
         for joint in range(1, 22):
             parent = int(self.tracker.skeleton.parents[joint])

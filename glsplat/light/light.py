@@ -134,13 +134,6 @@ class Light:
             out["sun"] = {"direction": self.sun_direction.tolist(), "color": self.sun_colour.tolist()}
         return out
 
-    def turned(self, linear: F64) -> Light:
-        """The same light in a world that was turned by the rotation ``linear`` [3, 3]."""
-        signs = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1.0])  # splats' harmonics have the Condon-Shortley sign
-        turn = signs[:, None] * sh_rotations(np.asarray(linear, np.float64), 2) * signs
-        way = None if self.sun_direction is None else linear @ self.sun_direction
-        return Light(turn @ self.ambient, way, self.sun_colour)
-
     def irradiance(self, normals: ArrayLike) -> F64:
         """[N, 3] of the ambient part over pi on surfaces with unit normals [N, 3], never below 0.
 

@@ -14,21 +14,21 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.io.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.extra.mounts import MOST, Mean, between, numbers, standing, within
+from glsplat.tracking.finding import SHOULDERS, Finder, with_arms
 from glsplat.tracking.reading import read_pose
 from glsplat.tracking.sample import TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import HEAD_FRAME, Body
 from glsplat.tracking.solve.heading import head_pitch
 from glsplat.tracking.solve.quat import Vec, conj, length, mul, normalized, sub, swing_twist_y
 
-__all__ = ["Calibration", "calibrate"]
+__all__ = ["Calibration", "calibrate", "found_size"]
 
 SMALLEST, LARGEST = 0.5, 2.0  # limits of the avatar's scale
 STILL = 0.05  # metres the head may move while it is measured
 EYES_OF_STATURE = 0.936  # eye height / stature (Drillis & Contini 1966)
-ARM_WEIGHT = 0.25  # of the arm span against the eye height in the scale
+GAP = 0.5  # seconds between samples, beyond which they say nothing of what was between
 LEAST = 10  # samples with a tracker that tell how it is mounted
 NEARBY = 0.5  # metres that it is from its joint at most
-SHOULDERS = 0.65, 1.05  # of the eye height; hands of arms that are stretched sideways are between
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +45,14 @@ class Calibration:
     left_foot: Transform | None = None
     right_foot: Transform | None = None
     automatic: bool = False  # the scale is found while the session runs, from this one on
+    found: float | None = (
+        None  # the scale that a session finds by itself, beside one that was measured; it does not count
+    )
 
     def __post_init__(self) -> None:
-        if not SMALLEST <= self.scale <= LARGEST:
-            raise PoseError(f"a calibration's scale needs {SMALLEST} to {LARGEST}, not {self.scale:g}")
+        for scale in (self.scale, self.scale if self.found is None else self.found):
+            if not SMALLEST <= scale <= LARGEST:
+                raise PoseError(f"a calibration's scale needs {SMALLEST} to {LARGEST}, not {scale:g}")
         if not abs(self.floor) < 100 or not abs(self.head_pitch) < 0.8:
             raise PoseError("a calibration needs a floor within 100 m and a head pitch below 45 degrees")
         for name, mount in zip(TRACKERS, self.mounts, strict=True):
@@ -74,14 +78,15 @@ class Calibration:
 
         A span that is far from what the scale says is none of stretched arms: nothing changes.
         """
-        scale = _with_arms(self.scale, span / Body.of(skeleton).arm_span())
+        scale = with_arms(self.scale, span / Body.of(skeleton).arm_span())
         if scale is None:
             return self
         return replace(self, scale=min(max(scale, SMALLEST), LARGEST), arm_span=span)
 
     def to_json(self) -> dict[str, Any]:
-        """The object that ``save`` writes; trackers that nobody wore are left out."""
-        return {key: value for key, value in asdict(self).items() if value is not None or key not in TRACKERS}
+        """The object that ``save`` writes; what nobody wore, and a size that nobody looked for, is left out."""
+        left_out = ("found", *TRACKERS)
+        return {key: value for key, value in asdict(self).items() if value is not None or key not in left_out}
 
     def save(self, path: str | Path) -> None:
         """Write JSON; a file that is there is replaced whole."""
@@ -111,7 +116,7 @@ def _number(value: Any, key: str) -> float | bool | Transform | None:
         if not isinstance(value, bool):
             raise ValueError("automatic is neither true nor false")
         return value
-    if value is None and key in ("eye_height", "arm_span", *TRACKERS):
+    if value is None and key in ("eye_height", "arm_span", "found", *TRACKERS):
         return None
     if key in TRACKERS:
         if not isinstance(value, list) or len(value) != 7:
@@ -124,13 +129,6 @@ def _number(value: Any, key: str) -> float | bool | Transform | None:
     return float(value)
 
 
-def _with_arms(scale: float, ratio: float) -> float | None:
-    """The scale by eye height and by arm span, ``ratio`` of the avatar's; None: the arms were not stretched."""
-    if not 0.85 * scale <= ratio <= 1.2 * scale:
-        return None
-    return (1 - ARM_WEIGHT) * scale + ARM_WEIGHT * ratio
-
-
 def calibrate(
     samples: Sequence[Sample], skeleton: Skeleton, floor: float | None = None, height: float | None = None
 ) -> Calibration:
@@ -138,6 +136,8 @@ def calibrate(
 
     ``floor``: its y in the tracking space. Without it, it is where a user of the given ``height`` (metres) stands, or
     y = 0, where the runtimes of headsets put it.
+
+    ``found`` is what a session would have found by itself; files of both keep both, and what was measured counts.
 
     Takes the stillest half of the samples (distance from the median eye). Raises PoseError when there are fewer than 10
     samples with a head, when the head moved, or when the eyes are not 0.5 to 2.6 m above the floor.
@@ -171,7 +171,7 @@ def calibrate(
     ]
     if spans:
         widest = sorted(spans)[int(0.9 * (len(spans) - 1))]
-        fitted = _with_arms(scale, widest / body.arm_span())
+        fitted = with_arms(scale, widest / body.arm_span())
         if fitted is not None:
             span, scale = widest, fitted
     scale = min(max(scale, SMALLEST), LARGEST)
@@ -181,8 +181,26 @@ def calibrate(
         head_pitch=pitch if abs(pitch) < 0.35 else 0.0,
         eye_height=eyes,
         arm_span=span,
+        found=found_size(samples, skeleton, floor).scale,
         **_mounts(samples, middle, body, scale, floor),  # type: ignore[arg-type]
     )
+
+
+def found_size(samples: Sequence[Sample], skeleton: Skeleton, floor: float = 0.0) -> Calibration:
+    """What a session of these samples finds by itself: nobody needs to stand still. Goes on where it is used.
+
+    Its ``eye_height`` is None where the samples tell nothing; the scale is then the avatar's own.
+    """
+    body, known, last = Body.of(skeleton), Calibration(floor=floor, automatic=True), None
+    finder = Finder(body, known.scale)
+    for sample in samples:
+        head, *hands = [read_pose(pose, 1.0, floor, []) for pose in (sample.head, sample.left, sample.right)]
+        dt = 0.0 if last is None else sample.t - last
+        last = sample.t
+        if head is not None and 0 < dt < GAP:
+            turn = mul(head[1], conj(HEAD_FRAME))
+            finder.update(head[0], turn, [hand[0] for hand in hands if hand is not None], dt)
+    return replace(known, scale=finder.goal, eye_height=finder.eye_height, arm_span=finder.arm_span)
 
 
 def _mounts(samples: Sequence[Sample], middle: Vec, body: Body, scale: float, floor: float) -> dict[str, Transform]:

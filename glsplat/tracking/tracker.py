@@ -29,7 +29,7 @@ from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.reading import invalid, read_pose
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
-from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotate, rotation_vector, to_quat
+from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
 from glsplat.tracking.solve.solution import Solution, Solver, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.solvers import SolverName, solver_of
@@ -91,12 +91,14 @@ class Tracker:
         known = self.calibration
         self._extras = Extras(self.body, c, known.scale, known.floor, known.mounts)
         head = mul(conj(HEAD_FRAME), to_quat((-known.head_pitch, 0.0, 0.0)))
-        self._finder = Finder(self.body.eye_height, known.scale) if known.automatic else None
+        self._known: Calibration = known  # that the session began with
         self._frames = (head, conj(HAND_FRAMES["left"]), conj(HAND_FRAMES["right"]))
         self.reset()
 
     def reset(self) -> None:
         """A new user or a new place: forget everything."""
+        self.calibration = self._known
+        self._finder = Finder(self.body, self._known.scale) if self._known.automatic else None
         self.solver.reset()
         self._guard.reset()
         self._stretch.reset()
@@ -105,6 +107,7 @@ class Tracker:
             hand.reset()
             fingers.reset()
         self._extras.reset()
+        self._extras.scale = self._known.scale
         self._time: float | None = None
         self._step = 1 / 72
         self._count = 0
@@ -233,10 +236,13 @@ class Tracker:
         ]
         if head is None or dt <= 0 or dt > self.config.gap:
             return
-        up = rotate(mul(head[1], self._frames[0]), (0.0, 1.0, 0.0))[1]
-        scale = finder.update(head[0], up, [hand[0] for hand in hands if hand is not None], dt)
+        turn = mul(head[1], self._frames[0])
+        scale = finder.update(head[0], turn, [hand[0] for hand in hands if hand is not None], dt)
         if abs(scale - self.calibration.scale) > CHANGED:
-            self.calibration = replace(self.calibration, scale=scale)
+            known, eyes, span = self._known, finder.eye_height, finder.arm_span
+            self.calibration = replace(
+                known, scale=scale, eye_height=eyes or known.eye_height, arm_span=span or known.arm_span
+            )
             self._extras.scale = scale
 
     def _frozen(self, head: Transform, flags: list[str]) -> None:

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from apps import cli
+from apps.tracking.bench import table
+from apps.tracking.show import BONE, NAIVE, TRUE
+from glsplat.evaluate.tracking_rows import Row
+from glsplat.evaluate.tracking_score import TrackingScore
+
+nan = float("nan")
+SCORE = TrackingScore(600, *[1.0] * 13)
 
 
 def run(*words) -> int:
@@ -82,6 +90,32 @@ def test_show_without_opengl(derived):
     assert len(list((derived / "frames").glob("*.png"))) > 5
     assert run("show", derived / "r.jsonl", "-o", derived / "clip.mp4", "--fps", 10, *words) == 0
     assert (derived / "clip.mp4").stat().st_size > 1000
+
+
+def test_show_draws_a_window_of_a_motion_beside_its_truth_and_the_naive_baseline(tmp_path, capsys):
+    words = ("--motion", "wave-and-turn", "--rate", 30, "--from", 1, "--seconds", 1, "--stick", "--size", "160x120")
+    assert run("show", "-o", tmp_path / "sheet.png", *words) == 0
+    sheet = cv2.imread(str(tmp_path / "sheet.png"))[..., ::-1].astype(int)
+    for colour in (BONE, TRUE, NAIVE):
+        assert (np.abs(sheet - colour).max(-1) < 40).any()
+    assert run("show", "-o", f"{tmp_path}/frames/", *words, "--fps", 30) == 0
+    assert sorted(path.stem for path in (tmp_path / "frames").iterdir())[:2] == ["000030", "000031"]
+    capsys.readouterr()
+    assert run("show", "-o", tmp_path / "late.png", *words[:4], "--from", 99) == 2
+    assert "nothing is left to draw" in capsys.readouterr().err
+    assert run("show", "r.jsonl", "-o", tmp_path / "late.png", *words) == 2
+    assert not (tmp_path / "late.png").exists()
+
+
+def test_bench_names_the_windows_that_are_worse_than_naive():
+    rows = [Row("clip", 30.0, solver, SCORE, nan, windows) for solver, windows in
+            (("glued", (9.0, 9.0)), ("naive", (5.0, 5.0)), ("analytic", (6.0, 6.0)), ("learned", (6.9, 7.1)),
+             ("learned, head only", (20.0, 20.0)))]  # fmt: skip
+    text = table(rows, files={"clip": "a folder/clip.bvh"})
+    worst = [line for line in text.splitlines() if line.startswith("- ")]
+    assert len(worst) == 1 and "from 10.0 s: 7.1 cm, naive 5.0" in worst[0]
+    assert "glsplat tracking show --motion 'a folder/clip.bvh' --rate 30 --from 10.0 --seconds 10.0" in worst[0]
+    assert "none." in table([row for row in rows if row.solver != "learned"] + [replace(rows[3], windows=(6.9, 6.9))])
 
 
 @pytest.mark.gl
