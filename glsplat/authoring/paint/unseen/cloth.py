@@ -59,6 +59,8 @@ _COVERED = 0.1  # share of a row on the shoulders that is cloth where there is a
 _ARMPIT = 0.07  # metres below the shoulder joints
 _BELOW = 0.25  # metres below the armpits that the upper garment's colour is taken from
 _STRANGE = 1.5, 3.0  # tolerances: from the first on a colour is doubted, from the second on it is not believed
+_PALM = 0.7, 1.8  # of a hand's colour, how bright its parts may be
+_HEM = 2.5  # square roots of linear light that a metre counts as: the cloth above a hem hangs over what is below it
 _LIKE_OTHER = 0.15  # how near a colour lies to the thing it is of
 _SHALLOW = 0.016  # of the person's height: so near to its outline a part of the body may show something else
 
@@ -72,10 +74,22 @@ class Ground:
     there: F64  # [M] 1 where anything is known, else 0
     pattern: NDArray[np.bool_]  # [M] whether it has other colours besides, all around
     skin: F64  # [M, 3] square roots of what is no part of a pattern there; not a number where nothing is
+    hand: NDArray[np.bool_]  # [M]
 
     def at(self, some: Ints) -> Ground:
         """Of N of the points."""
-        return Ground(*(getattr(self, field)[some] for field in ("colour", "tolerance", "there", "pattern", "skin")))
+        fields = ("colour", "tolerance", "there", "pattern", "skin", "hand")
+        return Ground(*(getattr(self, field)[some] for field in fields))
+
+    def away(self, look: F64) -> F64:
+        """[M] how far square roots of linear colours [M, 3] without light lie from it, in tolerances.
+
+        A hand's brightness says nothing: palms, nails and backs of hands are of different ones.
+        """
+        own = np.sqrt(self.colour)
+        scale = (look * own).sum(axis=1) / np.maximum((own**2).sum(axis=1), 1e-9)
+        own[self.hand] *= scale.clip(*_PALM)[self.hand, None]
+        return np.asarray(np.linalg.norm(look - own, axis=1) / self.tolerance)
 
     def alike(self, plain: F64, patterned: bool = True) -> F64:
         """[M] from 0 to 1: how surely linear colours [M, 3] without light are the cloth that is there.
@@ -83,7 +97,7 @@ class Ground:
         With ``patterned`` those of its pattern are, too.
         """
         look = np.sqrt(np.maximum(plain, 0))
-        away = np.linalg.norm(look - np.sqrt(self.colour), axis=1) / self.tolerance
+        away = self.away(look)
         sure = (_SAME[1] - away).clip(0, _SAME[1] - _SAME[0]) / (_SAME[1] - _SAME[0])
         if patterned:
             sure[self.pattern & ~(np.linalg.norm(look - self.skin, axis=1) < _BARE)] = 1.0
@@ -101,6 +115,11 @@ class _Rows:
     outer: F64  # [R, 3] square roots, of what lies farther from the middle than ``edge``
     edge: F64  # [R] metres
     pattern: NDArray[np.bool_]  # [R]
+
+    @property
+    def places(self) -> F64:
+        """[R] metres along the axis."""
+        return self.first + _STEP * np.arange(len(self.colour))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +145,7 @@ class Cloth:
         """
         out = np.zeros(len(linear))
         look, mine = np.sqrt(np.maximum(linear / shade[:, None], 0)), self.region[points.corners[:, 0]]
-        away = np.linalg.norm(look - np.sqrt(ground.colour), axis=1) / ground.tolerance
+        away = ground.away(look)
         pixels = shot.project(points.at(shot.view.vertices))
         some = np.flatnonzero((ground.there > 0) & ~ground.pattern & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
         near = shot.shallow(pixels[some], shot.layers_at(points)[some]) < _SHALLOW
@@ -140,7 +159,17 @@ class Cloth:
             if rows and which.any():
                 other[which] = np.minimum(other[which], cKDTree(np.concatenate(rows)).query(look[some][which])[0])
         sure = ((away[some] - _STRANGE[0]) / (_STRANGE[1] - _STRANGE[0])).clip(0, 1)
-        out[some] = sure * (other < np.minimum(0.5 * away[some] * ground.tolerance[some], _LIKE_OTHER))
+        sure *= other < np.minimum(0.5 * away[some] * ground.tolerance[some], _LIKE_OTHER)
+        where = points.at(self.rest)[some]
+        for numbers in (_BODY, *((number,) for number in _SLEEVES)):
+            rows = [each for k in numbers if (each := self.rows[k]) is not None]
+            which = np.flatnonzero((sure > 0) & np.isin(mine[some], numbers))
+            if rows and len(which):  # what is worn a little above or below hangs there, and is not another thing
+                worn = np.concatenate([np.column_stack([each.colour, _HEM * each.places]) for each in rows])
+                along = where[which, 1] if rows[0].axis else np.abs(where[which, 0])
+                hem = cKDTree(worn).query(np.column_stack([look[some[which]], _HEM * along]))[0]
+                sure[which[hem < _STRANGE[0] * ground.tolerance[some[which]]]] = 0.0
+        out[some] = sure
         return out
 
     def at(self, points: SurfacePoints) -> Ground:
@@ -170,7 +199,7 @@ class Cloth:
             tolerance[mine] = rows.tolerance[low]
             pattern[mine] = rows.pattern[low] & ~outside
             there[mine] = 1
-        return Ground(colour, tolerance, there, pattern, skin)
+        return Ground(colour, tolerance, there, pattern, skin, np.isin(region, _HANDS))
 
 
 def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sight, shade: F64) -> Cloth:
@@ -294,7 +323,7 @@ def _steady(rows: _Rows) -> _Rows:
 
 def _sleeved(rows: _Rows, trunk: _Rows, skin: F64, armpit: float) -> _Rows:
     """An arm's, with the pattern of the shirt as far down as it is not bare."""
-    middle = trunk.first + np.arange(len(trunk.colour)) * _STEP
+    middle = trunk.places
     chest = trunk.pattern[(middle > armpit - _BELOW) & (middle < armpit)]
     if not len(chest) or chest.mean() < 0.5:
         return rows
@@ -318,24 +347,27 @@ def _bright(look: F64) -> F64:
 
 
 def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: float) -> _Rows:
-    """With cloth between straps: a back is covered as far up and aside as the straps of the front go."""
-    middle = rows.first + np.arange(len(rows.colour)) * _STEP
+    """With cloth above the armpits: a back is covered as far up and aside as the front's straps or shoulders are."""
+    middle = rows.places
     below = (middle > armpit - _BELOW) & (middle < armpit)
     if not below.any():
         return rows
     upper = np.median(rows.colour[below], axis=0)
-    if np.linalg.norm(upper - skin) < _ALIKE:
-        return rows
-    away = np.linalg.norm(look - upper, axis=1)
     from_skin = np.linalg.norm(look - skin, axis=1)
-    cloth, naked = away < np.minimum(from_skin / 2, 2 * _ALIKE), from_skin < np.minimum(away, 2 * _ALIKE)
     colour, outer, edge = rows.colour.copy(), rows.colour.copy(), np.full(len(middle), np.nan)
-    tolerance = rows.tolerance.copy()
+    tolerance, pattern, last = rows.tolerance.copy(), rows.pattern.copy(), -1
     for row in np.flatnonzero(middle >= armpit):
+        beneath = colour[row - 1] if row else upper  # a shirt may have another colour about the shoulders
+        worn = [one for one in (upper, beneath) if np.linalg.norm(one - skin) > _ALIKE]
+        if not worn:
+            continue
+        away = np.min([np.linalg.norm(look - one, axis=1) for one in worn], axis=0)
+        cloth, naked = away < np.minimum(from_skin / 2, 2 * _ALIKE), from_skin < np.minimum(away, 2 * _ALIKE)
         mine = np.abs(where[:, 1] - middle[row]) < _REACH
         strap = mine & cloth
         if trust[strap].sum() < max(_COVERED * trust[mine].sum(), _FEWEST / 3):
             continue
+        last = row
         colour[row], spread = _most(look[strap], trust[strap])
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)
@@ -349,11 +381,15 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
             outer[row] = outer[row - 1]
         else:
             edge[row] = np.inf
+            pattern[row] = pattern[row - 1]
     known = np.flatnonzero(np.isfinite(edge))
-    if not len(known):
-        return replace(rows, edge=np.where(np.isnan(edge), np.inf, edge))
-    between = np.isnan(edge) & (middle >= armpit) & (np.arange(len(middle)) < known[-1])
-    edge[between] = np.interp(np.flatnonzero(between), known, edge[known])
-    for k in range(3):
-        colour[between, k] = np.interp(np.flatnonzero(between), known, colour[known, k])
-    return replace(rows, colour=colour, outer=outer, tolerance=tolerance, edge=np.where(np.isnan(edge), np.inf, edge))
+    if len(known):
+        between = np.isnan(edge) & (middle >= armpit) & (np.arange(len(middle)) < known[-1])
+        edge[between] = np.interp(np.flatnonzero(between), known, edge[known])
+        for k in range(3):
+            colour[between, k] = np.interp(np.flatnonzero(between), known, colour[known, k])
+    elif last >= 0:  # no strap: what covers the shoulders goes on to the neck
+        colour[last:], outer[last:], tolerance[last:] = colour[last], colour[last], tolerance[last]
+        pattern[last:] = pattern[last]
+    edge[np.isnan(edge)] = np.inf
+    return replace(rows, colour=colour, outer=outer, tolerance=tolerance, edge=edge, pattern=pattern)
