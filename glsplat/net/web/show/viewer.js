@@ -64,7 +64,8 @@ export class Viewer {
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
     const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
     this.onDrive(drive);
-    const key = drive.tracking || drive.pose ? '' : JSON.stringify(views.map(({ transform }) => transform)) + width + height;
+    const lit = [this.#settings.get('place'), this.#settings.get('light')];
+    const key = drive.tracking || drive.pose ? '' : JSON.stringify([views.map(({ transform }) => transform), width, height, lit]);
     const room = this.#settings.get('room') !== '';
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
     const asks = moves || now - this.#asked > KEEP;
