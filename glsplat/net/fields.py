@@ -173,23 +173,7 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = (
-    *(
-        "want",
-        "eyes",
-        "size",
-        "quality",
-        "crop",
-        "alpha",
-        "mirror",
-        "hide",
-        "box",
-        "pose",
-        "tracking",
-        "faces",
-        "light",
-    ),
-)
+PICTURE = tuple("want eyes size quality crop alpha mirror hide box pose tracking faces light".split())
 """Fields that only a request has."""
 
 
