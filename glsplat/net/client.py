@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode, urlsplit
 
 import aiohttp
@@ -18,7 +18,6 @@ import numpy as np
 from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.light.light import Light
 from glsplat.net.client_connection import ClientConnection
 from glsplat.net.fields import Alpha, Want
 from glsplat.net.flow import FlowControl, ReceivedReply
@@ -26,6 +25,9 @@ from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
+
+if TYPE_CHECKING:
+    from glsplat.light.light import Light
 
 __all__ = ["Client", "ReceivedReply", "request_message"]
 
@@ -157,8 +159,7 @@ class Client:
         ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too
         (``Reply.rgba``; "straight" keeps the silhouette cleaner at the same quality).
         ``mirror`` overrules what the connection asked for. ``hide`` leaves parts of the avatar out: ("head",). ``box``
-        has the server say where the avatar is (``Reply.box``). ``light`` (in the cameras' space, or a preset's
-        name) falls on it instead of the server's, if it knows its surface.
+        has the server say where the avatar is (``Reply.box``). ``light`` (cameras' axes) falls instead of the server's.
 
         Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
         came first: the newest request wins, and the server never answers the one it replaced.
@@ -284,7 +285,7 @@ def request_message(
     parts = [hide] if isinstance(hide, str) else list(hide)
     asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "quality": quality, "mirror": mirror, "want": want}
     asked |= {"crop": crop or None, "alpha": alpha or None, "hide": parts or None, "box": box or None}
-    asked["light"] = light.to_json() if isinstance(light, Light) else light
+    asked["light"] = light if light is None or isinstance(light, str) else light.to_json()
     return message | {key: value for key, value in asked.items() if value is not None}
 
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import hypot
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from glsplat.errors import FormatError, PoseError, ProtocolError
-from glsplat.light.light import Light
 from glsplat.skinning.expression import checked_expression
 from glsplat.tracking.sample import (
     BODY_JOINTS,
@@ -25,6 +24,9 @@ from glsplat.tracking.sample import (
     hand_joints,
     wrist_from_grip,
 )
+
+if TYPE_CHECKING:
+    from glsplat.light.light import Light
 
 __all__ = [
     "FAR",
@@ -182,23 +184,7 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = (
-    *(
-        "want",
-        "eyes",
-        "size",
-        "quality",
-        "crop",
-        "alpha",
-        "mirror",
-        "hide",
-        "box",
-        "pose",
-        "tracking",
-        "faces",
-        "light",
-    ),
-)
+PICTURE = tuple("want eyes size quality crop alpha mirror hide box pose tracking faces light".split())
 """Fields that only a request has."""
 
 
@@ -269,6 +255,8 @@ def light_of(value: LightFields | str | None) -> Light | None:
     """The light that falls on what is shown, in the space of the eyes. Raises ProtocolError for what is none."""
     if value is None:
         return None
+    from glsplat.light.light import Light  # here: clients and most requests have none
+
     try:
         if isinstance(value, str):
             return Light.preset(value)

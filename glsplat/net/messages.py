@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from glsplat.camera import ORTHONORMAL, PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
-from glsplat.light.light import Light
 from glsplat.net.fields import (
     FAR,
     NEAR,
@@ -40,6 +39,9 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import POSE_KEYS
 from glsplat.tracking.sample import Sample
+
+if TYPE_CHECKING:
+    from glsplat.light.light import Light
 
 __all__ = [
     "DEFAULT",

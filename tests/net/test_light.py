@@ -110,6 +110,10 @@ def test_it_falls_on_this_picture_alone(backend: RendererBackend) -> None:
             job = RenderJob(cameras=tuple(EYES), avatar=name, options=PictureOptions(light=light))
             assert np.array_equal(backend.render(job).images, direct(content, light or DARK))
     assert not np.array_equal(direct(ROD, ASKED), direct(ROD, DARK))
+    backend.render(RenderJob(cameras=tuple(EYES), options=PictureOptions(light=ASKED)))
+    backend.close()
+    backend.open()  # as after a lost context
+    assert np.array_equal(backend.render(RenderJob(cameras=tuple(EYES))).images, direct(ROD, DARK))
 
 
 @pytest.mark.gl

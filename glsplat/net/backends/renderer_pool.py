@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
-from glsplat.light.light import Light
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.labels import Label, notice
 from glsplat.net.backends.room import RoomRenderer, label_place, selectors
@@ -38,19 +37,16 @@ Key = tuple[str, tuple[str, ...] | None]
 
 
 class SceneRenderer:
-    """One thing that is shown, and what draws it. ``make`` makes the renderer, ``light`` falls unless a job has one."""
+    """One thing that is shown, and what draws it. ``make`` makes the renderer."""
 
-    def __init__(
-        self, scene: Scene, hide: tuple[str, ...], make: Callable[[Scene], Renderer], light: Light | None
-    ) -> None:
+    def __init__(self, scene: Scene, hide: tuple[str, ...], make: Callable[[Scene], Renderer]) -> None:
         self._source = self._item = SceneFile.of(scene).avatar
         self._extent: Extent | None = None
-        self.scene: Scene = scene
         if hide:
             self._item = _without(self._source, hide)
-            items = (self._item if item is self._source else item for item in scene)
-            self.scene = Scene(items)
-        self.scene.light = self._light = light
+        self._light = scene.light
+        items = (self._item if item is self._source and self._item is not None else item for item in scene)
+        self.scene: Scene = Scene(items, light=scene.light)  # one of its own: its light is that of the last job
         self.renderer: Renderer = make(self.scene)
         self.selector = selectors()
 
@@ -118,7 +114,6 @@ class RendererPool:
         rooms: Mapping[str, SceneFile] | None = None,
     ) -> None:
         self._scene, self._avatars, self._make, self._rooms = Scene.of(scene), avatars, make, rooms or {}
-        self._light = self._scene.light  # of the server; that of the scene is what was last asked for
         self._kept: LruCache[Key, SceneRenderer | RoomRenderer] = LruCache(KEPT + len(self._rooms), _KEPT_BYTES)
 
     def __len__(self) -> int:
@@ -164,8 +159,8 @@ class RendererPool:
         return item.content
 
     def _renderer_of(self, name: str, hide: tuple[str, ...]) -> SceneRenderer:
-        scene = Scene([Item(self._avatars[name])]) if name else self._scene
-        return SceneRenderer(scene, hide, self._make, self._light)
+        scene = Scene([Item(self._avatars[name])], light=self._scene.light) if name else self._scene
+        return SceneRenderer(scene, hide, self._make)
 
 
 def _without(item: Item | None, parts: tuple[str, ...]) -> Item:

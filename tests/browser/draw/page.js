@@ -195,10 +195,10 @@ function counted(gl) {
 }
 
 /**
- * `turns` avatars in turn, of the files named, each for `frames` frames, beside one that stays. Sums what is alive, and
+ * `turns` avatars in turn, of the files named, each for `frames` frames, every second one lit, beside one that stays. Sums what is alive, and
  * the heap in MB after collecting garbage, at a third of the way and at the end.
  */
-export async function inTurn({ names, turns, frames }) {
+export async function inTurn({ names, turns, frames, light }) {
   const { Crowd } = await import('/vr/draw/crowd.js');
   const { AvatarCache } = await import('/vr/avatar/cache.js');
   const table = await (await fetch('/vr/draw/programs.json')).json();
@@ -229,7 +229,7 @@ export async function inTurn({ names, turns, frames }) {
     for (let frame = 0; frame < frames; frame++) {
       const people = [stays, avatar].map((one, key) => ({ key, avatar: one, pose: pose(one, turn + 0.01 * frame) }));
       crowd.people = people;
-      crowd.draw(eyes, null, shown);
+      crowd.draw(eyes, null, shown, { light: frame % 2 ? light : null });
     }
     if (turn === Math.floor(turns / 3) || turn === turns - 1) {
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));

@@ -13,7 +13,11 @@ export class Estimate {
   /** Whatever is missing, there is no estimate, and nobody is told. */
   async start(session) {
     this.#probe = null;
-    this.#probe = (await session.requestLightProbe?.().catch(() => null)) ?? null;
+    try {
+      this.#probe = (await session.requestLightProbe?.()) ?? null;
+    } catch {
+      // the device does not let us
+    }
   }
 
   stop() {

@@ -65,8 +65,9 @@ export class Viewer {
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
     const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
     this.onDrive(drive);
-    const seen = views.map(({ transform, projection }) => [transform, projection]);
-    const key = drive.tracking || drive.pose ? '' : JSON.stringify(seen) + width + height;
+    const seen = [views.map(({ transform, projection }) => [transform, projection]), width, height];
+    const lit = [this.#settings.get('place'), this.#settings.get('light')];
+    const key = drive.tracking || drive.pose ? '' : JSON.stringify([seen, lit]);
     const room = this.#settings.get('room') !== '';
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
     const asks = this.ready() && (moves || now - this.#asked > KEEP);

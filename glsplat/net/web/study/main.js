@@ -25,6 +25,7 @@ const { secret, token } = brought(KEY);
 const link = new Link({ secret, token });
 const settings = new Settings(NOTHING);
 settings.set('place', 'plain'); // what participants see is what it was in studies before
+settings.set('light', false); // in passthrough, too
 const canvas = document.getElementById('canvas');
 const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, alpha: false });
 const connection = new Delayed(() => ({ study: page }));
