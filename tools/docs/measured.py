@@ -16,7 +16,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from apps.demo import running_server
@@ -166,6 +166,8 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "knobs": ("Settings", knobs),
     "poses": ("Poses over the wire", poses),
 }
+BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
+"""Pages that another script writes, of a run that takes a day."""
 
 
 def written(page: str) -> bytes:
@@ -173,17 +175,18 @@ def written(page: str) -> bytes:
     title, measure = PAGES[page]
     facts, load = machine(), os.getloadavg()[0]
     driver = json.loads(command("bench", "--static", "--sizes", "64x64", "--frames", "3", "--json"))["driver"]
-    text = [
-        f"# {title}, measured",
-        "",
-        "<!-- not run: minutes of a quiet machine -->",
-        "",
-        f"    python -m tools.docs.measured {page}        # wrote this page",
-        "",
-        f"Commit {facts['commit']}, {facts['date']}. {driver}; {facts['machine']}, {facts['cores']} cores,",
-        f"load {load:.1f} before. Times of one table can be compared; those of other machines and days cannot.",
-    ]
-    for name, about, table in measure():
+    said = (
+        f"Commit {facts['commit']}, {facts['date']}. {driver}; {facts['machine']}, {facts['cores']} cores,\n"
+        f"load {load:.1f} before. Times of one table can be compared; those of other machines and days cannot."
+    )
+    return page_of(title, f"python -m tools.docs.measured {page}", said, measure())
+
+
+def page_of(title: str, how: str, said: str, found: Iterable[Table]) -> bytes:
+    """Such a page: the command that writes it, what it was measured on, and the tables."""
+    mark = "<!-- not run: minutes of a quiet machine, or hours -->"
+    text = [f"# {title}, measured", "", mark, "", f"    {how}        # wrote this page", "", said]
+    for name, about, table in found:
         text += ["", f"## {name}", "", about, "", f"<!-- table: {name} -->", "", table, "", "<!-- end -->"]
     return ("\n".join(text) + "\n").encode()
 
