@@ -20,6 +20,7 @@ F64 = NDArray[np.float64]
 _LARGEST = 1e4  # of a coefficient or a colour; beyond it is a mistake of units
 _UNIT = 1e-3  # that a direction's length may be off: written with three digits
 _CONSTANTS = (0.28209479177387814, 0.4886025119029199, 1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+_SIGNS = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1])  # of Condon and Shortley, which the colours of splats have
 _SPREAD = (1.0, 2 / 3, 0.25)  # of radiance of degree l in irradiance over pi, on a diffuse surface
 
 
@@ -133,13 +134,6 @@ class Light:
             out["sun"] = {"direction": self.sun_direction.tolist(), "color": self.sun_colour.tolist()}
         return out
 
-    def turned(self, linear: F64) -> Light:
-        """The same light in a world that was turned by the rotation ``linear`` [3, 3]."""
-        signs = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1.0])  # splats' harmonics have the Condon-Shortley sign
-        turn = signs[:, None] * sh_rotations(np.asarray(linear, np.float64), 2) * signs
-        way = None if self.sun_direction is None else linear @ self.sun_direction
-        return Light(turn @ self.ambient, way, self.sun_colour)
-
     def irradiance(self, normals: ArrayLike) -> F64:
         """[N, 3] of the ambient part over pi on surfaces with unit normals [N, 3], never below 0.
 
@@ -154,6 +148,12 @@ class Light:
         if self.sun_direction is not None:
             out[9, :3], out[10, :3] = self.sun_direction, self.sun_colour / np.pi
         return out
+
+    def turned(self, turn: F64) -> Light:
+        """The same light after everything that shines was turned by a rotation [3, 3]."""
+        matrix = sh_rotations(np.asarray(turn, np.float64), 2) * _SIGNS * _SIGNS[:, None]
+        way = None if self.sun_direction is None else np.asarray(turn, np.float64) @ self.sun_direction
+        return Light(matrix @ self.ambient, way, self.sun_colour)
 
     def same(self, other: Light | None) -> bool:
         """Whether the other one lights everything alike."""

@@ -2,8 +2,8 @@
 
 python -m tools.data.mended AVATAR.glb PERSON.npz NAME OUT.glb
 
-NAME is a recipe of persons.py. Splats stay where they are, levels and cones as well; those within
-12 mm of a touched place, which took part of its colour, take the new texture's; all others keep theirs.
+NAME is a recipe of persons.py. Splats stay where they are, levels and cones as well; those whose place no touch
+changed keep their colour.
 """
 
 from __future__ import annotations

@@ -62,9 +62,47 @@ def pages_with_copies() -> Iterator[Path]:
             yield path
 
 
+def knobs() -> Iterator[Table]:
+    """What each setting costs and saves."""
+    folder = ROOT / "out" / "measured" / "report"
+    command("report", "--quick", "-o", str(folder))
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    for scene in report["scenes"]:
+        rows = ["| knob | setting | time, of the default | PSNR, dB | largest error |", "|---|---|--:|--:|--:|"]
+        for row in scene["settings"]:
+            cells = (row["knob"], row["setting"], f"{row['ratio']:.2f}", f"{row['psnr']:.1f}", f"{row['maximum']:.3f}")
+            rows.append("| " + " | ".join(cells) + " |")
+        width, height = scene["size"]
+        yield (
+            "moving" if scene["scene"].endswith("in motion") else "still",
+            f"`glsplat report --quick`, {scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width} x\n"
+            f"{height} pixels, against `glsplat/reference.py` in float64. The default measured twice differs by\n"
+            f"{scene['noise_ms'] / scene['settings'][0]['ms']['median']:.0%}: nearer shares say nothing.",
+            "\n".join(rows),
+        )
+
+
+def poses() -> Iterator[Table]:
+    """What answers in poses cost."""
+    text = script("tools.net.poses", "--people", "1", "10", "--rate", "20", "72")
+    note = "`python -m tools.net.poses`: everybody of a room sends and draws everybody, the embedded recording."
+    yield "room", note, _markdown(text)
+    rest = "\n".join(line for line in text.splitlines() if line and not line.startswith("|"))
+    yield "work", "The same without sockets, and a thousand listeners of one speaker.", f"```\n{rest}\n```"
+
+
+def script(module: str, *words: str) -> str:
+    """What ``python -m MODULE WORDS`` prints."""
+    print("python -m", module, *words, file=sys.stderr, flush=True)
+    done = subprocess.run([sys.executable, "-m", module, *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return done.stdout.decode()
+
+
 def command(*words: str) -> str:
     """What ``glsplat WORDS`` prints."""
-    return script("apps.cli", *words)
+    print("glsplat", *words, file=sys.stderr, flush=True)
+    done = subprocess.run([sys.executable, "-m", "apps.cli", *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return done.stdout.decode()
 
 
 def frame() -> Iterator[Table]:
@@ -116,42 +154,6 @@ def stream() -> Iterator[Table]:
         yield "links", note, _markdown(text)
 
 
-def knobs() -> Iterator[Table]:
-    """What each setting costs and saves."""
-    folder = ROOT / "out" / "measured" / "report"
-    command("report", "--quick", "-o", str(folder))
-    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    for scene in report["scenes"]:
-        rows = ["| knob | setting | time, of the default | PSNR, dB | largest error |", "|---|---|--:|--:|--:|"]
-        for row in scene["settings"]:
-            cells = (row["knob"], row["setting"], f"{row['ratio']:.2f}", f"{row['psnr']:.1f}", f"{row['maximum']:.3f}")
-            rows.append("| " + " | ".join(cells) + " |")
-        width, height = scene["size"]
-        yield (
-            "moving" if scene["scene"].endswith("in motion") else "still",
-            f"`glsplat report --quick`, {scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width} x\n"
-            f"{height} pixels, against `glsplat/reference.py` in float64. The default measured twice differs by\n"
-            f"{scene['noise_ms'] / scene['settings'][0]['ms']['median']:.0%}: nearer shares say nothing.",
-            "\n".join(rows),
-        )
-
-
-def poses() -> Iterator[Table]:
-    """What answers in poses cost."""
-    text = script("tools.net.poses", "--people", "1", "10", "--rate", "20", "72")
-    note = "`python -m tools.net.poses`: everybody of a room sends and draws everybody, the embedded recording."
-    yield "room", note, _markdown(text)
-    rest = "\n".join(line for line in text.splitlines() if line and not line.startswith("|"))
-    yield "work", "The same without sockets, and a thousand listeners of one speaker.", f"```\n{rest}\n```"
-
-
-def script(module: str, *words: str) -> str:
-    """What ``python -m MODULE WORDS`` prints."""
-    print("python -m", module, *words, file=sys.stderr, flush=True)
-    done = subprocess.run([sys.executable, "-m", module, *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
-    return done.stdout.decode()
-
-
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -161,10 +163,10 @@ def _markdown(text: str) -> str:
 
 
 PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
-    "frame": ("A frame", frame),
-    "stream": ("The stream", stream),
     "knobs": ("Settings", knobs),
     "poses": ("Poses over the wire", poses),
+    "frame": ("A frame", frame),
+    "stream": ("The stream", stream),
 }
 BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
 """Pages that another script writes, of a run that takes a day."""
