@@ -62,6 +62,27 @@ def pages_with_copies() -> Iterator[Path]:
             yield path
 
 
+def command(*words: str) -> str:
+    """What ``glsplat WORDS`` prints."""
+    print("glsplat", *words, file=sys.stderr, flush=True)
+    done = subprocess.run([sys.executable, "-m", "apps.cli", *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return done.stdout.decode()
+
+
+def frame() -> Iterator[Table]:
+    """A frame stage by stage."""
+    sizes = [f"{side}x{side}" for side in SIZES]
+    exact = command("bench", "--sizes", *sizes, "--frames", "16")
+    yield (
+        "exact",
+        "`glsplat bench`, the embedded avatar, every splat of the finest level. Draw floor: the same records, already\n"
+        "projected and sorted, drawn alone. Stages are of a second renderer that waits after each.",
+        f"```\n{exact.strip()}\n```",
+    )
+    lean = command("bench", "--sizes", *sizes, "--frames", "16", "--level", "auto", "--cull-hidden")
+    yield "levels", "The same with levels of detail, without hidden splats.", f"```\n{lean.strip()}\n```"
+
+
 def knobs() -> Iterator[Table]:
     """What each setting costs and saves."""
     folder = ROOT / "out" / "measured" / "report"
@@ -96,27 +117,6 @@ def script(module: str, *words: str) -> str:
     print("python -m", module, *words, file=sys.stderr, flush=True)
     done = subprocess.run([sys.executable, "-m", module, *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
     return done.stdout.decode()
-
-
-def command(*words: str) -> str:
-    """What ``glsplat WORDS`` prints."""
-    print("glsplat", *words, file=sys.stderr, flush=True)
-    done = subprocess.run([sys.executable, "-m", "apps.cli", *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
-    return done.stdout.decode()
-
-
-def frame() -> Iterator[Table]:
-    """A frame stage by stage."""
-    sizes = [f"{side}x{side}" for side in SIZES]
-    exact = command("bench", "--sizes", *sizes, "--frames", "16")
-    yield (
-        "exact",
-        "`glsplat bench`, the embedded avatar, every splat of the finest level. Draw floor: the same records, already\n"
-        "projected and sorted, drawn alone. Stages are of a second renderer that waits after each.",
-        f"```\n{exact.strip()}\n```",
-    )
-    lean = command("bench", "--sizes", *sizes, "--frames", "16", "--level", "auto", "--cull-hidden")
-    yield "levels", "The same with levels of detail, without hidden splats.", f"```\n{lean.strip()}\n```"
 
 
 def stream() -> Iterator[Table]:
