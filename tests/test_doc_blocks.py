@@ -8,6 +8,7 @@ test that a reason names is there, too.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import contextlib
 import importlib
@@ -25,6 +26,7 @@ import pytest
 
 import glsplat
 from apps import cli
+from apps.usage import CommandParser
 from glsplat.data import person
 from glsplat.speech.sound import Sound, wav_bytes
 
@@ -35,6 +37,11 @@ PROGRAMS = {
     *("ray", "monado-service", ".venv/bin/pytest", "su", "git"),
 }
 """A block whose lines begin with none of these, and that is not fenced as a language, is a figure or a quotation."""
+OTHERS = {
+    *("--no-deps", "--shm-size", "--no-healthcheck", "--gpus", "--use-file-for-fake-audio-capture"),
+    *("--alone", "--hour", "--no-NAME", "--ignoreexternal", "--verifytypes"),
+}
+"""Options of programs that are not ours, of scripts, and a pattern."""
 WHOLE = {"python.md": "tests/api/test_examples.py", "extending.md": "tests/formats/test_own_format.py"}
 """Pages whose Python is one program, and the test that runs it."""
 
@@ -203,6 +210,33 @@ def given() -> dict[str, object]:
     head[:3, 3] = 0, 1.4, 2.0
     camera = glsplat.Camera(glsplat.look_at((0, 1.2, 2.4), (0, 1, 0)), glsplat.pinhole(512, 512), 512, 512)
     return {"glsplat": glsplat, "np": np, "camera": camera, "head_pose": head, "pose": glsplat.Pose.zero(55)}
+
+
+def options() -> set[str]:
+    """Every option of every command."""
+
+    def of(parser: argparse.ArgumentParser) -> set[str]:
+        found = {option for action in parser._actions for option in action.option_strings}
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                found |= set().union(*map(of, action.choices.values()))
+        return found
+
+    out: set[str] = set()
+    for name in cli.COMMANDS:
+        parser = CommandParser(prog=name)
+        importlib.import_module(f"apps.{cli.MODULES.get(name, name)}").add_arguments(parser)
+        out |= of(parser)
+    return out
+
+
+def test_options_that_are_named_exist() -> None:
+    known, lost = options() | OTHERS, []
+    for page in PAGES:
+        for code in re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8")):
+            named = re.findall(r"(?<![\w-])--[a-z][\w-]*", code)
+            lost += [f"{page.name}: {option}" for option in named if option not in known]
+    assert not lost and {"--fps", "--until", "--height"} < known and "--nothing" not in known
 
 
 def test_a_block_that_is_wrong_is_found(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Prints the tables of docs/evaluation.md ("Results") and of the README from an evaluation of 24 people.
+"""Writes docs/measured/evaluation.md, whose tables docs/evaluation.md shows, of an evaluation of 24 people.
 
 glsplat evaluate --participants DIR -o OUT
 python -m tools.docs.evaluation_results OUT
@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from glsplat.io.files import replace_file
+from tools.docs.measured import FOLDER, Table, page_of
 
 MEASURES = {"l1": "L1", "lpips": "LPIPS", "psnr": "PSNR", "ssim": "SSIM"}
 CONTROLS = {"tracking": "head and hands", "pose": "the true pose"}
@@ -78,7 +81,7 @@ def pairs(found: Mapping[str, Any]) -> str:
                             f"{row['p_holm']:.1g}",
                         ]
                     )
-    return table(["pair", "measure", "difference", "95 % interval", "effect", "p (Holm)"], rows)
+    return table(["methods", "measure", "difference", "95 % interval", "effect", "p (Holm)"], rows)
 
 
 def costs(found: Mapping[str, Any]) -> str:
@@ -121,16 +124,37 @@ def poses(found: Mapping[str, Any]) -> str:
     return table(["method", "of L1", "of LPIPS", "PSNR"], rows)
 
 
-def main() -> None:
-    """Print."""
-    found = json.loads((Path(sys.argv[1]) / "evaluation.json").read_text())
-    print(first(found), poses(found), along(found, "view", "views", ("psnr", "lpips")), sep="\n")
-    print(along(found, "part", "parts", ("psnr", "ssim")), pairs(found), made(found), sep="\n")
+def tables(found: Mapping[str, Any]) -> Iterator[Table]:
+    """Of the page."""
+    yield "methods", "Mean over people and, in brackets, their standard deviation, and the paper's.", first(found)
+    yield "pose", "What the true pose takes off the error of head-and-hands tracking.", poses(found)
+    about = "PSNR and LPIPS of the whole square under the true pose."
+    yield "sides", about, along(found, "view", "views", ("psnr", "lpips"))
+    about = "PSNR and SSIM of the part's own pixels under the true pose."
+    yield "parts", about, along(found, "part", "parts", ("psnr", "ssim"))
+    about = "Under the true pose; `glsplat.evaluate.statistics`, Holm's correction."
+    yield "pairs", about, pairs(found)
+    yield "made", "Making one avatar: medians of one core beside another job.", made(found)
     if found["timing"]:
-        print(costs(found))
-        for one in found["timing"]["latency"]:
-            print(one["method"], *("; ".join(map(str, row)) for row in one["rows"]), sep="\n  ")
-    print(found["drivers"], found["machine"], found["date"], found["made_by"], found["failures"], sep="\n")
+        about = (
+            "Drawing one avatar: medians of 30 frames that took turns, read back; memory of a renderer of both eyes."
+        )
+        yield "costs", about, costs(found)
+
+
+def page(found: Mapping[str, Any]) -> bytes:
+    """docs/measured/evaluation.md."""
+    said = f"Commit {found['made_by']}, {found['date']}. {found['drivers']}; {found['machine']}.\n"
+    said += f"Failed: {found['failures'] or 'none'}."
+    how = "python -m tools.docs.evaluation_results out/evaluation"
+    own = ((name, about, markdown.strip()) for name, about, markdown in tables(found))
+    return page_of("Avatars compared with people", how, said, own)
+
+
+def main() -> None:
+    """Write."""
+    found = json.loads((Path(sys.argv[1]) / "evaluation.json").read_text())
+    replace_file(FOLDER / "evaluation.md", [page(found)])
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from apps.demo import running_server
@@ -91,41 +91,6 @@ def frame() -> Iterator[Table]:
     yield "levels", "The same with levels of detail, without hidden splats.", f"```\n{lean.strip()}\n```"
 
 
-def stream() -> Iterator[Table]:
-    """Pictures over the wire, server and client on this machine."""
-    sizes = [str(side) for side in SIZES]
-    common = ("demo", "-o", str(ROOT / "out" / "measured"), "--seconds", "6", "--sizes", *sizes, "--json")
-    exact = json.loads(command(*common, "--exact"))["runs"]
-    lean = json.loads(command(*common))["runs"]
-    rows = [
-        "| from raw tracking to decoded JPEG, both eyes | " + " | ".join(f"2 x {side}^2" for side in SIZES) + " |",
-        "|---|" + "--:|" * len(SIZES),
-    ]
-    for name, runs in (("every splat (`--exact`)", exact), ("as `serve` draws it", lean)):
-        cells = [f"{run['fps']:.0f} a second, {run['age_ms']['median']:.0f} ms old" for run in runs.values()]
-        rows.append(f"| {name} | " + " | ".join(cells) + " |")
-    yield "summary", "`glsplat demo`: pictures shown a second, and the median age of the one on show.", "\n".join(rows)
-    ours = [lean[f"{side}x{side}"]["stages_ms"] for side in (512, 1024)]
-    rows = ["| stage | paper | glsplat, 2 x 512^2 | p95 | glsplat, 2 x 1024^2 | p95 |", "|---|--:|--:|--:|--:|--:|"]
-    for key, (name, paper) in PAPER.items():
-        cells = [f"{run[key][part]:.1f}" for run in ours for part in ("median", "p95")]
-        rows.append(f"| {name} | {paper} | " + " | ".join(cells) + " |")
-    yield (
-        "paper",
-        "Medians in ms beside the paper's appendix (localhost, 2 x 1024^2, a CUDA rasterizer on a desktop GPU).\n"
-        "Both columns of glsplat are drawn by a CPU.",
-        "\n".join(rows),
-    )
-    with running_server(None) as url:
-        for side in (512, 1024):
-            text = command("replay", "--url", url, "--size", str(side), "--frames", "432", "--compare")
-            yield f"policies-{side}", f"`glsplat replay --compare`, loopback, 2 x {side}^2.", _markdown(text)
-        links = [word for link in LINKS for word in ("--link", link)]
-        text = command("replay", "--url", url, "--size", "512", "--frames", "288", "--compare", *links)
-        note = "Over simulated links (a relay in user space; no loss, no jitter), 2 x 512^2."
-        yield "links", note, _markdown(text)
-
-
 def knobs() -> Iterator[Table]:
     """What each setting costs and saves."""
     folder = ROOT / "out" / "measured" / "report"
@@ -178,6 +143,41 @@ def tracking() -> Iterator[Table]:
     )
 
 
+def stream() -> Iterator[Table]:
+    """Pictures over the wire, server and client on this machine."""
+    sizes = [str(side) for side in SIZES]
+    common = ("demo", "-o", str(ROOT / "out" / "measured"), "--seconds", "6", "--sizes", *sizes, "--json")
+    exact = json.loads(command(*common, "--exact"))["runs"]
+    lean = json.loads(command(*common))["runs"]
+    rows = [
+        "| from raw tracking to decoded JPEG, both eyes | " + " | ".join(f"2 x {side}^2" for side in SIZES) + " |",
+        "|---|" + "--:|" * len(SIZES),
+    ]
+    for name, runs in (("every splat (`--exact`)", exact), ("as `serve` draws it", lean)):
+        cells = [f"{run['fps']:.0f} a second, {run['age_ms']['median']:.0f} ms old" for run in runs.values()]
+        rows.append(f"| {name} | " + " | ".join(cells) + " |")
+    yield "summary", "`glsplat demo`: pictures shown a second, and the median age of the one on show.", "\n".join(rows)
+    ours = [lean[f"{side}x{side}"]["stages_ms"] for side in (512, 1024)]
+    rows = ["| stage | paper | glsplat, 2 x 512^2 | p95 | glsplat, 2 x 1024^2 | p95 |", "|---|--:|--:|--:|--:|--:|"]
+    for key, (name, paper) in PAPER.items():
+        cells = [f"{run[key][part]:.1f}" for run in ours for part in ("median", "p95")]
+        rows.append(f"| {name} | {paper} | " + " | ".join(cells) + " |")
+    yield (
+        "paper",
+        "Medians in ms beside the paper's appendix (localhost, 2 x 1024^2, a CUDA rasterizer on a desktop GPU).\n"
+        "Both columns of glsplat are drawn by a CPU.",
+        "\n".join(rows),
+    )
+    with running_server(None) as url:
+        for side in (512, 1024):
+            text = command("replay", "--url", url, "--size", str(side), "--frames", "432", "--compare")
+            yield f"policies-{side}", f"`glsplat replay --compare`, loopback, 2 x {side}^2.", _markdown(text)
+        links = [word for link in LINKS for word in ("--link", link)]
+        text = command("replay", "--url", url, "--size", "512", "--frames", "288", "--compare", *links)
+        note = "Over simulated links (a relay in user space; no loss, no jitter), 2 x 512^2."
+        yield "links", note, _markdown(text)
+
+
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -187,12 +187,14 @@ def _markdown(text: str) -> str:
 
 
 PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
-    "frame": ("A frame", frame),
-    "stream": ("The stream", stream),
     "knobs": ("Settings", knobs),
     "poses": ("Poses over the wire", poses),
     "tracking": ("Tracking", tracking),
+    "frame": ("A frame", frame),
+    "stream": ("The stream", stream),
 }
+BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
+"""Pages that another script writes, of a run that takes a day."""
 
 
 def written(page: str) -> bytes:
@@ -200,17 +202,18 @@ def written(page: str) -> bytes:
     title, measure = PAGES[page]
     facts, load = machine(), os.getloadavg()[0]
     driver = json.loads(command("bench", "--static", "--sizes", "64x64", "--frames", "3", "--json"))["driver"]
-    text = [
-        f"# {title}, measured",
-        "",
-        "<!-- not run: minutes of a quiet machine -->",
-        "",
-        f"    python -m tools.docs.measured {page}        # wrote this page",
-        "",
-        f"Commit {facts['commit']}, {facts['date']}. {driver}; {facts['machine']}, {facts['cores']} cores,",
-        f"load {load:.1f} before. Times of one table can be compared; those of other machines and days cannot.",
-    ]
-    for name, about, table in measure():
+    said = (
+        f"Commit {facts['commit']}, {facts['date']}. {driver}; {facts['machine']}, {facts['cores']} cores,\n"
+        f"load {load:.1f} before. Times of one table can be compared; those of other machines and days cannot."
+    )
+    return page_of(title, f"python -m tools.docs.measured {page}", said, measure())
+
+
+def page_of(title: str, how: str, said: str, found: Iterable[Table]) -> bytes:
+    """Such a page: the command that writes it, what it was measured on, and the tables."""
+    mark = "<!-- not run: minutes of a quiet machine, or hours -->"
+    text = [f"# {title}, measured", "", mark, "", f"    {how}        # wrote this page", "", said]
+    for name, about, table in found:
         text += ["", f"## {name}", "", about, "", f"<!-- table: {name} -->", "", table, "", "<!-- end -->"]
     return ("\n".join(text) + "\n").encode()
 

@@ -76,13 +76,13 @@ def photo() -> None:
         turns = np.array(json.loads(picture.with_suffix(".json").read_bytes())["pose"])
         pose.write_text(json.dumps({k: np.asarray(v).tolist() for k, v in glsplat.Pose(turns).to_smplx().items()}))
         run("avatar", "photo", str(picture), "-o", str(avatar))
-        row = [cv2.imread(str(picture))]
+        row = [read(picture)]
         for i, eye in zip(count(), ((0.0, 1.0, 2.9), (2.1, 1.0, 2.1), (-2.4, 1.0, -1.7))):
             shot = Path(made) / f"{i}.png"
             place = ",".join(map(str, eye))
             run("render", str(avatar), "--eye", place, "--target", "0,0.92,0", "--background", "0.86,0.86,0.88",
                 "--size", "600x900", "--fov", "40", "--pose", str(pose), "-o", str(shot))  # fmt: skip
-            row.append(cv2.imread(str(shot)))
+            row.append(read(shot))
     height = 520
     tiles = [
         cv2.resize(t, (round(t.shape[1] * height / t.shape[0]), height), interpolation=cv2.INTER_AREA) for t in row
@@ -106,8 +106,15 @@ def room() -> None:
             init = settings(size=768, room="lab", name=name, avatar=avatar, driver="motion:idle")
             page = stack.enter_context(page_of(browser, served.page, init, (1280, 720), xr=False))
         page.until("window.glsplat.stats().shown > 12", 240)
-        shot = np.frombuffer(page.page.screenshot(), np.uint8)
-    write_jpeg("readme-room", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
+        shot = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
+    write_jpeg("readme-room", np.asarray(shot))
+
+
+def read(path: Path) -> np.ndarray:
+    """A picture as OpenCV has it."""
+    image = cv2.imread(str(path))
+    assert image is not None
+    return image
 
 
 def run(*words: str) -> None:

@@ -121,8 +121,7 @@ def main(folder: Path, names: list[str]) -> None:
             with page_of(browser, served.page, init, (1280, 800), xr=False) as page:
                 page.until("window.glsplat.stats().shown > 6", PATIENCE)
                 page.until("document.querySelector('#people img') !== null", PATIENCE)
-                shot = np.frombuffer(page.page.screenshot(), np.uint8)
-                save(folder, "vr-page", cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., ::-1])
+                save(folder, "vr-page", shot_of(page, {"x": 0, "width": 1280}))
         if "photo" in names:
             save(folder, "vr-photo", photo(browser))
 
