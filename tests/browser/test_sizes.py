@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
+from glsplat.net.pages.qr import svg
 from tests.browser.flat_page import flat_page
 
 MAIN = """
@@ -44,3 +47,26 @@ def test_the_controls_leave_the_window_to_the_avatar(chromium: Any, size: tuple[
             assert min(wide, high) >= 44, button.inner_text()
         text = float(page.evaluate("parseFloat(getComputedStyle(document.getElementById('who')).fontSize)"))
         assert text >= max(16, min(width, height) / 110)  # a wall is read from afar
+
+
+SHOWN = """
+import { Elsewhere } from '/vr/show/elsewhere.js';
+const found = { page: 'https://192.168.1.7:8000/vr', local: false };
+window.other = new Elsewhere(document, async () => ({ ...found, svg: window.code }));
+window.tried = true;
+"""
+
+
+@pytest.mark.parametrize("width", [320, 1280, 3840])
+def test_the_code_for_another_device_is_whole_at_any_size(chromium: Any, width: int) -> None:
+    """As the dialog shows it it is read again: nothing of it is cut off."""
+    address = "https://192.168.1.7:8000/vr"
+    with flat_page(chromium, SHOWN, viewport={"width": width, "height": 800}) as page:
+        page.wait_for_function("() => window.tried", polling=50)
+        page.evaluate("(code) => { window.code = code; return other.open(); }", svg(address))
+        picture = page.locator("#code img")
+        page.wait_for_timeout(200)
+        assert picture.evaluate("async (image) => { await image.decode(); return image.naturalWidth; }") > 100
+        seen = cv2.imdecode(np.frombuffer(picture.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        seen = cv2.copyMakeBorder(seen, 20, 20, 20, 20, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+        assert cv2.QRCodeDetector().detectAndDecode(cv2.resize(seen, None, fx=2, fy=2))[0] == address
