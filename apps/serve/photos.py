@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.models.catalogue import PHOTO
 from glsplat.models.store import path_of
+from glsplat.net.guard.access import is_loopback
 from glsplat.net.uploads.job import LowConfidenceError, Order, Progress, UploadConfig
 
 from ..usage import UsageError
@@ -39,7 +41,9 @@ def upload_config(args: argparse.Namespace) -> UploadConfig | None:
         raise UsageError("--cull-hidden needs avatars with cones, those of --allow-upload have none: leave one out")
     for model in PHOTO.models:
         path_of(model.name)
-    return UploadConfig(folder=args.allow_upload, make=make_avatar)
+    # on its user's own machine drawing steps back (net/server.py); elsewhere others look on meanwhile, and go first
+    config = UploadConfig(folder=args.allow_upload, make=make_avatar)
+    return replace(config, nice=0) if is_loopback(args.host) else config
 
 
 def make_avatar(order: Order, progress: Progress) -> Avatar:

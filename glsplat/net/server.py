@@ -154,8 +154,8 @@ class Server:
         own = (*self._splat_files.routes(), *pages.routes(), *self._previews.routes())
         app.add_routes([web.get("/ws", self._websocket), *own])
         if (uploads := self._uploads) is not None:
-            app.add_routes(self._uploads.open(self.gate, self._offers.add, self._withdraw))
-            if isinstance(self.render_loop, LocalLoop) and is_loopback(self.config.access.host):  # its user's own machine
+            app.add_routes(uploads.open(self.gate, self._offers.add, self._withdraw))
+            if isinstance(self.render_loop, LocalLoop) and is_loopback(self.config.access.host):  # one's own
                 self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
             app.add_routes(self._lead.open(self._end))

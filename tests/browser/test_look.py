@@ -62,7 +62,7 @@ def test_the_page_shows_somebody_in_a_lit_place(
     free = page.js("""() => ['top', 'dock'].map((id) => document.getElementById(id).getBoundingClientRect())
       .map(({top, bottom}) => [top, bottom])""")
     (_, above), (below, _) = free
-    assert (below - above) / size[1] > (0.45 if size[0] < 400 else COVERED)
+    assert (below - above) / size[1] > (0.55 if size[0] < 400 else COVERED)
     image = shot(page)
     shirt = blue(image)
     rows, columns = np.nonzero(shirt[int(above) : int(below)])

@@ -10,7 +10,9 @@ from typing import Any, ClassVar
 
 import pytest
 
+from glsplat.data import default_avatar
 from glsplat.net.backend import AvatarInfo
+from glsplat.net.backends.server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.certificate import kept_certificate
 from glsplat.net.server import ServerConfig
@@ -217,19 +219,15 @@ def test_a_phone_has_room_for_it(open_page: OpenPage, stored: Any) -> None:
 
 
 def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: OpenPage, serve: Any) -> None:
-    from glsplat.data import default_avatar
-    from glsplat.net.backends.server import make_server
-    from tests.browser.served import Served
-
-    with Served(make=lambda config: make_server(default_avatar(), config)) as served:
-        page = open_page(None, xr=None)
-        page.page.add_init_script("""
-          const look = () => window.glsplat?.stats().shown > 0 ? (window.seen = performance.getEntriesByType('resource')
-            .map(({ name }) => name)) : requestAnimationFrame(look);
-          requestAnimationFrame(look);""")
-        page.page.goto(served.page)
-        seen = {name.split("?")[0].removeprefix(served.origin) for name in page.until("window.seen")}
-        html = page.page.request.get(f"{served.page}/").text()
+    served = serve(make=lambda config: make_server(default_avatar(), config))
+    page = open_page(None, xr=None)
+    page.page.add_init_script("""
+      const look = () => window.glsplat?.stats().shown > 0 ? (window.seen = performance.getEntriesByType('resource')
+        .map(({ name }) => name)) : requestAnimationFrame(look);
+      requestAnimationFrame(look);""")
+    page.page.goto(served.page)
+    seen = {name.split("?")[0].removeprefix(served.origin) for name in page.until("window.seen")}
+    html = page.page.request.get(f"{served.page}/").text()
     preloaded = {f"/vr/{part.split(chr(34))[0]}" for part in html.split('modulepreload" href="')[1:]}
     # the decoder's worker starts by itself; all other modules are known from the page's first bytes
     assert {name for name in seen if name.endswith(".js")} == preloaded and len(preloaded) > 30
@@ -246,7 +244,7 @@ COUNT = """
 
 
 def test_a_frame_like_the_last_one_is_left_on_the_screen(open_page: OpenPage, stored: Any) -> None:
-    page = open_page(None, xr=None)
+    page = open_page(None, xr=None, allow=["Applying inline style"])  # of the picture of the canvas
     page.page.add_init_script(COUNT)
     page.page.goto(stored.page)
     page.until("window.glsplat?.stats().shown > 1")

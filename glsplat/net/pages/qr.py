@@ -42,14 +42,13 @@ class QrCodes:
 
 
 def svg(text: str) -> str:
-    """An <svg> element to stand in HTML or in a file, black on white, four pixels a module; ``text`` is its title."""
+    """An <svg> element to stand in HTML, black on white, four pixels a module; ``text`` is its title."""
     import segno
 
     code = segno.make(text, micro=False)
     drawn: str = code.svg_inline(scale=4, border=_BORDER, light="#fff", svgclass=None, lineclass=None, title=text)
     width, height = code.symbol_size(scale=4, border=_BORDER)
-    # a view box, or a page that makes it smaller cuts it off
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" '
+    head = f'<svg viewBox="0 0 {width} {height}" role="img" '  # or a page that makes it smaller cuts it off
     return drawn.replace("<svg ", head, 1)
 
 

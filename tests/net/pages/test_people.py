@@ -6,14 +6,16 @@ import asyncio
 import json
 import pickle
 import threading
+from dataclasses import replace
 
 import aiohttp
+import pytest
 
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import PEOPLE, default_avatar, person
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import WithPeople
-from glsplat.net.backends.server import make_server
+from glsplat.net.backends.server import make_server, offered
 from glsplat.net.server import Server, ServerConfig
 from tests.net.conftest import FakeBackend
 
@@ -93,3 +95,11 @@ def test_the_process_that_draws_is_told_names_and_loads_what_is_chosen():
     assert len(pickle.dumps(avatars)) < 1000 and list(avatars) == list(PEOPLE) and "nobody" not in avatars
     assert avatars[PEOPLE[1]].skeleton.names == person(PEOPLE[1]).skeleton.names
     assert WithPeople(given, PEOPLE)[PEOPLE[0]] is given[PEOPLE[0]] and len(WithPeople(given, PEOPLE)) == len(PEOPLE)
+
+
+@pytest.mark.parametrize("title", ["<b>x</b>", "a" * 33, 7, None, ["Ann"], "\u202egnp.exe", ""])
+def test_what_a_file_calls_somebody_is_looked_at(title):
+    """Whoever wrote the file may have written anything: what is no name is none."""
+    avatar = default_avatar()
+    assert offered("x", replace(avatar, meta=dict(avatar.meta) | {"title": title})).title == ""
+    assert offered("x", replace(avatar, meta=dict(avatar.meta) | {"title": "Ann O'Neil"})).title == "Ann O'Neil"

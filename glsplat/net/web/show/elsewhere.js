@@ -1,5 +1,7 @@
 // How another device gets to this page: one sentence, and where an address helps, its QR code.
 
+const FILE = '<svg xmlns="http://www.w3.org/2000/svg" '; // what makes an element a picture of its own
+
 /** Opens the dialog #code; `ask()` promises {page, local, svg} of the server (docs/protocol.md), or null. */
 export class Elsewhere {
   #get;
@@ -18,7 +20,7 @@ export class Elsewhere {
     this.#get('code-address').textContent = address;
     const image = new Image();
     image.alt = 'The address as a QR code';
-    if (svg) image.src = URL.createObjectURL(new Blob([svg], { type: 'image/svg+xml' }));
+    if (svg) image.src = URL.createObjectURL(new Blob([svg.replace('<svg ', FILE)], { type: 'image/svg+xml' }));
     this.#get('code-picture').replaceChildren(...(svg ? [image] : []));
     this.#get('code').showModal();
   }
