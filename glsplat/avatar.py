@@ -66,8 +66,8 @@ class Avatar:
         Those whose weight there is above one half. Raises PoseError where there is no such joint.
 
         >>> person = glsplat.default_avatar()
-        >>> person, person.without("head")
-        (Avatar(40000 splats, 55 joints, 4 a splat, 3 levels), Avatar(32400 splats, 55 joints, 4 a splat, 3 levels))
+        >>> person.without("head")
+        Avatar(25672 splats, 55 joints, 4 a splat, 52 shapes, 3 levels)
         """
         return self._part(joint, False)
 
@@ -75,7 +75,7 @@ class Avatar:
         """The splats that ``without(joint)`` leaves out, on the same skeleton.
 
         >>> glsplat.default_avatar().only("head")
-        Avatar(7600 splats, 55 joints, 4 a splat, 3 levels)
+        Avatar(14328 splats, 55 joints, 4 a splat, 52 shapes, 3 levels)
         """
         return self._part(joint, True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
@@ -11,8 +12,12 @@ import pytest
 
 from apps.args import load_avatar
 from apps.cli import main
-from glsplat.data import PEOPLE, default_avatar, embedded_file, person
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.data import DEFAULT, PEOPLE, default_avatar, embedded_file, person
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.light.light import Light
+from glsplat.renderer import Renderer
+from glsplat.scene import Item, Scene
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -46,21 +51,47 @@ def test_lids_close_the_mouth_opens_and_eyes_turn_about_their_middles(name: str)
         assert len(ball) > 300 and np.quantile(distance, 0.95) - np.quantile(distance, 0.05) < 0.0025
 
 
+@pytest.mark.gl
+@pytest.mark.parametrize("name", PEOPLE)
+def test_light_falls_on_each_from_where_it_is(renderer_of: Callable[..., Renderer], name: str) -> None:
+    avatar = person(name)
+    for one in (avatar, *(level.content for level in avatar.levels)):
+        surface = one.splats.surface
+        assert surface is not None and surface.shade is None  # colours are albedo
+        assert (np.linalg.norm(surface.normals / 127, axis=1) > 0.97).mean() > 0.99
+        assert surface.ao.min() >= 0.24 and np.median(surface.ao) > 0.6 and surface.ao.max() > 0.9
+    eyes = avatar.skeleton.joints[[avatar.skeleton.names.index(f"{side}_eye_smplhf") for side in ("left", "right")]]
+    middle = eyes.mean(axis=0) + (0, -0.04, 0)
+    view = Camera(look_at(middle + (0, 0, 0.8), middle), pinhole(96, 96, 18.0), 96, 96)
+    left, right = (
+        renderer_of(Scene([Item(avatar)], light=Light.preset(way)), (96, 96)).render([view])[0][..., :3].mean(axis=2)
+        for way in ("left", "right")
+    )
+    cheeks = (left - right)[40:70, 26:40].mean(), (left - right)[40:70, 56:70].mean()
+    assert cheeks[0] > 0.03 and cheeks[1] < -0.03  # "left" is the side of the picture
+
+
+def test_the_one_shown_by_default_is_one_of_them_with_coarser_levels() -> None:
+    avatar = default_avatar()
+    assert avatar is person(DEFAULT) and [len(level.content.splats) for level in avatar.levels]
+    assert avatar.splats.cones is not None and all(one.content.splats.cones is not None for one in avatar.levels)
+
+
 def test_they_are_different_people() -> None:
     spans = [float(np.ptp(person(name).splats.means[:, 0])) for name in PEOPLE]  # from hand to hand
-    assert max(spans) - min(spans) > 0.03
+    assert min(abs(a - b) for i, a in enumerate(spans) for b in spans[:i]) > 0.03
     colours = [person(name).splats.sh[:, 0].mean(axis=0) for name in PEOPLE]
     assert min(np.abs(a - b).max() for i, a in enumerate(colours) for b in colours[:i]) > 0.1
 
 
 def test_each_is_read_once() -> None:
-    assert person("ben") is person("ben") is default_avatar()
+    assert person("anna") is person("anna") is not default_avatar()
 
 
 def test_another_name_is_refused_in_one_line() -> None:
-    with pytest.raises(FormatError, match="the embedded people are anna, ben, not 'dora'"):
+    with pytest.raises(FormatError, match="the embedded people are anna, ben, mei, not 'dora'"):
         person("dora")
-    with pytest.raises(GlsplatError, match=r"--avatar dora: no such file, nor an embedded person \(anna or ben\)"):
+    with pytest.raises(GlsplatError, match=r"--avatar dora: no such file, nor an embedded person \(anna, ben or mei\)"):
         load_avatar("dora", "--avatar")
 
 

@@ -12,7 +12,7 @@ from glsplat.formats.gltf.splats import load_gltf
 
 __all__ = ["DEFAULT", "PEOPLE", "default_avatar", "embedded_file", "participants_folder", "person"]
 
-PEOPLE: tuple[str, ...] = ("anna", "ben")
+PEOPLE: tuple[str, ...] = ("anna", "ben", "mei")
 """The embedded people with faces that move, each a file of people/."""
 
 DEFAULT: str = "ben"

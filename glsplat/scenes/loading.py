@@ -23,7 +23,7 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
 
     >>> glsplat.save(glsplat.default_avatar(), "me.glb")
     >>> glsplat.load("me.glb")
-    Avatar(40000 splats, 55 joints, 4 a splat, 3 levels)
+    Avatar(40000 splats, 55 joints, 4 a splat, 52 shapes, 3 levels)
     """
     with opened(source, strict) as start:
         if format is None and is_scene_file(start):

@@ -30,11 +30,11 @@ from glsplat.avatar import Avatar
 from glsplat.formats.gltf.morphs import SHORT
 from glsplat.formats.person import read_person
 from glsplat.formats.registry import save
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.splats import normalised
-from tools.data.touched import darker_palms, plain_sleeves
+from tools.data.touched import calmer, darker_palms, plain_sleeves, without_dots
 
 Touch = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 SAMPLER = SamplerConfig(hand_share=0.097, head_share=0.32, face_boost=3.5, eye_boost=12.0, probe=400)
@@ -57,6 +57,12 @@ class Recipe:
     touches: tuple[tuple[str, Touch], ...] = ()  # end of a part's name, and what is done to its texture
     left_out: tuple[str, ...] = ("eyelashes",)  # parts by the end of their names; lashes are splats of their own
 
+    def touched(self, part: MeshPart) -> MeshPart:
+        """The part with what is done to its texture."""
+        for end, touch in self.touches:
+            part = replace(part, texture=touch(part.texture)) if part.name.endswith(end) else part
+        return part
+
 
 PEOPLE = {
     "ben": Recipe(
@@ -70,21 +76,21 @@ PEOPLE = {
         iris="blue",
         source="hm08 body, female_casualsuit01, male_casualsuit04, shoes05, long01, eyebrow002, "
         "young_lightskinned_female_diffuse",
+        touches=(("top", without_dots),),
     ),
     "mei": Recipe(
         archive="p15.npz",
         iris="brown",
         source="hm08 body, female_casualsuit01, male_casualsuit02, shoes01, short02, eyebrow006, "
         "old_lightskinned_female_diffuse2",
+        touches=(("top", calmer),),
     ),
 }
 
 
 def furnished(mesh: RiggedMesh, recipe: Recipe) -> RiggedMesh:
     """The person with all that a face needs."""
-    parts = [part for part in mesh.parts if not part.name.endswith(recipe.left_out)]
-    for end, touch in recipe.touches:
-        parts = [replace(p, texture=touch(p.texture)) if p.name.endswith(end) else p for p in parts]
+    parts = [recipe.touched(part) for part in mesh.parts if not part.name.endswith(recipe.left_out)]
     mesh = replace(mesh, parts=tuple(parts))
     same, count = matched(mesh), len(mesh.vertices)
     moving = with_expressions(mesh, same)

@@ -1,4 +1,4 @@
-"""Textures of MakeHuman's people, mended: pale palms of dark skins, and a stripe that looks like a tear on splats."""
+"""Textures of MakeHuman's people, mended: pale palms of dark skins, and what looks torn or blurred on splats."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ _HANDS = (0.80, 1.0, 0.34, 0.78)  # rows and columns of the skin's texture that 
 _ARM = (0.145, 0.20, 0.02, 0.12)  # an upper arm, whose colour the skin has
 _PALE = 0.35  # of the difference to the arm that palms keep
 _PRINT = (0.10, 0.24, 0.48, 0.64)  # the figure on the chest, which stays
+_CLOTH = np.array([38, 92, 98])  # sRGB of a shirt without its dots
+_CALM = 0.35  # of the difference to the colours around
 
 
 def darker_palms(texture: U8) -> U8:
@@ -38,6 +40,28 @@ def plain_sleeves(texture: U8) -> U8:
     mask = cv2.dilate(orange, np.ones((7, 7), np.uint8))
     out = texture.copy()
     out[..., :3] = cv2.inpaint(np.ascontiguousarray(texture[..., :3]), mask, 5, cv2.INPAINT_TELEA)
+    return out
+
+
+def without_dots(texture: U8) -> U8:
+    """[H, W, 4] a shirt of one colour, shaded as cloth is: its dots are stretched and blurred at the collar."""
+    height, width = texture.shape[:2]
+    rng = np.random.default_rng(0)
+    shade = np.zeros((height, width))
+    for cells, strength in ((6, 0.04), (30, 0.035), (160, 0.02)):  # drapes, creases and the weave
+        noise = rng.normal(0, strength, (cells, cells)).astype(np.float32)
+        shade += cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
+    out = texture.copy()
+    out[..., :3] = np.rint(_CLOTH * np.clip(1 + shade, 0.6, 1.5)[..., None]).clip(0, 255)
+    return out
+
+
+def calmer(texture: U8) -> U8:
+    """[H, W, 4] a checked shirt with a third of its contrast: few splats cannot hold so many bright lines."""
+    colour = texture[..., :3].astype(np.float64)
+    even = cv2.GaussianBlur(colour, (0, 0), texture.shape[0] / 40)
+    out = texture.copy()
+    out[..., :3] = np.rint(even + _CALM * (colour - even)).clip(0, 255)
     return out
 
 

@@ -252,4 +252,5 @@ def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
 def _fits(moves: NDArray[np.float64], units: NDArray[np.float32]) -> bool:
     """Whether all moves are whole numbers of those units, as a file that was written here has them."""
     steps = moves / np.maximum(units, np.float32(1e-30))[:, None]
-    return bool((units >= 0).all() and (np.abs(steps - np.rint(steps)) < 0.01).all() and (np.abs(steps) < 32768).all())
+    off = np.abs(steps - np.rint(steps)).max(initial=0)
+    return bool((units >= 0).all() and off < 0.01 and np.abs(steps).max(initial=0) < 32768)

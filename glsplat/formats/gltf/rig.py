@@ -153,8 +153,11 @@ def read_influences(container: Container, instance: Instance, count: int) -> Inf
         raise FormatError(f"{where}: JOINTS and WEIGHTS need {count} elements of whole numbers, as POSITION has")
     joints, weights = np.hstack(ids).astype(np.int64), np.hstack([values for values, _ in read])
     bad = np.hstack([dropped for _, dropped in read])
-    mended: NDArray[np.bool_] = np.any(bad, axis=1)
-    rooted: NDArray[np.bool_] = np.logical_and(mended, weights.max(axis=1, initial=0) <= 0)
+    mended: NDArray[np.bool_] = np.zeros(count, bool)
+    rooted: NDArray[np.bool_] = np.zeros(count, bool)
+    if bad.any():
+        mended = np.any(bad, axis=1)
+        rooted = np.logical_and(mended, weights.max(axis=1, initial=0) <= 0)
     if rooted.any():
         rows = np.flatnonzero(rooted)
         slots = bad[rows].argmax(axis=1)  # of what was dropped: what else the row holds, be it negative, stays
@@ -184,7 +187,7 @@ def read_skin(container: Container, instance: Instance, joints: int, count: int,
     stored = noted if isinstance(noted, dict) else {}
     found = read_influences(container, instance, count)
     ids_all, w = found.joints, found.weights
-    used = int((w != 0).sum(axis=1).max(initial=1))
+    used = int(np.einsum("nk->n", (w != 0).astype(np.uint8)).max(initial=1))
     influences = next(k for k in INFLUENCES if k >= used)
     sorted_rows = bool((w[:, 1:-1] >= w[:, 2:]).all()) and bool((w >= 0).all()) and bool((w[:, 0] > 0).all())
     whole = sorted_rows and not found.mended.any()
