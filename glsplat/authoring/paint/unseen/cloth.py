@@ -118,7 +118,7 @@ class _Rows:
     @property
     def places(self) -> F64:
         """[R] metres along the axis."""
-        return self.first + _STEP * np.arange(len(self.colour))
+        return np.asarray(self.first + _STEP * np.arange(len(self.colour)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +356,7 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
         strap = mine & cloth
         if trust[strap].sum() < max(_COVERED * trust[mine].sum(), _FEWEST / 3):
             continue
-        last = row
+        last = int(row)
         colour[row], spread = _most(look[strap], trust[strap])
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)
