@@ -60,7 +60,6 @@ _ARMPIT = 0.07  # metres below the shoulder joints
 _BELOW = 0.25  # metres below the armpits that the upper garment's colour is taken from
 _STRANGE = 1.5, 3.0  # tolerances: from the first on a colour is doubted, from the second on it is not believed
 _PALM = 0.7, 1.8  # of a hand's colour, how bright its parts may be
-_HEM = 2.5  # square roots of linear light that a metre counts as: the cloth above a hem hangs over what is below it
 _LIKE_OTHER = 0.15  # how near a colour lies to the thing it is of
 _SHALLOW = 0.016  # of the person's height: so near to its outline a part of the body may show something else
 
@@ -119,7 +118,7 @@ class _Rows:
     @property
     def places(self) -> F64:
         """[R] metres along the axis."""
-        return self.first + _STEP * np.arange(len(self.colour))
+        return np.asarray(self.first + _STEP * np.arange(len(self.colour)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,17 +158,7 @@ class Cloth:
             if rows and which.any():
                 other[which] = np.minimum(other[which], cKDTree(np.concatenate(rows)).query(look[some][which])[0])
         sure = ((away[some] - _STRANGE[0]) / (_STRANGE[1] - _STRANGE[0])).clip(0, 1)
-        sure *= other < np.minimum(0.5 * away[some] * ground.tolerance[some], _LIKE_OTHER)
-        where = points.at(self.rest)[some]
-        for numbers in (_BODY, *((number,) for number in _SLEEVES)):
-            rows = [each for k in numbers if (each := self.rows[k]) is not None]
-            which = np.flatnonzero((sure > 0) & np.isin(mine[some], numbers))
-            if rows and len(which):  # what is worn a little above or below hangs there, and is not another thing
-                worn = np.concatenate([np.column_stack([each.colour, _HEM * each.places]) for each in rows])
-                along = where[which, 1] if rows[0].axis else np.abs(where[which, 0])
-                hem = cKDTree(worn).query(np.column_stack([look[some[which]], _HEM * along]))[0]
-                sure[which[hem < _STRANGE[0] * ground.tolerance[some[which]]]] = 0.0
-        out[some] = sure
+        out[some] = sure * (other < np.minimum(0.5 * away[some] * ground.tolerance[some], _LIKE_OTHER))
         return out
 
     def at(self, points: SurfacePoints) -> Ground:
@@ -367,7 +356,7 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
         strap = mine & cloth
         if trust[strap].sum() < max(_COVERED * trust[mine].sum(), _FEWEST / 3):
             continue
-        last = row
+        last = int(row)
         colour[row], spread = _most(look[strap], trust[strap])
         tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
         edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)

@@ -11,6 +11,7 @@ import pytest
 from glsplat.authoring.paint.paint import Painter, painter_of
 from glsplat.authoring.paint.scatter import even_points
 from glsplat.authoring.paint.shot import FittedPicture, SurfacePoints
+from glsplat.authoring.paint.unseen.cloth import Ground
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_linear
 from tests.authoring.paint import scene as made_up
@@ -99,6 +100,37 @@ def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch, wide:
     assert len(middle) > 5 and np.abs(hue(middle) - hue(SHIRT[None])).max() < 0.15
     beside = unlit(painter, of(points, back & (np.abs(where[:, 0]) > wide + 0.02) & (np.abs(where[:, 0]) < 0.14)))
     assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
+
+
+def test_shoulders_are_covered_beside_a_neckline(monkeypatch: pytest.MonkeyPatch) -> None:
+    def shirt(mesh: object) -> np.ndarray:
+        colours = albedo(mesh)
+        where = mesh.vertices / mesh.vertices[:, 1].max()
+        colours[(where[:, 1] > 0.815) & (np.abs(where[:, 0]) < 0.06) & (where[:, 2] > 0)] = SKIN
+        colours[(where[:, 1] < 0.77) & (where[:, 1] > 0.52)] = (0.05, 0.3, 0.3)  # and it is of two colours
+        return colours
+
+    monkeypatch.setattr(made_up, "albedo", shirt)
+    scene = photographed.__wrapped__("front")
+    points, where, facing = places(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    shoulders = (where[:, 1] > 0.815) & (where[:, 1] < 0.835) & (facing < -0.5) & (np.abs(where[:, 0]) < 0.1)
+    shown = unlit(painter, of(points, shoulders))
+    assert len(shown) > 50
+    assert (np.abs(hue(shown) - hue(SHIRT[None])).max(axis=1) < 0.1).mean() > 0.9
+
+
+def test_a_hands_brightness_says_nothing() -> None:
+    """Palms and nails are brighter than the backs of hands, and are believed; another hue is not."""
+    back = np.array([[0.08, 0.04, 0.03]])
+    one = np.ones(1)
+    hand, leg = (
+        Ground(back, 0.06 * one, one, np.zeros(1, bool), np.full((1, 3), np.nan), np.array([is_hand]))
+        for is_hand in (True, False)
+    )
+    palm, cloth = 2.5 * back, np.array([[0.05, 0.08, 0.25]])
+    assert hand.alike(palm) == 1 and leg.alike(palm) == 0
+    assert hand.alike(cloth) == 0 and hand.alike(25 * back) == 0
 
 
 def stripes(mesh: object) -> np.ndarray:
