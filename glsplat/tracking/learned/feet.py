@@ -7,7 +7,7 @@ from math import exp, hypot, sqrt
 
 from glsplat.tracking.learned.hints import FootHint
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, length, pull, rotate, scale, sub, wrap
+from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, length, pull, rotate, scale, sub, wrap, yaw_quat
 from glsplat.tracking.solve.stepping.clearance import Clearance
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import TIPTOE, Leg
@@ -30,8 +30,8 @@ RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
 FORESIGHT = 0.08  # seconds: a foot leaves the ground before its leg is stretched
 LEAD = 0.065  # seconds that this is behind
 BRIEFEST = 0.14  # seconds a foot is in the air at least
-SET = 0.14  # seconds in which it is set down, and of these
-OVER = 0.06  # seconds in which it only goes down
+SET = 0.18  # seconds in which it is set down, and of these
+OVER = 0.07  # seconds in which it only goes down
 REST = 0.18  # seconds it then stands at least
 SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
 STEP_UP = 0.2  # metres or more over the ground
@@ -40,6 +40,7 @@ HELPS = 0.06  # metres or more by which a step must help a strained leg
 DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that does not reach it
 RESTS, RESTED = (0.04, 0.3), 0.4  # metres, radians, seconds: who keeps the head as still as that takes no step
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
+BENDS = 0.06  # seconds: of the low pass of where knees bend to
 HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
 REACH = 0.985  # of its length to which a lifted foot is put
 
@@ -92,6 +93,7 @@ class Feet:
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
         self._behind: Vec = (0.0, 0.0, 0.0)  # metres that feet have lately been behind their hints
         self._ahead: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
+        self._bends: list[Vec | None] = [None, None]  # where knees are aside of the legs' middles, from the pelvis
         self._calm = [0.0, 0.0]  # seconds for which each goal has been all but still
         self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
         self._least, self._most = [0.0, 0.0], [1.0, 1.0]  # each foot's standing, lately
@@ -143,7 +145,9 @@ class Feet:
             else:
                 self._swing(foot, hint, leg, hip, drop, dt)
             middle = scale(add(hip, leg.above(foot, foot.tilt.at)), 0.5)
-            limbs.append(leg.solve(foot, hip, pelvis, yaw, sub(hint.knee, middle)))
+            bends = rotate(yaw_quat(-yaw), sub(hint.knee, middle))
+            bends = self._bends[foot.index] = pull(self._bends[foot.index] or bends, bends, 1 - exp(-dt / BENDS))
+            limbs.append(leg.solve(foot, hip, pelvis, yaw, rotate(yaw_quat(yaw), bends)))
         return limbs
 
     def _catch_up(self, hints: Sequence[FootHint], dt: float) -> None:
