@@ -11,8 +11,8 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, calibrate
 from glsplat.tracking.calibration import found_size
-from glsplat.tracking.finding import NECK, POSTURE, Finder
-from glsplat.tracking.solve.body import FEET, Body
+from glsplat.tracking.finding import POSTURE, Finder
+from glsplat.tracking.solve.body import FEET, TURNS_AT, Body
 from glsplat.tracking.solve.quat import rotate, sub, to_quat
 from tests.tracking.moves import Stage, Track, seconds
 from tools.data.sizes import found, persons
@@ -25,7 +25,7 @@ def scales(body: Body, size: float, low: float, begins: float, hangs: bool = Tru
     finder, out = Finder(body, 1.0), []
     rng = np.random.default_rng(2)
     turn = to_quat((bow, 0.0, 0.0))
-    bowed = sub(rotate(turn, NECK), NECK)
+    bowed = sub(TURNS_AT, rotate(turn, TURNS_AT))
     for t in seconds(begins + 10, 1 / RATE):
         down = low * min(max((begins - t) / 0.8, 0.0), 1.0)
         height = (POSTURE - down) * size * body.eye_height + rng.normal(0, 0.003) + bowed[1]
@@ -70,6 +70,9 @@ def test_arms_that_were_stretched_count_a_quarter(stage: Stage) -> None:
         scale = finder.update((0.0, eyes, 0.1), (1.0, 0.0, 0.0, 0.0), hands, 1 / RATE)
     assert scale == pytest.approx(size * (0.75 + 0.25 * long), rel=0.02)
     assert finder.arm_span == pytest.approx(span, abs=0.02)
+    for _ in range(6 * RATE):  # a quarter, also where nothing new is believed
+        finder.update((0.0, 0.7 * eyes, 0.1), (1.0, 0.0, 0.0, 0.0), [(0.2, 0.4 * eyes, 0.3)], 1 / RATE)
+    assert finder.scale == pytest.approx(scale, rel=0.005)
 
 
 def test_a_tracker_finds_it_and_forgets_it_for_the_next_user(skeleton: Skeleton, stage: Stage) -> None:

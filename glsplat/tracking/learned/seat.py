@@ -1,10 +1,24 @@
-"""Who sits stays seated: the pelvis rests where it came to rest, whatever the head does above it."""
+"""Who sits stays seated: the pelvis rests where it came to rest, or below a head that keeps as high as over a chair."""
 
 from __future__ import annotations
 
 from math import exp, hypot
 
-from glsplat.tracking.solve.quat import Vec, clamp, length, pull, scale, sub
+from glsplat.tracking.solve.body import HEAD, PELVIS, Body, levelled
+from glsplat.tracking.solve.quat import (
+    Quat,
+    Vec,
+    add,
+    clamp,
+    length,
+    pull,
+    rotate,
+    scale,
+    sub,
+    swing_twist_y,
+    wrap,
+    yaw_quat,
+)
 
 __all__ = ["Seat"]
 
@@ -15,13 +29,20 @@ AWAY = 0.16  # of the pelvis' height at rest: a pelvis said to be further off th
 TAKES = 0.4  # seconds in which it comes to rest, and gets going
 SETTLES = 1.5  # seconds: of the low pass by which the seat's place is known better
 SMOOTH = 0.1  # seconds, of the pelvis' speed
+CHAIR, LEFT = (0.68, 0.82), (0.6, 0.86)  # of the eye height: eyes of who sits upright; lower or higher, they get up
+STEADY, LONG = 0.08, 2.5  # metres that such eyes keep to, for so many seconds: a crouch is not held that long
+LATELY, TURNS, LEANS = 1.0, 2.0, 0.45  # seconds: means of the head's place and heading; metres it leans aside at most
+CHANGES = 4.0  # seconds: of the low pass by which a chair moves along
 
 
 class Seat:
     """Whether somebody sits, and where. Places are in the world, over the ground."""
 
-    def __init__(self, pelvis_height: float) -> None:
-        self.size = pelvis_height
+    def __init__(self, body: Body) -> None:
+        self.size: float = body.joints[PELVIS][1] - body.ground
+        self.eye_height: float = body.eye_height
+        x, y, z = body.joints[PELVIS]
+        self.below: Vec = (x, y - body.ground - body.eye_height, z - body.joints[HEAD][2] - body.eye[2])  # the eyes
         self.reset()
 
     def reset(self) -> None:
@@ -32,19 +53,27 @@ class Seat:
         self._before: Vec | None = None
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s
         self._calm = 0.0
+        self._lately: Vec | None = None  # of the level eyes
+        self.yaw = 0.0  # of the head, likewise
+        self._for = 0.0  # seconds for which they have kept as high as over a chair
+        self._chair: Vec | None = None  # where the pelvis is by that
 
     @property
     def share(self) -> float:
         """How much of somebody sits: 0 .. 1, smooth in time."""
         return self._share * self._share * (3 - 2 * self._share)
 
-    def update(self, pelvis: Vec, dt: float) -> Vec | None:
+    def update(self, pelvis: Vec, eye: Vec, head: Quat, dt: float) -> Vec | None:
         """Where the pelvis is that would else be at ``pelvis``; None: there."""
+        chair = self._over_a_chair(levelled(eye, head), swing_twist_y(head), dt)
         if self._before is not None and dt > 0:
             self._speed = pull(self._speed, scale(sub(pelvis, self._before), 1 / dt), 1 - exp(-dt / SMOOTH))
         self._before = pelvis
         height = pelvis[1] / self.size
-        if self.sits:
+        if chair is not None:
+            self._place = chair if self._share <= 0 else self._place
+            self.sits, self._calm = True, 0.0
+        elif self.sits:
             away = hypot(pelvis[0] - self._place[0], pelvis[2] - self._place[2]) / self.size
             self.sits = LOW < height < HIGH[1] and away < AWAY
         else:
@@ -57,5 +86,25 @@ class Seat:
         self._share = clamp(goal, self._share - dt / TAKES, self._share + dt / TAKES)
         if self._share <= 0:
             return None
-        self._place = pull(self._place, pelvis, 1 - exp(-dt / SETTLES))
+        self._place = pull(self._place, chair or pelvis, 1 - exp(-dt / SETTLES))
         return pull(pelvis, self._place, self.share)
+
+    def _over_a_chair(self, eye: Vec, yaw: float | None, dt: float) -> Vec | None:
+        """Where the pelvis of somebody upright on a chair is, as their eyes say; None: they do not."""
+        if self._lately is None:
+            self._lately, self.yaw = eye, yaw or 0.0
+        self._lately = pull(self._lately, eye, 1 - exp(-dt / LATELY))
+        self.yaw = wrap(self.yaw + wrap((self.yaw if yaw is None else yaw) - self.yaw) * (1 - exp(-dt / TURNS)))
+        low, high = (share * self.eye_height for share in (CHAIR if self._chair is None else LEFT))
+        if self._chair is None:
+            keeps = low < eye[1] < high and length(sub(eye, self._lately)) < STEADY
+            self._for = self._for + dt if keeps else 0.0
+            if self._for < LONG:
+                return None
+            self._for = 0.0
+        elif not (low < eye[1] < high and hypot(eye[0] - self._chair[0], eye[2] - self._chair[2]) < LEANS):
+            self._chair = None
+            return None
+        upright = add(self._lately, rotate(yaw_quat(self.yaw), self.below))
+        self._chair = upright if self._chair is None else pull(self._chair, upright, 1 - exp(-dt / CHANGES))
+        return self._chair

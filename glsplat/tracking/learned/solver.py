@@ -13,7 +13,7 @@ from glsplat.tracking.learned.stance import Stance
 from glsplat.tracking.learned.steady import Steady
 from glsplat.tracking.learned.uncertainty import Uncertainty
 from glsplat.tracking.solve.arms import Arm
-from glsplat.tracking.solve.body import PELVIS, Body
+from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.hands import Hands
 from glsplat.tracking.solve.height_limit import HeightLimit
 from glsplat.tracking.solve.quat import (
@@ -28,6 +28,7 @@ from glsplat.tracking.solve.quat import (
     mul,
     pull,
     rotate,
+    scale,
     slerp,
     sub,
     swing_twist_y,
@@ -67,7 +68,7 @@ class LearnedSolver:
         self.plain: AnalyticSolver = AnalyticSolver(body)
         self.stance: Stance = Stance(body)
         self.expected: ExpectedError = ExpectedError(body.eye_height)
-        self.seat: Seat = Seat(body.joints[PELVIS][1] - body.ground)
+        self.seat: Seat = Seat(body)
         self.spine: Spine = Spine(body)
         self.feet: Feet = Feet(body)
         self.rest: Rest = Rest(body.eye_height / 1.6)
@@ -114,7 +115,7 @@ class LearnedSolver:
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         # a pelvis that is tracked is known better than by either
         torso = self._mixed(targets, hint, plain, PLAIN * (1 - self.pelvis.share), lost, dt)
-        place = self.seat.update(torso.pelvis_at, dt) if lost < 1 else None
+        place = self.seat.update(torso.pelvis_at, targets.eye, targets.head, dt) if lost < 1 else None
         if place is not None:
             torso = self._torso(targets, hint, place)
         torso = self.pelvis.bring(self.spine, targets.eye, targets.head, torso)
@@ -154,13 +155,18 @@ class LearnedSolver:
         return self._torso(targets, hint, self.steady.update(pull(hint.pelvis_at, plain.pelvis_at, share), dt))
 
     def _seated(self, hint: Hint, torso: Torso) -> None:
-        """Feet towards where those of somebody on a chair are: below the knees, the thighs ahead."""
-        yaw = yaw_quat(swing_twist_y(torso.pelvis) or 0.0)
+        """Feet where those of somebody on a chair are: on the ground, below the knees, the thighs ahead."""
+        yaw, rests = self.seat.yaw, UNDER * self.seat.share
         for foot, leg in zip(hint.feet, self.feet.legs, strict=True):
-            x, _, z = add(
-                add(torso.pelvis_at, rotate(torso.pelvis, leg.hip)), rotate(yaw, (0.0, 0.0, AHEAD * leg.length))
-            )
-            foot.ball = pull(foot.ball, (x, min(foot.ball[1], self.body.sole), z), UNDER * self.seat.share)
+            hip_x, hip_y, hip_z = leg.hip
+            facing = yaw_quat(yaw)
+            x, _, z = add(torso.pelvis_at, rotate(facing, (hip_x, 0.0, hip_z + AHEAD * leg.length)))
+            knee = add(torso.pelvis_at, rotate(facing, (hip_x, hip_y, hip_z + leg.limb.upper)))
+            foot.knee = pull(foot.knee, knee, rests)
+            foot.ball = pull(foot.ball, (x, min(foot.ball[1], self.body.sole), z), rests)
+            foot.stands += (1 - foot.stands) * rests
+            foot.speed = scale(foot.speed, 1 - rests)
+            foot.yaw += wrap(yaw - foot.yaw) * rests
 
     def _face(self, hint: Hint, head: Quat) -> None:
         """Nearer to the head's heading: which way a body faces is hard to tell without hands."""

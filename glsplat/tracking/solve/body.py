@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from glsplat.errors import PoseError
 from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.solve.quat import Quat, Vec, from_axes, unit
+from glsplat.tracking.solve.quat import Quat, Vec, from_axes, rotate, unit
 
-__all__ = ["HAND_FRAMES", "HEAD_FRAME", "Body"]
+__all__ = ["HAND_FRAMES", "HEAD_FRAME", "Body", "levelled"]
 
 HEAD_FRAME: Quat = (0.0, 0.0, 1.0, 0.0)
 """OpenXR head axes (-z forward) in the head joint's rest frame (+z forward): half a turn about y."""
@@ -23,11 +23,19 @@ HAND_FRAMES: dict[str, Quat] = {
 }
 """OpenXR wrist axes (-z along the fingers, y out of the back of the hand) in the wrist joint's rest frame."""
 
+TURNS_AT: Vec = (0.0, -0.09, -0.09)
+"""From between the eyes to where a head that nods turns, metres."""
+
 PELVIS, SPINE1, SPINE2, SPINE3, NECK, HEAD = 0, 3, 6, 9, 12, 15
 HIPS, KNEES, ANKLES, FEET = (1, 2), (4, 5), (7, 8), (10, 11)
 COLLARS, SHOULDERS, ELBOWS, WRISTS = (13, 14), (16, 17), (18, 19), (20, 21)
 EYES = (23, 24)
 FINGERS = (slice(25, 40), slice(40, 55))
+
+
+def levelled(eye: Vec, head: Quat) -> Vec:
+    """``eye`` as high as it were if the head, turned by ``head``, did not look down or up."""
+    return (eye[0], eye[1] + rotate(head, TURNS_AT)[1] - TURNS_AT[1], eye[2])
 
 
 @dataclass(frozen=True)
