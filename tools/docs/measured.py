@@ -25,6 +25,7 @@ from glsplat.io.files import replace_file
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
+SHARED = ROOT.parent / "shared" / "data"  # reference data that may not be copied into the checkout
 SIZES = (512, 768, 1024)
 LINKS = ("20,50", "40,50", "40,5")  # ms there and back, Mbit/s
 
@@ -62,10 +63,12 @@ def pages_with_copies() -> Iterator[Path]:
             yield path
 
 
-def command(*words: str) -> str:
+def command(*words: str, cwd: Path = ROOT) -> str:
     """What ``glsplat WORDS`` prints."""
     print("glsplat", *words, file=sys.stderr, flush=True)
-    done = subprocess.run([sys.executable, "-m", "apps.cli", *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    here = {**os.environ, "PYTHONPATH": str(ROOT)}
+    words = (sys.executable, "-m", "apps.cli", *words)
+    done = subprocess.run(words, cwd=cwd, env=here, stdout=subprocess.PIPE, check=True)
     return done.stdout.decode()
 
 
@@ -118,6 +121,29 @@ def stream() -> Iterator[Table]:
         yield "links", note, _markdown(text)
 
 
+def tracking() -> Iterator[Table]:
+    """Scores of captured motions, and sizes that are found; of the reference data that lies beside the checkout."""
+    clips = [f"cmu_02_0{clip}.amc" for clip in (1, 3, 4, 5)] + [f"cmu_131_0{clip}.bvh" for clip in (1, 2, 3)]
+    words = ("tracking", "bench", *clips, "--groups", "cmu_([0-9]+)_")
+    scores = command(*words, "--rates", "72", cwd=SHARED / "mocap")
+    yield (
+        "scores",
+        "`glsplat tracking bench`, 72 Hz, the embedded avatar: the network has learned from 02 (walks, runs, jumps,"
+        " boxes),\nnot from 131 (dances). Columns: [tracking-results.md](../tracking-results.md).",
+        scores.strip(),
+    )
+    means = command(*words, "--brief", "--rates", "30,90", cwd=SHARED / "mocap")
+    yield "rates", "The same at 30 and 90 Hz, means.", means.strip()
+    from tools.data import sizes  # its motions are read here alone
+
+    yield (
+        "sizes",
+        "`python -m tools.data.sizes`: people of the CMU pack, statures times 0.8 to 1.1, whose size is found as they"
+        " go.",
+        sizes.table(sizes.found(sizes.persons((SHARED / "mocap_cmu").glob("*.npz")))),
+    )
+
+
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -129,6 +155,7 @@ def _markdown(text: str) -> str:
 PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "frame": ("A frame", frame),
     "stream": ("The stream", stream),
+    "tracking": ("Tracking", tracking),
 }
 
 
