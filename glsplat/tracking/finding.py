@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, hypot
+from math import exp, hypot, inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ ARM_WEIGHT = 0.25  # of the arm span against the eye height in the scale
 SMALLEST, LARGEST = 0.6, 1.35  # of the avatar's size
 FOLLOWS = 0.6  # seconds: of either low pass by which the scale follows
 FASTEST = 0.12  # of the scale that it changes in a second at most
+NOWHERE = (inf, -inf, inf, -inf)
 AGAIN = 0.1  # seconds between two estimates
 
 
@@ -53,13 +54,13 @@ class Finder:
         self.body = body
         self.scale = self._stage = scale  # shown
         self.goal = scale  # that the session so far suggests
+        self._known = scale * body.eye_height  # metres of the zero pose's eyes, by heights and reaches alone
         self.eye_height: float | None = None  # metres of the user, as found so far
         self.arm_span: float | None = None  # metres from wrist to wrist, likewise
         self.heights = np.zeros(BINS)  # seconds
         self.hung = np.zeros(BINS)  # of these, with a wrist that hangs
         self.walked = np.zeros(BINS)  # metres
-        self.least = np.full((BINS, 2), np.inf)  # x and z of the eyes
-        self.most = np.full((BINS, 2), -np.inf)
+        self.places: list[tuple[float, float, float, float]] = [NOWHERE] * BINS  # least and most x and z of the eyes
         self.reaches = np.zeros(BINS)  # seconds
         self.spans = np.zeros(BINS)
         self._before: Vec | None = None
@@ -80,8 +81,9 @@ class Finder:
             at = int(eye[1] / BIN)
             self.heights[at] += dt
             self.walked[at] += hypot(moved[0], moved[2]) if hypot(moved[0], moved[2]) * rate > 0.4 else 0.0
-            self.least[at] = np.minimum(self.least[at], (eye[0], eye[2]))
-            self.most[at] = np.maximum(self.most[at], (eye[0], eye[2]))
+            left, right, back, front = self.places[at]
+            x, _, z = eye
+            self.places[at] = (min(left, x), max(right, x), min(back, z), max(front, z))
             if any(HANGS[0] < -y / eye[1] < HANGS[1] and z / eye[1] < AHEAD for _, y, z in hands):
                 self.hung[at] += dt
         for hand in hands:
@@ -112,7 +114,7 @@ class Finder:
         held = self.heights[upright]
         seconds = float(held.sum())
         place = (upright.start + int(np.searchsorted(np.cumsum(held), USUAL * seconds)) + 0.5) * BIN
-        height, known = place / POSTURE, self.goal * self.body.eye_height
+        height, known = place / POSTURE, self._known
         reach = _most(self.reaches, FAR) / ARM
         walked = self.walked[upright].sum() >= WALKED or self._room(upright) > ROOM
         stands = place > SEATED or self.hung[upright].sum() >= max(LEAST, SHARE * seconds)
@@ -120,11 +122,14 @@ class Finder:
             self.eye_height = max(place, reach * POSTURE)
         else:
             height = known
-        return self._with_span(clamp(max(reach, height) / self.body.eye_height, SMALLEST, LARGEST))
+        unit = self.body.eye_height
+        self._known = clamp(max(reach, height), SMALLEST * unit, LARGEST * unit)
+        return self._with_span(self._known / unit)
 
     def _room(self, bins: slice) -> float:
         """Metres between the farthest places at these heights; a trunk that leans as far has lower eyes."""
-        return float((self.most[bins].max(0) - self.least[bins].min(0)).max())
+        left, right, back, front = zip(*self.places[bins], strict=True)
+        return max(max(right) - min(left), max(front) - min(back))
 
     def _with_span(self, scale: float) -> float:
         """A quarter of it by the arms, once they were stretched sideways."""

@@ -70,6 +70,9 @@ def test_arms_that_were_stretched_count_a_quarter(stage: Stage) -> None:
         scale = finder.update((0.0, eyes, 0.1), (1.0, 0.0, 0.0, 0.0), hands, 1 / RATE)
     assert scale == pytest.approx(size * (0.75 + 0.25 * long), rel=0.02)
     assert finder.arm_span == pytest.approx(span, abs=0.02)
+    for _ in range(6 * RATE):  # a quarter, also where nothing new is believed
+        finder.update((0.0, 0.7 * eyes, 0.1), (1.0, 0.0, 0.0, 0.0), [(0.2, 0.4 * eyes, 0.3)], 1 / RATE)
+    assert finder.scale == pytest.approx(scale, rel=0.005)
 
 
 def test_a_tracker_finds_it_and_forgets_it_for_the_next_user(skeleton: Skeleton, stage: Stage) -> None:

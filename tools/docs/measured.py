@@ -178,6 +178,29 @@ def stream() -> Iterator[Table]:
         yield "links", note, _markdown(text)
 
 
+def tracking() -> Iterator[Table]:
+    """Scores of captured motions, and sizes that are found; of the reference data that lies beside the checkout."""
+    clips = [f"cmu_02_0{clip}.amc" for clip in (1, 3, 4, 5)] + [f"cmu_131_0{clip}.bvh" for clip in (1, 2, 3)]
+    words = ("tracking", "bench", *clips, "--groups", "cmu_([0-9]+)_")
+    scores = command(*words, "--rates", "72", cwd=SHARED / "mocap")
+    yield (
+        "scores",
+        "`glsplat tracking bench`, 72 Hz, the embedded avatar: the network has learned from 02 (walks, runs, jumps,"
+        " boxes),\nnot from 131 (dances). Columns: [tracking-results.md](../tracking-results.md).",
+        scores.strip(),
+    )
+    means = command(*words, "--brief", "--rates", "30,90", cwd=SHARED / "mocap")
+    yield "rates", "The same at 30 and 90 Hz, means.", means.strip()
+    from tools.data import sizes  # its motions are read here alone
+
+    yield (
+        "sizes",
+        "`python -m tools.data.sizes`: people of the CMU pack, statures times 0.8 to 1.1, whose size is found as they"
+        " go.",
+        sizes.table(sizes.found(sizes.persons((SHARED / "mocap_cmu").glob("*.npz")))),
+    )
+
+
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]

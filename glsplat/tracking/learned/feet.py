@@ -40,6 +40,7 @@ HELPS = 0.06  # metres or more by which a step must help a strained leg
 DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that does not reach it
 RESTS, RESTED = (0.04, 0.3), 0.4  # metres, radians, seconds: who keeps the head as still as that takes no step
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
+SOFT = 0.05  # of its length over which a leg becomes straight: knees of feet that follow a guess tremble more
 BENDS = 0.06  # seconds: of the low pass of where knees bend to
 HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
 REACH = 0.985  # of its length to which a lifted foot is put
@@ -74,7 +75,7 @@ class Feet:
 
     def __init__(self, body: Body) -> None:
         self.sole: float = body.sole
-        self.legs: tuple[Leg, Leg] = (Leg(body, 0), Leg(body, 1))
+        self.legs: tuple[Leg, Leg] = (Leg(body, 0, SOFT), Leg(body, 1, SOFT))
         self.size: float = self.legs[0].length / 0.83
         self.clearance: Clearance = Clearance(self.legs[0], self.sole)
         self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))

@@ -40,9 +40,9 @@ SOFT = 0.05  # of its length over which a leg becomes straight: the knee would j
 class Leg:
     """One leg's measures and its inverse kinematics."""
 
-    def __init__(self, body: Body, index: int) -> None:
+    def __init__(self, body: Body, index: int, soft: float = SOFT) -> None:
         hip, knee, ankle, foot = HIPS[index], KNEES[index], ANKLES[index], FEET[index]
-        self.index = index
+        self.index, self.soft = index, soft
         self.hip: Vec = sub(body.joints[hip], body.joints[PELVIS])
         self.limb: Limb = Limb.of(body, (hip, knee, ankle), (1.0, 0.0, 0.0), KNEE_FLEXION, STRAIGHT)
         self.length: float = self.limb.upper + self.limb.lower
@@ -68,7 +68,7 @@ class Leg:
         exact = True
         ankle = self.above(foot, pitch)
         far = _distance(hip, ankle)
-        want = self._softly(far)
+        want = self._softly(far, self.soft)
         if far - want > 1e-6:
             # a leg too short for the flat foot lifts the heel, as little as it must
             pitch = self._heel(foot, hip, want, pitch, max(pitch, TIPTOE))
@@ -101,7 +101,7 @@ class Leg:
     ) -> tuple[Quat, Quat, Quat]:
         """The same for an ankle and a foot that are tracked; a leg too short points at them."""
         far = _distance(hip, ankle)
-        want = self._softly(far)
+        want = self._softly(far, SOFT)
         foot.strained = far - want > 0.02
         if far > want:
             ankle = pull(hip, ankle, want / far)
@@ -176,9 +176,9 @@ class Leg:
         bent = rotation_vector(knee)[0]
         return mul(to_quat((clamp(bent + turn, 0.0, radians(KNEE_FLEXION)) - bent, 0.0, 0.0)), knee)
 
-    def _softly(self, far: float) -> float:
+    def _softly(self, far: float, share: float) -> float:
         """The distance from hip to ankle that a leg takes for a foot this far away: never quite straight at once."""
-        soft = SOFT * self.length
+        soft = share * self.length
         begin = self.limb.farthest - soft
         return far if far <= begin else begin + soft * (1 - exp(-(far - begin) / soft))
 
