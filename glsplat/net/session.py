@@ -160,7 +160,7 @@ class Session:
 
     @property
     def window(self) -> int:
-        """Pictures under way or unacknowledged at most; of a link that is looked at, ``rest`` says when, not how many."""
+        """Pictures under way or unacknowledged at most; where a link is looked at, ``rest`` says when."""
         return self.config.window if self.link is None else self.config.widest
 
     def rung(self, request: Request, now: float) -> Rung | None:
