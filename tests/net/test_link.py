@@ -50,8 +50,8 @@ def test_a_fast_link_gets_what_was_asked_for() -> None:
 def test_lost_packets_are_not_taken_for_a_thin_link() -> None:
     """One in a hundred, 20 ms: as fresh as who knows the link, and nothing that is seen is taken away at 20 Mbit/s."""
     for rate in (20.0, 5.0, 2.0):
-        outcome = alone(rate, 0.02, 0.01)
-        knows = alone(rate, 0.02, 0.01, lambda rate=rate: Oracle(Link(lambda now: rate, 0.02, 0.01)))
+        link = Link(lambda now, rate=rate: rate, 0.02, 0.01)
+        outcome, knows = (play(link, [policy], 60.0, SEED)[0] for policy in (LinkControl(), Oracle(link)))
         assert outcome.age(0.95) <= 1.1 * max(knows.age(0.95), goal(0.02))
         assert rate == 20 or used(outcome, rate) >= 0.85
     lossy = sorted(alone(20.0, 0.02, 0.01).losses)
