@@ -79,7 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
     parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
     parser.add_argument(
-        "--link", type=link, action="append", metavar="RTT,MBIT", help="simulate a link of so many ms and Mbit/s"
+        "--link",
+        type=link,
+        action="append",
+        metavar="RTT,MBIT[,LOSS]",
+        help="simulate a link: ms, Mbit/s, %% of lost packets",
     )
     parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye (default 1024x1024)")
     parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")

@@ -22,6 +22,7 @@ from pathlib import Path
 from apps.demo import running_server
 from glsplat.evaluate.machine import machine
 from glsplat.io.files import replace_file
+from tools.net.link_tables import alone, falling, shared
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
@@ -118,6 +119,42 @@ def stream() -> Iterator[Table]:
         yield "links", note, _markdown(text)
 
 
+def links() -> Iterator[Table]:
+    """Streams over simulated links."""
+    about = (
+        "**Simulated**: the server's control of a link in front of a model of renderer, TCP and client\n"
+        "(tools/net/simulated_link.py says what is modelled, and that TCP's own window is not). 2 x 1024^2, 20 pairs\n"
+        "a second at full size. Three times the same columns: as it was (`--fixed`, two under way), as it is, and by\n"
+        "who knows rate and round trip (oracle). `used`: of the rate; where all that can be seen passes (LPIPS .008),\n"
+        "there is nothing more to spend it on. LPIPS by the table of [ladder.md](ladder.md)."
+    )
+    yield "alone", about, "\n".join(alone())
+    note = "20 Mbit/s, 3 from second 20 to 40, 20 again. Simulated as above, no loss."
+    yield "falling", note, "\n".join(falling())
+    yield "shared", "Two clients of one link. Simulated as above, no loss.", "\n".join(shared())
+
+
+def ladder() -> Iterator[Table]:
+    """What size, quality and chroma cost in bits and in sight."""
+    files = os.environ.get("GLSPLAT_MEASURED_AVATARS", "").split()
+    about = (
+        "The left eye of `glsplat replay` at 1024^2, the embedded avatar, anna and ben, and an avatar of 39,998\n"
+        "splats of another person (files named by GLSPLAT_MEASURED_AVATARS). JPEG as the server makes it, decoded,\n"
+        "enlarged to full size; LPIPS (AlexNet) and PSNR in the avatar's box against the uncompressed picture of full\n"
+        "size. On the front: no other setting of 4:2:0 has fewer bytes in the box and less LPIPS.\n"
+        "glsplat/net/pace/ladder.py is drawn from it."
+    )
+    yield "moments", about, _of_tool("tools.net.ladder_table", *files)
+    note = "The same for moments of other motions, which the ladder was not drawn from."
+    yield "set-aside", note, _of_tool("tools.net.ladder_table", "--set-aside", *files)
+
+
+def _of_tool(*words: str) -> str:
+    """The table that ``python -m WORDS`` prints."""
+    done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, stdout=subprocess.PIPE, check=True)
+    return _markdown(done.stdout.decode())
+
+
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -129,6 +166,8 @@ def _markdown(text: str) -> str:
 PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "frame": ("A frame", frame),
     "stream": ("The stream", stream),
+    "links": ("Far links", links),
+    "ladder": ("Sizes and qualities", ladder),
 }
 
 

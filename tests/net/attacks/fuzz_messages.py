@@ -112,7 +112,9 @@ class _Peer:
         parts = frozenset({"head"} if self.chance.random() < 0.8 else ())
         options = WireOptions(mirror=self.chance.random() < 0.2)
         self.window = self.chance.randint(1, 8)
-        self.session = Session(Decoder(options, skeleton, parts), SessionConfig(window=self.window, widest=self.window), self.now)
+        self.session = Session(
+            Decoder(options, skeleton, parts), SessionConfig(window=self.window, widest=self.window), self.now
+        )
         self.taken: list[Request] = []
         self.newest = -1
         self.limit = options.max_side
