@@ -134,7 +134,7 @@ def poses_alone(frame_id: int, number: int) -> bytes:
 
 
 def lying(frame_id: int, number: int) -> bytes:
-    """Its pictures arrived at once, or never; it wants another size, quality and crop each time, or is silent about it."""
+    """Its pictures arrived at once, or never, or it is silent; it wants another size, quality and crop each time."""
     arrival = ({"age": 0}, {"age": 60_000, "held": 60_000}, {"age": 5, "held": 30_000}, None)[frame_id % 4]
     more = {"quality": 1 + frame_id % 100, "crop": frame_id % 3 == 0, "arrival": arrival}
     return request(frame_id, (64 + 64 * (frame_id % 5), 64), ack=0, **more)
