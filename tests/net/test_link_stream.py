@@ -79,7 +79,13 @@ class TestSession:
         session = self.opened()
         assert session.receive(asking(1, ack=0), 0.1) is not None and session.link is None and session.window == 2
         assert session.receive(asking(2, ack=0, arrival={"age": 50}), 0.2) is not None
-        assert session.link is not None and session.window == 8
+        assert session.link is not None and session.window == 2  # until something is known of it: not eight large ones
+        link, now = session.link, 1.0
+        link.ponged(link.ping(now) or b"", now + 0.02)
+        link.written(1, 10_000, now + 0.1)
+        assert session.link.link.known is False
+        link.acknowledged(1, 0.1, 0.0, now + 0.2)
+        assert session.window == 8
 
     def test_fixed_reads_it_and_does_nothing(self) -> None:
         session = self.opened(adapt=False)
