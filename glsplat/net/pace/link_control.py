@@ -26,6 +26,7 @@ _SOON = 3.0  # seconds
 _CUT, _PAUSE = 0.85, 0.4  # what a cut leaves; seconds from one to the next, or two round trips
 _QUEUE, _QUEUED = 0.008, 0.3  # seconds, and parts of a picture's time, that each has to wait where too much is spent
 _BESIDE = 2  # pictures of full quality that are begun whatever the link: as many as where none is looked at
+_SPARE = 1.5  # pictures under way beyond those that the link holds
 _LATE, _TRIPS = 0.02, 1.25  # seconds, and round trips, by which a picture is late that has not just lost a packet
 _AGAIN = 0.05  # seconds after which to look again while one is
 _LEARN = 0.15  # how far a picture moves what is expected of the next
@@ -152,6 +153,9 @@ class LinkControl:
             return _AGAIN
         rate = min(link.rate, self._cap)
         own = 8 * self._bytes_of_one() / rate
+        pace = max(self._interval, self._least)
+        if pace > 0 and link.on_the_way + len(self._begun) > _SPARE + (link.base + own + self._making) / pace:
+            return _AGAIN  # more than such a link holds: something else is late
         free = link.clear(now)
         for began in self._begun.values():
             free = max(free, began + self._making) + own
