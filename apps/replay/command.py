@@ -73,11 +73,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="play it so long, over and over where it is shorter")
     parser.add_argument("--loop", action="store_true", help="play it over and over, for --seconds or until Ctrl-C")
     parser.add_argument("--window", type=int, help="pictures under way (default: as the server says)")
-    parser.add_argument("--fixed", action="store_true", help="do not say when pictures arrive: none is fitted to the link")
+    parser.add_argument(
+        "--fixed", action="store_true", help="do not say when pictures arrive: none is fitted to the link"
+    )
     parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
     parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
     parser.add_argument(
-        "--link", type=link, action="append", metavar="RTT,MBIT", help="simulate a link of so many ms and Mbit/s"
+        "--link",
+        type=link,
+        action="append",
+        metavar="RTT,MBIT[,LOSS]",
+        help="simulate a link: ms, Mbit/s, %% of lost packets",
     )
     parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye (default 1024x1024)")
     parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")
@@ -189,7 +195,8 @@ def _report_several(args: argparse.Namespace, runs: list[tuple[str, str, Result]
     if args.json:
         print(json.dumps([{"link": place, "policy": policy, **result.summary()} for place, policy, result in runs]))
         return
-    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, {args.fps:g} Hz, window {args.window or 'as the server says'}\n")
+    window = args.window or "as the server says"
+    print(f"{args.url}, {args.size[0]}x{args.size[1]} an eye, {args.fps:g} Hz, window {window}\n")
     print(comparison_markdown(runs))
 
 

@@ -1,7 +1,8 @@
 """A simulated network link: a TCP relay on loopback that delays and throttles what passes, for ``glsplat replay``.
 
 Each direction has its own rate and half of the round trip. Bytes wait in a queue of bounded length, as in a router; a
-sender that is faster than the link is held back, as by TCP. No loss and no jitter: real links are worse.
+sender that is faster than the link is held back, as by TCP. A lost packet holds back all behind it for a round trip, or
+for two where it is lost again, as TCP has it; TCP's slowing down after it is not there, nor is jitter.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from random import Random
 from urllib.parse import urlsplit, urlunsplit
 
 from glsplat.errors import GlsplatError
@@ -21,6 +23,7 @@ from ..usage import UsageError
 
 __all__ = ["Link", "link", "over"]
 
+_PACKET = 1448  # bytes
 _CHUNK = 4096  # bytes read at once: 0.7 ms at 50 Mbit/s
 _QUEUE = 128 * 1024  # bytes that may wait before the sender is held back
 
@@ -31,21 +34,29 @@ class Link:
 
     round_trip: float  # ms
     rate: float  # Mbit/s, each way
+    loss: float = 0.0  # of the packets, percent
 
     def __str__(self) -> str:
-        return f"{self.round_trip:g} ms, {self.rate:g} Mbit/s"
+        return f"{self.round_trip:g} ms, {self.rate:g} Mbit/s" + (f", {self.loss:g} % lost" if self.loss else "")
+
+    def held_back(self, nbytes: int, chance: Random) -> float:
+        """Seconds by which so many bytes come later because of packets that were lost, once or several times."""
+        times, lost = 0, 1 - (1 - self.loss / 100) ** -(-nbytes // _PACKET)
+        while chance.random() < lost:
+            times, lost = times + 1, self.loss / 100
+        return times * self.round_trip / 1e3
 
 
 def link(text: str) -> Link:
-    """argparse type: RTT,MBIT, for example 20,100."""
+    """argparse type: RTT,MBIT or RTT,MBIT,LOSS, for example 20,100 and 20,100,1."""
     try:
-        round_trip, rate = (float(part) for part in text.split(","))
-        if not (0 <= round_trip <= 10_000 and 0.01 <= rate <= 100_000):
+        round_trip, rate, loss = (float(part) for part in (text if text.count(",") > 1 else f"{text},0").split(","))
+        if not (0 <= round_trip <= 10_000 and 0.01 <= rate <= 100_000 and 0 <= loss <= 50):
             raise ValueError
     except ValueError:
-        message = f"a link is RTT,MBIT, for example 20,100 (ms there and back, Mbit/s), not {text!r}"
+        message = f"a link is RTT,MBIT[,LOSS], for example 20,100 (ms there and back, Mbit/s, % lost), not {text!r}"
         raise argparse.ArgumentTypeError(message) from None
-    return Link(round_trip, rate)
+    return Link(round_trip, rate, loss)
 
 
 @asynccontextmanager
@@ -134,11 +145,12 @@ class _Relay:
 
         async with asyncio.TaskGroup() as group:
             group.create_task(deliver())
+            chance = Random(1)
             free = 0.0  # when the link has sent what it was given
             while True:
                 data = await reader.read(_CHUNK)
                 free = max(free, time.perf_counter()) + len(data) * 8e-6 / self._link.rate
-                queue.append((free + self._link.round_trip / 2e3, data))
+                queue.append((free + self._link.round_trip / 2e3 + self._link.held_back(len(data), chance), data))
                 filled.set()
                 if not data:
                     break

@@ -114,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bitrate",
         type=float,
         metavar="MBIT",
-        help="send each client whose pictures fit themselves to its link at most so many Mbit/s (default: what it takes)",
+        help="send each client that says when pictures arrive at most so many Mbit/s (default: what its link takes)",
     )
     parser.add_argument(
         "--fixed", action="store_true", help="send the size and quality that are asked for, whatever the link takes"

@@ -24,7 +24,8 @@ _ABSENT = object()
 # what an option that has no default may look like
 _SAMPLES = {
     "scene": "me.glb", "avatar": "ann.glb", "room": "lab:4", "size": "1024x1024", "max-per-address": 4,
-    "max-cost": 5e8, "light": "day", "level": "auto", "lod-bias": 0.5, "fps": 45, "bitrate": 20, "calibration": "me.json",
+    "max-cost": 5e8, "light": "day", "level": "auto", "lod-bias": 0.5, "fps": 45, "bitrate": 20,
+    "calibration": "me.json",
     "allow-upload": "avatars",
     "trust": "authority.pub", "tls-cert": "cert.pem", "tls-key": "key.pem", "token-file": "token",
     "users": "users.json", "watermark": "on", "origin": "https://example.org", "allow-host": "avatars.example.org",

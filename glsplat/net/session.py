@@ -160,8 +160,9 @@ class Session:
 
     @property
     def window(self) -> int:
-        """Pictures under way or unacknowledged at most; of a link that is looked at, ``rest`` says when, not how many."""
-        return self.config.window if self.link is None else self.config.widest
+        """Pictures under way or unacknowledged at most; where a link is known, ``rest`` says when."""
+        known = self.link is not None and self.link.link.known
+        return self.config.widest if known else self.config.window
 
     def rung(self, request: Request, now: float) -> Rung | None:
         """How a picture that is begun now is made; None: as it was asked for."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import socket
+from random import Random
 from types import SimpleNamespace
 
 import numpy as np
@@ -143,14 +144,27 @@ def test_a_fast_sender_is_held_back(run):
     assert run(far(send, Link(10, 8), use)) < 4e6
 
 
-@pytest.mark.parametrize("text", ["", "20", "20,", "a,b", "-1,10", "10,0", "nan,10", "1,2,3", "10,inf"])
+@pytest.mark.parametrize(
+    "text", ["", "20", "20,", "a,b", "-1,10", "10,0", "nan,10", "10,inf", "1,2,-1", "1,2,51", "1,2,3,4", "1,2,"]
+)
 def test_links_are_checked(text):
-    with pytest.raises(argparse.ArgumentTypeError, match="a link is RTT,MBIT, for example 20,100"):
+    with pytest.raises(argparse.ArgumentTypeError, match=r"a link is RTT,MBIT\[,LOSS\], for example 20,100"):
         link(text)
 
 
 def test_a_link_in_words():
     assert str(link("20,100")) == "20 ms, 100 Mbit/s"
+    assert str(link("20,100,1.5")) == "20 ms, 100 Mbit/s, 1.5 % lost"
+
+
+def test_a_lost_packet_comes_a_round_trip_later():
+    """One in ten of 5,000, and of those one in ten twice; without loss none."""
+    chance = Random(4)
+    late = np.array([Link(40, 10, 10).held_back(1448, chance) for _ in range(5000)])
+    assert set(np.round(late / 0.04).tolist()) <= {0, 1, 2, 3, 4, 5}
+    assert abs(np.mean(late >= 0.04) - 0.1) < 0.02 and abs(np.mean(late >= 0.08) - 0.01) < 0.006
+    assert np.mean([Link(40, 10, 10).held_back(4096, chance) > 0 for _ in range(2000)]) > 0.2  # three packets
+    assert not any(Link(40, 10).held_back(10**6, chance) for _ in range(20))
 
 
 def test_tls_is_refused():

@@ -113,7 +113,10 @@ def front(found: Sequence[Cost]) -> set[Cost]:
 def markdown(found: Sequence[Cost]) -> str:
     """The table, the dearest first."""
     best = front(found)
-    rows = ["| size | quality | chroma | kB an eye, box | whole | LPIPS | PSNR, dB | on the front |", "|--:|--:|--:|--:|--:|--:|--:|---|"]
+    rows = [
+        "| size | quality | chroma | kB an eye, box | whole | LPIPS | PSNR, dB | on the front |",
+        "|--:|--:|--:|--:|--:|--:|--:|---|",
+    ]
     for one in sorted(found, key=lambda one: -one.nbytes):
         mark = "yes" if one in best else ""
         chroma = ":".join(one.chroma)

@@ -25,7 +25,7 @@ from typing import Protocol
 from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
 from glsplat.net.pace.link_control import LinkControl
 
-__all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "play"]
+__all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "draw_time", "play"]
 
 REFRESH = 1 / 72
 DRAW, ENCODE, DECODE = 0.050, 0.004, 0.004  # seconds
@@ -89,7 +89,7 @@ class Oracle(Fixed):
         spend = self._use * self._part * self._link.rate(now) * 1e6
         for rung in rungs:
             calm = 0.0 if rung.full or visible_loss(rung) <= GOOD else 1 / CALM
-            self._least = max(_draw_time(rung), calm)
+            self._least = max(draw_time(rung.scale), calm)
             if 8 * FULL * rung.bits <= spend * self._least:
                 break
         self._begun = now
@@ -218,7 +218,7 @@ class _Simulation:
             self._at(self._now + ENCODE, lambda: self._write(client, number, asked, rung))
             self._draw(client)
 
-        self._at(self._now + _draw_time(rung), drawn)
+        self._at(self._now + draw_time(rung.scale), drawn)
 
     def _write(self, client: _Client, number: int, asked: float, rung: Rung) -> None:
         now, trip = self._now, self._link.round_trip
@@ -285,8 +285,9 @@ class _Simulation:
         return latest
 
 
-def _draw_time(rung: Rung) -> float:
-    return DRAW * (0.18 + 0.82 * rung.scale**2)
+def draw_time(scale: float) -> float:
+    """Seconds, for a pair of that scale."""
+    return DRAW * (0.18 + 0.82 * scale**2)
 
 
 def adaptive() -> LinkControl:

@@ -19,7 +19,7 @@ from glsplat.config import RenderConfig
 from glsplat.evaluate.frames import WARM_UP
 from glsplat.evaluate.metrics.pixels import psnr
 from glsplat.gl.context import Context
-from glsplat.net.pace.adaptive_quality import SCALES
+from glsplat.net.pace.ladder import SCALES
 from glsplat.renderer import Renderer
 from glsplat.scene import Scene, SceneLike
 from glsplat.skinning.pose import Pose

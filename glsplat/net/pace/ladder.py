@@ -2,7 +2,8 @@
 
 The steps are those of docs/measured/ladder.md that no other beats in both bytes and LPIPS, over four avatars
 (``python -m tools.docs.measured ladder``). First of all what cannot be seen is left out: the black around the avatar,
-which takes over a third of a whole picture's bytes. Coarser chroma is no step: 4:1:1 takes more bytes than 4:2:0. How often pictures come is no matter of the table, which knows still pictures only: see ``GOOD``.
+which takes over a third of a whole picture's bytes. Coarser chroma is no step: 4:1:1 takes more bytes than 4:2:0. How
+often pictures come is no matter of the table, which knows still pictures only: see ``GOOD``.
 """
 
 from __future__ import annotations

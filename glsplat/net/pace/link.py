@@ -48,7 +48,6 @@ class LinkEstimator:
 
     def __init__(self) -> None:
         self.newest: Delivered | None = None
-        self.newest_rate: float = inf  # bits a second, of the newest delivery alone
         self._way: dict[int, tuple[float, int]] = {}  # by number: when it was written, bytes
         self._pings: dict[bytes, float] = {}
         self._delivered: deque[Delivered] = deque(maxlen=_CHAIN)
@@ -92,7 +91,6 @@ class LinkEstimator:
         arrived = max(now - held, written + self.base if self._ponged else written, before)
         self.newest = Delivered(written, min(arrived, now), nbytes)
         self._delivered.append(self.newest)
-        self._trip(self.newest.arrived - written, now)
         if self._ponged:
             self._measure(now)
 
@@ -101,7 +99,7 @@ class LinkEstimator:
         while self._trips and self._trips[-1][1] >= seconds:
             self._trips.pop()
         self._trips.append((now, seconds))
-        while now - self._trips[0][0] > BASE_WINDOW:
+        while len(self._trips) > 1 and now - self._trips[0][0] > BASE_WINDOW:
             self._trips.popleft()
 
     def _measure(self, now: float) -> None:
@@ -121,7 +119,6 @@ class LinkEstimator:
             self._rates = deque([entry for entry in self._rates if entry[0] >= self._slow[0]], _MOST)
             self._slow = []
         self._rates.append((now, sample))
-        self.newest_rate = sample
         window = max(RATE_WINDOW, ROUNDS * base)
         while len(self._rates) > _FEWEST and now - self._rates[0][0] > window:
             self._rates.popleft()

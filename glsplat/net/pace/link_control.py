@@ -1,8 +1,8 @@
 """LinkControl: what one client's link lets through, and what its pictures are made of for that. No I/O, no clock.
 
-What may be spent rises and falls as in TCP (additive increase, multiplicative decrease: Chiu and Jain, 1989), below what
-the estimator found: so that two clients of one link come to equal parts, which the model of BBR alone does not bring.
-How long a picture may take to draw is not looked at here: that is AdaptiveQuality's. Of both sizes the smaller is drawn.
+What may be spent rises and falls as in TCP (additive increase, multiplicative decrease: Chiu and Jain, 1989), below
+what the estimator found: so two clients of one link come to equal parts, which the model of BBR alone does not bring.
+How long a picture may take to draw is AdaptiveQuality's to decide. Of both sizes the smaller is drawn.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ _GENTLE, _QUICK = 0.04, 0.7  # of the rate a second by which spending rises: soo
 _SOON = 3.0  # seconds
 _CUT, _PAUSE = 0.85, 0.4  # what a cut leaves; seconds from one to the next, or two round trips
 _QUEUE, _QUEUED = 0.008, 0.3  # seconds, and parts of a picture's time, that each has to wait where too much is spent
+_BESIDE = 2  # pictures of full quality that are begun whatever the link: as many as where none is looked at
+_SPARE = 1.5  # pictures under way beyond those that the link holds
 _LATE, _TRIPS = 0.02, 1.25  # seconds, and round trips, by which a picture is late that has not just lost a packet
-_GOOD = 0.8  # of the rate: a picture that came so fast is not late any more
 _AGAIN = 0.05  # seconds after which to look again while one is
 _LEARN = 0.15  # how far a picture moves what is expected of the next
 _EXCESS, _GAIN = 1.05, 1.04  # of the bytes there are: so much too many are changed at once, and so little is not won
@@ -43,7 +44,6 @@ class LinkControl:
         self._cap = inf if cap is None else cap
         self._spend = inf  # bits a second
         self._cut_at, self._updated = -inf, -inf
-        self._late = False  # a picture was later than a lost packet makes it, and no good one has come since
         self._begun: dict[int, float] = {}  # pictures that are made just now: since when
         self._making = 0.0  # seconds that takes
         self._interval = 0.0  # seconds between two pictures that the link does not hold back
@@ -125,8 +125,7 @@ class LinkControl:
     @property
     def spend(self) -> float:
         """Bits a second that may be spent."""
-        rate = min(self.link.rate, self.link.newest_rate) if self._late else self.link.rate
-        return min(self._spend, USE * rate, self._cap)
+        return min(self._spend, USE * self.link.rate, self._cap)
 
     def status(self) -> dict[str, float | None]:
         """For /stats: Mbit/s that the link takes and that are spent, ms of round trip, queue and age."""
@@ -148,13 +147,15 @@ class LinkControl:
     def _rest(self, now: float) -> float:
         """Until the way is free enough."""
         link = self.link
-        if not link.known:
+        if not link.known or (self._index == 0 and link.on_the_way + len(self._begun) < _BESIDE):
             return 0.0
         if link.overdue(now) > _LATE + _TRIPS * link.base:
-            self._late = True
             return _AGAIN
         rate = min(link.rate, self._cap)
         own = 8 * self._bytes_of_one() / rate
+        pace = max(self._interval, self._least)
+        if pace > 0 and link.on_the_way + len(self._begun) > _SPARE + (link.base + own + self._making) / pace:
+            return _AGAIN  # more than such a link holds: something else is late
         free = link.clear(now)
         for began in self._begun.values():
             free = max(free, began + self._making) + own
@@ -176,7 +177,6 @@ class LinkControl:
         link, rate = self.link, self.link.rate
         newest = link.newest
         assert newest is not None
-        self._late = self._late and link.newest_rate < _GOOD * rate
         soon = now - self._cut_at < _SOON
         passed = min(max(0.0, now - self._updated), 0.5)
         self._updated = now

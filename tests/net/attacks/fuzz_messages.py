@@ -94,6 +94,8 @@ def valid(i: int) -> list[dict[str, Any]]:
         ),
         json.loads(request(i, tracking={"left": None, "left_joints": [n for joint in hands(0.01) for n in joint]})),
         {"v": 1, "ack": 0},
+        {"v": 1, "ack": 0, "arrival": {"age": 87.5, "held": 0.5}},
+        json.loads(request(i, arrival={"age": 20, "held": 1.25}, quality=1 + i % 100)),
         bundle,
         {"frame_id": i, "cameras": [bundle["camera"], bundle["camera"] | {"eye": "right"}], "smplx": bundle["smplx"]},
     ]
@@ -116,7 +118,9 @@ class _Peer:
         parts = frozenset({"head"} if self.chance.random() < 0.8 else ())
         options = WireOptions(mirror=self.chance.random() < 0.2)
         self.window = self.chance.randint(1, 8)
-        self.session = Session(Decoder(options, skeleton, parts), SessionConfig(window=self.window), self.now)
+        self.session = Session(
+            Decoder(options, skeleton, parts), SessionConfig(window=self.window, widest=self.window), self.now
+        )
         self.taken: list[Request] = []
         self.newest = -1
         self.limit = options.max_side
@@ -166,13 +170,16 @@ class _Peer:
         """Take, write or fail pictures at random; the window holds."""
         if self.chance.random() < 0.5 and (taken := self.session.next_request(self.now)) is not None:
             self.taken.append(taken[0])
+            rung = None if taken[0].poses else self.session.rung(taken[0], self.now)
+            assert rung is None or (1 <= rung.quality <= taken[0].options.quality and 0.5 <= rung.scale <= 1)
         if self.taken and self.chance.random() < 0.5:
             frame = self.taken.pop(0)
             if self.chance.random() < 0.9:
-                self.session.sending(frame)
+                self.session.sending(frame, self.chance.choice((0, 1, 100, 10**6)), self.now)
                 self.session.sent(frame, 100)
             else:
                 self.session.failed(frame, "render", "no")
+        assert 0 <= self.session.rest(self.now) < 1e6
         status = self.session.status()
         assert status["under_way"] <= self.window and status["waiting"] <= 2
         assert status["unacknowledged"] <= self.window

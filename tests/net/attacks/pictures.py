@@ -133,7 +133,15 @@ def poses_alone(frame_id: int, number: int) -> bytes:
     return request(frame_id, want="pose", eyes=None, size=None, tracking=tracking(frame_id), t=frame_id * 4.4, ack=None)
 
 
+def lying(frame_id: int, number: int) -> bytes:
+    """Its pictures arrived at once, or never, or it is silent; it wants another size, quality and crop each time."""
+    arrival = ({"age": 0}, {"age": 60_000, "held": 60_000}, {"age": 5, "held": 30_000}, None)[frame_id % 4]
+    more = {"quality": 1 + frame_id % 100, "crop": frame_id % 3 == 0, "arrival": arrival}
+    return request(frame_id, (64 + 64 * (frame_id % 5), 64), ack=0, **more)
+
+
 PICTURES: dict[str, Attack] = {
+    "lies about what arrived, 100 a second": asking(lying, 100),
     "a picture, a pose, 100 a second": asking(undecided, 100),
     "poses, 230 a second": asking(poses_alone, 230),
     "poses that nobody reads": asking(poses_alone, 230, read=False, receive_buffer=4096),

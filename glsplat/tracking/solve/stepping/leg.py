@@ -34,7 +34,7 @@ EXTENSION = 0.5  # behind for each metre down: 27 degrees the hip extends
 HEEL = 0.35  # of the way from the ball back to the ankle that the heel is behind that
 STRAIGHT = 0.997  # of its length a leg stretches to
 KNEE_PRIOR = 0.05  # metres: what a known direction of the knee is weighed against
-SOFT = 0.05  # of its length over which a leg becomes straight: the knee would jump otherwise
+SOFT = 0.03  # of its length over which a leg becomes straight: the knee would jump otherwise
 
 
 class Leg:

@@ -1,0 +1,34 @@
+"""The page's half of fitting pictures to links, in Node: what its connection says of what arrived."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import glsplat
+from glsplat.net.messages import Ack, Decoder
+from tests.needs import program, require
+from tests.net.wire import EYE
+
+CONNECTION = Path(glsplat.__file__).parent / "net" / "web" / "stream" / "connection.js"
+
+SCRIPT = Path(__file__).with_name("link_page.mjs")
+
+
+def test_the_page_says_once_how_each_picture_arrived() -> None:
+    """With a message that acknowledges where requests wait, else with the next request; the server reads them all."""
+    require("node")
+    done = subprocess.run([program("node"), str(SCRIPT), CONNECTION.as_uri()], capture_output=True, check=True)
+    sent = json.loads(done.stdout)
+    assert [message.get("frame_id") for message in sent] == [1, 2, None, 3, 4, 5]
+    assert [message["ack"] for message in sent] == [0, 0, 1, 1, 3, 3]
+    arrivals = [message.get("arrival") for message in sent]
+    assert [arrival is not None for arrival in arrivals] == [False, False, True, False, True, False]
+    assert arrivals[2]["age"] >= 29 and 0 <= arrivals[2]["held"] < arrivals[2]["age"]
+    for message in sent:
+        request = Decoder().decode(json.dumps(message | ({"eyes": [EYE]} if "frame_id" in message else {})))
+        told = message.get("arrival")
+        assert (request.arrival is None) == (told is None)
+        assert told is None or request.arrival.age == told["age"]
+        assert isinstance(request, Ack) == ("frame_id" not in message)

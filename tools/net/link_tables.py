@@ -1,0 +1,88 @@
+"""Tables of streams over simulated links: before, after, and who knows the link. Seconds of a core, no sockets.
+
+python -m tools.net.link_tables        # docs/measured/links.md holds them
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from statistics import median
+
+from glsplat.net.pace.link_control import LinkControl
+from tools.net.simulated_link import Fixed, Link, Oracle, Outcome, Policy, play
+
+__all__ = ["alone", "falling", "shared"]
+
+RATES = (100, 20, 10, 5, 2)  # Mbit/s
+TRIPS = (20, 60, 150)  # ms
+LOSSES = (0, 1, 3)  # percent
+FALL = 20.0, 3.0, 20.0, 40.0  # Mbit/s before, then; from and to which second behind the warm-up
+
+
+def goal(trip: float) -> float:
+    """Milliseconds that 95 % of what is on show may be old at most."""
+    return 1.3 * (trip + 120)
+
+
+def _cells(outcome: Outcome, rate: float) -> str:
+    used = 8e-6 * outcome.nbytes / outcome.seconds / rate
+    return (
+        f"{outcome.shown / outcome.seconds:.1f} | {outcome.age(0.5) * 1e3:.0f} | {outcome.age(0.95) * 1e3:.0f} "
+        f"| {used:.2f} | {median(outcome.losses):.3f}"
+    )
+
+
+def alone() -> Iterator[str]:
+    """One client, 60 s behind a warm-up of 5."""
+    names = "shown/s | age | 95 % | used | LPIPS"
+    yield f"| Mbit/s | ms | loss | {names} | {names} | {names} | goal, ms | met by |"
+    yield "|" + "--:|" * 19 + "---|"
+    for loss in LOSSES:
+        for rate in RATES:
+            for trip in TRIPS:
+                link = Link(lambda now, rate=rate: rate, trip / 1e3, loss / 100)  # type: ignore[misc]
+                policies: dict[str, Policy] = {"before": Fixed(), "after": LinkControl(), "oracle": Oracle(link)}
+                found = {name: play(link, [policy])[0] for name, policy in policies.items()}
+                met = [name for name, one in found.items() if one.age(0.95) * 1e3 <= goal(trip)]
+                cells = " | ".join(_cells(one, rate) for one in found.values())
+                yield f"| {rate} | {trip} | {loss} % | {cells} | {goal(trip):.0f} | {', '.join(met) or 'none'} |"
+
+
+def falling() -> Iterator[str]:
+    """A rate that falls and comes back: how long ages are beyond the goal afterwards."""
+    before, then, start, end = FALL
+    yield "| ms | | beyond the goal after the fall, s | 95 % from 2 s on, ms | oldest, ms | after it came back, s |"
+    yield "|--:|---|--:|--:|--:|--:|"
+    for trip in TRIPS:
+        # the clock begins with the warm-up
+        link = Link(lambda now: then if start <= now - 5.0 < end else before, trip / 1e3)
+        policies: dict[str, Policy] = {"before": Fixed(), "after": LinkControl(), "oracle": Oracle(link)}
+        for name, policy in policies.items():
+            outcome = play(link, [policy])[0]
+            late = [at for at, age in outcome.ages if age * 1e3 > goal(trip)]
+            fallen = max((at - start for at in late if start <= at < end), default=0.0)
+            back = max((at - end for at in late if at >= end), default=0.0)
+            steady = outcome.age(0.95, start + 2, end) * 1e3
+            oldest = max(age for _, age in outcome.ages) * 1e3
+            yield f"| {trip} | {name} | {fallen:.1f} | {steady:.0f} | {oldest:.0f} | {back:.1f} |"
+
+
+def shared() -> Iterator[str]:
+    """Two clients behind one bottleneck; the second comes 8 s after the first, or at once."""
+    yield "| Mbit/s | ms | second after, s | parts of what is sent | of the rate | 95 %, ms | goal, ms |"
+    yield "|--:|--:|--:|--:|--:|--:|--:|"
+    for rate in (20, 10, 5, 2):
+        for trip in TRIPS:
+            for later in (0.0, 8.0):
+                link = Link(lambda now, rate=rate: rate, trip / 1e3)  # type: ignore[misc]
+                both = play(link, [LinkControl(), LinkControl()], starts=(0.0, later + 0.003))
+                sent = sum(one.nbytes for one in both)
+                parts = ", ".join(f"{one.nbytes / sent:.2f}" for one in both)
+                late = ", ".join(f"{one.age(0.95) * 1e3:.0f}" for one in both)
+                used = 8e-6 * sent / both[0].seconds / rate
+                yield f"| {rate} | {trip} | {later:.0f} | {parts} | {used:.2f} | {late} | {goal(trip):.0f} |"
+
+
+if __name__ == "__main__":
+    for table in (alone, falling, shared):
+        print("\n".join(table()), end="\n\n", flush=True)
