@@ -10,7 +10,7 @@ import json
 import sys
 
 import pytest
-from aiohttp import WSMsgType, web
+from aiohttp import WSMsgType
 
 from glsplat.net.conversation import Conversation
 from glsplat.net.server import Server, ServerConfig
@@ -40,23 +40,13 @@ asyncio.run(main())
 KNOWN = ["7.9.5"]  # aiohttp answers a close frame of code 1006 in order (1000), where 1002 is wanted
 
 
-class EchoServer(Server):
-    """With ``Echo`` for a conversation."""
-
-    limit: int | None = None
-
-    def _make_socket(self) -> web.WebSocketResponse:
-        socket = super()._make_socket()
-        if self.limit is not None:
-            socket._max_msg_size = self.limit
-        return socket
-
-
 class Echo(Conversation):
     async def _read(self) -> None:
         async for message in self._ws:
             if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
                 await self._send(message.data)
+            elif message.type == WSMsgType.PING:
+                await self._pong(message.data)
 
 
 @pytest.fixture(autouse=True)
@@ -64,13 +54,12 @@ def echo(monkeypatch):
     monkeypatch.setattr("glsplat.net.server.Conversation", Echo)
 
 
-def run(backend, cases, without=(), limit=None):
+def run(backend, cases, without=()):
     """(number of cases that passed, those that did not)."""
 
     async def main():
         # hundreds of connections, thousands of messages and 16 MiB at once are the suite's business
-        server = EchoServer(backend, ServerConfig(port=0, limits=UNLIMITED))
-        server.limit = limit
+        server = Server(backend, ServerConfig(port=0, limits=UNLIMITED))
         await server.start()
         try:
             words = json.dumps([server.url, cases, list(without)])
@@ -98,7 +87,8 @@ def test_what_aiohttp_gets_wrong_is_known(fake_backend):
 
 
 @pytest.mark.slow
-def test_large_and_many_messages(fake_backend):
+def test_large_and_many_messages(fake_backend, monkeypatch):
     """Cases 9: messages up to 16 MiB, with the limit raised, and thousands of small ones."""
-    passed, failed = run(fake_backend(), ["9.*"], limit=17 * 2**20)
+    monkeypatch.setattr("glsplat.net.conversation.MAX_BYTES", 17 * 2**20)
+    passed, failed = run(fake_backend(), ["9.*"])
     assert failed == [] and passed == 54

@@ -93,13 +93,11 @@ def photo() -> None:
 def room() -> None:
     """readme-room.jpg: three people of one room, as one of them sees them on the flat page."""
     config = ServerConfig(port=0, rooms={"lab": 3})
-    who = {"Ann": "anna", "Zoë": "p02", "Ben": "default"}
-    guest = glsplat.load(participants_folder() / "p02.npz")
-    assert isinstance(guest, glsplat.RiggedMesh)
-    others: dict[str, glsplat.Avatar | glsplat.RiggedMesh] = {"anna": person("anna"), "p02": guest}
+    who = {"Ann": "anna", "Mei": "mei", "Ben": "default"}
+    others = {name: person(name) for name in ("anna", "mei")}
 
     def made(config: ServerConfig) -> Server:
-        return make_server(person("ben"), config, avatars=others, rooms={"lab": glsplat.Scene([])})
+        return make_server(glsplat.default_avatar(), config, avatars=others, rooms={"lab": glsplat.Scene([])})
 
     with Served(make=made, config=config) as served, chromium() as browser, ExitStack() as stack:
         for name, avatar in who.items():
