@@ -99,6 +99,9 @@ class Conversation:
                 # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
                 async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
                     message = await self._ws.receive()
+                    if message.type == WSMsgType.PING and not self._ws.closed:
+                        await self._ws.pong(message.data)
+                        continue
             except TimeoutError:
                 text = reading.take()
                 if text is None:
@@ -111,8 +114,6 @@ class Conversation:
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, clock())
-                elif message.type == WSMsgType.PING:
-                    await self._pong(message.data)
                 elif message.type == WSMsgType.PONG:
                     if session.link is not None:
                         session.link.ponged(bytes(message.data), clock())
@@ -183,10 +184,6 @@ class Conversation:
                 with contextlib.suppress(TimeoutError):
                     await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))
                 return cut_off(self._request)
-
-    async def _pong(self, data: bytes) -> None:
-        if not self._ws.closed:
-            await self._ws.pong(data)
 
     async def _ping(self) -> None:
         """Measure the way there and back with next to nothing, where the client's link is looked at."""

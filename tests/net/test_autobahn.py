@@ -46,7 +46,7 @@ class Echo(Conversation):
             if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
                 await self._send(message.data)
             elif message.type == WSMsgType.PING:
-                await self._pong(message.data)
+                await self._ws.pong(message.data)
 
 
 @pytest.fixture(autouse=True)

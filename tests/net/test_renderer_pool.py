@@ -259,7 +259,7 @@ def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     server = make_server(PERSON, ServerConfig(port=0), own_process=False, avatars={"child": child, "rod": limb(50)})
     first, second, rod = server.offer()["avatars"]
     assert first["height"] == pytest.approx(2 * second["height"], rel=1e-3) and second["tracking"]
-    nothing = {"height": None, "hand_out": None} | dict.fromkeys(("tracking", "head", "made"), False)
+    nothing = {"title": "", "height": None, "hand_out": None} | dict.fromkeys(("tracking", "head", "made"), False)
     assert rod == nothing | {"name": "rod"}
 
     async def main():
