@@ -53,7 +53,8 @@ def small_avatar(count: int = 200) -> Avatar:
     avatar = default_avatar()
     keep = np.zeros(len(avatar.splats), bool)
     keep[:: len(keep) // count] = True
-    return replace(avatar, splats=replace(avatar.splats.take(keep), cones=None), skin=avatar.skin.take(keep), meta={})
+    splats = replace(avatar.splats.take(keep), cones=None)
+    return replace(avatar, splats=splats, skin=avatar.skin.take(keep), shapes=None, meta={})
 
 
 @dataclass
