@@ -114,10 +114,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bitrate",
         type=float,
         metavar="MBIT",
-        help="send each client that says when pictures arrive at most so many Mbit/s (default: what its link takes)",
+        help="--adapt, and at most so many Mbit/s for each of those clients (default: what its link takes)",
     )
     parser.add_argument(
-        "--fixed", action="store_true", help="send the size and quality that are asked for, whatever the link takes"
+        "--adapt",
+        action="store_true",
+        help="fit size and quality to the links of clients that say when pictures arrive, as the page does",
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_solver(parser)
@@ -172,8 +174,6 @@ def check(args: argparse.Namespace) -> None:
         raise UsageError(f"--fps needs 1 to 240 pictures a second, not {args.fps:g}")
     if args.bitrate is not None and not 0.1 <= args.bitrate <= 1e5:
         raise UsageError(f"--bitrate needs 0.1 to 100000 Mbit/s, not {args.bitrate:g}")
-    if args.bitrate is not None and args.fixed:
-        raise UsageError("--fixed sends what is asked for, however much: leave out --bitrate, or --fixed")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     if max(_pixels(args)) > args.max_size:
@@ -208,7 +208,7 @@ def server_config(
         wire=wire,
         session=SessionConfig(
             window=args.window,
-            adapt=not args.fixed,
+            adapt=args.adapt or args.bitrate is not None,
             bitrate=None if args.bitrate is None else args.bitrate * 1e6,
             watermark=watermark,
         ),

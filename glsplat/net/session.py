@@ -42,7 +42,7 @@ class SessionConfig:
     handshake: float = 10.0  # seconds from the connection to the first valid request
     idle: float = 60.0  # seconds without any message
     widest: int = 8  # window of who says when pictures arrive, and asked for none of its own
-    adapt: bool = True  # fit pictures to the links of those who say so
+    adapt: bool = False  # fit pictures to the links of those who say when they arrive
     bitrate: float | None = None  # bits a second that each of them is sent at most; None: what the link takes
     watermark: WatermarkKey | None = None  # what the pictures of each session are marked with, if they are
 

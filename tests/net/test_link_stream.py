@@ -28,6 +28,9 @@ def said(**fields) -> bytes:
 def asking(number: int, **fields) -> bytes:
     return said(frame_id=number, eyes=[EYE, EYE], size=[64, 64], **fields)
 
+ADAPTS = ServerConfig(port=0, session=SessionConfig(adapt=True))
+
+
 
 class TestField:
     def test_an_arrival_is_read(self) -> None:
@@ -73,7 +76,7 @@ class TestField:
 
 class TestSession:
     def opened(self, **config) -> Session:
-        return Session(Decoder(), SessionConfig(**config), now=0.0)
+        return Session(Decoder(), SessionConfig(**{"adapt": True} | config), now=0.0)
 
     def test_it_begins_with_the_first_arrival(self) -> None:
         session = self.opened()
@@ -87,7 +90,7 @@ class TestSession:
         link.acknowledged(1, 0.1, 0.0, now + 0.2)
         assert session.window == 8
 
-    def test_fixed_reads_it_and_does_nothing(self) -> None:
+    def test_a_server_that_does_not_adapt_reads_it_and_does_nothing(self) -> None:
         session = self.opened(adapt=False)
         assert session.receive(asking(1, ack=0, arrival={"age": 50}), 0.1) is not None
         assert session.link is None and session.window == 2 and session.rest(0.2) == 0
@@ -160,9 +163,9 @@ class TestSockets:
 
     def test_who_says_nothing_and_fixed_get_the_same_bytes(self, serve, fake_backend) -> None:
         async def main():
-            async with serve(fake_backend()) as server:
+            async with serve(fake_backend(), ADAPTS) as server:
                 silent = await self._bytes(server, 5)
-            async with serve(fake_backend(), ServerConfig(port=0, session=SessionConfig(adapt=False))) as server:
+            async with serve(fake_backend()) as server:
                 return silent, await self._bytes(server, 5), await self._bytes(server, 5, tells=True)
 
         silent, fixed, told = asyncio.run(main())
@@ -176,7 +179,7 @@ class TestSockets:
         monkeypatch.setattr(LinkControl, "rung", lambda *_: small)
 
         async def main():
-            async with serve(fake_backend()) as server, Client(server.url, adapt=True) as client:
+            async with serve(fake_backend(), ADAPTS) as server, Client(server.url, adapt=True) as client:
                 first = await client.render(cameras, crop=False)
                 return first, await client.render(cameras, crop=False), server.stats()
 
@@ -190,7 +193,7 @@ class TestSockets:
 
     def test_on_loopback_nothing_is_taken_away(self, serve, fake_backend, cameras) -> None:
         async def main():
-            async with serve(fake_backend()) as server, Client(server.url, adapt=True) as client:
+            async with serve(fake_backend(), ADAPTS) as server, Client(server.url, adapt=True) as client:
                 replies = [await client.render(cameras) for _ in range(40)]
                 return replies, server.stats()["clients"][0]["link"]
 

@@ -106,6 +106,7 @@ const dock = new Dock(document, settings, {
     return response.ok ? URL.createObjectURL(await response.blob()) : null;
   },
   add: () => page.show(offer?.upload ? 'photo' : 'no-photo'),
+  worn: () => chosenAvatar()?.name,
 });
 const elsewhere = new Elsewhere(document, async () => (await connection.fetch('reach')).json());
 

@@ -2,16 +2,20 @@
 
 const AGAIN = 5000; // ms until a picture that did not come is asked for again
 
-/** Shows `settings` avatar and driver as pictures and chips; `picture(name)` promises the address of a thumbnail, or null. */
+/**
+ * Shows `settings` avatar and driver as pictures and chips; `picture(name)` promises the address of a
+ * thumbnail, or null; `worn()` names who is shown where nobody was chosen.
+ */
 export class Dock {
   #document;
   #settings;
   #picture;
+  #worn;
   #pictures = new Map(); // by name
   #add; // what the last tile of the strip does
 
-  constructor(document, settings, { picture, add }) {
-    [this.#document, this.#settings, this.#picture, this.#add] = [document, settings, picture, add];
+  constructor(document, settings, { picture, add, worn = () => undefined }) {
+    [this.#document, this.#settings, this.#picture, this.#add, this.#worn] = [document, settings, picture, add, worn];
     for (const type of ['change', 'options']) {
       settings.addEventListener(type, ({ detail: { name } }) => {
         if (name === 'avatar') this.#showPeople();
@@ -35,7 +39,7 @@ export class Dock {
   }
 
   #showPeople() {
-    const chosen = this.#settings.get('avatar');
+    const chosen = this.#worn() ?? this.#settings.get('avatar');
     const options = this.#settings.options('avatar');
     const made = options.map(({ value, label }) => {
       const name = value === 'default' ? 'Demo' : label;

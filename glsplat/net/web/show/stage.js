@@ -65,11 +65,12 @@ export class Stage {
 
   /**
    * One frame for `views` [{transform, projection, viewport}] of `where` (a placing): ask for the next, show the newest.
-   * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas;
-   * `around`: the light of a room that is not ours, or null; `asks` false where nothing new is to be asked for. Returns
-   * the frame_id that was asked for, or 0.
+   * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
+   * which `keeps` what was painted or, as in an immersive session, is cleared for each frame; `around`: the light of a
+   * room that is not ours, or null; `asks` false where nothing new is to be asked for. Returns the frame_id that was
+   * asked for, or 0.
    */
-  frame(views, where, drive, { framebuffer = null, alpha, transparent = false, room, around, labels = () => [], asks = true, now }) {
+  frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, now }) {
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
@@ -79,7 +80,7 @@ export class Stage {
     const look = this.settings.get('place');
     const bare = first || !this.painter.place.prepare(look);
     const own = here && this.here.people.size > 0;
-    if (framebuffer || own) this.#painted = [];
+    if (!keeps || own) this.#painted = [];
     else if (this.#shows(views, room, bare)) return sent;
     const hung = labels();
     this.painter.begin(framebuffer, transparent, bare ? LOOKS[look] : null);

@@ -72,7 +72,7 @@ export class Viewer {
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
     const asks = this.ready() && (moves || now - this.#asked > KEEP);
     const shown = this.#stage.shownId;
-    if (this.#stage.frame(views, room ? IN_ROOM : HERE, drive, { alpha: true, room: true, asks, now })) {
+    if (this.#stage.frame(views, room ? IN_ROOM : HERE, drive, { alpha: true, keeps: true, room: true, asks, now })) {
       [this.#last, this.#asked] = [key, now];
     }
     if (this.#stage.shownId !== shown && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
