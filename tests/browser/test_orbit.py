@@ -137,6 +137,8 @@ def test_f_shows_the_face_and_goes_back(camera):
     assert seen(views(camera)[0], [0, 1.8, 0])[0][1] > 0  # the whole head is in the picture
     camera.evaluate("orbit.follow([-0.9, 0, -0.2, 0.4, 1.8, 0.2], 9000)")  # an arm is raised: it stays
     assert seen(views(camera)[0], [0, 1.67, 0])[0] == pytest.approx([400, 300], abs=1)
+    camera.evaluate("orbit.changed(); orbit.follow([-0.4, 0, -0.2, 0.4, 1.6, 0.2], 9100)")  # somebody smaller: her face
+    assert seen(views(camera)[0], [0, 1.47, 0])[0] == pytest.approx([400, 300], abs=1)
     camera.keyboard.press("f")
     assert camera.evaluate("[orbit.yaw, orbit.pitch, orbit.distance]") == pytest.approx(start[:3])
 

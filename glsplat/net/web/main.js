@@ -322,6 +322,7 @@ settings.addEventListener('change', ({ detail: { name } }) => {
     wear();
     photo.wears(chosenAvatar());
     photo.height = settings.get('height');
+    orbit.changed();
     stage.clear();
     if (connection.state !== 'off') connection.restart();
   }

@@ -23,6 +23,7 @@ export class Orbit {
   stands = false; // whether it keeps its place although the avatar moves
   close = false; // whether F brought it before the face
   #box = null; // of the avatar, as `follow` was told last
+  #seeks = false; // whether the next box is somebody else's, whose face is to be looked at
   #centre = [...START.centre];
   #pan = [0, 0, 0];
   #followed = null; // milliseconds, when follow() was called last
@@ -72,7 +73,15 @@ export class Orbit {
   toggleFace() {
     const { close } = this;
     this.reset();
-    if (close || !this.#box) return;
+    if (!close && this.#box) this.#face();
+  }
+
+  /** Somebody else is seen from the next `follow` on: a face that is looked at is theirs. */
+  changed() {
+    this.#seeks = this.close;
+  }
+
+  #face() {
     const [x0, , z0, x1, top, z1] = this.#box;
     this.#pan = [(x0 + x1) / 2, top - FACE.down, (z0 + z1) / 2].map((v, i) => v - this.#centre[i]);
     [this.distance, this.pitch, this.close] = [FACE.distance, 0, true];
@@ -114,6 +123,8 @@ export class Orbit {
   follow(box, nowMs = performance.now()) {
     if (!box?.every(Number.isFinite)) return;
     this.#box = [...box];
+    if (this.#seeks) this.#face();
+    this.#seeks = false;
     if (this.close || this.stands) return; // a face is not lost for an arm that is raised
     const off = [0, 1, 2].map((i) => (box[i] + box[i + 3]) / 2 - this.#centre[i]);
     const far = Math.hypot(...off);
