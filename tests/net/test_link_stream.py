@@ -28,8 +28,8 @@ def said(**fields) -> bytes:
 def asking(number: int, **fields) -> bytes:
     return said(frame_id=number, eyes=[EYE, EYE], size=[64, 64], **fields)
 
-ADAPTS = ServerConfig(port=0, session=SessionConfig(adapt=True))
 
+ADAPTS = ServerConfig(port=0, session=SessionConfig(adapt=True))
 
 
 class TestField:
