@@ -12,7 +12,7 @@ from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
-from glsplat.data import PEOPLE, embedded_file
+from glsplat.data import DEFAULT, PEOPLE, embedded_file
 from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.face.feed import FaceFeed
@@ -272,6 +272,7 @@ def run(args: argparse.Namespace) -> int:
         rendering=RenderConfig(**detail_of(args)),
         budget=(args.max_cost, args.max_time),
         name=scene_name(args),
+        title=DEFAULT if args.scene is None and study is None else "",
         avatars=avatars,
         uploads=signing(upload_config(args), policy),
         consent=policy,

@@ -65,6 +65,7 @@ def make_server(
     idle: bool = False,  # eyes of tracked users that no sensor sees look around and blink
     face: FaceFeed | None = None,  # a face that is tracked beside the headset, of one user at a time
     lead: Lead | None = None,  # leads the clients through more than pictures, such as a study
+    title: str = "",  # what people read for ``name``; "": as its file says
     people: Collection[str] = (),  # names of glsplat.data.PEOPLE that clients may choose, too, soon after the start
 ) -> Server:
     """A server that draws ``scene`` with OpenGL, and solves tracking if its one avatar has SMPL-X's rig.
@@ -89,6 +90,7 @@ def make_server(
     others = _checked(avatars or {}, name, rendering)
     choices: Mapping[str, Rigged] = others
     first = _nobody(name, file) if avatar is None else offered(name, avatar, calibration, solver, idle, face)
+    first = replace(first, title=title or first.title)
     offers = [first, *(offered(one, what, calibration, solver, idle, face) for one, what in others.items())]
     takes = None
     if uploads is not None:

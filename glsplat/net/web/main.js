@@ -270,7 +270,7 @@ function tell() {
   page.status(said + where, stage.notice ? 'error' : 'info');
   const waits = connection.state === 'waiting' && connection.problem !== 'token';
   const name = chosenAvatar()?.title || (chosenAvatar()?.name ?? 'glsplat');
-  page.title(name === 'default' ? 'Demo avatar' : name, waits ? 'Try again now' : '');
+  page.title(name, waits ? 'Try again now' : '');
 }
 
 /** Tell the user for some seconds, on the page and in the room. */

@@ -195,6 +195,7 @@ def test_what_the_server_offers(serve):
         "size": [640, 480],
         "rate": None,
         "loading": False,
+        "light": None,
         "quality": 70,
         "window": 2,
         "clients": 0,

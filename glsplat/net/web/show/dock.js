@@ -42,8 +42,7 @@ export class Dock {
     const chosen = this.#worn() ?? this.#settings.get('avatar');
     const options = this.#settings.options('avatar');
     const made = options.map(({ value, label }) => {
-      const name = value === 'default' ? 'Demo' : label;
-      return this.#button('person', name, value === chosen, () => this.#settings.set('avatar', value), this.#face(value, name));
+      return this.#button('person', label, value === chosen, () => this.#settings.set('avatar', value), this.#face(value, label));
     });
     const yours = this.#button('person', 'Yours', null, this.#add, this.#blank('+'));
     yours.setAttribute('aria-label', 'Your photo');
