@@ -73,10 +73,7 @@ class Client:
         height = None if height is None else number(height, "height", GlsplatError)
         span = None if span is None else number(span, "span", GlsplatError)
         asked = {"avatar": avatar, "window": window, "mirror": int(mirror) or None, "height": height, "span": span}
-        place = None
-        if at is not None:
-            x, z, degrees = (number(v, "at", GlsplatError) for v in _three(at))
-            place = f"{x:g},{z:g},{degrees:g}"
+        place = None if at is None else ",".join(f"{number(v, 'at', GlsplatError):g}" for v in _three(at))
         asked |= {"room": room, "name": name, "at": place}
         self._query = {key: value for key, value in asked.items() if value is not None}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}

@@ -118,8 +118,7 @@ class Server:
         self._adder: asyncio.Task[None] | None = None
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
-        self._totals, self._numbers, self._draining = Counts(), 0, False
-        self._started = clock()
+        self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, clock()
         self._runner: web.AppRunner | None = None
         self._pages: Pages | None = None
 

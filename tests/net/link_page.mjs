@@ -1,6 +1,13 @@
 // The page's connection on a socket that only listens; prints what it sent as JSON. test_link_page.py runs it.
 
 globalThis.location = new URL('http://localhost:8000/vr/index.html');
+// Node 18 has none
+globalThis.CustomEvent ??= class extends Event {
+  constructor(type, { detail = null } = {}) {
+    super(type);
+    this.detail = detail;
+  }
+};
 const sent = [];
 let socket = null;
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -11,15 +12,18 @@ from glsplat.net.messages import Ack, Decoder
 from tests.needs import program, require
 from tests.net.wire import EYE
 
-CONNECTION = Path(glsplat.__file__).parent / "net" / "web" / "stream" / "connection.js"
+STREAM = Path(glsplat.__file__).parent / "net" / "web" / "stream"
 
 SCRIPT = Path(__file__).with_name("link_page.mjs")
 
 
-def test_the_page_says_once_how_each_picture_arrived() -> None:
+def test_the_page_says_once_how_each_picture_arrived(tmp_path: Path) -> None:
     """With a message that acknowledges where requests wait, else with the next request; the server reads them all."""
     require("node")
-    done = subprocess.run([program("node"), str(SCRIPT), CONNECTION.as_uri()], capture_output=True, check=True)
+    shutil.copytree(STREAM, tmp_path / "stream")
+    (tmp_path / "package.json").write_text('{"type": "module"}')  # Node before 22 asks for it
+    connection = (tmp_path / "stream" / "connection.js").as_uri()
+    done = subprocess.run([program("node"), str(SCRIPT), connection], stdout=subprocess.PIPE, check=True)
     sent = json.loads(done.stdout)
     assert [message.get("frame_id") for message in sent] == [1, 2, None, 3, 4, 5]
     assert [message["ack"] for message in sent] == [0, 0, 1, 1, 3, 3]

@@ -181,7 +181,7 @@ def _surface(surface: Surface) -> list[bytes]:
 
 
 def _packed(parts: list[bytes] | bytes) -> bytes:
-    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packer = zlib.compressobj(7, zlib.DEFLATED, -15)
     return packer.compress(parts if isinstance(parts, bytes) else b"".join(parts)) + packer.flush()
 
 
