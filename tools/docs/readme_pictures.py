@@ -97,7 +97,8 @@ def room() -> None:
     others = {name: person(name) for name in ("anna", "mei")}
 
     def made(config: ServerConfig) -> Server:
-        return make_server(glsplat.default_avatar(), config, avatars=others, rooms={"lab": glsplat.Scene([])})
+        scene, rooms = glsplat.default_avatar(), {"lab": glsplat.Scene([])}
+        return make_server(scene, config, avatars=others, rooms=rooms, title="ben")
 
     with Served(make=made, config=config) as served, chromium() as browser, ExitStack() as stack:
         for name, avatar in who.items():
