@@ -11,7 +11,7 @@ from glsplat.splats import Level
 out = sys.argv[1] if len(sys.argv) > 1 else "levels.png"
 avatar = glsplat.default_avatar()
 levels = (Level(avatar, density=float("inf")), *avatar.levels)
-size, strip, said = (460, 500), [], []
+size, strip, said = (520, 500), [], []
 for level in levels:
     density = min(level.density, 240)  # pixels a metre up to which a level is enough: focal length over distance
     distance = 600 / density

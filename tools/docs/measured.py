@@ -18,6 +18,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from textwrap import fill
 
 from apps.demo import running_server
 from glsplat.evaluate.machine import machine
@@ -245,9 +246,9 @@ def written(page: str) -> bytes:
 def page_of(title: str, how: str, said: str, found: Iterable[Table]) -> bytes:
     """Such a page: the command that writes it, what it was measured on, and the tables."""
     mark = "<!-- not run: minutes of a quiet machine, or hours -->"
-    text = [f"# {title}, measured", "", mark, "", f"    {how}        # wrote this page", "", said]
+    text = [f"# {title}, measured", "", mark, "", f"    {how}        # wrote this page", "", fill(said, 99)]
     for name, about, table in found:
-        text += ["", f"## {name}", "", about, "", f"<!-- table: {name} -->", "", table, "", "<!-- end -->"]
+        text += ["", f"## {name}", "", fill(about, 99), "", f"<!-- table: {name} -->", "", table, "", "<!-- end -->"]
     return ("\n".join(text) + "\n").encode()
 
 
