@@ -107,6 +107,8 @@ def _turned(avatar: Avatar, turn: NDArray[np.float64], skeleton: Skeleton) -> Av
 
 def _turned_meta(meta: Mapping[str, Any], turn: NDArray[np.float64]) -> Mapping[str, Any]:
     """The notes of a file; the light that was estimated of its photograph has the world's axes."""
-    if "light" not in meta:
-        return meta
-    return dict(meta) | {"light": Light.from_json(meta["light"]).turned(turn[:3, :3]).to_json()}
+    try:
+        light = Light.from_json(meta["light"]) if isinstance(meta.get("light"), Mapping) else None
+    except FormatError:  # another tool's note of that name
+        light = None
+    return meta if light is None else dict(meta) | {"light": light.turned(turn[:3, :3]).to_json()}

@@ -73,7 +73,8 @@ def test_light_falls_on_each_from_where_it_is(renderer_of: Callable[..., Rendere
 
 def test_the_one_shown_by_default_is_one_of_them_with_coarser_levels() -> None:
     avatar = default_avatar()
-    assert avatar is person(DEFAULT) and [len(level.content.splats) for level in avatar.levels]
+    counts = [len(avatar.splats), *(len(level.content.splats) for level in avatar.levels)]
+    assert avatar is person(DEFAULT) and len(counts) > 1 and counts == sorted(set(counts), reverse=True)
     assert avatar.splats.cones is not None and all(one.content.splats.cones is not None for one in avatar.levels)
 
 

@@ -82,9 +82,8 @@ def check(args: argparse.Namespace) -> None:
     if args.url is None and (args.token_file is not None or args.tls_ca is not None or args.quality is not None):
         raise UsageError("--token-file, --tls-ca and --quality go with --url")
     if args.url is not None:
-        unasked = argparse.Namespace(level=None, lod_bias=None, cull_hidden=False, exact=False)
-        asked = detail_of(args) != detail_of(unasked) or args.solver != SOLVERS[0]
-        if asked or args.light is not None or args.calibration is not None:
+        given = any(getattr(args, name) is not None for name in ("light", "level", "lod_bias", "calibration"))
+        if given or args.cull_hidden or args.exact or args.solver != SOLVERS[0]:
             raise UsageError(
                 "--light, --level, --lod-bias, --cull-hidden, --exact, --calibration and --solver do not go with --url:"
                 " a server decides"
@@ -198,11 +197,9 @@ def _calibration(args: argparse.Namespace, scene: SceneFile) -> Calibration | No
 
 
 def _choose_blend(args: argparse.Namespace, session: Session) -> None:
-    """Opaque or what comes first; with --passthrough what lets the room through. ContextError if nothing does."""
+    """With --passthrough: what lets the room through. ContextError if nothing does."""
     runtime = session.runtime
-    if runtime is None:
-        return
-    if not args.passthrough:
+    if runtime is None or not args.passthrough:
         return
     found = next((blend for blend in ("alpha", "additive") if blend in runtime.blends), None)
     if found is None:

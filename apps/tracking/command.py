@@ -142,9 +142,11 @@ def truth_lines(truth: TrueMotion) -> Iterator[dict[str, Any]]:
 
 def run_calibrate(args: argparse.Namespace) -> int:
     """A calibration file from a recording, or from a height."""
+    if args.find_size and (args.recording is None or args.height is not None):
+        raise UsageError("--find-size takes a recording, and no --height")
     skeleton = skeleton_of(args.avatar)
     _different(args.output, args.recording)
-    if args.recording and args.find_size:
+    if args.find_size:
         calibration = found_size(list(replay(args.recording)), skeleton, args.floor or 0.0)
         if calibration.eye_height is None:
             raise PoseError(f"{args.recording}: nobody is seen to stand for a second; give --height in metres")

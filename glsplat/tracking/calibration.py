@@ -45,9 +45,8 @@ class Calibration:
     left_foot: Transform | None = None
     right_foot: Transform | None = None
     automatic: bool = False  # the scale is found while the session runs, from this one on
-    found: float | None = (
-        None  # the scale that a session finds by itself, beside one that was measured; it does not count
-    )
+    # the scale that a session finds by itself, beside one that was measured; it does not count
+    found: float | None = None
 
     def __post_init__(self) -> None:
         for scale in (self.scale, self.scale if self.found is None else self.found):
@@ -175,13 +174,14 @@ def calibrate(
         if fitted is not None:
             span, scale = widest, fitted
     scale = min(max(scale, SMALLEST), LARGEST)
+    size = found_size(samples, skeleton, floor)
     return Calibration(
         scale=scale,
         floor=floor,
         head_pitch=pitch if abs(pitch) < 0.35 else 0.0,
         eye_height=eyes,
         arm_span=span,
-        found=found_size(samples, skeleton, floor).scale,
+        found=None if size.eye_height is None else size.scale,
         **_mounts(samples, middle, body, scale, floor),  # type: ignore[arg-type]
     )
 

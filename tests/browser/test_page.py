@@ -232,31 +232,3 @@ def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: O
     # the decoder's worker starts by itself; all other modules are known from the page's first bytes
     assert {name for name in seen if name.endswith(".js")} == preloaded and len(preloaded) > 30
     assert not [name for name in seen if "avatars/" in name or "thumbnails" in name or name.endswith("programs.json")]
-
-
-COUNT = """
-  window.drawn = { frames: 0, begun: 0 };
-  const clear = WebGL2RenderingContext.prototype.clear;
-  WebGL2RenderingContext.prototype.clear = function (...bits) { drawn.frames++; return clear.apply(this, bits); };
-  const each = () => { drawn.begun++; requestAnimationFrame(each); };
-  requestAnimationFrame(each);
-"""
-
-
-def test_a_frame_like_the_last_one_is_left_on_the_screen(open_page: OpenPage, stored: Any) -> None:
-    page = open_page(None, xr=None, allow=["Applying inline style"])  # of the picture of the canvas
-    page.page.add_init_script(COUNT)
-    page.page.goto(stored.page)
-    page.until("window.glsplat?.stats().shown > 1")
-    page.page.locator("#motions .chip", has_text="Stand still").click()
-    page.until("performance.now() > 6000")  # until it is known who draws, and the place is there
-    before = page.js("({ ...drawn, shown: glsplat.stats().shown })")
-    page.until(f"drawn.begun > {before['begun'] + 60}")
-    after = page.js("({ ...drawn, shown: glsplat.stats().shown })")
-    more = {name: after[name] - before[name] for name in after}
-    assert more["frames"] <= more["shown"] + 2 < more["begun"] / 2, more
-    page.page.focus("#canvas")
-    page.page.keyboard.press("ArrowLeft")
-    page.until(f"drawn.frames > {after['frames']}")
-    canvas = page.canvas()
-    assert canvas.std() > 5  # what is left is the picture, not an empty canvas

@@ -56,6 +56,7 @@ def test_a_picture_is_painted_once_and_what_changes_at_once(open_page: OpenPage,
         change()
         page.until(f"window.painted > {before} || window.glsplat.stats().shown > {shown} + 1")
         assert page.js("window.painted") > before
+    assert page.canvas().std() > 5  # what is left is the picture, not an empty canvas
 
 
 def test_the_canvas_is_whole_after_it_was_lost_and_made_anew(open_page: OpenPage, serve: Any) -> None:

@@ -131,17 +131,3 @@ def test_in_a_room_everybody_is_lit_as_the_viewer_asked(backend: RendererBackend
         wanted = direct(ROD, light)
         assert np.abs(found.astype(int) - wanted).max() <= 1  # turned there and back in floats
         assert wanted[..., 3].any()
-    assert member.options(Request(frame_id=1, cameras=tuple(EYES))) is not None
-
-
-def test_a_turned_light_lights_what_is_turned_alike() -> None:
-    rng = np.random.default_rng(8)
-    normals = rng.normal(size=(200, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    turn = similarity((0, 0, 0), (0.3, -0.5, 0.7, 1.1))[:3, :3]
-    light = random_light(9)
-    turned = light.turned(turn)
-    np.testing.assert_allclose(turned.irradiance(normals @ turn.T), light.irradiance(normals), atol=1e-12)
-    assert light.sun_direction is not None and turned.sun_direction is not None
-    np.testing.assert_allclose(turned.sun_direction, turn @ light.sun_direction, atol=1e-12)
-    assert Light.uniform().turned(turn).sun_direction is None

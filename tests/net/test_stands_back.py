@@ -56,7 +56,7 @@ def test_a_software_driver_stands_back() -> None:
 def test_others_go_on(monkeypatch: pytest.MonkeyPatch, driver: str, needed: bool) -> None:
     monkeypatch.setattr(render_loop, "_BACK", 1e9)
     monkeypatch.setattr(render_loop, "_LONGEST_BACK", 1e9)  # it would never end
-    assert seconds(driver, needed) < 1e9
+    assert seconds(driver, needed) < 60
 
 
 @pytest.mark.parametrize("driver", ["llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe", "Google SwiftShader", "lavapipe"])

@@ -168,8 +168,10 @@ def main() -> None:
     with progress_bar() as show:
         avatar = made(mesh, options.splats, options.steps, show)
         if options.levels:
-            avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
-        avatar = with_surface(with_cones(avatar, progress=show), mesh)
+            avatar = with_cones(
+                with_levels(avatar, options.levels, steps=options.level_steps, progress=show), progress=show
+            )
+        avatar = with_surface(avatar, mesh)
     save(small(replace(avatar, meta=about(recipe))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 

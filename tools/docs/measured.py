@@ -185,7 +185,7 @@ def links() -> Iterator[Table]:
     about = (
         "**Simulated**: the server's control of a link in front of a model of renderer, TCP and client\n"
         "(tools/net/simulated_link.py says what is modelled, and that TCP's own window is not). 2 x 1024^2, 20 pairs\n"
-        "a second at full size. Three times the same columns: as it was (`--fixed`, two under way), as it is, and by\n"
+        "a second at full size. Three times the columns: without `serve --adapt` (two under way), with it, and by\n"
         "who knows rate and round trip (oracle). `used`: of the rate; where all that can be seen passes (LPIPS .008),\n"
         "there is nothing more to spend it on. LPIPS by the table of [ladder.md](ladder.md)."
     )
@@ -199,7 +199,7 @@ def ladder() -> Iterator[Table]:
     """What size, quality and chroma cost in bits and in sight."""
     files = os.environ.get("GLSPLAT_MEASURED_AVATARS", "").split()
     about = (
-        "The left eye of `glsplat replay` at 1024^2, the embedded avatar, anna and ben, and an avatar of 39,998\n"
+        "The left eye of `glsplat replay` at 1024^2, the embedded people, and an avatar of 39,998\n"
         "splats of another person (files named by GLSPLAT_MEASURED_AVATARS). JPEG as the server makes it, decoded,\n"
         "enlarged to full size; LPIPS (AlexNet) and PSNR in the avatar's box against the uncompressed picture of full\n"
         "size. On the front: no other setting of 4:2:0 has fewer bytes in the box and less LPIPS.\n"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from apps.args import load_avatar
 from apps.replay.streaming import observer
 from glsplat.avatar import Avatar
-from glsplat.data import PEOPLE, default_avatar, person
+from glsplat.data import PEOPLE, person
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.motion.motion import load_embedded_motion
 from glsplat.net.codec.encode import covered_box, encode_picture
@@ -54,7 +54,6 @@ class Cost:
 
 
 def _people(files: Sequence[Path]) -> Iterator[tuple[str, Avatar]]:
-    yield "default", default_avatar()
     for name in PEOPLE:
         yield name, person(name)
     for path in files:

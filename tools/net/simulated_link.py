@@ -4,7 +4,7 @@ What is real is the server's control of a link (glsplat/net/pace). The rest is a
 
 - The display asks at 72 Hz; requests are small and take half of the round trip.
 - The newest request is drawn when the renderer is free: 50 ms for a pair of full size (the 20 a second of the issue),
-  (0.18 + 0.82 scale^2) as much for smaller ones (docs/streaming.md: 33, 57 and 86 ms at 512, 768 and 1024), then 4 ms
+  (0.18 + 0.82 scale^2) as much for smaller ones, then 4 ms
   to encode. Pictures vary by a tenth in size.
 - The bottleneck is one queue, first in, first out, that never overflows. A lost packet (1,448 bytes) is sent again when
   three later ones of its picture arrived, else after two round trips; lost again, after 200 ms and the round trip.
@@ -23,7 +23,6 @@ from random import Random
 from typing import Protocol
 
 from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
-from glsplat.net.pace.link_control import LinkControl
 
 __all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "draw_time", "play"]
 
@@ -50,6 +49,7 @@ class Policy(Protocol):
     """What a server does for one client: LinkControl, or what it is compared with."""
 
     def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung: ...
+    def ponged(self, payload: bytes, now: float) -> None: ...
     def written(self, number: int, nbytes: int, now: float) -> None: ...
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
     def ping(self, now: float) -> bytes | None: ...
@@ -69,6 +69,9 @@ class Fixed:
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
 
     def ping(self, now: float) -> bytes | None:
+        return None
+
+    def ponged(self, payload: bytes, now: float) -> None:
         return None
 
     def rest(self, now: float) -> float:
@@ -226,7 +229,7 @@ class _Simulation:
         ping = client.policy.ping(now)
         if ping is not None:
             there = max(now, self._free) + trip
-            self._at(there, lambda: client.policy.ponged(ping, there))  # type: ignore[attr-defined]
+            self._at(there, lambda: client.policy.ponged(ping, there))
         client.policy.written(number, nbytes, now)
         waiting = max(0.0, self._free - now)
         begin = max(now, self._free)
@@ -288,8 +291,3 @@ class _Simulation:
 def draw_time(scale: float) -> float:
     """Seconds, for a pair of that scale."""
     return DRAW * (0.18 + 0.82 * scale**2)
-
-
-def adaptive() -> LinkControl:
-    """What a server does now."""
-    return LinkControl()
