@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from glsplat.errors import ProtocolError
-from glsplat.net.messages import VERSION
+from glsplat.net.messages import LONGEST, VERSION
 from glsplat.net.reply import Reply
 
 __all__ = ["POLICIES", "Answer", "Backoff", "FlowControl", "ReceivedReply", "server_error"]
@@ -147,7 +147,8 @@ class FlowControl:
             del self._arrivals[number]
         if arrival is not None:
             age, at = arrival
-            fields["arrival"] = {"age": round(age * 1e3, 3), "held": round(max(0.0, now - at) * 1e3, 3)}
+            held = min(max(0.0, now - at) * 1e3, LONGEST)
+            fields["arrival"] = {"age": round(min(age * 1e3, LONGEST), 3), "held": round(held, 3)}
         return fields
 
     def acknowledgement(self, now: float) -> str:

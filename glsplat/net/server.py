@@ -288,11 +288,10 @@ class Server:
     async def _add_later(self) -> None:
         if self.fitting is not None:
             await asyncio.wait([self.fitting])
-        more = iter(self._later())
+        more = (one for one in self._later() if one.name not in self._offers.names)
         try:
             while (one := await asyncio.to_thread(next, more, None)) is not None:
-                if one.name not in self._offers.names:
-                    self._offers.add(one)
+                self._offers.add(one)
             await self._splat_files.prepare()
         except Exception:  # what is offered by now is shown all the same
             log.exception("not everybody can be offered")
@@ -395,6 +394,7 @@ class Server:
         if self._lead is not None:
             self._lead.left(channel.number)
         self._talks.pop(channel.number, None)
+        self._previews.left(channel.number)
         del self._channels[channel.number]
         for name, value in asdict(channel.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)

@@ -275,8 +275,10 @@ class Session:
     def _accept(self, request: Request, now: float) -> Request | None:
         if request.ack is not None:
             self._acknowledge(request.ack, request.arrival, now)
-        elif self._unacked:
+        else:
             self._unacked.clear()  # it acknowledged before and stopped: its next request shows that it lives
+            if self.link is not None:
+                self.link.link.forget(self._newest_sent)
         # the oldest form has one eye a message and no use for a number, and others may leave it out
         unnumbered = request.frame_id is None or request.form == "single-legacy"
         frame_id = self._newest + 1 if unnumbered else request.frame_id
@@ -311,6 +313,8 @@ class Session:
             if self.link is None:
                 self.link = LinkControl(self.config.bitrate)
             self.link.acknowledged(frame_id, arrival.age / 1e3, arrival.held / 1e3, now)
+        elif self.link is not None:
+            self.link.link.forget(frame_id)
 
     def _limited(self, now: float) -> Warn | Close | None:
         self.counts.limited += 1

@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
-from glsplat.net.messages import Ack, Arrival, Decoder
+from glsplat.net.messages import Ack, Arrival, Decoder, Request
 from glsplat.net.pace.adaptive_quality import FULL, AdaptiveQuality, Detail
 from glsplat.net.pace.ladder import ladder
 from glsplat.net.pace.link_control import LinkControl
@@ -89,6 +89,26 @@ class TestSession:
         assert session.link.link.known is False
         link.acknowledged(1, 0.1, 0.0, now + 0.2)
         assert session.window == 8
+
+    @pytest.mark.parametrize("acknowledges", [True, False])
+    def test_who_stops_saying_it_goes_on_getting_pictures(self, acknowledges: bool) -> None:
+        session, now, drawn = self.opened(), 0.0, 0
+        for number in range(1, 121):
+            now += 0.033
+            says = number <= 40
+            more = {"ack": drawn} if says or acknowledges else {}
+            more |= {"arrival": {"age": 40}} if says and drawn else {}
+            assert isinstance(session.receive(asking(number, **more), now), Request)
+            if session.link is not None:
+                session.link.ponged(session.link.ping(now) or b"", now + 0.005)
+            if session.ready() and session.rest(now) <= 0:
+                taken = session.next_request(now)
+                assert taken is not None
+                session.rung(taken[0], now)
+                session.sending(taken[0], 20_000, now + 0.01)
+                session.sent(taken[0], 20_000)
+                drawn = taken[0].frame_id
+        assert drawn >= 115
 
     def test_a_server_that_does_not_adapt_reads_it_and_does_nothing(self) -> None:
         session = self.opened(adapt=False)

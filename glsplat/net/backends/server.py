@@ -113,9 +113,10 @@ def make_server(
         backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1])
     else:
         backend = ProcessBackend(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
+    taken = {one.name for one in offers}
     later = partial(
         _people,
-        people,
+        [one for one in people if one not in taken],
         avatar,
         rendering,
         partial(offered, calibration=calibration, solver=solver, idle=idle, face=face),

@@ -81,8 +81,7 @@ class LinkEstimator:
     def acknowledged(self, number: int, held: float, now: float) -> None:
         """The picture arrived, and with it all before; the client kept the news for ``held`` seconds, it says."""
         entry = self._way.get(number)
-        for old in [old for old in self._way if old <= number]:
-            del self._way[old]
+        self.forget(number)
         if entry is None:
             return
         written, nbytes = entry
@@ -93,6 +92,11 @@ class LinkEstimator:
         self._delivered.append(self.newest)
         if self._ponged:
             self._measure(now)
+
+    def forget(self, number: int) -> None:
+        """A picture and all before it are no longer on the way; nobody says when they arrived."""
+        for old in [old for old in self._way if old <= number]:
+            del self._way[old]
 
     def _trip(self, seconds: float, now: float) -> None:
         seconds = max(seconds, _INSTANT)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 from base64 import b64encode
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -33,6 +34,9 @@ __all__ = ["Drawer", "Previews", "flattened", "pair"]
 
 SIDE = 192
 """Pixels of an avatar's picture."""
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
 _SMALL = 240  # pixels that the larger side of a client's last picture has at most
 _GROUND = np.array([205, 210, 216], np.float32)  # behind whom alpha cuts out, sRGB
 _PATIENCE = 20.0  # seconds for a picture
@@ -84,6 +88,9 @@ class Drawer:
         try:
             return await fit(draw, most)
         except GlsplatError:
+            return None
+        except Exception:  # the server goes on with the size that it was told
+            log.exception("no size of pictures could be found")
             return None
 
 
@@ -141,6 +148,10 @@ class Previews:
             made = self._small[number] = encoded, asyncio.create_task(asyncio.to_thread(_small, encoded))
         return await asyncio.shield(made[1])
 
+    def left(self, number: int) -> None:
+        """A client is gone, and what it saw with it."""
+        self._small.pop(number, None)
+
     def forget(self, name: str) -> None:
         """Another avatar may have that name from now on."""
         self._kept = {key: data for key, data in self._kept.items() if key[0] != name}
@@ -150,17 +161,12 @@ class Previews:
         if name not in self._rights.drivable(user, self._offers.names):
             return web.Response(status=404, text="there is no such avatar here\n")
         key = name, self._rights.label(user, name)
-        async with self._drawing:  # who waits for a picture finds it drawn
-            data = self._kept.get(key)
-            if data is None and name in self._offers.names:
-                one = self._offers[name]
-                try:
-                    encoded, _ = await self._drawer.draw(one, _portrait(one), lambda: key[1])
-                except GlsplatError as error:
-                    return web.Response(status=503, text=f"{error}\n", headers={"Retry-After": "5"})
-                data = await asyncio.to_thread(_thumbnail_of, encoded)
-                if name in self._offers.names and self._offers[name] is one:  # another may have the name meanwhile
-                    self._kept[key] = data
+        data = self._kept.get(key)
+        if data is None:
+            try:
+                data = await self._drawn(name, key)
+            except GlsplatError as error:
+                return web.Response(status=503, text=f"{error}\n", headers={"Retry-After": "5"})
         if data is None:
             return web.Response(status=404, text="there is no such avatar here\n")
         tag = self.tag(name, user)
@@ -168,6 +174,18 @@ class Previews:
             return web.Response(status=304, headers=_UNKEPT | {"ETag": f'"{tag}"'})
         headers = _UNKEPT | ({"ETag": f'"{tag}"'} if tag else {})
         return web.Response(body=data, content_type="image/jpeg", headers=headers)
+
+    async def _drawn(self, name: str, key: tuple[str, str]) -> bytes | None:
+        """An avatar's picture, drawn once, whoever waits for it; None: it is gone."""
+        async with self._drawing:
+            data = self._kept.get(key)
+            if data is None and name in self._offers.names:
+                one = self._offers[name]
+                encoded, _ = await self._drawer.draw(one, _portrait(one), lambda: key[1])
+                data = await asyncio.to_thread(_thumbnail_of, encoded)
+                if name in self._offers.names and self._offers[name] is one:  # another may have the name meanwhile
+                    self._kept[key] = data
+        return data
 
     async def _picture(self, request: web.Request) -> web.Response:
         number = int(request.match_info["number"])

@@ -140,7 +140,7 @@ class JobQueue:
         if self._held is not None:
             (job, maker), self._held = self._held, None
             job.goes_on = False
-            maker.close()
+            self._thread.submit(maker.close)  # of gigabytes: not on the loop that serves everybody
 
     async def _make(self, job: Job) -> None:
         order, job.order, job.state = job.order, None, "making"

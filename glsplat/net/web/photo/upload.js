@@ -44,10 +44,13 @@ export class Upload extends EventTarget {
   /** Have what was refused made all the same, from where it was. Promises false where the server has forgotten it. */
   async goOn() {
     const run = ++this.#run;
+    const failed = this.now;
+    this.#become({ ...failed, state: 'waiting', goes_on: false }); // asked for once
     const response = await this.#ask('POST', '/anyway').catch(() => null);
     const answer = response?.ok ? await response.json().catch(() => null) : null;
     if (run !== this.#run) return true;
     if (answer) this.#follow(answer, run);
+    else this.#become({ ...failed, goes_on: false });
     return answer !== null;
   }
 
