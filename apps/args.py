@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from glsplat.avatar import splats_of
 from glsplat.config import CULL_PSNR, LEAN, MAX_LEVELS
 from glsplat.data import PEOPLE, default_avatar, embedded_file
 from glsplat.errors import FormatError, PoseError
@@ -18,6 +19,7 @@ from glsplat.formats import suffixes
 from glsplat.formats.transform import transformed
 from glsplat.io.files import naming, open_regular
 from glsplat.light.light import PRESETS, Light
+from glsplat.meshes import RiggedMesh
 from glsplat.motion.kinds import KINDS, split_choice
 from glsplat.scene import Content, Rigged, Scene, is_rigged
 from glsplat.scenes.loading import load
@@ -93,8 +95,11 @@ def _lit(file: SceneFile, args: argparse.Namespace) -> SceneFile:
 
 
 def _has_surface(content: Content) -> bool:
-    splats = getattr(content, "splats", content)
-    return getattr(splats, "surface", None) is not None
+    """Of whatever level: one of them may be all that has one."""
+    if isinstance(content, RiggedMesh):
+        return False
+    each = (content, *(level.content for level in content.levels))
+    return any(splats_of(one).surface is not None for one in each)
 
 
 def light_of(text: str) -> Light:

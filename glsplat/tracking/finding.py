@@ -15,11 +15,8 @@ __all__ = ["Finder", "with_arms"]
 BIN, BINS = 0.01, 240  # metres of eye height a bin holds, and bins: up to 2.4 m
 BAND = 0.05  # metres: somebody who stands or walks keeps within that
 SHARE, LEAST, MOST = 0.1, 0.7, 4.0  # of the time upright, seconds: a height is not passed by, but stood at
-UPPER, USUAL, POSTURE = (
-    0.93,
-    0.8,
-    0.983,
-)  # of the tallest such height, what counts as upright; its quantile, of the zero pose
+# of the tallest such height, what counts as upright; its quantile, of the zero pose
+UPPER, USUAL, POSTURE = 0.93, 0.8, 0.983
 UPRIGHT, STEADY = 0.5, 0.4  # vertical part of the head's up, m/s upwards or downwards: of a head that may stand
 SEATED = 1.36  # metres: who has eyes lower than that may as well sit on a chair ...
 WALKED, ROOM = 1.5, 0.7  # metres: ... unless it went that far, or somewhere that far away, at that height, ...

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
 from glsplat.rotations import matrix_quaternions, quaternion_matrices
+from glsplat.tracking.calibration import EYES_OF_STATURE
 from glsplat.tracking.finding import Finder
 from glsplat.tracking.solve.body import Body
 
@@ -136,7 +137,7 @@ def _began(start: str, person: Person, scale: float, stood: Part, rng: np.random
     if not seconds:
         return stood
     still, rises = round(seconds * RATE), round(RISES * RATE)
-    stature = person.eye_height / 0.936 * scale
+    stature = person.eye_height / EYES_OF_STATURE * scale
     low = 0.45 + 0.45 * stature if start.startswith("seated") else 0.72 * person.eye_height * scale
     eyes = rng.normal(0, 0.0006, (still + rises, 3)).cumsum(0) + [0, low, 0]
     t = np.linspace(0, 1, rises)

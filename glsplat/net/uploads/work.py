@@ -199,6 +199,9 @@ def _work(make: Make, nice: int, pipe: Connection) -> None:
             while go_on is not None:
                 try:
                     avatar = go_on()
+                except OSError as error:  # a file that is missing, a full disk: not the pipe
+                    tell("fault", error=f"OSError{_place(error)}")
+                    return
                 except LowConfidenceError as error:
                     go_on = error.go_on
                     found = [list(one) for one in error.findings]
@@ -213,7 +216,7 @@ def _work(make: Make, nice: int, pipe: Connection) -> None:
                 break
         except GlsplatError as error:
             tell("failed", error=_line(error))
-        except (OSError, EOFError):
+        except (OSError, EOFError):  # of the pipe: nobody waits any more
             return
         except BaseException as error:  # also MemoryError, and what libraries end a program with
             tell("fault", error=f"{type(error).__name__}{_place(error)}")
