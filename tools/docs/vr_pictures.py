@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 import glsplat
-from glsplat.data import participants_folder
+from glsplat.data import PEOPLE, participants_folder
 from glsplat.net.backends.server import make_server
 from tests.browser.opened import Opened
 from tests.browser.served import Served
@@ -108,7 +108,10 @@ def shot_of(page: Opened, box: Any) -> np.ndarray:
 
 
 def main(folder: Path, names: list[str]) -> None:
-    with Served(make=lambda config: make_server(glsplat.default_avatar(), config)) as served, chromium() as browser:
+    with (
+        Served(make=lambda config: make_server(glsplat.default_avatar(), config, title="ben", people=PEOPLE)) as served,
+        chromium() as browser,
+    ):
         for view in DEVICE:
             if view in names:
                 seen = seen_in(browser, served.page, view)
