@@ -354,3 +354,13 @@ def test_offsets_that_are_no_signed_numbers_are_refused(tmp_path: Path) -> None:
     edit_glb(tmp_path / "a.glb", unsigned)
     with pytest.raises(FormatError, match="needs offsets of three floats or signed integers"):
         load(tmp_path / "a.glb")
+
+
+def test_a_shape_that_moves_nothing_leaves_no_empty_buffer_view(tmp_path: Path) -> None:
+    """glTF 2.0, 5.11.2: a bufferView has at least one byte."""
+    shapes = Shapes.create(("still", "mine"), 30, splats=[1], targets=[1], moves=np.ones((1, 3)))
+    avatar = replace(expressive(30), shapes=shapes)
+    save(avatar, tmp_path / "a.glb")
+    document, _ = glb_parts((tmp_path / "a.glb").read_bytes())
+    assert all(view["byteLength"] > 0 for view in document["bufferViews"])
+    assert_same_shapes(loaded(tmp_path / "a.glb"), avatar)

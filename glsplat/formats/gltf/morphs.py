@@ -91,7 +91,7 @@ def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) 
     narrow, whole = index_code(shapes.splats), bool((shapes.sizes == SHORT).all())
     for target in range(len(shapes)):
         mine = np.flatnonzero(shapes.targets == target)
-        indices = out.add_bytes(rows[mine].astype(narrow).tobytes())
+        indices = out.add_bytes(rows[mine].astype(narrow).tobytes()) if len(mine) else -1  # no bufferView is empty
         metres = shapes.moves[mine] if whole else np.ascontiguousarray(shapes.metres[mine], np.float32)
         attributes = {"POSITION": add_sparse(out, shapes.splats, indices, metres, "VEC3")}
         bent = mine[shapes.bends[mine].any(axis=(1, 2))]
