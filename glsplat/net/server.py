@@ -73,6 +73,7 @@ class ServerConfig:
     drain_timeout: float = 3.0  # seconds that pictures under way get at the end
     scene: str = "avatar"  # for the status page
     rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
+    furnished: frozenset[str] = frozenset()  # those of them in which more is to be seen than people
     consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
     private: bool = False  # what clients see is on no status page
@@ -126,7 +127,7 @@ class Server:
     def _rooms(self) -> Rooms:
         from glsplat.net.rooms.rooms import Rooms  # here: most servers have none
 
-        return Rooms(self.config.rooms)
+        return Rooms(self.config.rooms, self.config.furnished)
 
     @property
     def url(self) -> str:

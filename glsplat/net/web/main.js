@@ -147,6 +147,7 @@ function speaking(drive) {
 function wear() {
   stage.canHide = Boolean(chosenAvatar()?.head);
   stage.here.offer = chosenAvatar()?.hand_out ?? null;
+  stage.framing.furnished = offer?.rooms?.find(({ name }) => name === settings.get('room'))?.scene ?? true;
   standAround();
 }
 
