@@ -110,11 +110,9 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as made:
                 alone, cpu = by_command(photo, Path(made))
             walls.append((took, alone))
-            print(
-                f"{photo.name} {turn + 1}: page {took:.1f} s (CPU: server and maker {making:.1f} s, browser "
-                f"{showing:.1f} s; {shown} pictures shown), command {alone:.1f} s (CPU {cpu:.1f} s): {took / alone:.2f}",
-                flush=True,
-            )
+            parts = f"CPU: server and maker {making:.1f} s, browser {showing:.1f} s; {shown} pictures shown"
+            told = f"page {took:.1f} s ({parts}), command {alone:.1f} s (CPU {cpu:.1f} s)"
+            print(f"{photo.name} {turn + 1}: {told}: {took / alone:.2f}", flush=True)
     page_time, command_time = (statistics.median(column) for column in zip(*walls, strict=True))
     print(f"medians: page {page_time:.1f} s, command {command_time:.1f} s: {page_time / command_time:.2f} times")
 

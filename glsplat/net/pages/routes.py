@@ -44,11 +44,17 @@ class Pages:
     """
 
     def __init__(
-        self, stats: Numbers, offer: Offer, healthy: Callable[[], bool], tls: bool, host: str = "127.0.0.1"
+        self,
+        stats: Numbers,
+        offer: Offer,
+        healthy: Callable[[], bool],
+        tls: bool,
+        history: History,
+        host: str = "127.0.0.1",
     ) -> None:
         self._stats, self._offer, self._healthy, self._tls, self._host = stats, offer, healthy, tls, host
         self._codes = QrCodes()
-        self.history: History = History(stats)
+        self.history = history
 
     def routes(self) -> list[web.RouteDef]:
         """What the application is made of. From now on numbers are kept for the curves."""
@@ -106,7 +112,7 @@ class Pages:
         return web.json_response({"page": page, "local": local, "svg": code}, headers=headers)
 
     def _outward(self, request: web.Request) -> str:
-        """The page's address by the name it was asked by, or, instead of one that only this machine knows, by its own."""
+        """The page's address by the name it was asked by; for localhost the machine's own, where it has one."""
         name = request.url.host or "localhost"
         if is_loopback(name) and not is_loopback(self._host):
             name = next(iter(reachable_at(self._host) + machine_names()[-1:]), name)

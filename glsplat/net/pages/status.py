@@ -24,7 +24,7 @@ _ALONE = (
 def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -> str:
     """The page as it is without scripts, where it reloads itself; with them glsplat/net/web/status keeps it new.
 
-    ``url`` is the WebSocket's address, ``viewer`` the other page's for other devices, "" where they cannot reach it, and
+    ``url`` is the WebSocket's address, ``viewer`` the other page's for other devices ("": they cannot reach it), and
     ``code`` the latter as a QR code (an element).
     """
     url, viewer = html.escape(url), html.escape(viewer)

@@ -16,7 +16,7 @@ __all__ = ["Rooms"]
 
 
 class Rooms:
-    """``seats`` by the names of the rooms. Clients enter these and no others. In those ``furnished`` are things, too."""
+    """``seats`` by the names of the rooms. Clients enter these and no others; in ``furnished`` ones are things, too."""
 
     def __init__(self, seats: Mapping[str, int] | None = None, furnished: Collection[str] = ()) -> None:
         self._rooms = {name: Room(name, count) for name, count in (seats or {}).items()}
