@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import runpy
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,10 +17,12 @@ import pytest
 from glsplat.data import default_avatar
 from glsplat.formats import load, save
 from glsplat.meshes import MeshPart, RiggedMesh
+from tests.needs import program, require
 from tests.skinning.avatars import part
 from tools.docs.gallery import LARGEST, PICTURES, served
 
 ROOT = Path(__file__).resolve().parents[1]
+CLIENT = ROOT / "docs" / "examples" / "client.mjs"
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
 
 pytestmark = pytest.mark.gl
@@ -43,9 +46,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def test_they_are_short_and_linked() -> None:
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     assert len(PROGRAMS) == 11
-    for program in PROGRAMS:
-        assert len(program.read_text(encoding="utf-8").splitlines()) < 40, program.name
-        assert f"(examples/{program.name})" in page, program.name
+    for one in PROGRAMS:
+        assert len(one.read_text(encoding="utf-8").splitlines()) < 40, one.name
+        assert f"(examples/{one.name})" in page, one.name
 
 
 def test_the_gallery_shows_what_ten_of_them_draw() -> None:
@@ -94,6 +97,21 @@ def url() -> Iterator[str]:
 def test_drive_a_server(run: Run, url: str) -> None:
     said = run("drive_server.py", url, "out.jpg")
     assert said.count("bytes; ms:") == 5 and cv2.imread("out.jpg").shape == (384, 384, 3)
+
+
+def test_a_client_in_javascript(url: str, tmp_path: Path) -> None:
+    require("node")
+    assert len(CLIENT.read_text(encoding="utf-8").splitlines()) < 40  # as docs/extending.md says
+    major = int(subprocess.run([program("node"), "--version"], capture_output=True, text=True).stdout[1:].split(".")[0])
+    if major < 20:
+        pytest.skip(f"Node {major} has no WebSocket")
+    words = [program("node"), *(["--experimental-websocket"] if major < 22 else []), str(CLIENT)]
+    done = subprocess.run([*words, url], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stdout.count("512 x 512") == 10, done.stderr
+    left, right = (cv2.imread(str(tmp_path / f"{side}.jpg")) for side in ("left", "right"))
+    assert all(0.02 < figure(eye) < 0.5 for eye in (left, right)) and (left != right).any()
+    alone = subprocess.run([*words, "ws://127.0.0.1:9/ws"], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert "no server at ws://127.0.0.1:9/ws" in alone.stderr
 
 
 def test_without_a_server_it_says_so(run: Run) -> None:

@@ -34,6 +34,7 @@ from glsplat.net.options import NOT_ALLOWED, client_options
 from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.catalogue import Catalogue
+from glsplat.net.pages.history import History
 from glsplat.net.pages.lead import Lead
 from glsplat.net.pages.previews import Drawer, Previews
 from glsplat.net.pages.routes import Pages
@@ -73,6 +74,7 @@ class ServerConfig:
     drain_timeout: float = 3.0  # seconds that pictures under way get at the end
     scene: str = "avatar"  # for the status page
     rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
+    furnished: frozenset[str] = frozenset()  # those of them in which more is to be seen than people
     consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
     private: bool = False  # what clients see is on no status page
@@ -105,13 +107,13 @@ class Server:
         self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, lambda: self.render_loop.stages.lately())
         self._offers = Catalogue(offered)
-        self._uploads, self._lead = uploads, lead
+        self._uploads, self._lead, self._history = uploads, lead, History(self.stats)
         self._splat_files = SplatFiles(self._offers, self.gate.rights, self._worn)
         self._answers = Answers(self._splat_files.sha256, self._splat_files.why, clock)
         self._channels: dict[int, ClientStream] = {}
         self._drawer = Drawer(self.render_loop, self.config.wire, self.config.session, clock)
         shown = self._drawer, self._offers, self.gate.rights, self._channels
-        self._previews = Previews(*shown, self.config.private, self.stats, self.offer)
+        self._previews = Previews(*shown, self.config.private, self.stats, self.offer, self._history.fields)
         self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
         self.fitting: asyncio.Task[None] | None = None  # finds it
         self._later, self.all_offered = later, asyncio.Event()
@@ -120,13 +122,12 @@ class Server:
         self._closing: set[asyncio.Task[None]] = set()
         self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, clock()
         self._runner: web.AppRunner | None = None
-        self._pages: Pages | None = None
 
     @cached_property
     def _rooms(self) -> Rooms:
         from glsplat.net.rooms.rooms import Rooms  # here: most servers have none
 
-        return Rooms(self.config.rooms)
+        return Rooms(self.config.rooms, self.config.furnished)
 
     @property
     def url(self) -> str:
@@ -148,8 +149,7 @@ class Server:
             listening.close()
             raise
         app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
-        pages = self._pages = Pages(self.stats, self.offer, self._healthy, tls is not None, self.config.access.host)
-        self._previews.curves = pages.history.fields
+        pages = Pages(self.stats, self.offer, self._healthy, tls is not None, self._history, self.config.access.host)
         own = (*self._splat_files.routes(), *pages.routes(), *self._previews.routes())
         app.add_routes([web.get("/ws", self._websocket), *own])
         if (uploads := self._uploads) is not None:
@@ -184,7 +184,7 @@ class Server:
         closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.gate.close()
-        for part in (None if self._pages is None else self._pages.history, self._uploads, self._lead):
+        for part in (self._history, self._uploads, self._lead):
             if part is not None:
                 await part.stop()
         if self._runner is not None:

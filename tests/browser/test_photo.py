@@ -150,6 +150,21 @@ def test_made_anyway_sends_no_picture_again(open_page: OpenPage, taking: Any) ->
     assert page.page.locator("#photo-steps li").all_text_contents() == ["looking at the picture", "making the person"]
 
 
+def test_what_a_busy_server_cannot_make_now_can_be_asked_for_again(open_page: OpenPage, taking: Any) -> None:
+    served = taking(waiting=0)
+    page = opened(open_page, served, allow=["503"])
+    send(page, picture("doubt known"))
+    page.until("!document.querySelector('#photo-anyway').hidden")
+    queue = served.server._uploads._queue
+    other = queue.book("elsewhere")
+    page.page.click("#photo-anyway")
+    page.until("document.querySelector('#photo-said').textContent.includes('try again in a minute')")
+    assert page.page.is_visible("#photo-anyway")
+    queue.cancel(other)
+    page.page.click("#photo-anyway")
+    page.until("!document.querySelector('#photo-wear').hidden")
+
+
 @pytest.mark.parametrize(
     ("file", "written", "shown"),
     [("Zoë 2.jpg", "", "Zoë 2"), ("<img src=x>.jpg", "", "img src x"), ("x.jpg", "Ann O'Neil", "Ann O'Neil")],

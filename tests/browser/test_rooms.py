@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.server import ServerConfig
@@ -13,11 +15,13 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import Markers, as_tracked
+from tests.browser.opened import Opened
 from tests.browser.vr import centroid, enter, fresh, pose, project, see, steer, visit
 
 RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
 OFFERED = (AvatarInfo(name="ann", skeleton=RIG, solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
-CONFIG = ServerConfig(port=0, rooms={"lab": 2, "hall": 2})
+CONFIG = ServerConfig(port=0, rooms={"lab": 2, "hall": 2}, furnished=frozenset(["lab", "hall"]))
+EMPTY = ServerConfig(port=0, rooms={"lab": 2})
 OPPOSITE = (0.3, 1.4, 1.2)  # in the room: before who stands on the other side
 
 
@@ -86,6 +90,53 @@ def test_the_first_view_of_a_room_has_everybody_in_it(open_page: OpenPage, serve
         x, y, z = camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3]
         column, row = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
         assert z > 0 and 0 < column < camera.width and 0 < row < camera.height
+
+
+def test_pictures_of_an_empty_room_are_of_its_people_alone(open_page: OpenPage, serve: Any) -> None:
+    """As many pixels for a smaller part of the view; and who is in it is in it whole, words over heads, too."""
+    drawn: list[RenderJob] = []
+    served = serve(Markers(lambda request: drawn.append(request) or {}), config=EMPTY, offered=OFFERED)
+    pages = [
+        visit(open_page, served, {"room": "lab", "name": name, "drawer": False}, size=(1000, 700))
+        for name in ("Ann", "Bob")
+    ]
+    pages[0].until("window.glsplat.stats().shown > 0")
+
+    def anns() -> list[RenderJob]:
+        return [one for one in list(drawn) if one.room is not None and one.room.viewer == 1]
+
+    def met() -> list[RenderJob]:
+        return [one for one in anns() if one.room is not None and len(one.room.people) == 2]
+
+    pages[0].meanwhile(lambda: len(met()) > 3)
+    (whole,), (cut,) = anns()[0].cameras, met()[-1].cameras
+    assert cut.K[0, 0] / cut.width > 1.1 * whole.K[0, 0] / whole.width or cut.K[1, 1] > 1.1 * whole.K[1, 1]
+    for x, y, z in ((x, y, z) for x in (-0.5, 0.5) for y in (0, 2.5) for z in (-1.2, 1.2)):
+        a, b, away = cut.viewmat[:3, :3] @ (x, y, z) + cut.viewmat[:3, 3]
+        column, row = cut.K[0, 0] * a / away + cut.K[0, 2], cut.K[1, 1] * b / away + cut.K[1, 2]
+        in_view = 0 < whole.K[1, 1] * b / away + whole.K[1, 2]  # what the canvas has no room for is not asked for
+        assert away > 0 and 0 < column < cut.width and (0 < row < cut.height or not in_view)
+
+
+def shot(page: Opened) -> NDArray[np.int64]:
+    return cv2.imdecode(np.frombuffer(page.page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+
+
+def test_guests_stand_on_the_floor_by_their_shadows(open_page: OpenPage, serve: Any) -> None:
+    served = serve(Markers(lambda request: {}), config=EMPTY, offered=OFFERED)
+    values = {"room": "lab", "name": "Ann", "drawer": False, "place": "day"}
+    page = visit(open_page, served, values, size=(1000, 700))
+    page.until("window.glsplat.stats().shown > 2")
+    page.wait(1.0)  # the room is worked out meanwhile
+    alone = shot(page)
+    other = visit(open_page, served, values | {"name": "Bob"})
+    other.until("window.glsplat.stats().shown > 2")
+    page.until(f"window.glsplat.stats().shown > {page.js('window.glsplat.stats().shown') + 2}")
+    page.wait(0.5)
+    darker = (alone - shot(page)).min(axis=-1) > 6
+    rows, columns = np.nonzero(darker[150:520])  # of the canvas, without what lies over it
+    own = np.argmin(alone[380:520, 500:700].sum(axis=(1, 2))) + 230  # the row of one's own, which is nearer
+    assert len(rows) > 150 and columns.std() < 40 and np.median(rows) < own - 40, (len(rows), columns.std(), own)
 
 
 def test_in_vr_the_room_is_around_its_user(open_page: OpenPage, served: Any) -> None:

@@ -7,6 +7,8 @@ import json
 import struct
 from collections.abc import Callable
 
+import numpy as np
+
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 
@@ -69,3 +71,14 @@ def frame(opcode, payload, fin=True):
     else:
         head = struct.pack("!BBQ", first, 0x80 | 127, len(payload))
     return head + b"\0\0\0\0" + payload
+
+
+def full_hands(frame_id):
+    """The longest request a headset sends: two eyes, head, wrists and both hands with rotations, all digits."""
+    rng = np.random.default_rng(frame_id)
+    values = {name: rng.uniform(-1, 1, 7).tolist() for name in ("head", "left", "right", "left_grip", "right_grip")}
+    values |= {name: rng.uniform(-1, 1, (25, 7)).tolist() for name in ("left_joints", "right_joints")}
+    eye = {"viewmat": rng.uniform(-1, 1, 16).tolist(), "K": rng.uniform(500, 900, 4).tolist()}
+    return json.dumps(
+        {"v": 1, "frame_id": frame_id, "ack": frame_id, "t": 1e3 / 3, "eyes": [eye, eye], "tracking": values}
+    )

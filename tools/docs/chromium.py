@@ -13,13 +13,18 @@ from tests.browser.conftest import _FLAGS
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 
 
+def launched(play: Any) -> Any:
+    """A Browser of Playwright's, which its caller closes."""
+    path = needs.program("chromium")
+    assert path, "no Chromium found"
+    return play.chromium.launch(executable_path=path, headless=True, args=_FLAGS)
+
+
 @contextmanager
 def chromium() -> Iterator[Any]:
     """Playwright's Browser."""
-    path = needs.program("chromium")
-    assert path, "no Chromium found"
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=path, headless=True, args=_FLAGS)
+        browser = launched(play)
         yield browser
         browser.close()
 

@@ -23,11 +23,11 @@ from textwrap import fill
 from apps.demo import running_server
 from glsplat.evaluate.machine import machine
 from glsplat.io.files import replace_file
+from tests.conftest import SHARED_DATA
 from tools.net.link_tables import alone, falling, shared
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
-SHARED = ROOT.parent / "shared" / "data"  # reference data that may not be copied into the checkout
 SIZES = (512, 768, 1024)
 LINKS = ("20,50", "40,50", "40,5")  # ms there and back, Mbit/s
 
@@ -126,14 +126,14 @@ def tracking() -> Iterator[Table]:
     """Scores of captured motions, and sizes that are found; of the reference data that lies beside the checkout."""
     clips = [f"cmu_02_0{clip}.amc" for clip in (1, 3, 4, 5)] + [f"cmu_131_0{clip}.bvh" for clip in (1, 2, 3)]
     words = ("tracking", "bench", *clips, "--groups", "cmu_([0-9]+)_")
-    scores = command(*words, "--rates", "72", cwd=SHARED / "mocap")
+    scores = command(*words, "--rates", "72", cwd=SHARED_DATA / "mocap")
     yield (
         "scores",
         "`glsplat tracking bench`, 72 Hz, the embedded avatar: the network has learned from 02 (walks, runs, jumps,"
         " boxes),\nnot from 131 (dances). Columns: [tracking-results.md](../tracking-results.md).",
         scores.strip(),
     )
-    means = command(*words, "--brief", "--rates", "30,90", cwd=SHARED / "mocap")
+    means = command(*words, "--brief", "--rates", "30,90", cwd=SHARED_DATA / "mocap")
     yield "rates", "The same at 30 and 90 Hz, means.", means.strip()
     from tools.data import sizes  # its motions are read here alone
 
@@ -141,7 +141,7 @@ def tracking() -> Iterator[Table]:
         "sizes",
         "`python -m tools.data.sizes`: people of the CMU pack, statures times 0.8 to 1.1, whose size is found as they"
         " go.",
-        sizes.table(sizes.found(sizes.persons((SHARED / "mocap_cmu").glob("*.npz")))),
+        sizes.table(sizes.found(sizes.persons((SHARED_DATA / "mocap_cmu").glob("*.npz")))),
     )
 
 

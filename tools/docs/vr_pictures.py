@@ -96,7 +96,7 @@ def shots(page: Opened) -> Iterator[np.ndarray]:
     page.page.click("#photo-wear")
     before = page.js("window.glsplat.stats().shown")
     page.until(f"window.glsplat.stats().shown > {before} + 12", PATIENCE)
-    yield shot_of(page, {"x": 0, "y": 0, "width": 860, "height": 800})
+    yield shot_of(page, {"x": 0, "y": 0, "width": 910, "height": 800})
 
 
 def shot_of(page: Opened, box: Any) -> np.ndarray:

@@ -17,8 +17,7 @@ import sys
 import time
 from typing import Any
 
-from tests import needs
-from tests.browser.conftest import _FLAGS
+from tools.docs.chromium import launched
 
 SEEN = """
 (() => {
@@ -35,7 +34,7 @@ LOADED = "performance.getEntriesByType('navigation')[0].domContentLoadedEventEnd
 
 def one(play: Any, address: str) -> tuple[float, float, float]:
     """Milliseconds until the page is loaded, until its first picture, and the bytes until then."""
-    browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=_FLAGS)
+    browser = launched(play)
     try:
         page = browser.new_context(bypass_csp=True, viewport={"width": 1280, "height": 720}).new_page()
         page.add_init_script(SEEN)

@@ -102,7 +102,8 @@ def make_server(
     for one in offers:
         _say(one)
     places = {one: what if isinstance(what, SceneFile) else SceneFile.of(what) for one, what in (rooms or {}).items()}
-    config = replace(config, rooms={one: config.rooms.get(one, SEATS) for one in places})
+    furnished = frozenset(one for one, place in places.items() if place.scene.items)
+    config = replace(config, rooms={one: config.rooms.get(one, SEATS) for one in places}, furnished=furnished)
     devices = [device] if workers is None or device is None else device.split(",")
     base = partial(RendererBackend, file.scene, config.wire.size, avatars=choices, rooms=places)
     draws = [partial(base, device=one, config=rendering, max_cost=budget[0], max_time=budget[1]) for one in devices]

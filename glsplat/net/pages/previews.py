@@ -106,12 +106,12 @@ class Previews:
         private: bool,
         stats: Callable[[], Mapping[str, Any]] = dict,
         offer: Callable[[User | None], Mapping[str, Any]] = lambda user: {"avatars": []},
+        curves: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         self._drawer, self._offers, self._rights, self._channels = drawer, offers, rights, channels
-        self._stats, self._offer = stats, offer
-        self.curves: Callable[[], Mapping[str, Any]] = dict  # of the last minutes, for the status page
+        self._stats, self._offer, self._curves = stats, offer, curves  # of the last minutes, for the status page
         self._private = private or rights.accounts is not None  # an account's pictures are its own
-        self._kept: dict[tuple[str, str], bytes] = {}
+        self._kept: dict[tuple[str, str], tuple[bytes, str]] = {}  # with what changes with it
         self._small: dict[int, tuple[Encoded, asyncio.Task[bytes]]] = {}  # by client, of what it was sent last
         self._drawing = asyncio.Lock()
 
@@ -135,8 +135,7 @@ class Previews:
 
     def tag(self, name: str, user: User | None) -> str:
         """What changes with the picture of an avatar that ``user`` may drive; "" while it is not drawn."""
-        data = self._kept.get((name, self._rights.label(user, name)))
-        return "" if data is None else sha256(data).hexdigest()[:16]
+        return self._kept.get((name, self._rights.label(user, name)), (b"", ""))[1]
 
     async def small(self, number: int) -> bytes:
         """JPEG of what a client was sent last, which ``shows`` says there is: made once a picture, whoever asks."""
@@ -161,31 +160,32 @@ class Previews:
         if name not in self._rights.drivable(user, self._offers.names):
             return web.Response(status=404, text="there is no such avatar here\n")
         key = name, self._rights.label(user, name)
-        data = self._kept.get(key)
-        if data is None:
+        found = self._kept.get(key)
+        if found is None:
             try:
-                data = await self._drawn(name, key)
+                found = await self._drawn(name, key)
             except GlsplatError as error:
                 return web.Response(status=503, text=f"{error}\n", headers={"Retry-After": "5"})
-        if data is None:
+        if found is None:
             return web.Response(status=404, text="there is no such avatar here\n")
-        tag = self.tag(name, user)
+        data, tag = found
+        headers = _UNKEPT | {"ETag": f'"{tag}"'}
         if any(known.value == tag for known in request.if_none_match or ()):
-            return web.Response(status=304, headers=_UNKEPT | {"ETag": f'"{tag}"'})
-        headers = _UNKEPT | ({"ETag": f'"{tag}"'} if tag else {})
+            return web.Response(status=304, headers=headers)
         return web.Response(body=data, content_type="image/jpeg", headers=headers)
 
-    async def _drawn(self, name: str, key: tuple[str, str]) -> bytes | None:
-        """An avatar's picture, drawn once, whoever waits for it; None: it is gone."""
+    async def _drawn(self, name: str, key: tuple[str, str]) -> tuple[bytes, str] | None:
+        """An avatar's picture and its tag, drawn once, whoever waits for it; None: it is gone."""
         async with self._drawing:
-            data = self._kept.get(key)
-            if data is None and name in self._offers.names:
+            found = self._kept.get(key)
+            if found is None and name in self._offers.names:
                 one = self._offers[name]
                 encoded, _ = await self._drawer.draw(one, _portrait(one), lambda: key[1])
                 data = await asyncio.to_thread(_thumbnail_of, encoded)
+                found = data, sha256(data).hexdigest()[:16]
                 if name in self._offers.names and self._offers[name] is one:  # another may have the name meanwhile
-                    self._kept[key] = data
-        return data
+                    self._kept[key] = found
+        return found
 
     async def _picture(self, request: web.Request) -> web.Response:
         number = int(request.match_info["number"])
@@ -202,7 +202,7 @@ class Previews:
         avatars = [{name: one[name] for name in ("name", "title")} for one in offer["avatars"]]
         for one in avatars:
             one["tag"] = self.tag(one["name"], user)
-        told = {"stats": stats, "history": self.curves(), "avatars": avatars, "pictures": pictures}
+        told = {"stats": stats, "history": self._curves(), "avatars": avatars, "pictures": pictures}
         return web.json_response(told, headers=_UNKEPT)
 
 

@@ -44,11 +44,17 @@ class Pages:
     """
 
     def __init__(
-        self, stats: Numbers, offer: Offer, healthy: Callable[[], bool], tls: bool, host: str = "127.0.0.1"
+        self,
+        stats: Numbers,
+        offer: Offer,
+        healthy: Callable[[], bool],
+        tls: bool,
+        history: History,
+        host: str = "127.0.0.1",
     ) -> None:
         self._stats, self._offer, self._healthy, self._tls, self._host = stats, offer, healthy, tls, host
         self._codes = QrCodes()
-        self.history: History = History(stats)
+        self.history = history
 
     def routes(self) -> list[web.RouteDef]:
         """What the application is made of. From now on numbers are kept for the curves."""
@@ -79,7 +85,9 @@ class Pages:
     async def _status(self, request: web.Request) -> web.Response:
         secure = "s" if self._tls else ""
         url, viewer = f"ws{secure}://{request.host}/ws", f"http{secure}://{request.host}/vr"
-        code = await self._codes.svg(viewer)
+        if is_loopback(request.url.host or "localhost"):  # which is another machine to a phone
+            viewer = "" if is_loopback(self._host) else self._outward(request)
+        code = await self._codes.svg(viewer) if viewer else ""
         headers = {"Content-Security-Policy": STATUS_POLICY}
         text = page_html(self._stats(), url, viewer, code)
         return web.Response(text=text, content_type="text/html", headers=headers)
@@ -90,11 +98,7 @@ class Pages:
     async def _reach(self, request: web.Request) -> web.Response:
         """The page's address for another device, as a QR code with the token that came with the request, if one did."""
         local = is_loopback(self._host)
-        name = request.url.host or "localhost"
-        if is_loopback(name) and not local:
-            name = next(iter(reachable_at(self._host) + machine_names()[-1:]), name)
-        name = f"[{name}]" if ":" in name else name
-        page = f"http{'s' if self._tls else ''}://{name}:{request.url.port}/vr"
+        page = self._outward(request)
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
         # the gate has checked it, where the server has tokens at all
         token = token.strip() if kind.lower() == "bearer" and self._stats()["token"] else ""
@@ -106,6 +110,14 @@ class Pages:
             code = await self._codes.svg(page)
         headers = {"Cache-Control": "no-store"}
         return web.json_response({"page": page, "local": local, "svg": code}, headers=headers)
+
+    def _outward(self, request: web.Request) -> str:
+        """The page's address by the name it was asked by; for localhost the machine's own, where it has one."""
+        name = request.url.host or "localhost"
+        if is_loopback(name) and not is_loopback(self._host):
+            name = next(iter(reachable_at(self._host) + machine_names()[-1:]), name)
+        name = f"[{name}]" if ":" in name else name
+        return f"http{'s' if self._tls else ''}://{name}:{request.url.port}/vr"
 
     async def _session(self, request: web.Request) -> web.Response:
         embedded = {"motions": embedded_motions(), "recording": True}

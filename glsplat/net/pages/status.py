@@ -15,16 +15,24 @@ STATUS_POLICY = (
 """The Content-Security-Policy of the page."""
 
 
+_ALONE = (
+    'alone: <a href="vr/">the viewer</a>. This server listens on this computer alone: no phone and no headset in the '
+    "network reaches it. For those start it with <code>glsplat serve --host 0.0.0.0 --self-signed</code>."
+)
+
+
 def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -> str:
     """The page as it is without scripts, where it reloads itself; with them glsplat/net/web/status keeps it new.
 
-    ``url`` is the WebSocket's address, ``viewer`` the other page's, ``code`` the latter as a QR code (an element).
+    ``url`` is the WebSocket's address, ``viewer`` the other page's for other devices ("": they cannot reach it), and
+    ``code`` the latter as a QR code (an element).
     """
     url, viewer = html.escape(url), html.escape(viewer)
     options = " --token-file FILE" if stats["token"] else ""
     token = ', token="..."' if stats["token"] else ""
     asks = " It asks for the token." if stats["token"] else ""
     options += " --tls-ca PEM" if url.startswith("wss:") else ""
+    see = f'or in a headset: <a href="vr/">the viewer</a>, <code>{viewer}</code>.{asks}' if viewer else _ALONE
     stages = [(name, f"{t['median']:.2f}", f"{t['p95']:.2f}") for name, t in stats["stages"].items()]
     counts = ("sent", "dropped", "stale", "malformed", "failed", "unacknowledged", "window")
     keys = ("id", "avatar", "form", "size", *counts)
@@ -50,7 +58,7 @@ def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -
 <section id="avatars" aria-labelledby="avatars-title" hidden><h2 id="avatars-title">Avatars</h2>
 <div id="people" class="grid"></div></section>
 <section aria-labelledby="connect-title"><h2 id="connect-title">Connect</h2>
-<p>To see it, here or in a headset: <a href="vr/">the viewer</a>, <code>{viewer}</code>.{asks}</p>
+<p>To see it, here {see}</p>
 <div class="code">{code}</div>
 <p>The WebSocket is <code>{url}</code>; what it speaks is in docs/protocol.md. To measure it, from a terminal:</p>
 <pre tabindex="0">glsplat replay --url {url}{options}</pre>

@@ -162,7 +162,7 @@ class Room:
                 for guest in self._guests.values()
                 if guest.shown.pose is not None
             )
-            view = RoomView(self.name, self._tick, person.key, people)
+            view = RoomView(self.name, self._tick, person.key, people, person.from_room())
         from_room = person.from_room()
         return tuple(_moved(camera, from_room) for camera in cameras), view
 

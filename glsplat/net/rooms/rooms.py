@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from glsplat.net.backend import AvatarInfo
@@ -16,10 +16,11 @@ __all__ = ["Rooms"]
 
 
 class Rooms:
-    """``seats`` by the names of the rooms. Clients enter these and no others."""
+    """``seats`` by the names of the rooms. Clients enter these and no others; in ``furnished`` ones are things, too."""
 
-    def __init__(self, seats: Mapping[str, int] | None = None) -> None:
+    def __init__(self, seats: Mapping[str, int] | None = None, furnished: Collection[str] = ()) -> None:
         self._rooms = {name: Room(name, count) for name, count in (seats or {}).items()}
+        self._furnished = frozenset(furnished)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,7 +57,10 @@ class Rooms:
     def offer(self, now: float, names: Sequence[str]) -> list[dict[str, Any]]:
         """What /session says of those."""
         rooms = [self._rooms[name] for name in names]
-        return [{"name": room.name, "people": room.count(now), "seats": room.seats} for room in rooms]
+        return [
+            {"name": one.name, "people": one.count(now), "seats": one.seats, "scene": one.name in self._furnished}
+            for one in rooms
+        ]
 
     def status(self, now: float) -> list[dict[str, Any]]:
         """What /stats says of them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -39,15 +39,22 @@ class RoomView:
     tick: int
     viewer: int  # key of who looks
     people: tuple[VisiblePerson, ...]
+    from_room: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))  # [4, 4], to the viewer's own space
 
     def fields(self) -> dict[str, Any]:
-        """``room`` of a reply: who is in the picture, who drives them, and which request each pose comes from."""
+        """``room`` of a reply: who is in the picture, where, and which request each pose comes from."""
         people = [
-            {"name": one.name, "avatar": one.avatar, "you": one.key == self.viewer}
+            {"name": one.name, "avatar": one.avatar, "you": one.key == self.viewer, "at": self._at(one)}
             | {"frame_id": one.frame_id, "ahead": one.ahead, "opacity": round(one.opacity, 3)}
             for one in self.people
         ]
         return {"name": self.room, "tick": self.tick, "people": people}
+
+    def _at(self, one: VisiblePerson) -> list[float]:
+        """[x, y, z] metres: the ground under the middle of who stands, higher for who jumps."""
+        assert one.pose is not None  # who has none is not in the picture
+        ground = self.from_room @ one.transform @ (*one.pose.trans, 1.0)
+        return [round(float(v), 3) for v in ground[:3]]
 
 
 def people_fields(

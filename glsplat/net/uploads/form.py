@@ -30,7 +30,7 @@ class RefusedError(Exception):
     def __init__(self, status: int, text: str, wait: int | None = None) -> None:
         super().__init__(text)
         self.status, self.text = status, text
-        self.wait = wait  # seconds after which it may be tried again
+        self.headers: dict[str, str] = {} if wait is None else {"Retry-After": str(wait)}  # seconds
 
 
 def check_head(request: web.Request, config: UploadConfig) -> None:

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
+from glsplat.net.uploads.form import RefusedError
 from glsplat.net.uploads.job import Job, LowConfidenceError, Order, UploadConfig, notes_of
 from glsplat.net.uploads.upload_store import UploadStore
 from glsplat.net.uploads.work import Maker, MakerFaultError, UnwantedError
@@ -19,6 +20,7 @@ __all__ = ["JobQueue"]
 
 _REMEMBERED = 600.0  # seconds that a job is told of after its end
 _MOST_REMEMBERED = 64
+_SOON = 20  # seconds after which to try again
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -50,17 +52,18 @@ class JobQueue:
             await asyncio.gather(self._task, return_exceptions=True)
         self._thread.shutdown(wait=True)  # a process that was ended takes no time
 
-    def book(self, address: str, account: str = "") -> Job | str:
-        """A place for a job of an ``account`` whose pictures are still to come, or why there is none.
+    def book(self, address: str, account: str = "") -> Job:
+        """A place for a job of an ``account`` whose pictures are still to come; ``cancel`` gives it back.
 
-        It is given back by ``cancel``.
+        Raises RefusedError.
         """
         self._forget()
         open_ = self._open()
         if len(open_) > self._config.waiting:
-            return f"{len(open_)} avatars are being made or wait, as many as this server takes; try again in a minute"
-        if Counter(job.address for job in open_)[address] >= self._config.per_address:
-            return f"at most {self._config.per_address} avatars at once from one address; wait for one of yours"
+            raise RefusedError(503, self._full(), _SOON)
+        most = self._config.per_address
+        if Counter(job.address for job in open_)[address] >= most:
+            raise RefusedError(503, f"at most {most} avatars at once from one address; wait for one of yours", _SOON)
         name = self._store.new_name()
         job = self._jobs[name] = Job(name, address, account)
         return job
@@ -71,17 +74,16 @@ class JobQueue:
             job.order, job.state = order, "waiting"
             self._wake.set()
 
-    def go_on(self, job: Job) -> str:
-        """Make it of what it was refused for, from where it was; why not, or ""."""
+    def go_on(self, job: Job) -> None:
+        """Make it of what it was refused for, from where it was. Raises RefusedError: forgotten, or busy for now."""
         if self._held is None or self._held[0] is not job:
-            return "it cannot go on where it was; send the pictures again"
+            raise RefusedError(409, "it cannot go on where it was; send the pictures again")
         if len(self._open()) > self._config.waiting:
-            return "others are being made or wait, as many as this server takes; try again in a minute"
+            raise RefusedError(503, self._full(), _SOON)
         if self._patience is not None:
             self._patience.cancel()
         job.again()
         self._wake.set()
-        return ""
 
     def find(self, name: str) -> Job | None:
         """The job of that name, also for a while after its end."""
@@ -112,6 +114,10 @@ class JobQueue:
         """For /stats: jobs by state."""
         states = Counter(job.state for job in self._jobs.values())
         return {state: states[state] for state in ("receiving", "waiting", "making", "done", "failed")}
+
+    def _full(self) -> str:
+        count = len(self._open())
+        return f"{count} avatars are being made or wait, as many as this server takes; try again in a minute"
 
     def _open(self) -> list[Job]:
         return [job for job in self._jobs.values() if job.ended is None]

@@ -89,10 +89,7 @@ class Uploads:
             await asyncio.to_thread(self.store.check)
         except NoRoomError as full:
             raise RefusedError(507, str(full)) from None
-        job = self._queue.book(address, account)
-        if isinstance(job, str):
-            raise RefusedError(503, job, 20)
-        return job
+        return self._queue.book(address, account)
 
     async def _get(self, request: web.Request) -> web.Response:
         job = self._queue.find(request.match_info["name"])
@@ -105,8 +102,11 @@ class Uploads:
         job, user = self._queue.find(request.match_info["name"]), user_of(request)
         if job is None or (user is not None and job.account != user.name):
             return web.Response(status=404, text="there is no such avatar in the making\n")
-        why = self._queue.go_on(job)
-        return _answer(self._status(job), 202) if not why else web.Response(status=409, text=f"{why}\n")
+        try:
+            self._queue.go_on(job)
+        except RefusedError as refusal:
+            return web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=refusal.headers)
+        return _answer(self._status(job), 202)
 
     async def _delete(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]
@@ -132,8 +132,7 @@ class Uploads:
     async def _refused(self, request: web.Request, refusal: RefusedError) -> web.Response:
         if refusal.status not in (408, 429):  # it sends too little, or too often
             await discard(request, self.config)
-        headers = {} if refusal.wait is None else {"Retry-After": str(refusal.wait)}
-        response = web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=headers)
+        response = web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=refusal.headers)
         response.force_close()
         return response
 

@@ -147,6 +147,7 @@ function speaking(drive) {
 function wear() {
   stage.canHide = Boolean(chosenAvatar()?.head);
   stage.here.offer = chosenAvatar()?.hand_out ?? null;
+  stage.framing.furnished = offer?.rooms?.find(({ name }) => name === settings.get('room'))?.scene ?? true;
   standAround();
 }
 
@@ -186,7 +187,8 @@ function offered(session) {
   settings.setOptions('size', sizes.map(named));
   if (session.rate && sizes.includes(session.size[0])) settings.setDefault('size', session.size[0]);
   const slow = session.rate && session.rate < ENOUGH;
-  page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}; smaller ones are faster.` : '');
+  const smaller = sizes[0] < session.size[0] ? '; smaller ones are faster' : '';
+  page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}${smaller}.` : '');
   stage.light = session.light ?? null;
   settings.setDefault('light', !session.light); // who started it with a light means that one
   wear();

@@ -6,6 +6,9 @@ import { browserStorage, keep, readKept } from './storage.js';
 
 const KEY = 'glsplat.settings';
 
+/** What people and avatars may be called, as glsplat/net/options.py has it, or nothing. */
+export const NAME = /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u;
+
 const choice = (value, options = []) => ({ kind: 'choice', value, options });
 const number = (value, least, most) => ({ kind: 'number', value, least, most });
 const flag = (value) => ({ kind: 'flag', value });
@@ -24,7 +27,7 @@ function table() {
     light: flag(true), // and whether its light falls on who knows their surface
     avatar: choice(''),
     room: choice('', [{ value: '', label: 'None: alone' }]),
-    name: text('', /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u), // what others see in a room
+    name: text('', NAME), // what others see in a room
     size: choice(1024, plain([512, 768, 1024, 1536])), // pixels, both sides of an eye's picture
     quality: number(80, 50, 95), // JPEG quality
     drawn: choice('auto', DRAWN_BY), // who draws the avatars

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import ctypes
-import ctypes.util
-import gc
 import json
 import re
 import signal
@@ -17,31 +14,27 @@ import time
 from pathlib import Path
 
 import cv2
-import moderngl
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from apps import cli
 from apps.serve import command as serve
 from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
-from glsplat.errors import GlsplatError, PoseError, ProtocolError
+from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.server import make_server
-from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import encode_picture
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder, eye_fields
 from glsplat.net.reply import decode_picture
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
-from glsplat.tracking.calibration import Calibration
+from tests.apps.serve.viewers import parameters
 from tests.scenes import limb
 
 ROOT = Path(__file__).parents[3]
@@ -161,7 +154,7 @@ def test_a_server_process_draws_and_ends_with_zero(end):
 @pytest.mark.gl
 def test_the_mirror_image_is_the_picture_of_the_mirrored_view():
     """Seen from straight ahead, mirroring the world equals flipping the picture and exchanging the eyes."""
-    from glsplat.net.messages import Decoder, WireOptions, eye_fields
+    from glsplat.net.messages import WireOptions
 
     pose = np.zeros((55, 3))
     pose[16, 2], pose[17, 2] = -1.0, 0.4  # arms at different heights
@@ -180,16 +173,6 @@ def test_the_mirror_image_is_the_picture_of_the_mirrored_view():
     flipped = images[False][::-1, :, ::-1]
     assert np.abs(images[True] - flipped).mean() < 0.5
     assert np.abs(images[True] - images[False]).mean() > 2
-
-
-def parameters(size):
-    """Three viewers: their eyes and poses, and the size each asks for."""
-    for index in range(3):
-        pose = np.zeros((55, 3))
-        pose[16, 2], pose[0, 1] = -0.9 * index, 0.8 * index
-        pixels = (size + 16 * index, size)
-        head = head_matrix((0.1 * index, 1.0 + 0.1 * index, 2.0 + 0.2 * index), (0, 0, 0, 1))
-        yield stereo_cameras(head, size=pixels)[: 1 + (index != 1)], Pose(pose, np.zeros(3))
 
 
 @pytest.mark.gl
@@ -259,104 +242,6 @@ def test_viewers_get_their_own_pictures():
         assert all(pictures == expected for pictures in replies)
 
 
-@pytest.fixture
-def backend():
-    backend = RendererBackend(default_avatar(), (64, 64))
-    yield backend
-    backend.close()
-
-
-@pytest.mark.gl
-def test_an_opengl_error_costs_that_picture_only(backend, caplog):
-    """An error that the driver reports while a client's picture is drawn: it gets an error, the others go on."""
-    eyes, pose = next(iter(parameters(64)))
-    wide = stereo_cameras(head_matrix((0, 1, 2), (0, 0, 0, 1)), size=(80, 64))
-
-    async def main():
-        server = Server(backend, ServerConfig(port=0))
-        await server.start()
-        prepare, gl = backend._pool.get().renderer.prepare, ctypes.CDLL("libGL.so.1")
-
-        def faulty(cameras, pose):
-            if cameras[0].width == 80:
-                gl.glEnable(0x1234)  # GL_INVALID_ENUM
-            return prepare(cameras, pose)
-
-        backend._pool.get().renderer.prepare = faulty
-        try:
-            async with Client(server.url) as good, Client(server.url) as bad:
-                before = await good.render(eyes, pose=pose)
-                for _ in range(4):  # more in a row than a lost context would be allowed
-                    with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
-                        await bad.render(wide)
-                    after = await good.render(eyes, pose=pose)
-                    assert after.pictures == before.pictures
-                backend._pool.get().renderer.prepare = prepare
-                assert (await bad.render(wide)).images()[0].shape == (64, 80, 3)
-                return server.stats()
-        finally:
-            await server.stop()
-
-    stats = asyncio.run(main())
-    assert stats["healthy"] and stats["rebuilds"] == 0 and stats["totals"]["failed"] == 4
-    assert "reports an OpenGL error" in caplog.text
-
-
-def lose_context():
-    """What a driver reset leaves: no call does anything. To be called on the render thread."""
-    egl = ctypes.CDLL("libEGL.so.1")
-    egl.eglGetCurrentDisplay.restype = ctypes.c_void_p
-    assert egl.eglMakeCurrent(ctypes.c_void_p(egl.eglGetCurrentDisplay()), None, None, None)
-
-
-@pytest.mark.gl
-def test_a_lost_context_is_made_anew(backend, caplog):
-    eyes, pose = next(iter(parameters(64)))
-
-    async def main():
-        server = Server(backend, ServerConfig(port=0))
-        await server.start()
-        try:
-            async with Client(server.url) as client:
-                before = await client.render(eyes, pose=pose)
-                await asyncio.get_running_loop().run_in_executor(server.render_loop._render_thread, lose_context)
-                with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
-                    await client.render(eyes, pose=pose)
-                after = await client.render(eyes, pose=pose)  # on the same connection
-                assert after.pictures == before.pictures
-                return server.stats()
-        finally:
-            await server.stop()
-
-    stats = asyncio.run(main())
-    assert stats["healthy"] and stats["rebuilds"] == 1 and stats["clients"][0]["failed"] == 1
-    assert "the OpenGL context is lost; making a new one" in caplog.text
-
-
-@pytest.mark.gl
-def test_serving_leaves_no_opengl_object_behind(backend):
-    viewers = list(parameters(48))
-
-    async def watch(url, eyes, pose):
-        async with Client(url) as client:
-            await client.render(eyes, pose=pose)
-
-    async def main():
-        server = Server(backend, ServerConfig(port=0, limits=Limits(visits_burst=1000)))
-        await server.start()
-        backend._context.ctx.gc_mode = "context_gc"  # what nobody holds any more is listed instead of forgotten
-        try:
-            for _ in range(10):
-                await asyncio.gather(*(watch(server.url, *viewer) for viewer in viewers))
-            return gc.collect(), list(backend._context.ctx.objects)
-        finally:
-            backend._context.ctx.gc_mode = None
-            await server.stop()
-
-    _, objects = asyncio.run(main())
-    assert not [item for item in objects if not isinstance(item, moderngl.InvalidObject)]
-
-
 @pytest.mark.gl
 def test_the_server_is_ready_within_two_seconds():
     """On the embedded avatar; of several starts, as other programs may be busy.
@@ -378,94 +263,3 @@ def test_the_server_is_ready_within_two_seconds():
         if times[-1] <= max(2.0, 5 * alone[-1]):
             return
     pytest.fail(f"ready after {times} s, the libraries alone {alone} s")
-
-
-def tracked(frame_id, x, **more):
-    tracking = {"head": [x, 1.55, 0.1, 0, 0, 0, 1], "left": None, "right": [x + 0.3, 1.2, -0.3, 0, 0, 0, 1]}
-    return {"v": 1, "frame_id": frame_id, "t": frame_id * 14.0, "size": [64, 64], "tracking": tracking, **more}
-
-
-def test_tracking_becomes_a_pose_in_the_avatars_space():
-    from glsplat.net.messages import Decoder
-    from glsplat.tracking.calibration import Calibration
-    from glsplat.tracking.tracker import Tracker
-
-    skeleton = default_avatar().skeleton
-    calibration = Calibration(scale=1.25, floor=0.1)
-    solver, alone = TrackingSolver(skeleton, calibration), Tracker(skeleton, calibration)
-    decoder = Decoder()
-    requests = [decoder.decode(json.dumps(tracked(i, i * 0.005))) for i in range(20)]
-    for request in requests:
-        expected = alone.update(request.tracking)
-    for request in requests:
-        solved = solver.solve(request, 0.0)
-    np.testing.assert_array_equal(solved.pose.rotations, expected.rotations)
-    np.testing.assert_array_equal(solved.pose.trans, expected.trans)
-    assert "left_lost" in solved.notes
-    for mine, theirs in zip(solved.cameras, requests[19].cameras, strict=True):
-        np.testing.assert_allclose(mine.position, (theirs.position - (0, 0.1, 0)) / 1.25)
-        np.testing.assert_array_equal(mine.viewmat[:3, :3], theirs.viewmat[:3, :3])
-
-
-def test_eyes_that_no_sensor_sees_look_around_where_the_server_says_so():
-    """The rest of the body is that of a server which does not."""
-    skeleton, decoder = default_avatar().skeleton, Decoder()
-    idle, plain = (TrackingSolver(skeleton, Calibration(), idle=on) for on in (True, False))
-    eyes = [skeleton.names.index(f"{side}_eye_smplhf") for side in ("left", "right")]
-    looks = []
-    for i in range(1, 200):
-        request = decoder.decode(json.dumps(tracked(i, 0.0)))
-        one, other = idle.solve(request, 0.0).pose.rotations, plain.solve(request, 0.0).pose.rotations
-        assert not other[eyes].any()
-        np.testing.assert_array_equal(np.delete(one, eyes, axis=0), np.delete(other, eyes, axis=0))
-        looks.append(one[eyes])
-    assert 1 < np.degrees(np.abs(looks).max()) < 25
-    assert np.ptp(looks, axis=0).max() > 0.02
-
-
-numbers = st.floats(-1.5, 1.5) | st.floats(allow_nan=False, allow_infinity=False)
-poses = st.none() | st.lists(numbers, min_size=7, max_size=7)
-hands = st.none() | st.lists(numbers, min_size=75, max_size=75) | st.lists(numbers, max_size=4)
-tracked_fields = {
-    **dict.fromkeys(("head", "left", "right", "left_grip", "right_grip"), poses),
-    **dict.fromkeys(("left_joints", "right_joints"), hands),
-    **dict.fromkeys(("left_curl", "right_curl"), st.none() | numbers),
-}
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.lists(st.tuples(numbers, st.fixed_dictionaries({}, optional=tracked_fields)), min_size=1, max_size=4))
-def test_any_tracking_gives_a_finite_pose_or_a_protocol_error(messages):
-    """Whatever passes the decoder can be solved: what a client sends never fails in the render thread."""
-    solver, decoder = TrackingSolver(default_avatar().skeleton, Calibration()), Decoder()
-    for frame_id, (t, tracking) in enumerate(messages, 1):
-        eyes = [eye_fields(eye) for eye in stereo_cameras(np.eye(4), size=(64, 64))]
-        text = json.dumps({"v": 1, "frame_id": frame_id, "t": t, "eyes": eyes, "tracking": tracking})
-        try:
-            solved = solver.solve(decoder.decode(text), 0.0)
-        except (ProtocolError, PoseError) as error:
-            assert "\n" not in str(error) and len(str(error)) < 400
-        else:
-            assert np.isfinite(solved.pose.rotations).all() and np.isfinite(solved.pose.trans).all()
-
-
-@pytest.mark.gl
-def test_a_recording_of_head_and_hands_moves_the_avatar():
-
-    async def main():
-        server = make_server(default_avatar(), ServerConfig(port=0))
-        await server.start()
-        try:
-            async with Client(server.url, height=1.8) as client:
-                eyes = stereo_cameras(head_matrix((0, 1.2, 2.5), (0, 0, 0, 1)), size=(64, 64))
-                first = await client.render(eyes, tracking=tracked(1, 0.0)["tracking"])
-                for x in np.linspace(0, 0.3, 12):
-                    reply = await client.render(eyes, tracking=tracked(1, x)["tracking"])
-                return first, reply
-        finally:
-            await server.stop()
-
-    first, last = asyncio.run(main())
-    assert last.info["times"]["ik"] > 0 and "left_lost" in last.info["tracking"]
-    columns = [np.flatnonzero(reply.images()[0].max(axis=(0, 2)) > 40).mean() for reply in (first, last)]
-    assert columns[1] > columns[0] + 2  # the head moved to +x, the picture to the right

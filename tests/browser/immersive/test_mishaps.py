@@ -272,3 +272,17 @@ def test_another_emulated_headset_is_served_as_well(open_page: OpenPage, serve: 
     sent = [samples[job.frame_id] for job in backend.requests if job.frame_id in samples]
     assert len(np.ravel(sent[-1].right_joints)) in (75, 175)
     assert np.ptp([sample.right[1] for sample in sent if sample.right is not None]) > 0.01
+
+
+def test_the_panel_says_that_the_link_is_slow(modules: Opened) -> None:
+    """After what is worse, and before what is well."""
+    rows = """async ([notice, link, state]) => {
+      const { Menu } = await import('/vr/show/menu.js');
+      const { Settings } = await import('/vr/settings.js');
+      const menu = new Menu(new Settings(), { notice, link, connection: { state } }, { recording: false }, {});
+      return menu.rows({ untracked: [] }, 0).at(-1).label;
+    }"""
+    slow = "The connection is slow: pictures have 50 % of their size for now."
+    assert modules.js(rows, ["", slow, "open"]) == slow
+    assert modules.js(rows, ["The server is full.", slow, "open"]) == "The server is full."
+    assert modules.js(rows, ["", "", "open"]) == "Connected"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import re
 import signal
 import socket
@@ -19,36 +18,14 @@ from glsplat.net.guard.access import Access, certificate_names, server_tls
 from glsplat.net.guard.connection import GuardedConnection
 from glsplat.net.guard.limits import Limits
 from glsplat.net.guard.machine import machine_names
-from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests import needs
+from tests.net.guard.plain_http import ask, get, status
 from tests.net.wire import HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
 
 ROOT = Path(__file__).parents[3]
 TOKEN = "0123456789abcdef-token"
-
-
-async def ask(port, text, source="127.0.0.1"):
-    """The whole answer to a request written by hand."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(source, 0))
-    try:
-        writer.write(text if isinstance(text, bytes) else text.encode())
-        return (await asyncio.wait_for(reader.read(), HANG)).decode("latin-1")
-    except ConnectionError:
-        return ""
-    finally:
-        writer.transport.abort()
-        await asyncio.sleep(0)
-
-
-def get(path="/stats", host="127.0.0.1", more=""):
-    hosts = "".join(f"Host: {name}\r\n" for name in ([host] if isinstance(host, str) else host))
-    return f"GET {path} HTTP/1.1\r\n{hosts}{more}Connection: close\r\n\r\n"
-
-
-def status(answer):
-    return int(answer.split(" ", 2)[1]) if answer else None
 
 
 FLOODS = {
@@ -278,83 +255,6 @@ def test_token_guesses_are_slowed_down(serve, cameras, stopped):
     assert answers == [401] * 6 + [429] * 2 + [401] + [429] * 7 + [429] * 8
     assert status(right) == 429 and "Retry-After:" in right and untold == 401 and elsewhere == 200
     assert TOKEN not in right + last
-
-
-# logs
-
-
-@pytest.fixture
-def lines(caplog):
-    caplog.set_level(logging.DEBUG)
-    return lambda: [
-        record.getMessage() + (record.exc_text or "") for record in caplog.records if record.levelno >= logging.INFO
-    ]
-
-
-SECRET = "SECRETSECRETSECRET"
-STRANGE = {
-    "a token without the subprotocol": UPGRADE.replace(
-        b"Sec-WebSocket-Version", f"Sec-WebSocket-Protocol: token.{SECRET}\r\nSec-WebSocket-Version".encode()
-    ),
-    "subprotocols of 6 kB": UPGRADE.replace(
-        b"Sec-WebSocket-Version", f"Sec-WebSocket-Protocol: {SECRET * 340}\r\nSec-WebSocket-Version".encode()
-    ),
-    "no HTTP": f"\x00\x01{SECRET}\r\n\r\n".encode(),
-    "a header without a name": f"GET / HTTP/1.1\r\n: {SECRET}\r\n\r\n".encode(),
-    "a header of 9 kB": f"GET / HTTP/1.1\r\nHost: a\r\nX: {SECRET * 500}\r\n\r\n".encode(),
-    "another method": f"{SECRET} / HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
-    "an address that is none": f"GET http://[{SECRET}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
-    "two lengths": f"POST /{SECRET} HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\nContent-Length: 4\r\n\r\nabc".encode(),
-    "an Upgrade that is no text": UPGRADE.replace(b"Upgrade: websocket", b"Upgrade: webs\xefcket"),
-    "a version that is no text": UPGRADE.replace(b"Version: 13", b"Version: 13\x80"),
-    "a key that is no text": UPGRADE.replace(b"dGhlIHNhbXBsZSBub25jZQ==", b"dGhlIHNhbXBsZSBub\x8a5jZQ=="),
-    "a key beyond ASCII": UPGRADE.replace(b"dGhlIHNhbXBsZSBub25jZQ==", b"dGhlIHNhbXBsZSBub2\xc3\xa9ZQ=="),
-    "a key that is none": UPGRADE.replace(b"dGhlIHNhbXBsZSBub25jZQ==", SECRET.encode()),
-}
-
-
-@pytest.mark.parametrize("kind", STRANGE)
-def test_what_strangers_send_is_not_logged(serve, cameras, lines, kind):
-    config = ServerConfig(port=0, limits=Limits(visits_burst=1e9))
-
-    async def main():
-        async with serve(config=config) as server:
-            for _ in range(25):
-                answer = await ask(server.port, STRANGE[kind])
-                assert answer == "" or 400 <= status(answer) < 500
-            return await still_serves(server, cameras)
-
-    assert asyncio.run(main())
-    assert len(lines()) <= 2 and all(len(line) < 120 and "\n" not in line for line in lines())
-    assert SECRET[:6] not in "".join(lines())
-
-
-def test_a_handshake_followed_by_a_reset_logs_nothing_much(serve, cameras, lines):
-    async def main():
-        async with serve(config=ServerConfig(port=0, limits=Limits(visits_burst=1e9))) as server:
-            for i in range(60):
-                peer = socket.create_connection(("127.0.0.1", server.port))
-                peer.sendall(UPGRADE + (frame(0x1, native(1).encode()) if i % 2 else b""))
-                peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-                if i % 3:  # else it is gone before the server reads what it asked
-                    await asyncio.sleep(0.001 * (i % 4))
-                peer.close()
-            await until(lambda: not server.stats()["clients"])
-            return await still_serves(server, cameras)
-
-    assert asyncio.run(main())
-    assert len(lines()) <= 2 and all(len(line) < 120 and "\n" not in line for line in lines())
-    assert not any("failed in the server" in line for line in lines())  # it is nobody's fault
-
-
-def test_a_fault_of_the_server_is_one_line_with_its_place(serve, lines, monkeypatch):
-    async def main():
-        async with serve() as server:
-            monkeypatch.setattr(routes, "page_html", lambda *_: {}[SECRET])
-            return [status(await ask(server.port, get("/"))) for _ in range(5)]
-
-    assert asyncio.run(main()) == [500] * 5
-    assert len(lines()) == 1 and re.search(r"KeyError at test_gate\.py:\d+$", lines()[0])
 
 
 def test_the_parts_of_aiohttp_that_connections_rely_on(serve):

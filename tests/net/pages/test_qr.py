@@ -97,7 +97,7 @@ def test_the_status_page_shows_the_address_it_was_asked_by():
     async def main():
         pages = {}
         async with serving(config=config) as server, aiohttp.ClientSession() as http:
-            for host in ("lab.example:81", f"127.0.0.1:{server.port}"):
+            for host in ("lab.example:81", "lab.example"):
                 headers = {"Host": host, "Authorization": f"Bearer {token}"}
                 async with http.get(f"http://127.0.0.1:{server.port}/", headers=headers) as response:
                     pages[host] = await response.text()
@@ -108,6 +108,25 @@ def test_the_status_page_shows_the_address_it_was_asked_by():
     for host, page in asyncio.run(main()).items():
         assert qr.svg(f"http://{host}/vr") in page and f"<code>http://{host}/vr</code>. It asks for the token." in page
         assert token not in page
+
+
+@pytest.mark.parametrize(("listens", "name"), [("0.0.0.0", "192.168.7.9"), ("127.0.0.1", "")])
+def test_a_code_never_leads_a_phone_to_itself(monkeypatch, listens, name):
+    """Opened at localhost, the status page names the machine's address in the network, or says that there is none."""
+    monkeypatch.setattr("glsplat.net.guard.machine.machine_addresses", lambda: ("192.168.7.9", "2001:db8::7"))
+    config = ServerConfig(port=0, access=Access(host=listens, insecure=True))
+
+    async def main():
+        async with serving(config=config) as server, aiohttp.ClientSession() as http:
+            async with http.get(f"http://localhost:{server.port}/") as response:
+                return server.port, await response.text()
+
+    port, page = asyncio.run(main())
+    assert "http://localhost" not in page
+    if name:
+        assert qr.svg(f"http://{name}:{port}/vr") in page and f"<code>http://{name}:{port}/vr</code>" in page
+    else:
+        assert "<svg" not in page and "glsplat serve --host 0.0.0.0 --self-signed" in page
 
 
 def test_an_svg_can_be_made_smaller() -> None:

@@ -67,6 +67,11 @@ def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
                     ("Bob", True),
                 ]
                 assert room["people"][1]["frame_id"] == reply.frame_id
+                # each in Bob's own space: Ann on the other side, he where twice his avatar's x is
+                assert [p["at"] for p in room["people"]] == [
+                    pytest.approx([0, 0, 2.4], abs=2e-3),
+                    pytest.approx([0.5, 0, 0], abs=2e-3),
+                ]
                 drawn = backend.drawn[-1]
                 assert drawn.room is not None and drawn.options.hide == ("head",)
                 bobs = drawn.room.people[1]
@@ -115,8 +120,8 @@ def test_the_way_in(serve: Serve) -> None:
                     async with http.get(f"http://127.0.0.1:{server.port}/session") as answer:
                         offer = await answer.json()
                 assert offer["rooms"] == [
-                    {"name": "lab", "people": 1, "seats": 4},
-                    {"name": "small", "people": 1, "seats": 1},
+                    {"name": "lab", "people": 1, "seats": 4, "scene": False},
+                    {"name": "small", "people": 1, "seats": 1, "scene": False},
                 ]
                 # who was refused left nothing behind
                 assert len(server._channels) == 2

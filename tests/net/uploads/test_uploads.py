@@ -14,7 +14,7 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from tests.net.conftest import FakeBackend
-from tests.net.uploads.conftest import GUARD, described, until
+from tests.net.uploads.conftest import GUARD, HEADERS, described, until
 from tests.net.uploads.makers import PICTURE, make
 
 
@@ -289,6 +289,24 @@ def test_what_was_refused_goes_on_where_it_was(takes, word):
             assert client.kept() == [f"{name}.glb"] and await client.offered() == ["default", name]
             status, text = await client.ask("POST", f"/avatars/{name}/anyway")
             assert status == 409 and "send the pictures again" in text
+
+    asyncio.run(main())
+
+
+def test_a_server_that_is_busy_says_when_to_ask_again(takes):
+    async def main():
+        async with takes(waiting=1) as client:
+            name = (await client.post(b"doubt known"))[1]["name"]
+            assert (await client.until(name, "failed"))["goes_on"]
+            others = [client.server._uploads._queue.book(address) for address in "ab"]  # whose pictures still come
+            for path, data in ((f"/avatars/{name}/anyway", b""), ("/avatars?consent=yes", PICTURE)):
+                address = f"{client.origin}{path}"
+                async with client.http.post(address, data=data, headers=HEADERS | {"Content-Type": "image/jpeg"}) as no:
+                    assert no.status == 503 and int(no.headers["Retry-After"]) > 0
+                    assert "2 avatars are being made or wait" in await no.text()
+            assert (await client.ask("GET", f"/avatars/{name}"))[1]["goes_on"]
+            client.server._uploads._queue.cancel(others[0])
+            assert (await client.ask("POST", f"/avatars/{name}/anyway"))[0] == 202
 
     asyncio.run(main())
 

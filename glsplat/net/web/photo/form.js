@@ -1,9 +1,9 @@
 // "Your photo" on the page: what is chosen, how far the making is, what is wrong with a picture, and the avatar at last.
 
+import { NAME } from '../settings.js';
 import { fitted } from './shrink.js';
 
 const VIEWS = ['front', 'back', 'left', 'right'];
-const TITLE = /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u; // as glsplat/net/options.py has names
 const SIDES = { front: 'From the front', back: 'From behind', left: 'From the left', right: 'From the right' };
 
 /** `deeds`: wear(name), remove(name), both promises. Shown while `offer` has something. */
@@ -103,7 +103,7 @@ export class PhotoForm {
     if (!this.#front()) return this.#warn('Choose or take a picture from the front first.', 'photo-front');
     if (wrong) return this.#warn('The height needs metres from 0.5 to 2.8, such as 1.75.', 'photo-height');
     const title = this.#get('photo-name').value.trim() || titleOf(this.#front().name);
-    if (!TITLE.test(title)) {
+    if (!NAME.test(title)) {
       return this.#warn('The name needs up to 32 letters and digits, blanks between them.', 'photo-name');
     }
     if (!this.#get('photo-consent').checked) {
@@ -207,12 +207,13 @@ export class PhotoForm {
   }
 
   #words() {
-    const { state, share, ahead, steps, error, findings } = this.#upload.now;
+    const { state, share, ahead, steps, error, findings, later } = this.#upload.now;
     if (state === 'sending') return `Sending the picture: ${Math.round(100 * share)} %`;
     if (state === 'waiting') return ahead ? `Waiting for ${ahead} before you` : 'Waiting to begin';
     if (state === 'making') return `${capital(steps.at(-1) ?? 'beginning')}…`;
     if (state === 'done' && findings.length) return 'Your avatar is ready. A better picture would make a better one:';
     if (state === 'done') return 'Your avatar is ready.';
+    if (state === 'failed' && later) return capital(later);
     if (state === 'failed' && findings.length) return 'The picture may not do:';
     return state === 'failed' ? `It did not work: ${error}` : '';
   }

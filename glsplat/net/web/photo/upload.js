@@ -2,7 +2,7 @@
 
 const PAUSE = 500; // ms between two looks
 const PATIENCE = 60; // looks in a row that nobody answers
-const IDLE = { state: 'idle', name: '', share: 0, ahead: 0, steps: [], error: '', findings: [], goes_on: false };
+const IDLE = { state: 'idle', name: '', share: 0, ahead: 0, steps: [], error: '', findings: [], goes_on: false, later: '' };
 
 /** Event `change`. `now.state` is idle, sending, waiting, making, done or failed; `share` of 1 of the step in hand. */
 export class Upload extends EventTarget {
@@ -41,17 +41,21 @@ export class Upload extends EventTarget {
     else this.#become({ state: 'failed', error: answer.text.trim() || `the server answers ${answer.status}` });
   }
 
-  /** Have what was refused made all the same, from where it was. Promises false where the server has forgotten it. */
+  /**
+   * Have what was refused made all the same, from where it was. Promises false where the server has forgotten it; while
+   * it is busy `now.later` says so, and it may be asked again.
+   */
   async goOn() {
     const run = ++this.#run;
     const failed = this.now;
-    this.#become({ ...failed, state: 'waiting', goes_on: false }); // asked for once
+    this.#become({ ...failed, state: 'waiting', goes_on: false, later: '' }); // asked for once
     const response = await this.#ask('POST', '/anyway').catch(() => null);
+    const busy = response?.status === 503 ? (await response.text().catch(() => '')).trim() : '';
     const answer = response?.ok ? await response.json().catch(() => null) : null;
     if (run !== this.#run) return true;
     if (answer) this.#follow(answer, run);
-    else this.#become({ ...failed, goes_on: false });
-    return answer !== null;
+    else this.#become({ ...failed, goes_on: busy !== '', later: busy });
+    return answer !== null || busy !== '';
   }
 
   /** Follow what was begun before the page was loaded again. */

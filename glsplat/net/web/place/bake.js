@@ -1,7 +1,7 @@
 // What a place looks like, worked out once into two small textures: its faces in the light of windows, lamps and the sun,
 // darker in the corners, as a display shows them; and the grain of its floor. A headset only looks them up.
 
-import { dot, subtract, unit } from '../space/matrix.js';
+import { cross, dot, subtract, unit } from '../space/matrix.js';
 
 /** Texels of the picture, and where in it each face lies: [x, y, width, height]. */
 export const ATLAS = { width: 128, height: 256 };
@@ -19,7 +19,10 @@ export const FACES = {
 export const GRAIN = 256;
 
 const SAMPLES = 4; // a side of a window
-const SUNS = [[0, 0], [0.03, 0.02], [-0.03, 0.02], [0.02, -0.03], [-0.02, -0.03]]; // a sun that is no point: soft edges
+const SUNS = 16; // points of a sun that is none: a disc
+const DISC = 0.05; // its radius, of a unit's length: penumbras are wider than texels, or a patch of sun had teeth
+const GOLDEN = Math.PI * (3 - Math.sqrt(5));
+const RIM = 0.2; // metres, more than a texel, by which a bright window is smaller than its hole: the wall has no halo
 const BOUNCE = 0.16; // of what falls in, as light from everywhere
 
 /** RGBA bytes of the atlas for one of LOOKS. */
@@ -43,7 +46,9 @@ export function* baking(look) {
       for (let x = 0; x < width; x++) {
         // the outer texels lie on the edges: linear filtering never reads a neighbour face
         const { point, normal } = at((x + 0.5) / width, (y + 0.5) / height);
-        const light = falls(point, normal);
+        const sunny = look.sun && dot(normal, look.sun.towards) > -DISC;
+        const spots = sunny ? SPOTS.map(([a, b]) => at((x + 0.5 + a) / width, (y + 0.5 + b) / height).point) : undefined;
+        const light = falls(point, normal, spots);
         const to = 4 * ((top + y) * ATLAS.width + left + x);
         const colour = surface(point, normal, look).map((value, k) => value * light[k]);
         const far = look.fade ? smoothstep(look.fade[0], look.fade[1], Math.hypot(point[0], point[2])) : 0;
@@ -57,11 +62,14 @@ export function* baking(look) {
   return bytes;
 }
 
-/** What says how much light [r, g, b] falls at a point of a place on a surface with a unit normal: 1 shows it in its colour. */
+/**
+ * What says how much light [r, g, b] falls at a point of a place on a surface with a unit normal: 1 shows it in its colour.
+ * The sun's part is the mean of `spots` about the point.
+ */
 export function lightIn(look) {
   const windows = look.windows.map((one) => panes(one, look));
-  const suns = look.sun ? SUNS.map(([a, b]) => unit([look.sun.towards[0], look.sun.towards[1] + a, look.sun.towards[2] + b])) : [];
-  return (point, normal) => lightAt(point, normal, look, windows, suns);
+  const suns = look.sun ? discOf(unit(look.sun.towards)) : [];
+  return (point, normal, spots = [point]) => lightAt(point, normal, look, windows, suns, spots);
 }
 
 /** Bytes of the floor's grain, 128 where it changes nothing, and the metres it covers [x, z]; null: there is none. */
@@ -91,6 +99,9 @@ export function shown(colour) {
   return colour.map(displayed);
 }
 
+/** Where in a texel, in texels from its middle, and a little beyond: what linear filtering makes of it has no steps. */
+const SPOTS = Array.from({ length: SUNS }, (_, i) => [0.375 * (i % 4) - 0.5625, 0.375 * (((5 * i) >> 2) & 3) - 0.5625]);
+
 const displayed = (c) => Math.min(1, ((c * (1 + c * 0.18)) / (1 + c * 0.55)) ** (1 / 2.2));
 
 /** The colour of a face at a point; windows are as bright as what is behind them. */
@@ -99,7 +110,7 @@ function surface(point, normal, { walls, floor, wall, ceiling, windows, half: [w
   if (normal[1] < -0.5) return ceiling;
   const side = Math.abs(normal[0]) > 0.5 ? (point[0] < 0 ? 0 : 1) : point[2] < 0 ? 2 : 3;
   const along = point[side < 2 ? 2 : 0];
-  const behind = walls && windows.some(([which, from, to, bottom, top]) => which === side && along > from && along < to && point[1] > bottom && point[1] < top);
+  const behind = walls && windows.some(([which, from, to, bottom, top]) => which === side && along > from + RIM && along < to - RIM && point[1] > bottom + RIM && point[1] < top - RIM);
   return behind ? sky.horizon.map((value) => 2.4 * value) : wall.map((value) => value * (point[1] < 0.1 ? 0.8 : 1));
 }
 
@@ -129,8 +140,8 @@ function faces({ walls, half: [w, h, d] }) {
   return [floor, [FACES.ceiling, ceiling], ...sides];
 }
 
-/** Light [3] at a point of a face. */
-function lightAt(point, normal, look, windows, suns) {
+/** Light [3] at a point of a face, the sun's at `spots`. */
+function lightAt(point, normal, look, windows, suns, spots) {
   const out = look.ambient.map((v) => v * corners(point, normal, look));
   const [px, py, pz] = point;
   const [nx, ny, nz] = normal;
@@ -153,7 +164,7 @@ function lightAt(point, normal, look, windows, suns) {
     for (let k = 0; k < 3; k++) out[k] += part * colour[k];
   }
   if (look.sun) {
-    const part = sunny(point, normal, look, suns);
+    const part = sunlit(spots, normal, look, suns);
     for (let k = 0; k < 3; k++) out[k] += part * look.sun.colour[k];
   }
   return out;
@@ -171,17 +182,28 @@ function corners(point, normal, { walls, half: [w, h, d] }) {
   return open;
 }
 
-/** The part of the sun that comes in by a window. */
-function sunny(point, normal, look, suns) {
+/** Unit vectors to a disc about a direction, evenly over it, on a spiral. */
+function discOf(middle) {
+  const across = unit(cross(middle, [0, 1, 0]));
+  const up = cross(across, middle);
+  return Array.from({ length: SUNS }, (_, i) => {
+    const [radius, a] = [DISC * Math.sqrt((i + 0.5) / SUNS), GOLDEN * i];
+    return unit(middle.map((v, k) => v + radius * (Math.cos(a) * across[k] + Math.sin(a) * up[k])));
+  });
+}
+
+/** The part of the sun that comes in by a window, each of `suns` at one of the `spots`. */
+function sunlit(spots, normal, look, suns) {
   let seen = 0;
-  for (const ray of suns) {
+  for (let i = 0; i < suns.length; i++) {
+    const [ray, point] = [suns[i], spots[i % spots.length]];
     const falls = dot(ray, normal);
     if (falls <= 0) continue;
     if (!look.windows.some((pane) => through(point, ray, pane, look))) continue;
     const [x, y, z] = ray.map((v) => 20 * v);
     if (!look.bench || !hidden(point[0], point[1], point[2], x, y, z, look.bench)) seen += falls;
   }
-  return seen / SUNS.length;
+  return seen / suns.length;
 }
 
 /** Whether a ray leaves by a window. */

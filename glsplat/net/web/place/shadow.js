@@ -33,6 +33,15 @@ export function fromBox(box, shown, root = null) {
   return [blob(a, high, c, 0.75 * deep + 0.05, 0.62), blob(a, high, c, 0.19, 0.42), blob(a, high + 0.25, c, 0.3, 0.55)];
 }
 
+/** Of everybody in a room, whose `people` stand `at` [x, y, z], moved by `shown`. */
+export function fromPlaces(people, shown) {
+  return people.flatMap(({ at, opacity = 1 }) => {
+    const [x, , z] = movePoint(shown, [at[0], 0, at[2]]);
+    const high = Math.max(at[1], 0);
+    return [blob(x, high, z, 0.2, 0.75 * opacity), blob(x, high + 0.25, z, 0.3, 0.55 * opacity)];
+  });
+}
+
 /** A round shadow of something `y` above the floor: higher, wider and fainter. */
 function blob(x, y, z, radius, strength) {
   return [x, z, radius + 0.45 * y, strength / (1 + (y / NEAR) ** 2)];

@@ -58,7 +58,8 @@ export class Menu {
     if (this.#stage.notice) return this.#stage.notice;
     if (untracked.length === 2) return 'No hands tracked';
     if (untracked.length) return `The ${untracked[0]} hand is not tracked`;
-    return this.#stage.connection.state === 'open' ? 'Connected' : 'Connecting…';
+    if (this.#stage.connection.state !== 'open') return 'Connecting…';
+    return this.#stage.link || 'Connected';
   }
 
   #figures(now) {

@@ -3,7 +3,7 @@
 import { onWire, turned } from '../draw/light.js';
 import { lightOf } from '../place/light.js';
 import { LOOKS } from '../place/looks.js';
-import { below, fromBox } from '../place/shadow.js';
+import { below, fromBox, fromPlaces } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
 import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
@@ -128,7 +128,8 @@ export class Stage {
     if (this.settings.get('place') === 'plain') return [];
     const shown = where.glass ? IDENTITY : where.shown; // a mirror shows the floor under its user
     if (here && this.here.people.size) return this.here.shadows(shown, now);
-    const box = this.painter.hasPair ? this.info.box : null;
+    const { box, room } = this.painter.hasPair ? this.info : {};
+    if (room) return fromPlaces(room.people.filter(({ at }) => at), shown);
     const trans = pose?.trans;
     const root = trans ? [trans[0], trans[2]] : tracking?.head ? below(tracking.head) : null;
     return box ? fromBox(box, shown, root) : [];
@@ -259,7 +260,7 @@ export class Stage {
       return;
     }
     if (asked?.scene !== this.#scene) return; // of nothing in sight, or of another place
-    this.framing.learn(reply.info.box, asked);
+    this.framing.learn(reply.info.box, asked, reply.info.room?.people);
     this.pictures.offer(reply, buffer, { ...asked, sent });
   }
 }

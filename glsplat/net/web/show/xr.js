@@ -49,6 +49,7 @@ export class Immersive {
   #pressed = false;
   #pinched = 0;
   #message = { text: '', until: 0 };
+  #link = ''; // what the user was told of it
 
   constructor(gl, stage, settings, actions, tools) {
     this.#gl = gl;
@@ -216,6 +217,10 @@ export class Immersive {
       .filter(Boolean);
     this.panel.hovered = hits.length ? hits[0].index : -1;
     const labels = [this.panel.label(this.#stage.painter)];
+    if (this.#stage.link !== this.#link) {
+      this.#link = this.#stage.link;
+      if (this.#link) this.say(this.#link); // once: from then on it stands on the panel
+    }
     this.#notice.text = performance.now() < this.#message.until ? this.#message.text : this.#stage.notice;
     if (this.#notice.text) {
       this.#notice.transform = multiply(head, translation([0, -0.12, -1]));

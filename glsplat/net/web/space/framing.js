@@ -1,7 +1,7 @@
 // What to ask for: for each eye a camera whose picture covers just the avatar as it is shown, with a margin for what
 // moves until the picture is there; and what is needed to put that picture back into the room when it comes.
 
-import { around, aroundQuad, corners, intersection, intrinsics, tangentsOf, widened } from './frustum.js';
+import { around, aroundQuad, corners, intersection, intrinsics, joined, tangentsOf, widened } from './frustum.js';
 import { add, axis, movePoint, place, subtract, unit, viewmat } from './matrix.js';
 import { plane, planeAt, serverEye } from './placing.js';
 
@@ -15,8 +15,11 @@ const WIDEST = 0.35;
 const SHAPES = [0.5, 1, 2]; // width / height; few of them, because a server keeps targets of few sizes
 const HYSTERESIS = 1.25;
 const COMPANY = 1.6; // metres to the plane on which a picture of a whole room is put
+const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.7, 0.8]; // metres about where somebody stands, the words over their head, too
 
 export class Framing {
+  furnished = false; // whether a room has more to see than people
+  #people = []; // [x, y, z] of everybody in a room, as the server said it
   #box = null; // as the server said it
   #boxHead = null; // where the head was then: [x, y, z], null where nothing was tracked
   #shape = 1;
@@ -24,8 +27,9 @@ export class Framing {
   #time = 0;
   #speed = 0; // radians a second, falling by half in 0.2 s
 
-  /** Learn the box [x0, y0, z0, x1, y1, z1] of the reply to what `frame` returned. */
-  learn(box, asked) {
+  /** Learn the box [x0, y0, z0, x1, y1, z1] of the reply to what `frame` returned, in a room where its `people` stand. */
+  learn(box, asked, people = []) {
+    this.#people = people.map(({ at }) => at).filter(Array.isArray);
     if (Array.isArray(box) && box.length === 6 && box.every(Number.isFinite)) {
       this.#box = box;
       this.#boxHead = asked.head;
@@ -34,11 +38,13 @@ export class Framing {
 
   forget() {
     this.#box = null;
+    this.#people = [];
   }
 
   /**
-   * views: [{transform (room from eye), projection}], left first. `where`: a placing; `whole`: all that is in sight. `sample`: the tracking of this
-   * moment or null. `side`: the side of a square picture with as many pixels. `age`: seconds that pictures take.
+   * views: [{transform (room from eye), projection}], left first. `where`: a placing; `whole`: everybody in sight.
+   * `sample`: the tracking of this moment or null. `side`: the side of a square picture with as many pixels. `age`:
+   * seconds that pictures take.
    * Returns {eyes, size} for the request and what `Painter.show` needs with its picture; null if nothing is in sight.
    */
   frame(views, where, sample, side, age, now) {
@@ -47,11 +53,14 @@ export class Framing {
     const head = sample?.head ? sample.head.slice(0, 3) : null;
     const shown = corners(this.#around(sample, head, late)).map((point) => movePoint(where.shown, point));
     const margin = Math.min(WIDEST, MARGIN + this.#speed * late);
-    const frusta = views.map(({ transform, projection }) => {
-      let seen = widened(tangentsOf(projection), margin);
-      if (where.glass) seen &&= clip(seen, aroundQuad(where.glass, transform), margin);
-      return where.whole ? seen : seen && clip(seen, around(shown, transform), 0);
+    const sights = views.map(({ transform, projection }) => {
+      const seen = widened(tangentsOf(projection), margin);
+      return where.glass ? clip(seen, aroundQuad(where.glass, transform), margin) : seen;
     });
+    const solid = where.whole ? this.#company(where.shown, late) : [shown];
+    const cut = sights.map((seen, i) => seen && clip(seen, joined(solid.map((one) => around(one, views[i].transform))), 0));
+    // of a room something comes even if nobody is in sight: who comes in is heard of by a reply
+    const frusta = where.whole && cut.every((frustum) => frustum === null) ? sights : cut;
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
     const size = this.#size(whole, side);
@@ -84,6 +93,16 @@ export class Framing {
       }
     }
     return box;
+  }
+
+  /** The corners of everybody's box in a room as it is `shown`; none where more is to be seen. */
+  #company(shown, late) {
+    if (this.furnished) return [];
+    const grow = STILL + LIMBS * late;
+    return this.#people.map((at) => {
+      const box = GUEST.map((v, k) => v + at[k % 3] + (k < 3 ? -grow : grow));
+      return corners(box).map((point) => movePoint(shown, point));
+    });
   }
 
   #turn(transform, now) {

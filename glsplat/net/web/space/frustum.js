@@ -32,6 +32,14 @@ export function intersection(a, b) {
   return out.right - out.left > 0.01 && out.up - out.down > 0.01 ? out : null;
 }
 
+/** The smallest frustum that holds all of these, of which some may be null; null of none. */
+export function joined(frusta) {
+  const there = frusta.filter((frustum) => frustum !== null);
+  if (!there.length) return null;
+  const all = (name) => there.map((frustum) => frustum[name]);
+  return { left: Math.min(...all('left')), right: Math.max(...all('right')), down: Math.min(...all('down')), up: Math.max(...all('up')) };
+}
+
 /** The eight corners of [x0, y0, z0, x1, y1, z1]. */
 export function corners([x0, y0, z0, x1, y1, z1]) {
   return [0, 1, 2, 3, 4, 5, 6, 7].map((i) => [i & 1 ? x1 : x0, i & 2 ? y1 : y0, i & 4 ? z1 : z0]);
