@@ -2,6 +2,7 @@
 
 import { parsePoses } from './pose.js';
 import { parseReply } from './reply.js';
+import { openSocket } from './socket.js';
 
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
@@ -108,8 +109,7 @@ export class Connection extends EventTarget {
       if (value !== null && value !== undefined && value !== '') url.searchParams.set(name, value);
     }
     const protocols = ['glsplat.v1', ...(this.#token ? [`token.${this.#token}`] : [])];
-    const socket = (this.#socket = new WebSocket(url, protocols));
-    socket.binaryType = 'arraybuffer';
+    const socket = (this.#socket = openSocket(url, protocols));
     let wasOpen = false;
     socket.onopen = () => {
       if (socket !== this.#socket) return;
