@@ -124,8 +124,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--video",
         action="store_true",
-        help="clients that can decode it, as the page can, get video instead of JPEGs: a tenth of the bytes and more of "
-        "a core; needs `pip install 'glsplat[video]'`",
+        help="clients that can decode it, as the page can, get video instead of JPEGs: far fewer bytes, more of a "
+        "core; needs `pip install 'glsplat[video]'`",
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_solver(parser)
