@@ -55,9 +55,9 @@ class LocalLoop(RenderLoop):
         """A client, as elsewhere; here it may have video."""
         channel = super().open(*args, **kwargs)
         if self.codecs:
-            from glsplat.net.codec.video import VideoStream  # here: most servers have none
+            from glsplat.net.codec.video import CODECS, VideoStream  # here: most servers have none
 
-            channel.video = VideoStream(self._clock)
+            channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self.codecs})
         return channel
 
     def remove(self, channel: ClientStream) -> None:
@@ -123,9 +123,8 @@ class LocalLoop(RenderLoop):
         if before is not None:  # it was begun before this one was, so that this thread waits for no other place
             wait([before])
         assert options.video is not None
-        wished = [codec for codec in options.video.codecs if codec in self.codecs]
-        how = options.quality, rendered.covered, options.alpha, options.video.key
-        return video.encode(rendered.images, wished, *how) or encode(self._encoder, rendered, options)
+        how = options.video.codecs, options.quality, rendered.covered, options.alpha, options.video.key
+        return video.encode(rendered.images, *how) or encode(self._encoder, rendered, options)
 
     def _end_threads(self) -> None:
         super()._end_threads()

@@ -1,4 +1,4 @@
-"""Video in Chromium: every picture of the server's is the one that the page shows, in its colours, also after a loss."""
+"""Video in Chromium: each picture of the server's is what the page shows, in its colours, also after a loss."""
 
 from __future__ import annotations
 

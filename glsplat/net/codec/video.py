@@ -9,7 +9,7 @@ refreshes column by column besides (intra refresh).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -26,7 +26,7 @@ from glsplat.net.codec.straight import straightened
 if TYPE_CHECKING:
     from av import VideoCodecContext
 
-__all__ = ["CODECS", "STEPS", "VideoStream", "available"]
+__all__ = ["CODECS", "STEPS", "Coder", "VideoStream", "available"]
 
 Image = NDArray[np.uint8]
 
@@ -35,20 +35,22 @@ STEPS = (20, 40, 60, 80, 90)
 
 
 @dataclass(frozen=True, slots=True)
-class _Coder:
+class Coder:
+    """How a codec is used."""
+
     library: str  # FFmpeg's encoder
     options: dict[str, str]
     factors: tuple[int, ...]  # its quality (crf) at each of STEPS: as little LPIPS as JPEG (docs/measured/codec.md)
 
 
-CODECS: dict[str, _Coder] = {
-    "vp9": _Coder(
+CODECS: dict[str, Coder] = {
+    "vp9": Coder(
         "libvpx-vp9",
         {"deadline": "realtime", "cpu-used": "8", "lag-in-frames": "0", "row-mt": "1", "tile-columns": "2", "b": "0"}
         | {"g": "9999", "auto-alt-ref": "0"},
         (45, 38, 32, 24, 16),
     ),
-    "h264": _Coder(
+    "h264": Coder(
         "libx264",
         {"preset": "superfast", "tune": "zerolatency", "profile": "high", "forced-idr": "1"}
         | {"x264-params": "intra-refresh=1:keyint=300"},
@@ -81,8 +83,8 @@ def available() -> tuple[str, ...]:
 class VideoStream:
     """Of one client. ``encode`` is to be called for its pictures in the order in which they are sent."""
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        self._clock = clock
+    def __init__(self, clock: Callable[[], float] = time.perf_counter, coders: Mapping[str, Coder] = CODECS) -> None:
+        self._clock, self._coders = clock, coders
         self._context: VideoCodecContext | None = None
         self._form: tuple[Any, ...] = ()
         self._step = 0
@@ -110,7 +112,8 @@ class VideoStream:
         eyes, height, width = images.shape[:3]
         even = (width + width % 2, height + height % 2)
         size = even[0] * eyes, even[1] * (2 if alpha else 1)
-        codec = self._form[0] if self._form and self._form[0] in codecs else next(iter(codecs), None)
+        known = [one for one in codecs if one in self._coders]
+        codec = self._form[0] if self._form and self._form[0] in known else next(iter(known), None)
         if codec is None or min(width, height) < _LEAST or size[0] * size[1] > _MOST:
             return None
         form = codec, *size, eyes, bool(alpha)
@@ -144,7 +147,7 @@ class VideoStream:
         import av
 
         codec, width, height = form[:3]
-        coder = CODECS[codec]
+        coder = self._coders[codec]
         context = cast("VideoCodecContext", av.CodecContext.create(coder.library, "w"))
         context.width, context.height, context.pix_fmt = width, height, "yuv420p"
         context.time_base, context.framerate = Fraction(1, 1000), Fraction(30)
