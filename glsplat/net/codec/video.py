@@ -48,13 +48,13 @@ CODECS: dict[str, Coder] = {
         "libvpx-vp9",
         {"deadline": "realtime", "cpu-used": "8", "lag-in-frames": "0", "row-mt": "1", "tile-columns": "2", "b": "0"}
         | {"g": "9999", "auto-alt-ref": "0"},
-        (45, 38, 32, 24, 16),
+        (50, 41, 34, 23, 12),
     ),
     "h264": Coder(
         "libx264",
         {"preset": "superfast", "tune": "zerolatency", "profile": "high", "forced-idr": "1"}
         | {"x264-params": "intra-refresh=1:keyint=300"},
-        (34, 30, 27, 22, 17),
+        (36, 29, 26, 22, 15),
     ),
 }
 """What a server can code, by the name that requests have."""
