@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="play it so long, over and over where it is shorter")
     parser.add_argument("--loop", action="store_true", help="play it over and over, for --seconds or until Ctrl-C")
     parser.add_argument("--window", type=int, help="pictures under way (default: as the server says; fifo asks for 2)")
-    parser.add_argument("--fixed", action="store_true", help="do not say when pictures arrive: serve --adapt fits none")
+    parser.add_argument("--fixed", action="store_true", help="do not say when pictures arrive: the server fits none")
     parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
     parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
     parser.add_argument(

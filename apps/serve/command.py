@@ -114,12 +114,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bitrate",
         type=float,
         metavar="MBIT",
-        help="--adapt, and at most so many Mbit/s for each of those clients (default: what its link takes)",
+        help="at most so many Mbit/s for each client that says when pictures arrive (default: what its link takes)",
     )
     parser.add_argument(
-        "--adapt",
+        "--fixed",
         action="store_true",
-        help="fit size and quality to the links of clients that say when pictures arrive, as the page does",
+        help="do not fit size and quality to the links of clients that say when pictures arrive, as the page does",
+    )
+    parser.add_argument(
+        "--video",
+        action="store_true",
+        help="clients that can decode it, as the page can, get video instead of JPEGs: far fewer bytes, more of a "
+        "core; needs `pip install 'glsplat[video]'`",
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_solver(parser)
@@ -174,6 +180,11 @@ def check(args: argparse.Namespace) -> None:
         raise UsageError(f"--fps needs 1 to 240 pictures a second, not {args.fps:g}")
     if args.bitrate is not None and not 0.1 <= args.bitrate <= 1e5:
         raise UsageError(f"--bitrate needs 0.1 to 100000 Mbit/s, not {args.bitrate:g}")
+    if args.video and (args.workers is not None or args.study is not None):
+        other = "--workers" if args.workers is not None else "--study"
+        raise UsageError(f"--video is coded where one process draws, and not in a study: leave it or {other} out")
+    if args.bitrate is not None and args.fixed:
+        raise UsageError("--bitrate fits pictures to a rate, and --fixed none: leave one out")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     if max(_pixels(args)) > args.max_size:
@@ -208,7 +219,7 @@ def server_config(
         wire=wire,
         session=SessionConfig(
             window=args.window,
-            adapt=args.adapt or args.bitrate is not None,
+            adapt=not args.fixed,
             bitrate=None if args.bitrate is None else args.bitrate * 1e6,
             watermark=watermark,
         ),
@@ -217,6 +228,7 @@ def server_config(
         scene=Path(args.scene).name if args.scene else "default avatar",
         fps=args.fps,
         private=args.private,
+        video=args.video,
         fit=args.size is None and args.workers is None,
         rooms={room.name: room.seats for room in args.room},
     )

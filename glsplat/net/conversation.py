@@ -117,6 +117,7 @@ class Conversation:
                 elif message.type == WSMsgType.PONG:
                     if session.link is not None:
                         session.link.ponged(bytes(message.data), clock())
+                        self._render_loop.wake(self.channel)
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
             if text is not None:
@@ -161,6 +162,8 @@ class Conversation:
                     await self._ping()
                 for data in [packed] if isinstance(packed, str) else packed:
                     await self._send(data)
+                if not (posed or isinstance(packed, str)):
+                    await self._ping(frame.request.frame_id)
             except TimeoutError:
                 log.warning("client %d does not read its pictures; cut off", self.channel.number)
                 cut_off(self._request)
@@ -185,11 +188,16 @@ class Conversation:
                     await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))
                 return cut_off(self._request)
 
-    async def _ping(self) -> None:
-        """Measure the way there and back with next to nothing, where the client's link is looked at."""
+    async def _ping(self, behind: int | None = None) -> None:
+        """Measure the way there and back, where the client's link is looked at: before a picture or ``behind`` it."""
         link = self.channel.session.link
-        ping = None if link is None else link.ping(clock())
-        if ping is not None and not self._ws.closed:
+        if link is None or self._ws.closed:
+            return
+        ping = link.ping(clock()) if behind is None else link.follow(behind)
+        if ping is not None:
+            meter = connection_of(self._request).meter
+            if meter is not None:
+                meter.expect_answer(clock())
             async with asyncio.timeout(self._write_timeout):
                 await self._ws.ping(ping)
 

@@ -7,6 +7,7 @@ becomes a Sample here.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import hypot
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from glsplat.light.light import Light
 
 __all__ = [
+    "DEFAULT",
     "FAR",
     "MOST_FACES",
     "NEAR",
@@ -41,14 +43,17 @@ __all__ = [
     "LegacyMessage",
     "LightFields",
     "Message",
+    "PictureOptions",
     "Place",
     "PoseFields",
     "Tracking",
+    "Video",
     "Want",
     "faces_of",
     "given",
     "light_of",
     "sample_of",
+    "video_of",
 ]
 
 NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camera's own defaults
@@ -63,6 +68,9 @@ Place = tuple[float, float, float]
 
 MOST_FACES = 16
 """Faces that a request names at most."""
+
+MOST_CODECS = 8
+"""Codecs that a request names at most."""
 
 Alpha = bool | Literal["straight"]
 """Whether alpha is sent too: with colours over black (premultiplied), or with straight ones (codec/straight.py)."""
@@ -153,6 +161,29 @@ class Arrival(msgspec.Struct, frozen=True):
     held: float = 0.0  # from when it arrived until this message
 
 
+class Video(msgspec.Struct, frozen=True):
+    """That a client can decode video."""
+
+    codecs: tuple[str, ...]  # names of codec/video.py, the best first; others are not known here
+    key: bool = False  # it cannot go on from what it has
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureOptions:
+    """How a client wants its pictures: one object from the message to what draws and to what encodes."""
+
+    quality: int = 80  # JPEG
+    crop: bool = False
+    alpha: Alpha = False  # the accumulated alpha too
+    hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
+    box: bool = False  # where the avatar is, too
+    light: Light | None = None  # that falls on it, in the space of the cameras; None: the server's
+    video: Video | None = None  # it may be part of a video; None: a JPEG
+
+
+DEFAULT = PictureOptions()
+
+
 class Message(msgspec.Struct):
     """A request, or an acknowledgement; null is the same as absent where a type allows it."""
 
@@ -174,6 +205,7 @@ class Message(msgspec.Struct):
     tracking: Tracking | None = None
     faces: list[Place] | None = None
     light: LightFields | str | None = None
+    video: Video | None = None
 
 
 class LegacyMessage(msgspec.Struct):
@@ -184,7 +216,7 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = tuple("want eyes size quality crop alpha mirror hide box pose tracking faces light".split())
+PICTURE = tuple("want eyes size quality crop alpha mirror hide box pose tracking faces light video".split())
 """Fields that only a request has."""
 
 
@@ -249,6 +281,15 @@ def faces_of(value: Sequence[Place] | None, farthest: float) -> tuple[Place, ...
     if any(max(map(abs, place)) > farthest for place in value):
         raise ProtocolError(f"faces needs metres below {farthest:g}")
     return tuple(value)
+
+
+def video_of(value: Video | None) -> Video | None:
+    """What a client can decode. Raises ProtocolError for names that are none, or too many."""
+    if value is None:
+        return None
+    if not (1 <= len(value.codecs) <= MOST_CODECS and all(0 < len(codec) <= 32 for codec in value.codecs)):
+        raise ProtocolError(f"video.codecs needs 1 to {MOST_CODECS} names of up to 32 characters, the best first")
+    return value
 
 
 def light_of(value: LightFields | str | None) -> Light | None:

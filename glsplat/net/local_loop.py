@@ -9,13 +9,17 @@ import asyncio
 import logging
 import time
 from collections.abc import Awaitable, Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import TYPE_CHECKING, Any
 
 from glsplat.net.backend import Backend, Interruptible, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.messages import PictureOptions
-from glsplat.net.pace.client_stream import Frame
+from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.render_loop import RenderLoop
+
+if TYPE_CHECKING:
+    from glsplat.net.codec.video import VideoStream
 
 __all__ = ["LocalLoop", "encode"]
 
@@ -25,18 +29,41 @@ _GRACE = 0.5  # seconds the picture in hand gets when the server stops
 
 
 class LocalLoop(RenderLoop):
-    """Draws with a backend on a thread of its own, and encodes on some more."""
+    """Draws with a backend on a thread of its own, and encodes on some more.
+
+    ``video`` lets clients have video who ask for it. Raises GlsplatError where there is nothing to code it with.
+    """
 
     def __init__(
-        self, backend: Backend, clock: Callable[[], float] = time.perf_counter, rate: float | None = None
+        self,
+        backend: Backend,
+        clock: Callable[[], float] = time.perf_counter,
+        rate: float | None = None,
+        video: bool = False,
     ) -> None:
         super().__init__(clock, rate)
+        self.codecs: tuple[str, ...] = _codecs() if video else ()
+        self._coding: dict[int, Future[Encoded]] = {}  # by client: the picture of its video that is coded last
         self._backend = backend
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
         self._encoder = Encoder()
         if isinstance(backend, Interruptible):
             backend.abandoned = self._abandoned
+
+    def open(self, *args: Any, **kwargs: Any) -> ClientStream:
+        """A client, as elsewhere; here it may have video."""
+        channel = super().open(*args, **kwargs)
+        if self.codecs:
+            from glsplat.net.codec.video import CODECS, VideoStream  # here: most servers have none
+
+            channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self.codecs})
+        return channel
+
+    def remove(self, channel: ClientStream) -> None:
+        """Forget a client, and its video."""
+        super().remove(channel)
+        self._coding.pop(channel.number, None)
 
     async def _open(self) -> str:
         return await self._loop.run_in_executor(self._render_thread, self._backend.open)
@@ -73,13 +100,31 @@ class LocalLoop(RenderLoop):
             if frame.channel.tap is not None:
                 frame.channel.tap.drawn(rendered.images)
             # from here: the event loop need not hear of it first
-            encoded = self._encode_threads.submit(encode, self._encoder, rendered, job.options)
+            encoded = self._submit(frame.channel, rendered, job.options)
         except BaseException:
             done()
             raise
         # of the future, not of the encoding: one that is cancelled while it waits never begins
         encoded.add_done_callback(lambda _: done())
         return encoded
+
+    def _submit(self, channel: ClientStream, rendered: Rendered, options: PictureOptions) -> Future[Encoded]:
+        if options.video is None or channel.video is None:
+            return self._encode_threads.submit(encode, self._encoder, rendered, options)
+        before = self._coding.get(channel.number)
+        coded = self._encode_threads.submit(self._code, channel.video, before, rendered, options)
+        self._coding[channel.number] = coded
+        return coded
+
+    def _code(
+        self, video: VideoStream, before: Future[Encoded] | None, rendered: Rendered, options: PictureOptions
+    ) -> Encoded:
+        """The next picture of a client's video. On an encoding thread."""
+        if before is not None:  # it was begun before this one was, so that this thread waits for no other place
+            wait([before])
+        assert options.video is not None
+        how = options.video.codecs, options.quality, rendered.covered, options.alpha, options.video.key
+        return video.encode(rendered.images, *how) or encode(self._encoder, rendered, options)
 
     def _end_threads(self) -> None:
         super()._end_threads()
@@ -91,6 +136,12 @@ class LocalLoop(RenderLoop):
 def encode(encoder: Encoder, rendered: Rendered, options: PictureOptions) -> Encoded:
     """The JPEGs of what was drawn, here or in a worker. On an encoding thread."""
     return encoder.encode(rendered.images, options.quality, options.crop, rendered.covered, options.alpha)
+
+
+def _codecs() -> tuple[str, ...]:
+    from glsplat.net.codec.video import available  # here: it needs what most servers have not
+
+    return available()
 
 
 def _nothing() -> None: ...

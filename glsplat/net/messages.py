@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from glsplat.camera import ORTHONORMAL, PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
 from glsplat.net.fields import (
+    DEFAULT,
     FAR,
     NEAR,
     PICTURE,
@@ -27,11 +28,13 @@ from glsplat.net.fields import (
     LegacyCamera,
     LegacyMessage,
     Message,
+    PictureOptions,
     Place,
     faces_of,
     given,
     light_of,
     sample_of,
+    video_of,
 )
 from glsplat.net.guard.duplicates import has_duplicates
 from glsplat.rotations import FLIP_X, FLIP_Z, nearest_rotations
@@ -86,21 +89,6 @@ class WireOptions:
     mirror: bool = False  # show the world reflected in x, as a mirror in front of the user does
     max_distance: float = 1e4  # metres from the origin for eyes and tracked points
     light: Light | None = None  # that the renderer lets fall on its scene where a request has none; clients are told
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PictureOptions:
-    """How a client wants its pictures: one object from the message to what draws and to what encodes."""
-
-    quality: int = 80  # JPEG
-    crop: bool = False
-    alpha: Alpha = False  # the accumulated alpha too
-    hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
-    box: bool = False  # where the avatar is, too
-    light: Light | None = None  # that falls on it, in the space of the cameras; None: the server's
-
-
-DEFAULT = PictureOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -223,7 +211,13 @@ class Decoder:
             ack=m.ack,
             arrival=m.arrival,
             options=PictureOptions(
-                quality=quality, crop=m.crop, alpha=alpha, hide=hide, box=m.box, light=light_of(m.light)
+                quality=quality,
+                crop=m.crop,
+                alpha=alpha,
+                hide=hide,
+                box=m.box,
+                light=light_of(m.light),
+                video=video_of(m.video),
             ),
             eyes=tuple(range(len(cameras))),
             faces=faces_of(m.faces, o.max_distance),

@@ -1,25 +1,32 @@
-"""What a client asks for in the address it connects to: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
+"""What a server is told before it starts, and what a client asks for in the address it connects to.
+
+That is /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf, radians
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
+from glsplat.net.guard.access import Access
+from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.rights import Rights
 from glsplat.net.session import SessionConfig
 
 if TYPE_CHECKING:
+    from glsplat.consent.policy import ConsentPolicy
     from glsplat.net.accounts.users import User
 
-__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "client_options"]
+__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "ServerConfig", "client_options"]
 
 MAX_WINDOW = 8
 _FARTHEST = 100.0  # metres from a room's centre
@@ -29,6 +36,31 @@ NOT_ALLOWED = "not_allowed"
 
 NAME = re.compile(r"[^\W_](?:[\w .'-]{0,30}[\w.])?")
 """Names of rooms and of people in them: up to 32 letters and digits of any script, blanks and _ . ' - between them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServerConfig:
+    """Everything a server is told before it starts."""
+
+    access: Access = field(default_factory=Access)
+    port: int = 8000  # 0: any free one
+    tls: tuple[Path, Path] | None = None  # certificate and key, PEM
+    wire: WireOptions = field(default_factory=WireOptions)
+    session: SessionConfig = field(default_factory=SessionConfig)
+    limits: Limits = field(default_factory=Limits)
+    max_clients: int = 8
+    heartbeat: float = 15.0  # seconds between pings; half of it without a pong ends the connection
+    write_timeout: float = 2.0  # seconds a client may leave a reply unread
+    drain_timeout: float = 3.0  # seconds that pictures under way get at the end
+    scene: str = "avatar"  # for the status page
+    rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
+    furnished: frozenset[str] = frozenset()  # those of them in which more is to be seen than people
+    consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
+    fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
+    private: bool = False  # what clients see is on no status page
+    video: bool = False  # clients that ask for it get video instead of JPEGs (codec/video.py)
+    fit: bool = False  # offer pictures of the largest size that is drawn often enough here (pace/fitting.py)
+
 
 _ALL = Rights()
 _NOTHING = "there is no avatar here that you may drive"

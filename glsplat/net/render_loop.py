@@ -188,7 +188,7 @@ class RenderLoop(ABC):
             log.exception("frame %s of client %d could not be encoded", request.frame_id, channel.number)
             return session.failed(request, "encode", "the picture could not be encoded")
         frame.times["encode"] = encoded.ms
-        if encoded.pictures:
+        if encoded.pictures and encoded.video is None:
             channel.newest = encoded
         frame.times["total"] = (self._clock() - frame.arrived) * 1e3
         self.stages.add(frame.times)
@@ -196,8 +196,8 @@ class RenderLoop(ABC):
             packed = pack_single(request.eyes[0], encoded.pictures[0])
         else:
             assert request.frame_id is not None
-            info = frame.info(encoded.boxes)
-            packed = pack_reply(request.frame_id, request.eyes, encoded.pictures, info, encoded.alphas)
+            eyes = request.eyes if encoded.video is None else request.eyes[:1]
+            packed = pack_reply(request.frame_id, eyes, encoded.pictures, frame.info(encoded), encoded.alphas)
         session.sending(request, len(packed), self._clock())
         return [packed]
 

@@ -11,10 +11,9 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, replace
 from functools import cached_property, partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
@@ -23,14 +22,14 @@ from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off, make_socket
-from glsplat.net.guard.access import Access, is_loopback, server_tls
+from glsplat.net.guard.access import is_loopback, server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.headers import set_headers
-from glsplat.net.guard.limits import ClientQuota, CpuBudget, Limits
+from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
-from glsplat.net.options import NOT_ALLOWED, client_options
+from glsplat.net.options import NOT_ALLOWED, ServerConfig, client_options
 from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.catalogue import Catalogue
@@ -41,10 +40,9 @@ from glsplat.net.pages.routes import Pages
 from glsplat.net.poses.answers import Answers
 from glsplat.net.poses.splat_files import SplatFiles
 from glsplat.net.rights import user_of
-from glsplat.net.session import GOING_AWAY, Counts, Session, SessionConfig
+from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
-    from glsplat.consent.policy import ConsentPolicy
     from glsplat.net.accounts.users import User
     from glsplat.net.rooms.rooms import Rooms
     from glsplat.net.uploads.routes import Uploads
@@ -56,29 +54,6 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 _HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServerConfig:
-    """Everything a server is told before it starts."""
-
-    access: Access = field(default_factory=Access)
-    port: int = 8000  # 0: any free one
-    tls: tuple[Path, Path] | None = None  # certificate and key, PEM
-    wire: WireOptions = field(default_factory=WireOptions)
-    session: SessionConfig = field(default_factory=SessionConfig)
-    limits: Limits = field(default_factory=Limits)
-    max_clients: int = 8
-    heartbeat: float = 15.0  # seconds between pings; half of it without a pong ends the connection
-    write_timeout: float = 2.0  # seconds a client may leave a reply unread
-    drain_timeout: float = 3.0  # seconds that pictures under way get at the end
-    scene: str = "avatar"  # for the status page
-    rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
-    furnished: frozenset[str] = frozenset()  # those of them in which more is to be seen than people
-    consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
-    fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
-    private: bool = False  # what clients see is on no status page
-    fit: bool = False  # offer pictures of the largest size that is drawn often enough here (pace/fitting.py)
 
 
 class Server:
@@ -99,7 +74,8 @@ class Server:
         later: Callable[[], Iterable[AvatarInfo]] = tuple,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        self.render_loop = LocalLoop(backend, clock, self.config.fps) if isinstance(backend, Backend) else backend
+        how = clock, self.config.fps, self.config.video
+        self.render_loop = LocalLoop(backend, *how) if isinstance(backend, Backend) else backend
         self.port: int = self.config.port
         limits = self.config.limits
         if uploads is not None:
@@ -267,6 +243,7 @@ class Server:
             "quality": wire.quality,
             "light": None if wire.light is None else wire.light.to_json(),
             "window": self.config.session.window,
+            "video": self.render_loop.codecs if isinstance(self.render_loop, LocalLoop) else (),
             "clients": len(self._channels),
             "max_clients": most,
             "full": len(self._channels) >= most,

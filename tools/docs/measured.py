@@ -24,7 +24,7 @@ from apps.demo import running_server
 from glsplat.evaluate.machine import machine
 from glsplat.io.files import replace_file
 from tests.conftest import SHARED_DATA
-from tools.net.link_tables import alone, falling, shared
+from tools.net.link_tables import alone, busy, falling, shared
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
@@ -185,7 +185,7 @@ def links() -> Iterator[Table]:
     about = (
         "**Simulated**: the server's control of a link in front of a model of renderer, TCP and client\n"
         "(tools/net/simulated_link.py says what is modelled, and that TCP's own window is not). 2 x 1024^2, 20 pairs\n"
-        "a second at full size. Three times the columns: without `serve --adapt` (two under way), with it, and by\n"
+        "a second at full size. Three times the columns: with `serve --fixed` (two under way), without, and by\n"
         "who knows rate and round trip (oracle). `used`: of the rate; where all that can be seen passes (LPIPS .008),\n"
         "there is nothing more to spend it on. LPIPS by the table of [ladder.md](ladder.md)."
     )
@@ -193,6 +193,11 @@ def links() -> Iterator[Table]:
     note = "20 Mbit/s, 3 from second 20 to 40, 20 again. Simulated as above, no loss."
     yield "falling", note, "\n".join(falling())
     yield "shared", "Two clients of one link. Simulated as above, no loss.", "\n".join(shared())
+    note = (
+        "A client that looks at what arrived only so often, at 100 Mbit/s and 1 ms. Simulated as above, no loss.\n"
+        "Once a server that hears of arrivals from the client alone, once with pings behind pictures."
+    )
+    yield "busy", note, "\n".join(busy())
 
 
 def ladder() -> Iterator[Table]:

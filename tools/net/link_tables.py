@@ -11,7 +11,7 @@ from statistics import median
 from glsplat.net.pace.link_control import LinkControl
 from tools.net.simulated_link import Fixed, Link, Oracle, Outcome, Policy, play
 
-__all__ = ["alone", "falling", "shared"]
+__all__ = ["alone", "busy", "falling", "shared"]
 
 RATES = (100, 20, 10, 5, 2)  # Mbit/s
 TRIPS = (20, 60, 150)  # ms
@@ -83,6 +83,24 @@ def shared() -> Iterator[str]:
                 yield f"| {rate} | {trip} | {later:.0f} | {parts} | {used:.2f} | {late} | {goal(trip):.0f} |"
 
 
+class Unanswered(LinkControl):
+    """Hears of arrivals from the client alone."""
+
+    def follow(self, number: int) -> bytes:
+        return b""
+
+
+def busy() -> Iterator[str]:
+    """A client whose page draws for so long, on a fast link: what of its pictures is taken away."""
+    yield "| the client looks every, ms | arrivals from | as asked for | LPIPS | shown/s |"
+    yield "|--:|---|--:|--:|--:|"
+    for every in (0, 100, 150, 300, 400):
+        for name, policy in (("the client", Unanswered()), ("pings", LinkControl())):
+            outcome = play(Link(lambda now: 100.0, 1e-3), [policy], busy=every / 1e3)[0]
+            share, shown = outcome.full / outcome.arrived, outcome.shown / outcome.seconds
+            yield f"| {every} | {name} | {share:.0%} | {median(outcome.losses):.3f} | {shown:.1f} |"
+
+
 if __name__ == "__main__":
-    for table in (alone, falling, shared):
+    for table in (alone, falling, shared, busy):
         print("\n".join(table()), end="\n\n", flush=True)

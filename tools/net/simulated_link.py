@@ -10,7 +10,8 @@ What is real is the server's control of a link (glsplat/net/pace). The rest is a
   three later ones of its picture arrived, else after two round trips; lost again, after 200 ms and the round trip.
   Whatever lies behind it waits (TCP delivers in order). TCP's own window is not modelled: with loss that would send
   less than the link takes.
-- The client acknowledges at once, decodes in 4 ms and shows the newest picture at its next refresh.
+- What receives for the client answers pings at once, also those right behind pictures. The client acknowledges at
+  once, or every ``busy`` seconds, decodes in 4 ms and shows the newest picture at its next refresh.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class Policy(Protocol):
 
     def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung: ...
     def ponged(self, payload: bytes, now: float) -> None: ...
+    def follow(self, number: int) -> bytes: ...
     def written(self, number: int, nbytes: int, now: float) -> None: ...
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
     def ping(self, now: float) -> bytes | None: ...
@@ -70,6 +72,9 @@ class Fixed:
 
     def ping(self, now: float) -> bytes | None:
         return None
+
+    def follow(self, number: int) -> bytes:
+        return b""
 
     def ponged(self, payload: bytes, now: float) -> None:
         return None
@@ -115,7 +120,8 @@ class Outcome:
     nbytes: float = 0.0
     losses: list[float] = field(default_factory=list)  # LPIPS of the pictures that were shown
     changes: int = 0  # of the rung
-    full: int = 0  # pictures as they were asked for
+    arrived: int = 0  # pictures
+    full: int = 0  # of them as they were asked for
     most_waiting: float = 0.0  # pictures in the queue at most when one is written, that one included
     seconds: float = 0.0
 
@@ -140,17 +146,25 @@ class _Client:
 
 
 def play(
-    link: Link, policies: Sequence[Policy], seconds: float = 60.0, seed: int = 1, starts: Sequence[float] = ()
+    link: Link,
+    policies: Sequence[Policy],
+    seconds: float = 60.0,
+    seed: int = 1,
+    starts: Sequence[float] = (),
+    busy: float = 0.0,
 ) -> list[Outcome]:
-    """So many seconds after the warm-up, a client a policy, all behind one bottleneck."""
-    return _Simulation(link, policies, seconds, seed, starts).run()
+    """So many seconds after the warm-up, a client a policy, all behind one bottleneck.
+
+    ``busy``: seconds between two moments at which the clients look at what arrived.
+    """
+    return _Simulation(link, policies, seconds, seed, starts, busy).run()
 
 
 class _Simulation:
     def __init__(
-        self, link: Link, policies: Sequence[Policy], seconds: float, seed: int, starts: Sequence[float]
+        self, link: Link, policies: Sequence[Policy], seconds: float, seed: int, starts: Sequence[float], busy: float
     ) -> None:
-        self._link, self._end = link, WARM_UP + seconds
+        self._link, self._end, self._busy = link, WARM_UP + seconds, busy
         self._clients = [
             _Client(policy, getattr(policy, "window", 8), seed * 100 + i) for i, policy in enumerate(policies)
         ]
@@ -231,6 +245,7 @@ class _Simulation:
             there = max(now, self._free) + trip
             self._at(there, lambda: client.policy.ponged(ping, there))
         client.policy.written(number, nbytes, now)
+        behind = client.policy.follow(number)
         waiting = max(0.0, self._free - now)
         begin = max(now, self._free)
         self._free = self._sent(begin, nbytes)
@@ -243,13 +258,19 @@ class _Simulation:
         def arrived() -> None:
             if self._counts:
                 client.outcome.nbytes += nbytes
+                client.outcome.arrived += 1
                 client.outcome.full += rung.full
-            self._at(arrives + trip / 2, acknowledged)
-            self._at(arrives + DECODE, decoded)
+            seen = arrives if not self._busy else self._busy * (arrives // self._busy + 1)
+            self._at(arrives + trip / 2, ponged)
+            self._at(seen + trip / 2, lambda: acknowledged(seen))
+            self._at(seen + DECODE, decoded)
 
-        def acknowledged() -> None:
+        def ponged() -> None:
+            client.policy.ponged(behind, self._now)
+
+        def acknowledged(seen: float) -> None:
             client.under_way.discard(number)
-            client.policy.acknowledged(number, arrives - asked, 0.0, self._now)
+            client.policy.acknowledged(number, seen - asked, 0.0, self._now)
             self._draw(client)
 
         def decoded() -> None:

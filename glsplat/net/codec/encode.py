@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import simplejpeg
@@ -32,6 +33,7 @@ class Encoded:
     boxes: list[Box] | None  # where each picture lies, if it was cropped
     ms: float  # wall time of the encoding
     alphas: list[bytes] | None = None  # grey JPEGs of the accumulated alpha, if they were asked for
+    video: dict[str, Any] | None = None  # what a reply says where it has one coded picture of all eyes (video.py)
 
 
 class Encoder:

@@ -31,6 +31,10 @@ class FrameMeter:
         self._head = bytearray()  # of a header that is not whole yet
         self._skip = 0  # bytes of payload to come
 
+    def expect_answer(self, now: float) -> None:
+        """A ping goes out: its pong is nothing that the client sends of its own."""
+        self._quota.control.charge(now, -1.0)
+
     def feed(self, data: bytes, now: float) -> tuple[int, Breach | None]:
         """How many bytes of ``data`` may be read on, and what is wrong with those behind them."""
         if not self._quota.bytes.take(now, len(data)):

@@ -21,6 +21,7 @@ from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.session import Session
 
 if TYPE_CHECKING:
+    from glsplat.net.codec.video import VideoStream
     from glsplat.net.rooms.member import Member
 
 __all__ = ["ANYTHING", "ClientStream", "Frame", "Tap"]
@@ -78,7 +79,7 @@ class Frame:
         asked = request.options if member is None else member.options(request)
         return asked if rung is None else replace(asked, quality=rung.quality, crop=rung.crop)
 
-    def info(self, boxes: Sequence[tuple[int, int, int, int]] | None) -> dict[str, Any]:
+    def info(self, encoded: Encoded) -> dict[str, Any]:
         """The JSON object of the reply (docs/protocol.md, section 4)."""
         channel, request, first = self.channel, self.request, self.cameras[0]
         info: dict[str, Any] = {
@@ -86,7 +87,7 @@ class Frame:
             "times": {name: round(ms, 3) for name, ms in self.times.items()},
             "size": (first.width, first.height),
             "eyes": [eye_fields(camera) for camera in self.cameras],
-            "crop": boxes,
+            "crop": encoded.boxes,
             "dropped": channel.session.counts.dropped,
             "driver": self.driver,
             "driven_by": channel.driver,
@@ -102,6 +103,8 @@ class Frame:
             info["box"] = self.box
         if any(self.levels) or self.detail != FULL:
             info["detail"] = self.detail.fields(self.levels)
+        if encoded.video is not None:
+            info["video"] = encoded.video
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
         if self.job is not None and self.job.room is not None:
@@ -129,6 +132,7 @@ class ClientStream:
     cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
     pose_history: PoseHistory = field(default_factory=PoseHistory)  # whom it was sent in poses, and how they stood
     tap: Tap | None = None  # what else hears of it
+    video: VideoStream | None = None  # what codes its pictures where it asks for video; None: this server has none
     newest: Encoded | None = None  # what it was sent last, for the status page
 
     def __post_init__(self) -> None:

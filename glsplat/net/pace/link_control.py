@@ -7,6 +7,7 @@ How long a picture may take to draw is AdaptiveQuality's to decide. Of both size
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from math import inf, isfinite
 from statistics import median
@@ -26,7 +27,7 @@ _SOON = 3.0  # seconds
 _CUT, _PAUSE = 0.85, 0.4  # what a cut leaves; seconds from one to the next, or two round trips
 _QUEUE, _QUEUED = 0.008, 0.3  # seconds, and parts of a picture's time, that each has to wait where too much is spent
 _BESIDE = 2  # pictures of full quality that are begun whatever the link: as many as where none is looked at
-_SPARE = 1.5  # pictures under way beyond those that the link holds
+_SPARE = 1.0  # pictures under way beyond those that the link holds
 _LATE, _TRIPS = 0.02, 1.25  # seconds, and round trips, by which a picture is late that has not just lost a packet
 _AGAIN = 0.05  # seconds after which to look again while one is
 _LEARN = 0.15  # how far a picture moves what is expected of the next
@@ -34,6 +35,8 @@ _EXCESS, _GAIN = 1.05, 1.04  # of the bytes there are: so much too many are chan
 _HOLD, _LONGEST, _EARLY = 1.0, 30.0, 5.0  # seconds before something comes back, at most, and within which it was wrong
 _PINGS, _OFTEN, _RARE = 4, 0.25, 1.0  # the first of them follow each other quickly; seconds
 _LATEST = 60.0  # seconds, of what a client may say
+_PAYLOAD = 8  # random bytes of a ping: its answer shows that the picture before it is there
+_FOLLOWED = 64  # pictures whose pings may still be answered
 
 
 class LinkControl:
@@ -55,6 +58,7 @@ class LinkControl:
         self._least = 0.0  # seconds between two pictures, so that each can be good
         self._since, self._better, self._hold = -inf, -inf, _HOLD
         self._pings, self._pinged = 0, -inf
+        self._behind: dict[bytes, int] = {}  # pings behind pictures that are not answered, and which picture that is
         self._ages: deque[float] = deque(maxlen=32)
 
     # ----------------------------------------------------------------------------------------------------- what happens
@@ -88,11 +92,18 @@ class LinkControl:
         self._asked.pop(number, None)
 
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None:
-        """A picture arrived, ``age`` seconds after it was asked for; the client said so ``held`` seconds later."""
-        self.link.acknowledged(number, min(held, _LATEST), now)
+        """A picture arrived, ``age`` seconds after it was asked for; the client said so ``held`` seconds later.
+
+        Of the link that says nothing new where the ping behind the picture was answered before, as it mostly was.
+        """
         if isfinite(age):
             self._ages.append(min(max(age, 0.0), _LATEST))
-        if self.link.known:
+        self._arrived(number, min(held, _LATEST), now)
+
+    def _arrived(self, number: int, held: float, now: float) -> None:
+        before = self.link.newest
+        self.link.acknowledged(number, held, now)
+        if self.link.known and self.link.newest is not before:
             self._adjust(now)
 
     def ping(self, now: float) -> bytes | None:
@@ -101,13 +112,31 @@ class LinkControl:
             return None
         self._pings += 1
         self._pinged = now
-        payload = self._pings.to_bytes(4, "big")
+        payload = os.urandom(_PAYLOAD)
         self.link.pinged(payload, now)
         return payload
 
+    def follow(self, number: int) -> bytes:
+        """What to send as a ping right behind that picture.
+
+        What receives for the client answers it, a browser's network process: so it tells when the picture arrived,
+        however busy the client itself is. Nobody can answer it earlier who does not know it.
+        """
+        payload = os.urandom(_PAYLOAD)
+        self._behind[payload] = number
+        while len(self._behind) > _FOLLOWED:
+            del self._behind[next(iter(self._behind))]
+        return payload
+
     def ponged(self, payload: bytes, now: float) -> None:
-        """A ping was answered."""
-        self.link.ponged(payload, now)
+        """A ping was answered. One that is not under way says nothing."""
+        number = self._behind.get(payload)
+        if number is None:
+            self.link.ponged(payload, now)
+            return
+        for old in [old for old, of in self._behind.items() if of <= number]:  # RFC 6455, 5.5.3: the newest may do
+            del self._behind[old]
+        self._arrived(number, 0.0, now)
 
     def rest(self, now: float) -> float:
         """Seconds for which no picture is to be begun: it would wait on the way behind more than ``AHEAD`` of one."""

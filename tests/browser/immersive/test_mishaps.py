@@ -121,14 +121,15 @@ def test_a_server_that_comes_back_is_found_again(open_page: OpenPage, stored: An
 
 def test_nothing_is_sent_into_a_closing_socket(open_page: OpenPage, stored: Any) -> None:
     page = inside(open_page, stored)
-    page.js("""() => {
-      window.sent = 0;
+    (socket,) = [worker for worker in page.page.workers if worker.url.endswith("/socket.js")]
+    socket.evaluate("""() => {
+      self.sent = 0;
       Object.defineProperty(WebSocket.prototype, 'readyState', {get: () => WebSocket.CLOSING});
-      WebSocket.prototype.send = () => { window.sent += 1; };
+      WebSocket.prototype.send = () => { self.sent += 1; };
     }""")
     frames = page.js("fakeXR.frames")
     page.until(f"fakeXR.frames > {frames + 5}")
-    assert page.js("window.sent") == 0
+    assert socket.evaluate("self.sent") == 0
 
 
 def test_a_full_server_is_said_and_waited_for(open_page: OpenPage, serve: Any) -> None:

@@ -83,6 +83,7 @@ def valid(i: int) -> list[dict[str, Any]]:
         json.loads(request(i, eyes=pair(64, 64)[:1], size=[64, 64], ack=None)),
         json.loads(request(i, light=LIGHT, alpha="straight")),
         json.loads(request(i, light="evening")),
+        json.loads(request(i, video={"codecs": ["vp9", "h264"], "key": i % 2 == 0})),
         json.loads(request(i, **full)),
         json.loads(request(i, **full, eyes=None)),
         {"v": 1, "frame_id": i, "ack": 0, "want": "pose", **full},

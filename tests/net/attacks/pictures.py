@@ -140,7 +140,42 @@ def lying(frame_id: int, number: int) -> bytes:
     return request(frame_id, (64 + 64 * (frame_id % 5), 64), ack=0, **more)
 
 
+def guessing(target: Target, number: int, stop: threading.Event) -> None:
+    """Says that pictures arrive, and answers pings that were never sent, as often as control frames are read."""
+    ids = itertools.count(1)
+
+    def blob() -> bytes:
+        frame_id = next(ids)
+        pong = frame(0xA, frame_id.to_bytes(4 + 4 * (frame_id % 2), "big"))
+        return frame(0x1, request(frame_id, (64, 64), ack=0, arrival={"age": 1})) + pong
+
+    with upgrade(target, "?window=8") as sock:
+        repeat(sock, blob, 19, stop)
+
+
+def of_another_codec(frame_id: int, number: int) -> bytes:
+    """Video, another codec, size and quality each time: what begins one anew is dear."""
+    side = 512 + 2 * (frame_id % 7)
+    video = {"codecs": [("vp9", "h264")[frame_id % 2]]}
+    return request(frame_id, (side, side), video=video, quality=1 + frame_id % 100, ack=None)
+
+
+def always_key(frame_id: int, number: int) -> bytes:
+    """Video that its client can never go on from."""
+    return request(frame_id, (1024, 1024), video={"codecs": ["h264"], "key": True}, ack=None)
+
+
+def largest_video(frame_id: int, number: int) -> bytes:
+    """As many pixels as are coded, with alpha, close up."""
+    eyes = pair(2048, 1152, focal=1.0, y=1.2 + 0.01 * (frame_id % 10), z=0.3)
+    return request(frame_id, (2048, 1152), eyes=eyes, video={"codecs": ["vp9"]}, alpha=True, quality=100, ack=None)
+
+
 PICTURES: dict[str, Attack] = {
+    "pings answered that were not sent": again_and_again(guessing),
+    "another codec each time, 100 a second": asking(of_another_codec, 100),
+    "key frames without end": asking(always_key, 100),
+    "the largest video": asking(largest_video, 20),
     "lies about what arrived, 100 a second": asking(lying, 100),
     "a picture, a pose, 100 a second": asking(undecided, 100),
     "poses, 230 a second": asking(poses_alone, 230),

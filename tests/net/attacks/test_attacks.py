@@ -28,6 +28,8 @@ MEASURED = [
     "64^2 to 1536^2",
     "specks of 1 x 1",
     "a picture, a pose, 100 a second",
+    "another codec each time, 100 a second",
+    "key frames without end",
     "does not read",
     "clients that end at once",
 ]
@@ -46,8 +48,9 @@ addresses = itertools.count(10)
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    """``glsplat serve`` with default options and a light scene, and its attackers."""
-    with victim(str(light_avatar(tmp_path_factory.mktemp("attacks")))) as running, attackers(running.port) as raiders:
+    """``glsplat serve`` with a light scene and all that clients may ask for, and its attackers."""
+    avatar = str(light_avatar(tmp_path_factory.mktemp("attacks")))
+    with victim(avatar, "--video") as running, attackers(running.port) as raiders:
         yield running, raiders
 
 

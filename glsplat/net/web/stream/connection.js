@@ -2,6 +2,8 @@
 
 import { parsePoses } from './pose.js';
 import { parseReply } from './reply.js';
+import { openSocket } from './socket.js';
+import { decodable } from './video.js';
 
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
@@ -29,12 +31,15 @@ export class Connection extends EventTarget {
   #failures = 0;
   #asked = new Map(); // by frame_id: what goes with the reply
   #acknowledged = 0; // frame_id received on this connection; another one knows nothing of it
+  #codecs = []; // of video that this browser decodes
+  #lost = false; // the video cannot go on from what was decoded
   #arrival = null; // {age, at} of that picture, in ms, until the server has heard of it
 
   /** `options()` gives the query of /ws at each attempt: {avatar, height, span, window}, those that are set. */
   constructor(options) {
     super();
     this.#options = options;
+    decodable().then((codecs) => (this.#codecs = codecs));
   }
 
   set token(token) {
@@ -85,8 +90,14 @@ export class Connection extends EventTarget {
     const frameId = ++this.sentId;
     this.#asked.set(frameId, { asked, sent: performance.now() });
     if (this.#asked.size > REMEMBERED) this.#asked.delete(this.#asked.keys().next().value);
-    this.#socket.send(JSON.stringify({ v: 1, frame_id: frameId, ...this.#acknowledging(), ...request }));
+    this.#socket.send(JSON.stringify({ v: 1, frame_id: frameId, ...this.#acknowledging(), ...this.#watching(), ...request }));
     return frameId;
+  }
+
+  /** The field that says which video this browser decodes; a server that has none sends JPEGs. */
+  #watching() {
+    if (!this.#codecs.length) return {};
+    return { video: { codecs: this.#codecs, ...(this.#lost && { key: true }) } };
   }
 
   /** The fields that acknowledge the newest picture, and once how it arrived: the server fits pictures to the link. */
@@ -108,14 +119,14 @@ export class Connection extends EventTarget {
       if (value !== null && value !== undefined && value !== '') url.searchParams.set(name, value);
     }
     const protocols = ['glsplat.v1', ...(this.#token ? [`token.${this.#token}`] : [])];
-    const socket = (this.#socket = new WebSocket(url, protocols));
-    socket.binaryType = 'arraybuffer';
+    const socket = (this.#socket = openSocket(url, protocols));
     let wasOpen = false;
     socket.onopen = () => {
       if (socket !== this.#socket) return;
       wasOpen = true;
       this.#acknowledged = 0;
       this.#arrival = null;
+      this.#lost = false;
       this.opened++;
       this.#become('open', '', '');
     };
@@ -139,6 +150,10 @@ export class Connection extends EventTarget {
     } catch (error) {
       this.dispatchEvent(new CustomEvent('complaint', { detail: { code: 'bad_reply', message: error.message } }));
       return;
+    }
+    if (reply.info?.video) {
+      reply.lost = () => (this.#lost = true);
+      if (reply.info.video.key) this.#lost = false;
     }
     this.#failures = 0; // not when it opens: a server may accept and drop at once
     this.received++;

@@ -1,10 +1,12 @@
-// JPEGs to bitmaps, in a worker or (for comparison) on the page's own thread.
+// Pictures to bitmaps, JPEGs and video, in a worker or (for comparison) on the page's own thread.
+
+import { VideoFrames } from './video.js';
 
 // what the server sent is what the texture gets: no colour management, no alpha of the codec's own
 const OPTIONS = { premultiplyAlpha: 'none', colorSpaceConversion: 'none' };
 
 /** All pictures of a reply: [[colour, alpha | null], ...] of ImageBitmap, left eye first. Closes all if one fails. */
-export async function decodeAll(buffer, eyes) {
+async function decodeAll(buffer, eyes) {
   const decode = (part) =>
     part && createImageBitmap(new Blob([new Uint8Array(buffer, ...part)], { type: 'image/jpeg' }), OPTIONS);
   const made = await Promise.allSettled(eyes.flatMap(({ colour, alpha }) => [decode(colour), decode(alpha)]));
@@ -16,15 +18,29 @@ export async function decodeAll(buffer, eyes) {
   return eyes.map((_, i) => [made[2 * i].value, made[2 * i + 1].value]);
 }
 
-/** In a worker: answers {buffer, eyes} by {pictures} or {error}. */
-function serve() {
-  self.onmessage = async ({ data: { buffer, eyes } }) => {
+export class Decoder {
+  #video = null;
+
+  /** {pictures}, none where `skip` says that only the next of a video needs it, or {lost: true}, or {error}. */
+  async decode({ buffer, eyes, video, side, skip }) {
     try {
-      const pictures = await decodeAll(buffer, eyes);
-      self.postMessage({ pictures }, pictures.flat().filter(Boolean));
+      if (!video) return { pictures: await decodeAll(buffer, eyes) };
+      this.#video ??= new VideoFrames();
+      const data = new Uint8Array(buffer, ...eyes[0].colour);
+      const pictures = await this.#video.decode(data, video, side, skip ? null : OPTIONS);
+      return pictures ? { pictures } : { lost: true };
     } catch (error) {
-      self.postMessage({ error: error.message });
+      return { error: error.message };
     }
+  }
+}
+
+/** In a worker: answers what `Decoder.decode` takes by what it gives. */
+function serve() {
+  const decoder = new Decoder();
+  self.onmessage = async ({ data }) => {
+    const answer = await decoder.decode(data);
+    self.postMessage(answer, (answer.pictures ?? []).flat().filter(Boolean));
   };
 }
 

@@ -1,12 +1,17 @@
 // Replies to decoded pictures: one at a time, always the newest one, and never a bitmap left open.
+//
+// Of a video each picture is decoded, because the next goes on from it; bitmaps are made of the newest alone.
 
-import { decodeAll } from './decoder.js';
+import { Decoder } from './decoder.js';
+
+const MOST = 16; // pictures of a video that may wait: beyond that it begins anew
 
 export class Pictures {
   dropped = 0; // replies that a newer one overtook before they were shown
   open = 0; // bitmaps that wait for `take`, or are being decoded
   #worker = null;
-  #waiting = null; // the newest reply that is not being decoded
+  #decoder = new Decoder(); // where there is no worker
+  #waiting = []; // replies that are not being decoded: the newest, before it those of a video
   #busy = null; // the one that is
   #ready = null; // decoded
   #newest = -1; // frame_id that was decoded
@@ -30,8 +35,15 @@ export class Pictures {
       this.dropped++;
       return;
     }
-    if (this.#waiting) this.dropped++;
-    this.#waiting = { reply, buffer, asked };
+    if (this.#waiting.length && !this.#waiting.at(-1).reply.info.video) {
+      this.dropped++;
+      this.#waiting.pop();
+    }
+    if (this.#waiting.length >= MOST) {
+      this.dropped += this.#waiting.length;
+      this.#waiting = []; // what comes now misses those: it is found out below, and a key frame asked for
+    }
+    this.#waiting.push({ reply, buffer, asked });
     this.#next();
   }
 
@@ -52,25 +64,24 @@ export class Pictures {
   }
 
   #next() {
-    if (this.#busy || !this.#waiting) return;
-    const { reply, buffer } = (this.#busy = this.#waiting);
-    this.#waiting = null;
+    if (this.#busy || !this.#waiting.length) return;
+    const { reply, buffer } = (this.#busy = this.#waiting.shift());
     this.#newest = reply.id;
     this.#busy.started = performance.now();
-    if (this.#worker) {
-      this.#worker.postMessage({ buffer, eyes: reply.eyes }, [buffer]);
-    } else {
-      decodeAll(buffer, reply.eyes).then(
-        (pictures) => this.#done({ pictures }),
-        (error) => this.#done({ error: error.message }),
-      );
-    }
+    const { video, size: side } = reply.info;
+    const message = { buffer, eyes: reply.eyes, video, side, skip: this.#waiting.length > 0 };
+    if (this.#worker) this.#worker.postMessage(message, [buffer]);
+    else this.#decoder.decode(message).then((answer) => this.#done(answer));
   }
 
-  #done({ pictures, error }) {
+  #done({ pictures, lost, error }) {
     const { reply, asked, started } = this.#busy ?? {};
     this.#busy = null;
-    if (pictures) {
+    if (lost) {
+      reply.lost?.();
+    } else if (pictures?.length === 0) {
+      this.dropped++;
+    } else if (pictures) {
       this.open += pictures.flat().filter(Boolean).length;
       if (this.#ready) {
         this.dropped++;

@@ -1,0 +1,218 @@
+"""Video: a client's pictures as one stream, where each takes only what is new against the one before (PyAV).
+
+Both eyes lie side by side in one coded picture, alpha below them, so that one decoder has all of a moment at once. The
+settings are those of low delay: a picture goes in, its bytes come out, nothing looks ahead or back. Over TCP nothing
+is lost on the way, so key frames come where a stream begins, where its form changes, and where a client asks; H.264
+refreshes column by column besides (intra refresh).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+from glsplat.net.codec.encode import Box, Encoded
+from glsplat.net.codec.straight import straightened
+
+if TYPE_CHECKING:
+    from av import VideoCodecContext
+
+__all__ = ["CODECS", "STEPS", "Coder", "VideoStream", "available"]
+
+Image = NDArray[np.uint8]
+
+STEPS = (20, 40, 60, 80, 90)
+"""JPEG qualities that a stream is coded as good as: the next better one of what a request or its link has."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coder:
+    """How a codec is used."""
+
+    library: str  # FFmpeg's encoder
+    options: dict[str, str]
+    factors: tuple[int, ...]  # its quality (crf) at each of STEPS: as little LPIPS as JPEG (docs/measured/codec.md)
+
+
+CODECS: dict[str, Coder] = {
+    "vp9": Coder(
+        "libvpx-vp9",
+        {"deadline": "realtime", "cpu-used": "8", "lag-in-frames": "0", "row-mt": "1", "tile-columns": "2", "b": "0"}
+        | {"g": "9999", "auto-alt-ref": "0"},
+        (50, 41, 34, 23, 12),
+    ),
+    "h264": Coder(
+        "libx264",
+        {"preset": "superfast", "tune": "zerolatency", "profile": "high", "forced-idr": "1"}
+        | {"x264-params": "intra-refresh=1:keyint=300"},
+        (36, 29, 26, 22, 15),
+    ),
+}
+"""What a server can code, by the name that requests have."""
+
+_AGAIN = 0.5  # seconds before a stream takes another form, or has another key frame that a client asks for
+_LEAST, _MOST = 32, 4096 * 2304  # pixels of a side, and of the coded picture
+_THREADS = 2
+_BLACK = 16, 128, 128  # of Y, U and V in limited range (ITU-R BT.601)
+_601, _709, _SRGB, _LIMITED = 6, 1, 13, 1  # matrix, primaries, transfer and range as FFmpeg numbers them
+
+
+def available() -> tuple[str, ...]:
+    """The names of CODECS that this machine's PyAV has. Raises GlsplatError where there is no PyAV."""
+    try:
+        import av
+    except ImportError:
+        raise GlsplatError("video needs PyAV: pip install 'glsplat[video]', or leave --video out") from None
+    found = []
+    for name, coder in CODECS.items():
+        with suppress(av.error.FFmpegError, ValueError):
+            av.codec.Codec(coder.library, "w")
+            found.append(name)
+    return tuple(found)
+
+
+class VideoStream:
+    """Of one client. ``encode`` is to be called for its pictures in the order in which they are sent."""
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter, coders: Mapping[str, Coder] = CODECS) -> None:
+        self._clock, self._coders = clock, coders
+        self._context: VideoCodecContext | None = None
+        self._form: tuple[Any, ...] = ()
+        self._step = 0
+        self._opened = self._key = -np.inf
+        self._number = 0
+        self._name = ""  # of the codec, as browsers know it
+        self._canvas: Image = np.empty((0, 0), np.uint8)  # planes Y, U, V one below the other
+        self._filled: list[Box] = []  # what is not black in it
+
+    def encode(
+        self,
+        images: Image,
+        codecs: Sequence[str],
+        quality: int = 80,
+        covered: Box | None = None,
+        alpha: bool | str = False,
+        key: bool = False,
+    ) -> Encoded | None:
+        """The next picture, of ``images`` [V, H, W, 4] that are zero outside ``covered``.
+
+        ``quality`` is JPEG's. ``key``: the client cannot go on from what it has. None: not just now, or not of this
+        kind: it is to be a JPEG, which leaves the stream as it is.
+        """
+        start = self._clock()
+        eyes, height, width = images.shape[:3]
+        even = (width + width % 2, height + height % 2)
+        size = even[0] * eyes, even[1] * (2 if alpha else 1)
+        known = [one for one in codecs if one in self._coders]
+        codec = self._form[0] if self._form and self._form[0] in known else next(iter(known), None)
+        if codec is None or min(width, height) < _LEAST or size[0] * size[1] > _MOST:
+            return None
+        form = codec, *size, eyes, bool(alpha)
+        step = next((i for i, one in enumerate(STEPS) if quality <= one), len(STEPS) - 1)
+        early = start - self._opened < _AGAIN
+        if form != self._form and early:
+            return None
+        if self._context is None or form != self._form or (step != self._step and not early):
+            self._open(form, step, start)
+        force = self._key == -np.inf or (key and start - self._key >= _AGAIN)
+        if alpha == "straight":
+            images = np.stack([straightened(image) for image in images])
+            covered = None
+        places = [(i * even[0], 0) for i in range(eyes)]
+        below = [(x, even[1]) for x, _ in places] if alpha else []
+        self._fill(images, covered, places, below)
+        try:
+            data, is_key = self._code(force)
+        except Exception:
+            self._context, self._form = None, ()  # whatever state it is in: the next begins anew
+            raise
+        if is_key:
+            self._key = start
+            self._name = _name(codec, data)
+        self._number += 1
+        said: dict[str, Any] = {"codec": self._name, "number": self._number, "key": is_key, "size": size}
+        said |= {"eyes": places} | ({"alpha": below} if below else {})
+        return Encoded([data], None, (self._clock() - start) * 1e3, video=said)
+
+    def _open(self, form: tuple[Any, ...], step: int, now: float) -> None:
+        import av
+
+        codec, width, height = form[:3]
+        coder = self._coders[codec]
+        context = cast("VideoCodecContext", av.CodecContext.create(coder.library, "w"))
+        context.width, context.height, context.pix_fmt = width, height, "yuv420p"
+        context.time_base, context.framerate = Fraction(1, 1000), Fraction(30)
+        context.colorspace, context.color_primaries = _601, _709
+        context.color_trc, context.color_range = _SRGB, _LIMITED
+        context.options = coder.options | {"crf": str(coder.factors[step])}
+        context.thread_count = _THREADS
+        context.open()
+        self._context, self._form, self._step = context, form, step
+        self._opened, self._key = now, -np.inf
+        self._canvas = np.empty((height * 3 // 2, width), np.uint8)
+        for plane, value in zip(_planes(self._canvas), _BLACK, strict=True):
+            plane[:] = value
+        self._filled = []
+
+    def _fill(
+        self, images: Image, covered: Box | None, places: list[tuple[int, int]], below: list[tuple[int, int]]
+    ) -> None:
+        planes = _planes(self._canvas)
+        for x, y, w, h in self._filled:
+            for plane, value, of in zip(planes, _BLACK, (1, 2, 2), strict=True):
+                plane[y // of : (y + h) // of, x // of : (x + w) // of] = value
+        self._filled = []
+        height, width = images.shape[1:3]
+        left, top, w, h = covered or (0, 0, width, height)
+        right, low = left + w + (left + w) % 2, top + h + (top + h) % 2
+        left, top = left - left % 2, top - top % 2
+        if right <= left or low <= top:
+            return
+        for image, *at in zip(images, places, below or places, strict=True):
+            part = image[top:low, left:right]
+            part = np.pad(part, ((0, low - top - part.shape[0]), (0, right - left - part.shape[1]), (0, 0)))
+            drawn = [part, np.repeat(part[..., 3:], 4, axis=2)] if below else [part]
+            for one, (x, y) in zip(drawn, at, strict=False):
+                yuv = np.asarray(cv2.cvtColor(np.ascontiguousarray(one), cv2.COLOR_RGBA2YUV_I420), np.uint8)
+                box = x + left, y + top, right - left, low - top
+                self._filled.append(box)
+                for plane, new, size in zip(planes, _planes(yuv), (1, 2, 2), strict=True):
+                    rows, columns = new.shape
+                    plane[box[1] // size :, box[0] // size :][:rows, :columns] = new
+
+    def _code(self, force: bool) -> tuple[bytes, bool]:
+        import av
+
+        assert self._context is not None
+        frame = av.VideoFrame.from_ndarray(self._canvas, "yuv420p")
+        frame.pts = self._number * 33
+        if force:
+            frame.pict_type = av.video.frame.PictureType.I
+        packets = self._context.encode(frame)
+        if not packets:
+            raise RuntimeError("the video encoder holds a picture back")
+        return b"".join(map(bytes, packets)), any(packet.is_keyframe for packet in packets)
+
+
+def _planes(canvas: Image) -> tuple[Image, Image, Image]:
+    """Y, U and V of planes one below the other, as OpenCV and FFmpeg lay them out."""
+    height, width = canvas.shape[0] * 2 // 3, canvas.shape[1]
+    colours = canvas[height:].reshape(2, height // 2, width // 2)
+    return canvas[:height], colours[0], colours[1]
+
+
+def _name(codec: str, data: bytes) -> str:
+    """As WebCodecs wants it: of H.264 profile and level of the stream (ISO/IEC 14496-15), of VP9 the highest level."""
+    if codec == "vp9":
+        return "vp09.00.51.08"
+    at = data.find(b"\0\0\1\x67") + 4
+    return f"avc1.{data[at : at + 3].hex().upper()}"

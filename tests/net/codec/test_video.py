@@ -1,0 +1,154 @@
+"""Video as it is coded, and decoded again by PyAV: every picture by itself, in order, whatever it covers."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from glsplat.errors import GlsplatError
+from glsplat.net.codec.video import CODECS, STEPS, VideoStream, available
+
+av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
+
+RNG = np.random.default_rng(5)
+PATTERN = np.kron(RNG.integers(40, 220, (40, 40, 3)), np.ones((8, 8, 1))).astype(np.uint8)
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def moved(index, width=150, height=130, views=2):
+    """Eyes with a patterned box that moves and changes its size, and its place."""
+    out = np.zeros((views, height, width, 4), np.uint8)
+    x, y, w, h = 5 + 7 * (index % 9), 3 + 5 * (index % 11), 61 - index % 5, 50 + index % 7
+    w, h = min(w, width - x), min(h, height - y)
+    for view in range(views):
+        out[view, y : y + h, x : x + w, :3] = PATTERN[view : view + h, index % 8 : index % 8 + w]
+        out[view, y : y + h, x : x + w, 3] = 128 + 12 * (index % 10)
+    return out, (x, y, w, h)
+
+
+def decoder(codec):
+    found = av.CodecContext.create(codec, "r")
+    found.options = {"flags": "low_delay"}
+    return found
+
+
+def decoded(context, encoded):
+    (frame,) = context.decode(av.Packet(encoded.pictures[0]))
+    return frame.to_ndarray(format="rgb24").astype(float)
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+@pytest.mark.parametrize("codec", CODECS)
+def test_each_picture_comes_back_at_once(codec, alpha):
+    stream, reader = VideoStream(), decoder(codec)
+    for index in range(12):
+        images, box = moved(index)
+        encoded = stream.encode(images, ["av2", codec], 90, box if index % 3 else None, alpha)
+        said = encoded.video
+        assert said["number"] == index + 1 and said["key"] == (index == 0) and encoded.ms > 0
+        seen = decoded(reader, encoded)
+        assert seen.shape[1::-1] == said["size"] and ("alpha" in said) == alpha
+        for eye, (image, (x, y)) in enumerate(zip(images, said["eyes"], strict=True)):
+            part = seen[y : y + 130, x : x + 150]
+            assert np.abs(part - image[..., :3]).mean() < 4
+            assert np.abs(part[image[..., 3] == 0]).mean() < 1.5  # what was there before is gone
+            if alpha:
+                x, y = said["alpha"][eye]
+                assert np.abs(seen[y : y + 130, x : x + 150, 0] - image[..., 3]).mean() < 3
+
+
+def test_straight_colours_go_on_beyond_the_silhouette():
+    images, box = moved(1)
+    images[..., :3] = images[..., :3] // 2 * (images[..., 3:] > 0)
+    said, seen = {}, {}
+    for alpha in (True, "straight"):
+        encoded = VideoStream().encode(images, ["vp9"], 90, box, alpha)
+        said[alpha], seen[alpha] = encoded.video, decoded(decoder("vp9"), encoded)
+    assert said[True] == said["straight"]
+    x, y, w, h = box
+    inside = np.s_[y + 4 : y + h - 4, x + 4 : x + w - 4]
+    assert seen["straight"][inside].mean() > 1.3 * seen[True][inside].mean()
+
+
+def test_what_stands_still_costs_next_to_nothing():
+    stream = VideoStream()
+    images, box = moved(3)
+    sizes = [len(stream.encode(images, ["vp9"], 80, box).pictures[0]) for _ in range(8)]
+    assert max(sizes[4:]) < sizes[0] / 10
+
+
+def test_quality_is_coarser_for_a_thin_link():
+    images, box = moved(3)
+    sizes = [len(VideoStream().encode(images, ["h264"], quality, box).pictures[0]) for quality in STEPS]
+    assert sizes == sorted(sizes) and sizes[0] < 0.7 * sizes[-1]
+
+
+def test_key_frames_are_not_given_without_end():
+    clock = Clock()
+    stream, keys = VideoStream(clock), 0
+    for index in range(300):  # three seconds
+        images, box = moved(index, 64, 64, 1)
+        keys += stream.encode(images, ["vp9"], 80, box, key=True).video["key"]
+        clock.now += 0.01
+    assert 5 <= keys <= 7
+
+
+def test_other_forms_are_not_taken_without_end(monkeypatch):
+    """Another codec, size and quality a hundred times a second: JPEGs come in between, encoders are opened rarely."""
+    clock, opened = Clock(), []
+    opening = VideoStream._open
+    monkeypatch.setattr(VideoStream, "_open", lambda self, *form: (opened.append(form), opening(self, *form)))
+    stream, coded = VideoStream(clock), 0
+    for index in range(300):
+        images, box = moved(0, 64 + 2 * (index % 3), 64, 1)
+        encoded = stream.encode(images, [("vp9", "h264")[index % 2]], STEPS[index % 5], box)
+        coded += encoded is not None
+        clock.now += 0.01
+    assert len(opened) <= 7 and 20 <= coded < 200
+
+
+def test_another_form_begins_with_a_key_frame():
+    clock = Clock()
+    stream = VideoStream(clock)
+    small, large = moved(0, 64, 64)[0], moved(0, 96, 64)[0]
+    assert stream.encode(small, ["vp9"]).video["key"]
+    assert stream.encode(large, ["vp9"]) is None  # not so soon
+    assert not stream.encode(small, ["vp9"]).video["key"]  # which changes nothing
+    clock.now += 1
+    said = stream.encode(large, ["vp9"]).video
+    assert said["key"] and said["number"] == 3
+
+
+@pytest.mark.parametrize(
+    ("codecs", "width", "height"), [([], 64, 64), (["av1"], 64, 64), (["vp9"], 31, 64), (["h264"], 4096, 2305)]
+)
+def test_what_is_no_video_is_left_to_jpeg(codecs, width, height):
+    assert VideoStream().encode(np.zeros((1, height, width, 4), np.uint8), codecs) is None
+
+
+def test_after_a_fault_it_begins_anew(monkeypatch):
+    stream, (images, box) = VideoStream(), moved(0)
+    stream.encode(images, ["vp9"], 80, box)
+    with monkeypatch.context() as broken:
+        broken.setattr(VideoStream, "_code", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            stream.encode(images, ["vp9"], 80, box)
+    assert stream._form == ()
+    stream._opened = -np.inf
+    assert stream.encode(images, ["vp9"], 80, box).video["key"]
+
+
+def test_without_pyav_one_line_says_what_to_do(monkeypatch):
+    assert available() == tuple(CODECS)
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(GlsplatError, match=r"pip install 'glsplat\[video\]'"):
+        available()

@@ -1,0 +1,123 @@
+"""Video over real sockets: who asks for it on a server that has it, in order, and nobody else."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.net.messages import Decoder
+from glsplat.net.reply import parse_reply
+from glsplat.net.server import Server, ServerConfig
+from tests.net.wire import EYE, HANG
+
+av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
+
+WATCHES = ServerConfig(port=0, video=True)
+
+
+def asking(number, **fields):
+    return json.dumps({"v": 1, "frame_id": number, "eyes": [EYE, EYE], "size": [64, 64], **fields})
+
+
+class TestField:
+    def test_it_is_read(self):
+        video = Decoder().decode(asking(1, video={"codecs": ["av1", "vp9"], "key": True})).options.video
+        assert video.codecs == ("av1", "vp9") and video.key
+        assert Decoder().decode(asking(1)).options.video is None
+        assert not Decoder().decode(asking(1, video={"codecs": ["h264"]})).options.video.key
+
+    @pytest.mark.parametrize(
+        "video",
+        [
+            *({"codecs": codecs} for codecs in ([], ["x"] * 9, ["x" * 33], [""], [1], "vp9", None)),
+            *({}, [], True, "vp9", {"codecs": ["vp9"], "key": 1}),
+        ],
+    )
+    def test_what_is_none_is_refused(self, video):
+        with pytest.raises(ProtocolError) as caught:
+            Decoder().decode(asking(1, video=video))
+        assert caught.value.code in ("bad_request", "bad_field")
+
+    def test_it_belongs_to_a_request(self):
+        with pytest.raises(ProtocolError, match="video"):
+            Decoder().decode('{"v": 1, "ack": 3, "video": {"codecs": ["vp9"]}}')
+
+
+async def replies(server, count, **fields):
+    """One after the other."""
+    out = []
+    async with aiohttp.ClientSession() as http, http.ws_connect(server.url, max_msg_size=0) as ws:
+        for number in range(1, count + 1):
+            await ws.send_str(asking(number, ack=number - 1, **fields))
+            out.append(parse_reply((await ws.receive(timeout=HANG)).data))
+    return out
+
+
+def test_who_asks_gets_one_stream_in_order(serve, fake_backend):
+    async def main():
+        async with serve(fake_backend(), WATCHES) as server:
+            async with aiohttp.ClientSession() as http:
+                async with http.get(f"http://127.0.0.1:{server.port}/session") as answer:
+                    offer = await answer.json()
+                async with http.ws_connect(server.url + "?window=8", max_msg_size=0) as ws:
+                    found = []
+                    for number in range(1, 41):
+                        ack = found[-1].frame_id if found else 0
+                        await ws.send_str(asking(number, ack=ack, video={"codecs": ["h264"]}))
+                        if number % 4 == 0:
+                            found.append(parse_reply((await ws.receive(timeout=HANG)).data))
+            return offer, found
+
+    offer, found = asyncio.run(main())
+    assert offer["video"] == ["vp9", "h264"]
+    reader = av.CodecContext.create("h264", "r")
+    reader.options = {"flags": "low_delay"}
+    for index, reply in enumerate(found):
+        said = reply.info["video"]
+        assert said["number"] == index + 1 and said["codec"].startswith("avc1.") and said["size"] == [128, 64]
+        assert list(reply.pictures) == [0] and reply.info["size"] == [64, 64] and reply.info["crop"] is None
+        (frame,) = reader.decode(av.Packet(reply.pictures[0]))
+        seen, (x, y) = frame.to_ndarray(format="rgb24"), said["eyes"][1]
+        assert np.abs(seen[y + 32, x + 32].astype(int) - (reply.frame_id % 200 + 50)).max() < 12
+
+
+def test_others_get_the_same_bytes_as_ever(serve, fake_backend):
+    async def main():
+        async with serve(fake_backend()) as server:
+            plain, asked = await replies(server, 4), await replies(server, 4, video={"codecs": ["vp9"]})
+        async with serve(fake_backend(), WATCHES) as server:
+            return plain, asked, await replies(server, 4), await replies(server, 4, video={"codecs": ["av9"]})
+
+    found = asyncio.run(main())
+    assert all("video" not in reply.info for some in found for reply in some)
+    pictures = [[reply.pictures for reply in some] for some in found]
+    assert pictures[0] == pictures[1] == pictures[2] == pictures[3]
+
+
+def test_a_picture_that_fails_leaves_no_gap(serve, fake_backend):
+    async def main():
+        backend = fake_backend(fail=lambda job: RuntimeError("no") if job.frame_id == 3 else None)
+        async with serve(backend, WATCHES) as server, aiohttp.ClientSession() as http:
+            async with http.ws_connect(server.url, max_msg_size=0) as ws:
+                out = []
+                for number in range(1, 6):
+                    await ws.send_str(asking(number, ack=out[-1].frame_id if out else 0, video={"codecs": ["vp9"]}))
+                    message = await ws.receive(timeout=HANG)
+                    if message.type == aiohttp.WSMsgType.BINARY:
+                        out.append(parse_reply(message.data))
+                return out
+
+    out = asyncio.run(main())
+    assert [reply.frame_id for reply in out] == [1, 2, 4, 5]
+    assert [reply.info["video"]["number"] for reply in out] == [1, 2, 3, 4]
+
+
+def test_a_server_that_cannot_does_not_begin(monkeypatch, fake_backend):
+    monkeypatch.setitem(__import__("sys").modules, "av", None)
+    with pytest.raises(GlsplatError, match="PyAV"):
+        Server(fake_backend(), WATCHES)
