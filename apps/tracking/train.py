@@ -1,4 +1,4 @@
-"""``glsplat tracking train``: the network of the learned solver, from motion files (PyTorch)."""
+"""``glsplat tracking train``: the network of the learned solver, from motion files."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from tqdm import tqdm
 
 from glsplat.errors import FormatError
 from glsplat.motion.motion import Motion, load_motion
-from glsplat.tracking.learned.network import save_network
+from glsplat.tracking.learned.network import load_network, save_network
+from glsplat.tracking.solve.body import Body
 from glsplat.tracking.training.clips import TrainingClip, clips_of, looks_away, unit_of_skeleton
-from glsplat.tracking.training.fit import TrainingConfig, evaluate, fit, network_of
+from glsplat.tracking.training.fit import TrainingConfig, evaluate, fit, lessons_of
 from glsplat.tracking.training.standing import Stance, stances_of, stood
 
 from ..usage import UsageError
@@ -30,11 +31,12 @@ KINDS = (".bvh", ".amc", ".json", ".npz", ".glb", ".gltf", ".vrma")
 
 def add_train(commands: Any) -> None:
     """The subcommand's options."""
-    command = commands.add_parser("train", help="make the learned solver's network from motion files (PyTorch)")
+    command = commands.add_parser("train", help="make the learned solver's network from motion files")
     command.add_argument("motions", nargs="+", metavar="MOTION", help="motion files, or folders of them")
     command.add_argument("-o", "--output", required=True, metavar="MODEL.npz", help="the network")
     command.add_argument("--steps", type=int, default=DEFAULT.steps, help=f"of the fit (default {DEFAULT.steps})")
     command.add_argument("--units", type=int, default=DEFAULT.units, help=f"of its memory (default {DEFAULT.units})")
+    command.add_argument("--from", dest="start", metavar="MODEL.npz", help="a network that goes on learning")
     command.add_argument("--seed", type=int, default=0, help="of everything random")
     command.add_argument(
         "--groups",
@@ -84,6 +86,8 @@ def train(args: argparse.Namespace) -> int:
     seen = [clip for clip in clips if clip.group not in out]
     if not seen:
         raise FormatError("no motion of a second or more is left to learn from")
+    body = Body.of(skeleton)
+    heard = lessons_of(tqdm(seen, unit="clip", disable=quiet, leave=False), body, unit, rng)
     with tqdm(total=args.steps, unit="step", disable=quiet, leave=False) as bar:
 
         def show(_: int, loss: float) -> None:
@@ -91,14 +95,13 @@ def train(args: argparse.Namespace) -> int:
             bar.set_postfix(loss=f"{loss:.3f}")
 
         config = TrainingConfig(steps=args.steps, units=args.units, seed=args.seed)
-        net, mean, spread = fit(seen, unit, config, show)
-    save_network(args.output, network_of(net, mean, spread, args.note))
+        network = fit(heard, config, load_network(args.start) if args.start else None, show, args.note)
+    save_network(args.output, network)
     seconds = sum(len(clip.points) for clip in seen) / 30
     result = {"motions": len(seen), "seconds": round(seconds), "left_out": sorted(out)}
     if out:  # the motions as they are, not their mirror images or other speeds
-        result |= evaluate(
-            net, mean, spread, [clip for clip in clips if clip.group in out and clip.plain and not clip.made], unit
-        )
+        left = [clip for clip in clips if clip.group in out and clip.plain and not clip.made]
+        result |= evaluate(network, [lesson for lesson in lessons_of(left, body, unit, rng) if lesson.clean], unit)
     print(json.dumps(result) if args.json else "\n".join(f"{key:10} {value}" for key, value in result.items()))
     return 0
 

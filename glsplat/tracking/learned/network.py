@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ __all__ = ["VERSION", "PoseNetwork", "load_network", "save_network"]
 
 F32 = NDArray[np.float32]
 
-VERSION = 1
+VERSION = 2
 """Of the file and of what the numbers in and out mean (``frames.py``); another one is refused."""
 
 MOST = 1024  # units and width at most: a file that says more is not one of these
@@ -48,6 +49,10 @@ class PoseNetwork:
         """Numbers of the state."""
         return self.cell.shape[1]
 
+    def weights(self) -> dict[str, F32]:
+        """The arrays by name."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
     def start(self) -> F32:
         """The state of somebody nothing is known of, [U]."""
         return np.zeros(self.units, np.float32)
@@ -69,7 +74,7 @@ ARRAYS = tuple(name for name in PoseNetwork.__slots__ if name != "note")
 
 def save_network(path: str | PathLike[str], network: PoseNetwork) -> None:
     """Write a model file (.npz)."""
-    arrays = {name: getattr(network, name) for name in ARRAYS}
+    arrays: dict[str, Any] = {**network.weights()}
     with open(path, "wb") as file:
         np.savez(
             file,

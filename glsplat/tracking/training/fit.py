@@ -1,26 +1,30 @@
-"""The fit itself, in PyTorch: sequences drawn at random, disturbed, and a loss of distances. Seeded."""
+"""The fit itself: sequences drawn from a pool of disturbed clips, and a loss of distances. Seeded; numpy alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from math import cos, pi
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import GlsplatError
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, TrackedFrames, inputs_of, slower
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, PlainFrames, TrackedFrames, inputs_of, slower
 from glsplat.tracking.learned.network import PoseNetwork
+from glsplat.tracking.solve.body import Body
 from glsplat.tracking.training.clips import TrainingClip, targets_of
 from glsplat.tracking.training.disturbed import disturbed
+from glsplat.tracking.training.plain import plain_body
+from glsplat.tracking.training.recurrent import Learner, started
 
-__all__ = ["TrainingConfig", "evaluate", "fit", "network_of", "shares_of"]
+__all__ = ["Lesson", "TrainingConfig", "evaluate", "features", "fit", "lessons_of", "loss", "shares_of"]
 
 F32 = NDArray[np.float32]
 
-WEIGHTS = (1.0, 1.0, 1.0, 1.3, 1.3, 1.3, 1.3)  # of the points
+WEIGHTS = np.array((1.0, 1.0, 1.0, 1.3, 1.3, 1.3, 1.3), np.float32)  # of the points
 AHEAD, AXES, CONTACT, SMOOTH = 0.35, 0.25, 0.04, 1.0  # of the other parts of the loss
+BEGINS = 0.25  # of the sequences that begin with their clip, where nothing is remembered
+WARM, LEAST = 0.1, 0.04  # of the steps in which the rate rises, of its highest from which
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +34,8 @@ class TrainingConfig:
     width: int = 128  # of the layer in front
     units: int = 320  # of the recurrent layer
     steps: int = 3200
-    batch: int = 48
-    length: int = 200  # ticks of a sequence
+    batch: int = 64
+    length: int = 100  # ticks of a sequence
     rate: float = 2e-3  # of learning, at its highest
     seed: int = 0
 
@@ -40,95 +44,83 @@ MADE = 0.35  # of the sequences that are of clips made of parts of several
 ALIKE = 0.5  # power of a group's hours by which it is drawn: 1 would draw every hour alike, 0 everybody
 
 
-def _torch() -> Any:
-    try:
-        import torch
-    except ImportError:
-        raise GlsplatError("training needs PyTorch; install it with: pip install 'glsplat[train]'") from None
-    return torch
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """A clip as a device would see it, and what the network should say of it."""
+
+    clip: TrainingClip
+    heard: F32  # [T, INPUTS]
+    truth: F32  # [T, OUTPUTS]
+    clean: bool  # undisturbed
 
 
-def module(config: TrainingConfig) -> Any:
-    """The network as PyTorch has it."""
-    torch = _torch()
-
-    class Net(torch.nn.Module):  # type: ignore[name-defined, misc]
-        def __init__(self) -> None:
-            super().__init__()
-            self.front = torch.nn.Linear(INPUTS, config.width)
-            self.cell = torch.nn.GRU(config.width, config.units, batch_first=True)
-            self.skip = torch.nn.Linear(config.units, config.width)
-            self.back = torch.nn.Linear(config.width, OUTPUTS)
-            self.drop = torch.nn.Dropout(0.1)
-
-        def forward(self, x: Any) -> Any:
-            out, _ = self.cell(self.drop(torch.relu(self.front(x))))
-            return self.back(torch.relu(self.skip(self.drop(out))))
-
-    return Net()
-
-
-def features(seen: TrackedFrames, unit: float) -> F32:
-    """[B, T, INPUTS] of sequences [B, T] that begin with their first moment."""
-    b, t = seen.yaw.shape
+def features(seen: TrackedFrames, plain: PlainFrames, unit: float) -> F32:
+    """[T, INPUTS] of moments [T] that begin with their first."""
+    t = len(seen.yaw)
     back = np.maximum(np.arange(t) - 1, 0)
-    means = np.empty((b, t, 3, 2), np.float32)
-    now = np.repeat(seen.eye[:, :1, [0, 2]], 3, 1).astype(np.float32)
+    means = np.empty((t, 3, 2), np.float32)
+    now = np.repeat(seen.eye[:1, None, [0, 2]], 3, 1)[0].astype(np.float32)
     for i in range(t):
-        means[:, i] = now = slower(now, seen.eye[:, i])
-    flat = {name: getattr(seen, name) for name in TrackedFrames.__slots__}
-    one = TrackedFrames(**{name: a.reshape(b * t, *a.shape[2:]) for name, a in flat.items()})
-    before = TrackedFrames(**{name: a[:, back].reshape(b * t, *a.shape[2:]) for name, a in flat.items()})
-    return inputs_of(one, before, means.reshape(b * t, 3, 2), unit).reshape(b, t, INPUTS)
+        means[i] = now = slower(now, seen.eye[i])
+    before = TrackedFrames(*[getattr(seen, name)[back] for name in TrackedFrames.__slots__])
+    return inputs_of(seen, before, means, plain, unit)
 
 
-def _alone(seen: TrackedFrames) -> TrackedFrames:
-    return TrackedFrames(*[getattr(seen, name)[None] for name in TrackedFrames.__slots__])
+def lessons_of(clips: Iterable[TrainingClip], body: Body, unit: float, rng: np.random.Generator) -> list[Lesson]:
+    """Every clip disturbed, and those that are neither faster nor slower as they are, too."""
+    out = []
+    for clip in clips:
+        odd, truth = disturbed(clip.seen, rng), targets_of(clip, unit)
+        heard = features(odd, plain_body(odd, body), unit)
+        out.append(Lesson(clip, heard, _seen_from(truth, clip.seen, odd, unit), False))
+        if clip.plain or clip.made:
+            out.append(Lesson(clip, features(clip.seen, plain_body(clip.seen, body), unit), truth, True))
+    return out
 
 
 def fit(
-    clips: Sequence[TrainingClip],
-    unit: float,
+    lessons: Sequence[Lesson],
     config: TrainingConfig,
+    start: PoseNetwork | None = None,
     progress: Callable[[int, float], None] | None = None,
-) -> tuple[Any, F32, F32]:
-    """The network, and mean and spread [INPUTS] by which its inputs are normalised."""
-    torch = _torch()
-
-    torch.manual_seed(config.seed)
+    note: str = "",
+) -> PoseNetwork:
+    """The network that has learned the lessons. ``start``: one that goes on learning; its size is the network's."""
     rng = np.random.default_rng(config.seed)
-    mean, spread = _normal(clips, unit)
-    truths = [targets_of(clip, unit) for clip in clips]
-    share = shares_of(clips)
-    net = module(config)
-    best = torch.optim.AdamW(net.parameters(), lr=config.rate, weight_decay=0.02)
-    plan = torch.optim.lr_scheduler.OneCycleLR(best, config.rate, total_steps=config.steps, pct_start=0.1)
-    net.train()
+    some = np.concatenate([lesson.heard[::7] for lesson in lessons])
+    mean, spread = some.mean(0), np.maximum(some.std(0), 0.05).astype(np.float32)
+    if start is None:
+        weights = started(rng, INPUTS, config.width, config.units, OUTPUTS)
+    else:
+        weights = start.weights()
+        weights["front_bias"] = weights["front_bias"] + weights["front"] @ mean
+        weights["front"] = weights["front"] * spread
+    learner = Learner(weights)
+    share = shares_of([lesson.clip for lesson in lessons])
     for step in range(config.steps):
-        drawn = []
-        y = np.zeros((config.batch, config.length, OUTPUTS), np.float32)
-        known = np.zeros((config.batch, config.length), np.float32)
-        for b, i in enumerate(rng.choice(len(clips), config.batch, p=share)):
-            seen, whole = clips[i].seen, len(clips[i].points)
-            size = min(config.length, whole)
-            first = int(rng.integers(0, whole - size + 1))
-            part = slice(first, first + size)
-            cut = TrackedFrames(*[getattr(seen, name)[part] for name in TrackedFrames.__slots__])
-            odd = disturbed(cut, rng)
-            drawn.append(odd)
-            y[b, :size] = _seen_from(truths[i][part], cut, odd, unit)
-            known[b, :size] = 1
-            known[b, size - 1] = 0  # what is ahead of the last moment is not known
-        x = (features(_stacked(drawn, config.length), unit) - mean) / spread
-        loss = _loss(net(torch.from_numpy(x)), torch.from_numpy(y), torch.from_numpy(known))
-        best.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
-        best.step()
-        plan.step()
+        x = np.zeros((config.length, config.batch, INPUTS), np.float32)
+        y = np.zeros((config.length, config.batch, OUTPUTS), np.float32)
+        known = np.zeros((config.length, config.batch), np.float32)
+        for b, i in enumerate(rng.choice(len(lessons), config.batch, p=share)):
+            lesson = lessons[i]
+            size = min(config.length, len(lesson.heard))
+            first = 0 if rng.random() < BEGINS else int(rng.integers(0, len(lesson.heard) - size + 1))
+            x[:size, b] = (lesson.heard[first : first + size] - mean) / spread
+            y[:size, b] = lesson.truth[first : first + size]
+            known[: size - 1, b] = 1  # what is ahead of the last moment is not known
+        far, off = loss(learner.say(x, rng), y, known)
+        learner.learn(learner.gradient(off), config.rate * _pace(step / config.steps))
         if progress:
-            progress(step, float(loss.detach()))
-    return net.eval(), mean, spread
+            progress(step, far)
+    out = learner.weights
+    front = (out["front"] / spread).astype(np.float32)  # normalising goes into the first layer
+    out = out | {"front": front, "front_bias": (out["front_bias"] - front @ mean).astype(np.float32)}
+    return PoseNetwork(**out, note=note)
+
+
+def _pace(done: float) -> float:
+    """Of the highest rate, with this share of the steps done: up linearly, down as a cosine (Smith & Topin 2019)."""
+    return LEAST + (1 - LEAST) * done / WARM if done < WARM else 0.5 + 0.5 * cos(pi * (done - WARM) / (1 - WARM))
 
 
 def shares_of(clips: Sequence[TrainingClip]) -> NDArray[np.float64]:
@@ -143,14 +135,6 @@ def shares_of(clips: Sequence[TrainingClip]) -> NDArray[np.float64]:
         share[made] *= MADE / share[made].sum()
         share[~made] *= (1 - MADE) / share[~made].sum()
     return np.asarray(share / share.sum())
-
-
-def _stacked(drawn: Sequence[TrackedFrames], length: int) -> TrackedFrames:
-    """[B, length] of sequences that may be shorter: the last moment is repeated."""
-    keep = [np.minimum(np.arange(length), len(seen.yaw) - 1) for seen in drawn]
-    return TrackedFrames(
-        *[np.stack([getattr(s, name)[k] for s, k in zip(drawn, keep, strict=True)]) for name in TrackedFrames.__slots__]
-    )
 
 
 def _seen_from(truth: F32, clean: TrackedFrames, odd: TrackedFrames, unit: float) -> F32:
@@ -173,39 +157,47 @@ def _seen_from(truth: F32, clean: TrackedFrames, odd: TrackedFrames, unit: float
     return out
 
 
-def _loss(said: Any, truth: Any, known: Any) -> Any:
-    torch = _torch()
+def loss(said: F32, truth: F32, known: F32) -> tuple[float, F32]:
+    """Of [T, B, OUTPUTS], and its gradient in what was said; ``known`` [T, B]: 1 where the truth is known.
 
-    b, t = known.shape
-    weights = torch.tensor(WEIGHTS)
-    off = said[..., :21].reshape(b, t, 7, 3) - truth[..., :21].reshape(b, t, 7, 3)
-    far = (off.square().sum(-1) + 1e-6).sqrt()
-    later = said[..., 21:33].reshape(b, t, 4, 3) - truth[..., 21:33].reshape(b, t, 4, 3)
-    later = (later.square().sum(-1) + 1e-6).sqrt()
-    axes = (said[..., 33:45] - truth[..., 33:45]).abs()
-    contact = torch.nn.functional.binary_cross_entropy_with_logits(said[..., 45:], truth[..., 45:], reduction="none")
-    both = known[:, 1:] * known[:, :-1]
-    moved = ((off[:, 1:] - off[:, :-1]).square().sum(-1) + 1e-8).sqrt().mean(-1)
-    whole = (far * weights).mean(-1) + AHEAD * later.mean(-1) + AXES * axes.mean(-1) + CONTACT * contact.mean(-1)
-    return (whole * known).sum() / known.sum() + SMOOTH * (moved * both).sum() / both.sum()
+    Distances of the points, of those ahead, of axes and contacts, and of how the points' errors change in a tick.
+    """
+    t, b, _ = said.shape
+    share = known / known.sum()
+    grad = np.zeros_like(said)
+    off = (said - truth)[..., :21].reshape(t, b, 7, 3)
+    far = np.sqrt((off * off).sum(-1) + 1e-6)
+    later = (said - truth)[..., 21:33].reshape(t, b, 4, 3)
+    far_later = np.sqrt((later * later).sum(-1) + 1e-6)
+    axes = (said - truth)[..., 33:45]
+    logit, stands = said[..., 45:], truth[..., 45:]
+    doubt = np.maximum(logit, 0) - logit * stands + np.log1p(np.exp(-np.abs(logit)))
+    whole = (far * WEIGHTS).mean(-1) + AHEAD * far_later.mean(-1) + AXES * np.abs(axes).mean(-1)
+    total = ((whole + CONTACT * doubt.mean(-1)) * share).sum()
+    both = known[1:] * known[:-1]
+    both = both / both.sum()
+    moved = off[1:] - off[:-1]
+    pace = np.sqrt((moved * moved).sum(-1) + 1e-8)
+    total += SMOOTH * (pace.mean(-1) * both).sum()
+    of_moved = moved * (SMOOTH / 7 * both[..., None] / pace)[..., None]
+    of_off = off * (WEIGHTS / 7 * share[..., None] / far)[..., None]
+    of_off[1:] += of_moved
+    of_off[:-1] -= of_moved
+    grad[..., :21] = of_off.reshape(t, b, 21)
+    grad[..., 21:33] = (later * (AHEAD / 4 * share[..., None] / far_later)[..., None]).reshape(t, b, 12)
+    grad[..., 33:45] = np.sign(axes) * (AXES / 12 * share)[..., None]
+    grad[..., 45:] = (0.5 + 0.5 * np.tanh(0.5 * logit) - stands) * (CONTACT / 2 * share)[..., None]
+    return float(total), grad
 
 
-def _normal(clips: Sequence[TrainingClip], unit: float) -> tuple[F32, F32]:
-    every = np.concatenate([features(_alone(clip.seen), unit)[0, ::7] for clip in clips])
-    return every.mean(0), np.maximum(every.std(0), 0.05).astype(np.float32)
-
-
-def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[TrainingClip], unit: float) -> dict[str, float]:
-    """Mean distances in cm of the undisturbed clips, point by point, by what the network alone says."""
-    torch = _torch()
-
+def evaluate(network: PoseNetwork, lessons: Sequence[Lesson], unit: float) -> dict[str, float]:
+    """Mean distances in cm, point by point, by what the network alone says."""
+    learner = Learner(network.weights())
     errors, right = [], []
-    with torch.no_grad():
-        for clip in clips:
-            said = net(torch.from_numpy((features(_alone(clip.seen), unit) - mean) / spread))[0].numpy()
-            truth = targets_of(clip, unit)
-            errors.append(np.linalg.norm((said - truth)[:, :21].reshape(-1, 7, 3), axis=-1) * unit * 100)
-            right.append((said[:, 45:] > 0) == (truth[:, 45:] > 0.5))
+    for lesson in lessons:
+        said = learner.say(lesson.heard[:, None])[:, 0]
+        errors.append(np.linalg.norm((said - lesson.truth)[:, :21].reshape(-1, 7, 3), axis=-1) * unit * 100)
+        right.append((said[:, 45:] > 0) == (lesson.truth[:, 45:] > 0.5))
     far = np.concatenate(errors).mean(0)
     return {
         "pelvis": float(far[0]),
@@ -214,22 +206,3 @@ def evaluate(net: Any, mean: F32, spread: F32, clips: Sequence[TrainingClip], un
         "feet": float(far[5:].mean()),
         "contact": float(np.concatenate(right).mean()),
     }
-
-
-def network_of(net: Any, mean: F32, spread: F32, note: str = "") -> PoseNetwork:
-    """What runs without PyTorch; normalising goes into the first layer."""
-    w = {key: value.detach().numpy().astype(np.float32) for key, value in net.state_dict().items()}
-    front = w["front.weight"] / spread
-    return PoseNetwork(
-        np.ascontiguousarray(front, np.float32),
-        (w["front.bias"] - front @ mean).astype(np.float32),
-        w["cell.weight_ih_l0"],
-        w["cell.bias_ih_l0"],
-        w["cell.weight_hh_l0"],
-        w["cell.bias_hh_l0"],
-        w["skip.weight"],
-        w["skip.bias"],
-        w["back.weight"],
-        w["back.bias"],
-        note,
-    )
