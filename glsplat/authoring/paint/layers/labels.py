@@ -35,6 +35,7 @@ _FEWEST = 12  # pixels of a segment that is asked for
 _ISLAND = 0.006  # of the person's area; smaller pieces of the trunk beyond an arm are nobody's
 _ROOM = 12.0, 0.25  # squared distance to the room's colours, at most, and against the person's
 _HAIR = 0.4
+_EDGED = 2  # pixels around a piece of the room that are of it where they are more like it than like the person
 _EDGE = 0.02  # of the height: deeper in the projected trunk there is no room
 _HELD, _THING = 0.06, 0.0012  # of the height to a hand; of its square
 _APART = 0.012  # of the height between the body and what is beside it
@@ -147,7 +148,9 @@ def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, head: Mask, heigh
     shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
     strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin
     found = mask & shallow & (room < _ROOM[0] * strict) & (room < _ROOM[1] * strict * person)
-    return np.asarray(cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, _disc(1)) > 0)
+    found = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
+    # its edges are mixed with the person
+    return np.asarray((found > 0) | (mask & (cv2.dilate(found, _disc(_EDGED)) > 0) & (room < strict * person)))
 
 
 def _unlike(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[np.float32]:
