@@ -10,30 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
-from glsplat.authoring.faces.open_face import open_face
 from glsplat.authoring.fit.body import open_body
-from glsplat.authoring.fit.eyes import EyeLook
+from glsplat.authoring.fit.eyes import EYE_SIDES, EyeLook, eyeball
 
 __all__ = ["lids_of", "within_eyes"]
 
 F64 = NDArray[np.float64]
 
-_MOVED = 0.0015  # metres by which a blink moves what is a lid
-_SOFT = 0.25  # of an iris's radius, over which an eye's colours end beyond the lids' edge
-_BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+_NEAR = 0.01  # metres from an eyeball
+_EDGE, _SOFT = 0.35, 1.0  # of an iris's radius, and pixels: so far beyond the lids' edge an eye and its lashes reach
 
 
 @lru_cache(maxsize=1)
 def lids_of() -> NDArray[np.bool_]:
-    """[V] of the open body's vertices: the skin that a blink moves."""
-    body, blinks = open_body(), open_face().expressions
-    out = np.zeros(len(body.vertices), bool)
-    for name in _BLINKS:
-        number = blinks.names.index(name)
-        some = slice(blinks.starts[number], blinks.starts[number + 1])
-        far = np.linalg.norm(blinks.offsets[some], axis=1) > _MOVED
-        out[blinks.vertices[some][far]] = True
-    return frozen(out & body.skin)
+    """[V] of the open body's vertices: the skin about the eyeballs, lids and what they fold into."""
+    body = open_body()
+    eyes = [eyeball(body, side) for side in EYE_SIDES]
+    away = np.min([np.linalg.norm(body.vertices - eye.centre, axis=1) - eye.radius for eye in eyes], axis=0)
+    return frozen(body.skin & (away < _NEAR))
 
 
 def within_eyes(looks: Mapping[str, EyeLook], pixels: F64) -> F64:
@@ -43,10 +37,10 @@ def within_eyes(looks: Mapping[str, EyeLook], pixels: F64) -> F64:
         if look.lids is None:
             continue
         outline = cv2.convexHull(look.lids.astype(np.float32))
-        wide = max(_SOFT * look.radius, 0.5)
+        edge = _EDGE * look.radius + _SOFT
         near = np.flatnonzero(
-            ((pixels > look.lids.min(axis=0) - wide) & (pixels < look.lids.max(axis=0) + wide)).all(axis=1)
+            ((pixels > look.lids.min(axis=0) - edge) & (pixels < look.lids.max(axis=0) + edge)).all(axis=1)
         )
         inside = [cv2.pointPolygonTest(outline, tuple(map(float, pixels[k])), True) for k in near]
-        out[near] = np.maximum(out[near], (1 + np.array(inside) / wide).clip(0, 1))
+        out[near] = np.maximum(out[near], ((np.array(inside) + edge) / _SOFT).clip(0, 1))
     return out

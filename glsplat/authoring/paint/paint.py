@@ -156,9 +156,11 @@ def painter_of(
 
 
 def _aside(body: Body, shot: FittedPicture) -> F64:
-    """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
+    """[V] 1, but 0 about the middle of the trunk, on lids, which eyes are over, and on hair, whose edges are mixed with
+    the room."""
     trunk, rest = trunk_of(body), shot.mesh.vertices
     hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
+    hair = hair | lids_of()
     share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
     return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
 

@@ -58,7 +58,7 @@ def labels_of(
     for layer in range(1, LAYERS):
         arm = _arm(lab, mask, segment, layer, height, None if bones is None else bones[layer - 1])
         label[arm & ((label == 0) | (layer_of(segment) == layer))] = layer
-    label[_room(lab, mask, segment, head, height)] = NOTHING
+    label[_room(lab, mask, segment, label, head, height)] = NOTHING
     count, pieces, sizes, _ = cv2.connectedComponentsWithStats((label == 0).astype(np.uint8), connectivity=4)
     small = np.flatnonzero(sizes[:, cv2.CC_STAT_AREA] < _ISLAND * mask.sum())
     label[np.isin(pieces, small[small > 0]) & (count > 2)] = NOTHING
@@ -137,13 +137,14 @@ def _cut(seen: NDArray[np.uint8], near: Mask, likely: Mask, sure: Mask, around: 
     return out & near
 
 
-def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, head: Mask, height: float) -> Mask:
+def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, head: Mask, height: float) -> Mask:
     """What is much more like the room nearby than like arm or trunk nearby."""
     layer, colours = layer_of(segment), lab.astype(np.float32)
     inner = cv2.erode(mask.astype(np.uint8), _disc(2)) > 0
     outer = cv2.dilate(mask.astype(np.uint8), _disc(2)) == 0
     room = np.minimum(*(_unlike(colours, outer, share * height) for share in (0.03, 0.08)))
-    cores = [inner & (cv2.erode((layer == k).astype(np.uint8), _disc(3)) > 0) for k in range(LAYERS)]
+    # where the fit has a hand and the picture has none, there may be the wall
+    cores = [inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), _disc(3)) > 0) for k in range(LAYERS)]
     person = np.minimum.reduce([_unlike(colours, core, 0.03 * height) for core in cores])
     shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
     strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin
