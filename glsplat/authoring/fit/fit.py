@@ -12,7 +12,15 @@ from glsplat.authoring.fit.body import Body, open_body
 from glsplat.authoring.fit.kinematics import PosedBody, projected
 from glsplat.authoring.fit.landmarks import landmarks
 from glsplat.authoring.fit.offsets import face_of, outward, smooth_offsets, soles_of
-from glsplat.authoring.fit.outline import Rim, find_rim, half_gaps, overlap, projected_mask
+from glsplat.authoring.fit.outline import (
+    Rim,
+    brimless,
+    edge_distances,
+    find_rim,
+    half_gaps,
+    overlap,
+    projected_mask,
+)
 from glsplat.authoring.fit.prior import HINGES, POSED, PosePrior
 from glsplat.authoring.fit.solver import BodySolver
 from glsplat.authoring.fit.standing.doubt import doubts_of, unseen
@@ -52,7 +60,7 @@ _SOLE = 0.020  # metres; a thicker one would be height that the body lacks
 _FEW = 4  # views whose outlines hardly cross each other
 _HEIGHTS = 0.5, 2.5  # metres
 _ARM_REACH, _ARM_REACH_DRESSED = 0.015, 0.03  # shares of the figure: so near an arm no outline is a trunk's
-_HELD_REACH, _HELD = 0.08, 0.025  # shares of the figure; so near a hand, what stands so far off the trunk is no cloth
+_HELD_REACH, _HELD = 0.08, 0.025  # shares of the figure; so near a hand, what stands so far off is no cloth
 _ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and wrists
 # Against a fit speak: a percent uncovered, a percent that landmarks and those of arms stray, an arm hidden that is seen
 # or seen that is hidden, arms that point elsewhere than the network's metres by their length; and that it is an unusual
@@ -63,6 +71,7 @@ _GOOD = 0.88, 2.0  # least overlap with the mask, most mean distance of landmark
 
 _TRUST = {"wrist": 1.0, "elbow": 1.0, "head": 0.35, "neck": 0.35, "jaw": 0.35, "foot": 0.5, "ankle": 0.5}
 _CLOTHED = 0.6
+_HEAD = JOINT_NAMES.index("head")
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
 
@@ -186,16 +195,18 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     pixels = projected(where, view.focal, view.centre)[0]
     reach = _REACH * view.figure
     rim, drawn = find_rim(body, where, pixels, view.mask, reach, _FLAT if moved is None else _FLAT_DRESSED)
-    gaps = rim.gaps
-    if moved is not None:  # bare legs do not meet
+    gaps = rim.gaps.copy()
+    if moved is not None:  # bare legs do not meet, and hats have brims
+        head = body.part[rim.vertices] == _HEAD
+        gaps[head] = edge_distances(brimless(view.mask, view.figure), rim.pixels[head], rim.normals[head], reach)
         gaps = np.where(np.isfinite(gaps), gaps, half_gaps(view.mask, drawn, rim.pixels, rim.normals, reach))
     around = (_ARM_REACH if moved is None else _ARM_REACH_DRESSED) * view.figure
     column, row = np.floor(rim.pixels).astype(int).T
-    of_arms = beside_arms(body, pixels, view.mask.shape, around)[row, column]
+    trunk = layers(body)[rim.vertices] == TRUNK
+    found = np.isfinite(gaps) & ~(trunk & beside_arms(body, pixels, view.mask.shape, around)[row, column])
     if moved is not None:  # the edge of a ball or a bag
         held = beside_arms(body, pixels, view.mask.shape, _HELD_REACH * view.figure, hands(body))[row, column]
-        of_arms |= held & (gaps > _HELD * view.figure)
-    found = np.isfinite(gaps) & ~(of_arms & (layers(body)[rim.vertices] == TRUNK))
+        found &= ~(held & (gaps > _HELD * view.figure))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 
 

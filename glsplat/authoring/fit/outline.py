@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from glsplat.authoring.fit.body import Body
 from glsplat.meshes import vertex_normals
 
-__all__ = ["Rim", "edge_distances", "find_rim", "half_gaps", "overlap", "projected_mask"]
+__all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "overlap", "projected_mask"]
 
 F64 = NDArray[np.float64]
+
+_BRIM = 0.045, 0.02  # of the figure: what is less high and wider beside a head is no hair
 
 
 def projected_mask(pixels: F64, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:
@@ -96,6 +98,16 @@ def edge_distances(mask: NDArray[np.bool_], start: F64, along: F64, reach: float
     far = np.where(ends, np.abs(middle), np.inf)
     best = far.argmin(axis=1)
     return np.where(np.isfinite(far.min(axis=1)), middle[best], np.nan)
+
+
+def brimless(mask: NDArray[np.bool_], figure: float) -> NDArray[np.bool_]:
+    """The ``mask`` without what stands far out of it and is flat, as brims of hats are; ``figure`` is its height."""
+    high = max(3, round(_BRIM[0] * figure))
+    whole = mask.astype(np.uint8)
+    flat = whole - cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((high, 1), np.uint8))
+    _, pieces, sizes, _ = cv2.connectedComponentsWithStats(flat)
+    wide = np.flatnonzero(sizes[:, cv2.CC_STAT_WIDTH] > _BRIM[1] * figure)
+    return np.asarray(mask & ~np.isin(pieces, wide[wide > 0]))
 
 
 def half_gaps(mask: NDArray[np.bool_], drawn: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:

@@ -14,11 +14,14 @@ from glsplat.authoring.fit.offsets import face_of
 from glsplat.authoring.paint.head import BackOfHead, back_of_head
 from glsplat.authoring.paint.inside import with_inside
 from glsplat.authoring.paint.layers.segments import half_width, trunk_of, twins_across
+from glsplat.authoring.paint.lids import lids_of, within_eyes
 from glsplat.authoring.paint.light import Light, find_light
 from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
 from glsplat.authoring.paint.smooth import smoothest
-from glsplat.authoring.paint.twins import Twins, find_twins
-from glsplat.authoring.paint.unseen.cloth import Cloth, Ground, cloth_of
+from glsplat.authoring.paint.twins import Front, Twins, find_twins
+from glsplat.authoring.paint.unseen.cloth import Cloth, cloth_of
+from glsplat.authoring.paint.unseen.ground import Ground
+from glsplat.authoring.paint.unseen.sleeves import cut_sleeves
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -56,6 +59,7 @@ class Painter:
     plain: F64  # [V, 3] smooth linear colours without light; where there is cloth, what is added to it
     twins: Twins
     head: BackOfHead
+    sleeves: SurfacePoints | None  # [V] where the trunk shows the cloth of an arm's vertex; None where it is plain
     aside: F64  # [V] how much the other half of the body says of a vertex that is not seen
 
     def paint(self, points: SurfacePoints) -> Paint:
@@ -86,6 +90,10 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         ground, first = self.cloth.at(points), sights[0]
         strange = self.cloth.strange(self.shots[0], points, first.linear, shade, ground)
+        lids = np.flatnonzero(lids_of()[points.corners].any(axis=1)) if self.looks else np.zeros(0, np.intp)
+        if len(lids):
+            pixels = self.shots[0].project(points.at(self.shots[0].view.vertices)[lids])
+            strange[lids] = np.maximum(strange[lids], within_eyes(self.looks, pixels))
         sights[0] = replace(first, trust=first.trust * (1 - strange))
         return sights, ground, shade
 
@@ -100,7 +108,8 @@ class Painter:
         trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
         trust = trust * ground.alike(behind.linear / lit[:, None])
         # what was continued into a hole is worth less than the cloth, unless that has a pattern
-        trust = np.where((ground.there > 0) & ~ground.pattern, trust * behind.known, trust)
+        arms = self.cloth.sleeves(points)
+        trust = np.where((ground.there > 0) & (~ground.pattern | arms), trust * behind.known, trust)
         covered, colour = self.head.at(points)
         # side by side, not one over the other: where neck and back meet, no third colour shows between them
         rest = 1 - trust - covered
@@ -113,7 +122,18 @@ class Painter:
         lit = self.light.shade(across.directions(front.normals))
         lent = other.trust * points.at(self.aside[:, None])[:, 0] * ground.alike(other.linear / lit[:, None])
         guess += lent[:, None] * ((shade / lit).clip(*_SHADE)[:, None] * other.linear - guess)
+        if self.sleeves is not None:
+            some = np.flatnonzero(arms & ground.pattern)
+            guess[some] += ((1 - trust) * (1 - lent))[some, None] * (self._cut(points, some, shade) - guess[some])
         return guess, np.maximum.reduce([behind.busy * trust, other.busy * lent, covered * self.head.lively])
+
+    def _cut(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
+        """[K, 3] linear colours of ``some`` points of sleeves, as the trunk's cloth has them."""
+        assert self.sleeves is not None
+        front, part = self.shots[0], SurfacePoints(points.corners[some], points.weights[some])
+        lit = self.light.shade(part.directions(self.sleeves.directions(front.normals)))
+        cloth = front.sample(part.at(self.sleeves.at(front.view.pixels)))
+        return np.asarray((shade[some] / lit).clip(*_SHADE)[:, None] * cloth)
 
 
 def painter_of(
@@ -128,15 +148,19 @@ def painter_of(
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
     cloth = cloth_of(body, front, points, sight, light.shade(normals))
-    plain, twins = _smooth_colours(body, shots, light, cloth), find_twins(front.mesh, trunk_of(body))
+    plain, seen = _smooth_colours(body, shots, light, cloth, looks or {}), Front(front.mesh)
+    twins, span = find_twins(front.mesh, trunk_of(body), seen), cloth.patterned
+    sleeves = None if span is None else cut_sleeves(front.mesh, seen, span)
     head = back_of_head(body, front, light, cloth.nape)
-    return Painter(body, shots, looks or {}, light, cloth, plain, twins, head, _aside(body, front))
+    return Painter(body, shots, looks or {}, light, cloth, plain, twins, head, sleeves, _aside(body, front))
 
 
 def _aside(body: Body, shot: FittedPicture) -> F64:
-    """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
+    """[V] 1, but 0 about the middle of the trunk, on lids, which eyes are over, and on hair, whose edges are mixed with
+    the room."""
     trunk, rest = trunk_of(body), shot.mesh.vertices
     hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
+    hair = hair | lids_of()
     share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
     return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
 
@@ -156,7 +180,9 @@ def _mixed(sights: Sequence[Sight]) -> tuple[F64, F64]:
     return np.max([sight.trust for sight in sights], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
 
 
-def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light, cloth: Cloth) -> F64:
+def _smooth_colours(
+    body: Body, shots: Sequence[FittedPicture], light: Light, cloth: Cloth, looks: Mapping[str, EyeLook]
+) -> F64:
     """[V, 3] what is added to the cloth's linear colours without light: as seen at the vertices, the smoothest between.
 
     Where no cloth is known it is the colours themselves.
@@ -171,6 +197,8 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light, cl
         # every picture is of the same room: normals are turned back into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
+        if shot is first:
+            trust = trust * (1 - lids_of() * within_eyes(looks, shot.view.pixels))
         trust = trust * ground.alike(plain, patterned=False)  # a print does not flow into the cloth beside it
         known += trust
         target += trust[:, None] * plain

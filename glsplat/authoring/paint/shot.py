@@ -14,6 +14,7 @@ from glsplat.authoring.fit.body import open_body
 from glsplat.authoring.fit.fit import FittedView
 from glsplat.authoring.paint.layers.fill import continued, nearest_known, only_in_the_middle
 from glsplat.authoring.paint.layers.labels import labels_of
+from glsplat.authoring.paint.layers.patches import woven
 from glsplat.authoring.paint.layers.segments import HANDS, LAYERS, half_width, layer_of, trunk_of
 from glsplat.authoring.raster import visible_faces
 from glsplat.camera import Camera
@@ -254,7 +255,12 @@ class FittedPicture:
         trunk = out[0]
         hole = self._label != 0
         filled = continued(trunk.picture, inner & ~hole & (trunk.known > 0.9), hole, self._height)
-        out[0] = replace(trunk, picture=filled, detail=_busy(filled), far=np.zeros_like(trunk.far))
+        out[0] = replace(trunk, picture=filled, far=np.zeros_like(trunk.far))
+        for number, seen in enumerate(out):
+            there = cv2.resize(seen.depth, inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            picture = woven(seen.picture, inner & (seen.known > 0.9), np.isfinite(there), self._label, number)
+            carried = np.where((picture == seen.picture).all(axis=2), seen.far, np.float32(0))
+            out[number] = replace(seen, picture=picture, detail=_busy(picture), far=carried)
         return out
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> _Layer:

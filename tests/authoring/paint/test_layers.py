@@ -154,6 +154,18 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     assert not hidden._agreed[top:bottom, left:right].any()  # and no splat is fitted to it
 
 
+def test_what_is_beside_the_body_is_no_layer() -> None:
+    """Else the wall between a hand and a hip counts as deep inside of the trunk."""
+    assert layer_of(np.array([NOTHING, 0, 1, 2, 3, 4])).tolist() == [NOTHING, 0, 1, 1, 2, 2]
+    picture, mask, truth, segment = crossing()
+    mask, picture = mask.copy(), picture.copy()
+    mask[250:300, 200:225] = True  # the outline goes around a piece of the room
+    nobody = np.zeros(mask.shape, bool)
+    label = labels_of(picture, mask, segment, nobody, nobody)
+    assert (label[255:295, 204:221] == NOTHING).mean() > 0.95
+    assert (label[(truth == 0) & (segment == 0)] == 0).mean() > 0.97
+
+
 def test_another_body_keeps_one_layer() -> None:
     front = photographed("front").shots[0]
     assert not front.layer.any() and front._agreed is front.mask

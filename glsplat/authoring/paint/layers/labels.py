@@ -35,6 +35,7 @@ _FEWEST = 12  # pixels of a segment that is asked for
 _ISLAND = 0.006  # of the person's area; smaller pieces of the trunk beyond an arm are nobody's
 _ROOM = 12.0, 0.25  # squared distance to the room's colours, at most, and against the person's
 _HAIR = 0.4
+_EDGED = 2  # pixels around a piece of the room that are of it where they are more like it than like the person
 _EDGE = 0.02  # of the height: deeper in the projected trunk there is no room
 _HELD, _THING = 0.06, 0.0012  # of the height to a hand; of its square
 _APART = 0.012  # of the height between the body and what is beside it
@@ -57,7 +58,7 @@ def labels_of(
     for layer in range(1, LAYERS):
         arm = _arm(lab, mask, segment, layer, height, None if bones is None else bones[layer - 1])
         label[arm & ((label == 0) | (layer_of(segment) == layer))] = layer
-    label[_room(lab, mask, segment, head, height)] = NOTHING
+    label[_room(lab, mask, segment, label, head, height)] = NOTHING
     count, pieces, sizes, _ = cv2.connectedComponentsWithStats((label == 0).astype(np.uint8), connectivity=4)
     small = np.flatnonzero(sizes[:, cv2.CC_STAT_AREA] < _ISLAND * mask.sum())
     label[np.isin(pieces, small[small > 0]) & (count > 2)] = NOTHING
@@ -136,18 +137,21 @@ def _cut(seen: NDArray[np.uint8], near: Mask, likely: Mask, sure: Mask, around: 
     return out & near
 
 
-def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, head: Mask, height: float) -> Mask:
+def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, head: Mask, height: float) -> Mask:
     """What is much more like the room nearby than like arm or trunk nearby."""
     layer, colours = layer_of(segment), lab.astype(np.float32)
     inner = cv2.erode(mask.astype(np.uint8), _disc(2)) > 0
     outer = cv2.dilate(mask.astype(np.uint8), _disc(2)) == 0
     room = np.minimum(*(_unlike(colours, outer, share * height) for share in (0.03, 0.08)))
-    cores = [inner & (cv2.erode((layer == k).astype(np.uint8), _disc(3)) > 0) for k in range(LAYERS)]
+    # where the fit has a hand and the picture has none, there may be the wall
+    cores = [inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), _disc(3)) > 0) for k in range(LAYERS)]
     person = np.minimum.reduce([_unlike(colours, core, 0.03 * height) for core in cores])
     shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
     strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin
     found = mask & shallow & (room < _ROOM[0] * strict) & (room < _ROOM[1] * strict * person)
-    return np.asarray(cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, _disc(1)) > 0)
+    found = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
+    # its edges are mixed with the person
+    return np.asarray((found > 0) | (mask & (cv2.dilate(found, _disc(_EDGED)) > 0) & (room < strict * person)))
 
 
 def _unlike(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[np.float32]:

@@ -39,7 +39,7 @@ def segments_of() -> NDArray[np.intp]:
 
 def layer_of(segment: NDArray[np.intp]) -> NDArray[np.intp]:
     """The layer of each segment, any shape; below zero stays so."""
-    return (segment + 1) // 2
+    return np.where(segment < 0, segment, (segment + 1) // 2)
 
 
 def trunk_of(body: Body) -> NDArray[np.bool_]:

@@ -17,10 +17,12 @@ from glsplat.authoring.fit.body import Body
 from glsplat.authoring.fit.offsets import face_of
 from glsplat.authoring.paint.layers.segments import HANDS, half_width, trunk_of
 from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
+from glsplat.authoring.paint.unseen.ground import BARE, Ground
 from glsplat.authoring.paint.unseen.pattern import goes_around
+from glsplat.authoring.paint.unseen.rows import ALIKE, FEWEST, STEP, TOLERANCE, Rows, most_of, rows_of, steady
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Cloth", "Ground", "cloth_of"]
+__all__ = ["Cloth", "cloth_of"]
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -40,85 +42,21 @@ _REGIONS = (  # words of the joints' names; along x or y; the region of the othe
 _TRUNK, _NECK, _BODY, _ARMS, _HANDS, _FEET = 0, 5, (0, 1, 2), (3, 4, 6, 7), (6, 7), (8, 9)
 _SLEEVES = 3, 4
 _CLOTHED, _PAIRS = (0, 1, 2, 3, 4), ((1, 2), _SLEEVES)  # regions that patterns are looked for in
-_STEP = 0.01  # metres of a row
+_COLOURS = 2000  # of a pattern
+_GARMENT = 10  # rows that are a piece of cloth
 _REACH = 0.0125  # metres to both sides whose samples a row has
 _MOST = 60_000  # samples that are looked at
 _SURE = 0.3  # trust of a sample
 _LENT = 0.2  # what a sample of the other half of the body says
 _SIDES, _MIDDLE = (0.3, 0.95), 0.25  # halves of a trunk's width where it looks as it does behind; weight of the rest
-_KERNEL, _SHIFTS = 0.08, 6
-_FEWEST = 6.0  # summed trust of a row that is believed
-_TOLERANCE = 0.06, 2.0, 0.14  # least, in spreads of a row, most: how far a colour may lie from it
-_SAME = 1.0, 1.5  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
-_BARE = 0.1  # from the face: so near to it, a pattern above the armpits is a neckline
 _LIKE_SKIN = 0.2  # from the face: a hand is as bare
-_ALIKE = 0.15  # cloth nearer to skin than that is not told from it
-_MOTLEY, _APART = 0.139, 4  # tolerance of a row of several colours; rows to those above and below it
 _LIGHT = 0.5, 0.9  # quantiles of a face's brightness
 _COVERED = 0.1  # share of a row on the shoulders that is cloth where there is a strap
 _ARMPIT = 0.07  # metres below the shoulder joints
 _BELOW = 0.25  # metres below the armpits that the upper garment's colour is taken from
 _STRANGE = 1.5, 3.0  # tolerances: from the first on a colour is doubted, from the second on it is not believed
-_PALM = 0.7, 1.8  # of a hand's colour, how bright its parts may be
 _LIKE_OTHER = 0.15  # how near a colour lies to the thing it is of
 _SHALLOW = 0.016  # of the person's height: so near to its outline a part of the body may show something else
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ground:
-    """What M points are most likely to be."""
-
-    colour: F64  # [M, 3] linear, without light
-    tolerance: F64  # [M] how far another colour may be away, in square roots, to be the same cloth
-    there: F64  # [M] 1 where anything is known, else 0
-    pattern: NDArray[np.bool_]  # [M] whether it has other colours besides, all around
-    skin: F64  # [M, 3] square roots of what is no part of a pattern there; not a number where nothing is
-    hand: NDArray[np.bool_]  # [M]
-
-    def at(self, some: Ints) -> Ground:
-        """Of N of the points."""
-        fields = ("colour", "tolerance", "there", "pattern", "skin", "hand")
-        return Ground(*(getattr(self, field)[some] for field in fields))
-
-    def away(self, look: F64) -> F64:
-        """[M] how far square roots of linear colours [M, 3] without light lie from it, in tolerances.
-
-        A hand's brightness says nothing: palms, nails and backs of hands are of different ones.
-        """
-        own = np.sqrt(self.colour)
-        scale = (look * own).sum(axis=1) / np.maximum((own**2).sum(axis=1), 1e-9)
-        own[self.hand] *= scale.clip(*_PALM)[self.hand, None]
-        return np.asarray(np.linalg.norm(look - own, axis=1) / self.tolerance)
-
-    def alike(self, plain: F64, patterned: bool = True) -> F64:
-        """[M] from 0 to 1: how surely linear colours [M, 3] without light are the cloth that is there.
-
-        With ``patterned`` those of its pattern are, too.
-        """
-        look = np.sqrt(np.maximum(plain, 0))
-        away = self.away(look)
-        sure = (_SAME[1] - away).clip(0, _SAME[1] - _SAME[0]) / (_SAME[1] - _SAME[0])
-        if patterned:
-            sure[self.pattern & ~(np.linalg.norm(look - self.skin, axis=1) < _BARE)] = 1.0
-        return np.where(self.there > 0, sure, 1.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """Of one region, R of them."""
-
-    axis: int
-    first: float  # metres of the first row
-    colour: F64  # [R, 3] square roots
-    tolerance: F64  # [R]
-    outer: F64  # [R, 3] square roots, of what lies farther from the middle than ``edge``
-    edge: F64  # [R] metres
-    pattern: NDArray[np.bool_]  # [R]
-
-    @property
-    def places(self) -> F64:
-        """[R] metres along the axis."""
-        return np.asarray(self.first + _STEP * np.arange(len(self.colour)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +65,8 @@ class Cloth:
 
     rest: F64  # [V, 3] the dressed surface in the zero pose
     region: Ints  # [V], below zero none
-    rows: tuple[_Rows | None, ...]
+    rows: tuple[Rows | None, ...]
+    palettes: tuple[cKDTree | None, ...]  # of regions with a pattern, square roots of the colours deep inside
     skin: F64 | None  # [3] square roots of the face's colour
     armpit: float  # metres of height
 
@@ -137,6 +76,19 @@ class Cloth:
         rows = self.rows[_NECK]
         return None if rows is None else rows.colour[-1] ** 2
 
+    @property
+    def patterned(self) -> tuple[float, float] | None:
+        """Lowest and highest of the trunk's rows below the armpits that have a pattern, metres; None without any."""
+        rows = self.rows[_TRUNK]
+        if rows is None:
+            return None
+        places = rows.places[rows.pattern & (rows.places < self.armpit)]
+        return (float(places[0]), float(places[-1])) if len(places) > _GARMENT else None
+
+    def sleeves(self, points: SurfacePoints) -> NDArray[np.bool_]:
+        """[M] which of the points are on arms."""
+        return np.asarray(np.isin(self.region[points.corners[:, 0]], _SLEEVES))
+
     def strange(self, shot: FittedPicture, points: SurfacePoints, linear: F64, shade: F64, ground: Ground) -> F64:
         """[M] from 0 to 1: how surely colours [M, 3] that ``shot`` has near an outline are another thing's.
 
@@ -144,9 +96,13 @@ class Cloth:
         """
         out = np.zeros(len(linear))
         look, mine = np.sqrt(np.maximum(linear / shade[:, None], 0)), self.region[points.corners[:, 0]]
-        away = ground.away(look)
+        away, tolerance = ground.away(look), np.where(ground.pattern, TOLERANCE[0], ground.tolerance)
+        for number, palette in enumerate(self.palettes):  # of a pattern all colours that are seen farther inside
+            striped = np.flatnonzero(ground.pattern & (mine == number))
+            if palette is not None and len(striped):
+                away[striped] = palette.query(look[striped])[0] / TOLERANCE[0]
         pixels = shot.project(points.at(shot.view.vertices))
-        some = np.flatnonzero((ground.there > 0) & ~ground.pattern & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
+        some = np.flatnonzero((ground.there > 0) & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
         near = shot.shallow(pixels[some], shot.layers_at(points)[some]) < _SHALLOW
         some = some[near | np.isin(mine[some], _HANDS)]
         if not len(some):
@@ -158,14 +114,14 @@ class Cloth:
             if rows and which.any():
                 other[which] = np.minimum(other[which], cKDTree(np.concatenate(rows)).query(look[some][which])[0])
         sure = ((away[some] - _STRANGE[0]) / (_STRANGE[1] - _STRANGE[0])).clip(0, 1)
-        out[some] = sure * (other < np.minimum(0.5 * away[some] * ground.tolerance[some], _LIKE_OTHER))
+        out[some] = sure * (other < np.minimum(0.5 * away[some] * tolerance[some], _LIKE_OTHER))
         return out
 
     def at(self, points: SurfacePoints) -> Ground:
         """What the points are most likely to be."""
         count = len(points.corners)
         where, region = points.at(self.rest), self.region[points.corners[:, 0]]
-        colour, tolerance, there = np.zeros((count, 3)), np.full(count, _TOLERANCE[0]), np.zeros(count)
+        colour, tolerance, there = np.zeros((count, 3)), np.full(count, TOLERANCE[0]), np.zeros(count)
         pattern, skin = np.zeros(count, bool), np.full((count, 3), np.nan)
         if self.skin is not None:
             skin[(region == _TRUNK) & (where[:, 1] > self.armpit)] = self.skin
@@ -175,15 +131,13 @@ class Cloth:
                 continue
             along = (
                 np.abs(where[mine, rows.axis]) - rows.first if rows.axis == 0 else where[mine, 1] - rows.first
-            ) / _STEP
+            ) / STEP
             at = along.clip(0, len(rows.colour) - 1)
             low = np.floor(at).astype(np.intp)
             high = np.minimum(low + 1, len(rows.colour) - 1)
             part = at - low
             outside = np.abs(where[mine, 0]) > rows.edge[low]
-            mixed = [
-                rows_of[low] + part[:, None] * (rows_of[high] - rows_of[low]) for rows_of in (rows.colour, rows.outer)
-            ]
+            mixed = [each[low] + part[:, None] * (each[high] - each[low]) for each in (rows.colour, rows.outer)]
             colour[mine] = np.where(outside[:, None], mixed[1], mixed[0]) ** 2
             tolerance[mine] = rows.tolerance[low]
             pattern[mine] = rows.pattern[low] & ~outside
@@ -205,12 +159,13 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     beside = (share > _SIDES[0]) & (share < _SIDES[1])
     trust = trust * np.where((mine == _TRUNK) & ~beside, _MIDDLE, 1.0)
     pixels = shot.project(part.at(shot.view.vertices))
-    trust = trust * np.where(shot.shallow(pixels, shot.layers_at(part)) < _SHALLOW, _MIDDLE, 1.0)
+    deep = shot.shallow(pixels, shot.layers_at(part)) >= _SHALLOW
+    trust = trust * np.where(deep, 1.0, _MIDDLE)
     face = (face_of(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
-    skin = _bright(look[face]) if face.sum() > 2 * _FEWEST else None
+    skin = _bright(look[face]) if face.sum() > 2 * FEWEST else None
     shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
     armpit = float(shoulder.mean()) - _ARMPIT
-    rows: list[_Rows | None] = []
+    rows: list[Rows | None] = []
     for number, (_, axis, other) in enumerate(_REGIONS):
         own = region == number
         along = np.abs(rest[own, 0]) if axis == 0 else rest[own, 1]
@@ -220,13 +175,13 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
         reach = np.inf if number in _HANDS else _REACH
         if number in _HANDS and skin is not None:
             bare = np.linalg.norm(look[taken] - skin, axis=1) < _LIKE_SKIN
-            if weight[taken][bare].sum() > max(_COVERED * weight[taken].sum(), _FEWEST):
+            if weight[taken][bare].sum() > max(_COVERED * weight[taken].sum(), FEWEST):
                 at, taken = at[bare], taken[bare]  # and cuffs are not the hand
-        these = _rows(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach)
-        these = None if these is None else _steady(these)
+        these = rows_of(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach)
+        these = None if these is None else steady(these)
         if these is not None and number in _CLOTHED:
             below = (number != _TRUNK) | (at < armpit)  # what is above is cloth and skin
-            row = ((at - these.first) / _STEP).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
+            row = ((at - these.first) / STEP).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
             across = (
                 where[taken, 1] if axis == 0 else where[taken, 0] * (1 if other is None else np.sign(where[taken, 0]))
             )
@@ -251,7 +206,15 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
         sleeve, trunk = rows[number], rows[_TRUNK]
         if sleeve is not None and trunk is not None and skin is not None:
             rows[number] = _sleeved(sleeve, trunk, skin, armpit)
-    return Cloth(rest, region, tuple(rows), skin, armpit)
+    palettes = [_palette(row, look[deep & (mine == number)]) for number, row in enumerate(rows)]
+    return Cloth(rest, region, tuple(rows), tuple(palettes), skin, armpit)
+
+
+def _palette(rows: Rows | None, look: F64) -> cKDTree | None:
+    """The colours [K, 3] of a region, where that has a pattern."""
+    if rows is None or not rows.pattern.any() or len(look) < FEWEST:
+        return None
+    return cKDTree(look[:: max(1, len(look) // _COLOURS)])
 
 
 def _regions(body: Body) -> Ints:
@@ -262,65 +225,17 @@ def _regions(body: Body) -> Ints:
     return np.where(body.skin, of_joint[body.part], -1)
 
 
-def _rows(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float) -> _Rows | None:
-    """The rows between two ``ends`` in metres of samples ``at`` [K]; None where none has enough of them."""
-    count = max(2, int(np.ceil((ends[1] - ends[0]) / _STEP)) + 1)
-    order = np.argsort(at, kind="stable")
-    at, look, weight = at[order], look[order], weight[order]
-    colour, tolerance, known = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool)
-    for row in range(count):
-        middle = ends[0] + row * _STEP
-        some = slice(*np.searchsorted(at, (middle - reach, middle + reach)))
-        if weight[some].sum() < _FEWEST:
-            continue
-        colour[row], spread = _most(look[some], weight[some])
-        tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
-        known[row] = True
-        if not np.isfinite(reach):
-            colour[:], tolerance[:], known[:] = colour[row], tolerance[row], True
-            break
-    if not known.any():
-        return None
-    rows = np.arange(count)
-    colour = np.stack([np.interp(rows, rows[known], colour[known, k]) for k in range(3)], axis=1)
-    tolerance = np.interp(rows, rows[known], tolerance[known])
-    return _Rows(axis, ends[0], colour, tolerance, colour, np.full(count, np.inf), np.zeros(count, bool))
-
-
-def _most(look: F64, weight: F64) -> tuple[F64, float]:
-    """[3] the colour that most of the samples have, and how far half of them lie from it."""
-    mode = np.median(look[weight >= np.median(weight)], axis=0)
-    for _ in range(_SHIFTS):
-        near = weight * np.exp(-0.5 * ((look - mode) ** 2).sum(axis=1) / _KERNEL**2)
-        mode = (near[:, None] * look).sum(axis=0) / max(float(near.sum()), 1e-12)
-    away = np.linalg.norm(look - mode, axis=1)
-    order = np.argsort(away, kind="stable")
-    total = np.cumsum(weight[order])
-    return mode, float(away[order[np.searchsorted(total, 0.5 * total[-1])]])
-
-
-def _steady(rows: _Rows) -> _Rows:
-    """Without rows of several colours between two that agree, such as where a hem hangs aslant."""
-    count, colour = len(rows.colour), rows.colour.copy()
-    number = np.arange(count)
-    before, after = rows.colour[(number - _APART).clip(0)], rows.colour[(number + _APART).clip(None, count - 1)]
-    odd = (rows.tolerance > _MOTLEY) & (np.linalg.norm(before - after, axis=1) < _ALIKE)
-    odd &= np.linalg.norm(rows.colour - before, axis=1) > _ALIKE
-    colour[odd] = (before[odd] + after[odd]) / 2
-    return replace(rows, colour=colour, outer=colour)
-
-
-def _sleeved(rows: _Rows, trunk: _Rows, skin: F64, armpit: float) -> _Rows:
+def _sleeved(rows: Rows, trunk: Rows, skin: F64, armpit: float) -> Rows:
     """An arm's, with the pattern of the shirt as far down as it is not bare."""
     middle = trunk.places
     chest = trunk.pattern[(middle > armpit - _BELOW) & (middle < armpit)]
     if not len(chest) or chest.mean() < 0.5:
         return rows
-    bare = np.linalg.norm(rows.colour - skin, axis=1) < _ALIKE
+    bare = np.linalg.norm(rows.colour - skin, axis=1) < ALIKE
     return replace(rows, pattern=rows.pattern | ~np.logical_or.accumulate(bare))
 
 
-def _shaved(rows: _Rows, skin: F64) -> _Rows:
+def _shaved(rows: Rows, skin: F64) -> Rows:
     """A neck's, whose skin goes on up to the hair behind where a beard or the chin's shadow is before."""
     colour, tolerance = rows.colour.copy(), rows.tolerance.copy()
     first = int(np.linalg.norm(colour - skin, axis=1).argmin())
@@ -335,7 +250,7 @@ def _bright(look: F64) -> F64:
     return np.asarray(np.median(look[(light >= low) & (light <= high)], axis=0))
 
 
-def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: float) -> _Rows:
+def _covered(rows: Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: float) -> Rows:
     """With cloth above the armpits: a back is covered as far up and aside as the front's straps or shoulders are."""
     middle = rows.places
     below = (middle > armpit - _BELOW) & (middle < armpit)
@@ -347,25 +262,25 @@ def _covered(rows: _Rows, where: F64, look: F64, trust: F64, skin: F64, armpit: 
     tolerance, pattern, last = rows.tolerance.copy(), rows.pattern.copy(), -1
     for row in np.flatnonzero(middle >= armpit):
         beneath = colour[row - 1] if row else upper  # a shirt may have another colour about the shoulders
-        worn = [one for one in (upper, beneath) if np.linalg.norm(one - skin) > _ALIKE]
+        worn = [one for one in (upper, beneath) if np.linalg.norm(one - skin) > ALIKE]
         if not worn:
             continue
         away = np.min([np.linalg.norm(look - one, axis=1) for one in worn], axis=0)
-        cloth, naked = away < np.minimum(from_skin / 2, 2 * _ALIKE), from_skin < np.minimum(away, 2 * _ALIKE)
+        cloth, naked = away < np.minimum(from_skin / 2, 2 * ALIKE), from_skin < np.minimum(away, 2 * ALIKE)
         mine = np.abs(where[:, 1] - middle[row]) < _REACH
         strap = mine & cloth
-        if trust[strap].sum() < max(_COVERED * trust[mine].sum(), _FEWEST / 3):
+        if trust[strap].sum() < max(_COVERED * trust[mine].sum(), FEWEST / 3):
             continue
         last = int(row)
-        colour[row], spread = _most(look[strap], trust[strap])
-        tolerance[row] = np.clip(_TOLERANCE[1] * spread, _TOLERANCE[0], _TOLERANCE[2])
+        colour[row], spread = most_of(look[strap], trust[strap])
+        tolerance[row] = np.clip(TOLERANCE[1] * spread, TOLERANCE[0], TOLERANCE[2])
         edge[row] = np.quantile(np.abs(where[strap, 0]), 0.95)
         beyond = mine & (np.abs(where[:, 0]) > edge[row])
         bare = beyond & naked
         if rows.pattern[row]:
-            bare &= from_skin < _BARE  # a pattern may be nearly as dark as skin
-        if trust[bare].sum() > max(_FEWEST / 3, trust[beyond].sum() / 2):
-            outer[row] = _most(look[bare], trust[bare])[0]
+            bare &= from_skin < BARE  # a pattern may be nearly as dark as skin
+        if trust[bare].sum() > max(FEWEST / 3, trust[beyond].sum() / 2):
+            outer[row] = most_of(look[bare], trust[bare])[0]
         elif np.isfinite(edge[:row]).any():
             outer[row] = outer[row - 1]
         else:

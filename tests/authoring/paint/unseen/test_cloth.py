@@ -7,13 +7,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from glsplat.authoring.paint.layers.segments import trunk_of
 from glsplat.authoring.paint.paint import Painter, painter_of
 from glsplat.authoring.paint.scatter import even_points
 from glsplat.authoring.paint.shot import FittedPicture, SurfacePoints
-from glsplat.authoring.paint.unseen.cloth import Ground
-from glsplat.meshes import vertex_normals
+from glsplat.authoring.paint.twins import Front
+from glsplat.authoring.paint.unseen.ground import Ground
+from glsplat.authoring.paint.unseen.sleeves import cut_sleeves
+from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.pictures import to_linear
+from glsplat.skinning.smplx import JOINT_NAMES
 from tests.authoring.paint import scene as made_up
 from tests.authoring.paint.scene import Scene, albedo, photographed
 
@@ -154,3 +159,72 @@ def test_a_striped_shirt_is_striped_behind(monkeypatch: pytest.MonkeyPatch) -> N
         for side in (facing > 0.6, facing < -0.6)
     ]
     assert shares[0] > 0.15 and shares[1] > 0.6 * shares[0], shares
+
+
+def thin_stripes(mesh: RiggedMesh) -> np.ndarray:
+    """[V, 3] as ``albedo``, with stripes down the chest and along the sleeves."""
+    colours, where = albedo(mesh), mesh.vertices
+    share = where[:, 1] / where[:, 1].max()
+    aside, top = np.abs(where[:, 0]), where[:, 1].max()
+    chest = (share > 0.52) & (share < 0.84) & (aside < 0.2)
+    colours[chest & (aside % 0.05 < 0.02)] = 0.7
+    sleeve = (share > 0.7) & (aside >= 0.2) & (aside < 0.6)
+    colours[sleeve] = colours[(share > 0.6) & (share < 0.7)][0]
+    colours[sleeve & (where[:, 1] % (0.03 * top) < 0.012 * top)] = 0.7
+    return colours
+
+
+def test_stripes_are_as_wide_and_as_straight_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(made_up, "albedo", thin_stripes)
+    scene = photographed.__wrapped__("front")
+    twins = painter_of(scene.body, scene.shots, places(scene)[0]).twins
+    where, trunk = scene.mesh.vertices, trunk_of(scene.body)
+    share = where[:, 1] / where[:, 1].max()
+    left = np.flatnonzero(trunk & (share > 0.6) & (share < 0.72) & (where[:, 0] > 0.01) & (where[:, 0] < 0.09))
+    there = twins.straight[0].at(where)[left, 0]
+    slope, start = np.polyfit(where[left, 0], there, 1)
+    assert slope > 0.8 and start > 0.01  # a little wider, beside the buttons
+    assert np.abs(there - slope * where[left, 0] - start).max() < 0.006  # the same at every height
+    usual = twins.points[0].at(where)[left, 0]
+    assert np.polyfit(where[left, 0], usual, 1)[0] < 0.75
+
+
+def test_the_room_is_no_part_of_a_pattern() -> None:
+    scene = photographed("front")
+    points, _, facing = places(scene)
+    shot, shade = scene.shots[0], np.ones(len(points.corners))
+    painter = painter_of(scene.body, scene.shots, points)
+    cloth = painter.cloth
+    legs = np.isin(cloth.region[points.corners[:, 0]], (1, 2))
+    stripes = replace(cloth.rows[1], pattern=np.ones(len(cloth.rows[1].pattern), bool))
+    seen = np.sqrt([[0.05, 0.08, 0.25], [0.6, 0.6, 0.2]])
+    rows = tuple(stripes if number in (1, 2) else row for number, row in enumerate(cloth.rows))
+    cloth = replace(
+        cloth, rows=rows, palettes=tuple(cKDTree(seen) if number in (1, 2) else None for number in range(10))
+    )
+    ground = cloth.at(points)
+    assert ground.pattern[legs].all()
+    room = shot.room(shot.project(points.at(shot.view.vertices)))
+    rim = legs & (np.abs(facing) < 0.3)
+    assert rim.sum() > 200
+    assert (cloth.strange(shot, points, room, shade, ground)[rim] > 0.9).mean() > 0.8
+    yellow = np.tile(seen[1] ** 2, (len(shade), 1))
+    assert cloth.strange(shot, points, yellow, shade, ground)[legs].max() == 0
+
+
+def test_sleeves_are_cut_from_the_trunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = photographed("front")
+    span, where = (0.95, 1.25), scene.mesh.vertices
+    there = cut_sleeves(scene.mesh, Front(scene.mesh), span).at(where)
+    arm = np.isin(
+        scene.body.part,
+        [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for name in ("shoulder", "elbow")],
+    )
+    aside = np.abs(there[arm])
+    assert (aside[:, 0] > 0.02).all() and (aside[:, 0] < 0.12).all()
+    assert (aside[:, 1] > span[0] - 0.01).all() and (aside[:, 1] < span[1] + 0.01).all()
+    assert (np.sign(there[arm, 0]) == np.sign(where[arm, 0])).all()
+    # along the arm it goes down, as far as the cloth reaches
+    shoulder = scene.mesh.skeleton.joints[JOINT_NAMES.index("left_shoulder"), 0]
+    first = arm & (where[:, 0] > shoulder + 0.02) & (where[:, 0] < shoulder + 0.25)
+    assert np.polyfit(where[first, 0], there[first, 1], 1)[0] == pytest.approx(-1.0, abs=0.05)

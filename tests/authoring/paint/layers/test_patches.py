@@ -1,0 +1,70 @@
+"""A pattern goes on behind what hides it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from glsplat.authoring.paint.layers.fill import continued
+from glsplat.authoring.paint.layers.patches import patched, woven
+
+HEIGHT = 360.0
+
+
+def cloth(kind: str) -> np.ndarray:
+    """[260, 160, 3] linear: stripes down, aslant, or checks, with a little noise."""
+    rng = np.random.default_rng(7)
+    y, x = np.mgrid[:260, :160].astype(float)
+    waves = {
+        "stripes": np.sin(2 * np.pi * x / 11),
+        "aslant": np.sin(2 * np.pi * (x + 0.3 * y) / 13),
+        "checks": np.maximum(np.sin(2 * np.pi * x / 19), np.sin(2 * np.pi * y / 17)),
+    }[kind]
+    light = 0.25 + 0.2 * np.tanh(3 * waves) + rng.normal(0, 0.01, waves.shape)
+    return (light[..., None] * (1.0, 0.6, 0.4)).clip(0, 1).astype(np.float32)
+
+
+def arm() -> np.ndarray:
+    """[260, 160] a forearm across it."""
+    return cv2.line(np.zeros((260, 160), np.uint8), (20, 120), (140, 140), 1, 30) > 0
+
+
+@pytest.mark.parametrize("kind", ["stripes", "aslant", "checks"])
+def test_a_pattern_goes_on_behind_an_arm(kind: str) -> None:
+    true, hole = cloth(kind), arm()
+    begun = continued(np.where(hole[..., None], np.float32(0), true), ~hole, hole, HEIGHT)
+    filled = patched(begun, ~hole, hole, HEIGHT)
+    assert np.array_equal(filled[~hole], true[~hole])
+    smooth, sewn = (np.abs(picture - true)[hole].mean() for picture in (begun, filled))
+    assert sewn < 0.6 * smooth, (sewn, smooth)
+    assert filled[hole].std() > 0.8 * true[hole].std()
+    assert np.array_equal(filled, patched(begun, ~hole, hole, HEIGHT))
+
+
+def test_a_person_twice_as_large_is_filled_as_well() -> None:
+    true, hole = (cv2.resize(some, None, fx=2, fy=2) for some in (cloth("stripes"), arm().astype(np.uint8)))
+    hole = hole > 0
+    begun = continued(np.where(hole[..., None], np.float32(0), true), ~hole, hole, 2 * HEIGHT)
+    filled = patched(begun, ~hole, hole, 2 * HEIGHT)
+    assert np.abs(filled - true)[hole].mean() < 0.6 * np.abs(begun - true)[hole].mean()
+
+
+def test_where_nothing_is_known_nothing_changes() -> None:
+    true, hole = cloth("checks"), arm()
+    assert patched(true, np.zeros_like(hole), hole, HEIGHT) is true
+    assert patched(true, ~hole, np.zeros_like(hole), HEIGHT) is true
+
+
+def test_only_what_the_body_has_behind_an_arm_is_carried_on() -> None:
+    """The trunk ends beside the arm's tip; a thing over it hides it as an arm does, a thin rim of nobody's does not."""
+    true, hole = cloth("stripes"), arm()
+    there = np.zeros_like(hole)
+    there[:, 30:130] = True
+    label = np.where(hole, 1, 0)
+    label[200:230, 60:90], label[:, 128:131] = -1, -1
+    spoilt = np.where((label != 0)[..., None], np.float32(0.9), true)
+    out = woven(spoilt, label == 0, there, label, 0)
+    changed = (out != spoilt).any(axis=2)
+    assert changed[hole & there].all() and not changed[~there].any()
+    assert changed[205:225, 65:85].all() and not changed[20:90, 128:131].any()
