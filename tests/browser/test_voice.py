@@ -55,6 +55,31 @@ def test_the_page_hears_what_python_hears(chromium: Any, rate: int, piece: int) 
     assert np.abs(np.array(found) - np.array(wanted)).max() < 1e-9
 
 
+HURRY = """
+import { Hurry } from '/vr/voice/hurry.js';
+window.sides = (side, steps) => {
+  const hurry = new Hurry();
+  return steps.map(([speaks, render, now]) => hurry.side(side, speaks, { render, encode: 10 }, now));
+};
+"""
+
+
+def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_after(chromium: Any) -> None:
+    quick, slow = 40, 90  # of a picture, ms; 15 pictures a second leave 67
+    with flat_page(chromium, HURRY) as page:
+        page.wait_for_function("window.sides !== undefined")
+
+        def sides(side: int, *steps: tuple[bool, float, float]) -> list[int]:
+            found: list[int] = page.evaluate("([side, steps]) => sides(side, steps)", [side, [list(s) for s in steps]])
+            return found
+
+        assert sides(512, (False, slow, 0), (False, slow, 9000)) == [512, 512]  # nobody speaks
+        assert sides(512, (True, quick, 0), (True, quick, 900)) == [512, 512]  # nobody waits
+        some = [(True, slow, 0.0), (True, slow, 100.0), (True, slow, 500.0), (True, slow, 1000.0), (True, quick, 1500.0)]
+        assert sides(512, *some) == [384, 384, 288, 288, 288]  # no smaller than 256
+        assert sides(512, *some, (False, quick, 6000), (False, quick, 7000))[-2:] == [288, 512]
+
+
 @pytest.fixture(scope="module")
 def listening(play: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A browser whose microphone plays two seconds of vowels, then two of silence, again and again."""

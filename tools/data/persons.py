@@ -21,7 +21,7 @@ from glsplat.authoring.cones import with_cones
 from glsplat.authoring.detail.make import with_levels
 from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
 from glsplat.authoring.faces.open_face import matched, with_expressions, with_mouth
-from glsplat.authoring.faces.trimmings import with_lashes, with_strands
+from glsplat.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
 from glsplat.authoring.light.surfaces import with_surface
 from glsplat.authoring.optimize.mesh import fitted_to_mesh
 from glsplat.authoring.surface import make_avatar
@@ -31,18 +31,20 @@ from glsplat.formats.gltf.morphs import SHORT
 from glsplat.formats.person import read_person
 from glsplat.formats.registry import save
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.splats import normalised
-from tools.data.touched import calmer, darker_palms, plain_sleeves, without_dots
+from tools.data.brows import raised_brows
+from tools.data.touched import calmer, darker_palms, fair_ends, plain_sleeves, toned, without_dots
 
 Touch = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 SAMPLER = SamplerConfig(hand_share=0.097, head_share=0.32, face_boost=3.5, eye_boost=12.0, probe=400)
 """Faces are what one looks at: a third of the splats instead of a fifth."""
 AT_REST = {"mouthClose": 0.035}
 """What closes lips that MakeHuman leaves a little open."""
-LASHES, STRANDS = 342, 2_000
-"""Splats of those, of the 40,000; strands take what lashes leave."""
+LASHES, BROWS, STRANDS = 342, 360, 2_000
+"""Splats of those, of the 40,000; strands take what the others leave."""
 _BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
@@ -56,6 +58,14 @@ class Recipe:
     source: str  # official MakeHuman names
     touches: tuple[tuple[str, Touch], ...] = ()  # end of a part's name, and what is done to its texture
     left_out: tuple[str, ...] = ("eyelashes",)  # parts by the end of their names; lashes are splats of their own
+    rest: tuple[tuple[str, float], ...] = ()  # the face at rest, both sides by a name that has sides
+    brows: tuple[float, float] = (0.0, 0.0)  # metres by which their inner and outer ends are raised
+    lashes: float = 1.0  # how long
+
+    def resting(self) -> dict[str, float]:
+        """The expression that is baked into the mesh: MakeHuman's faces look stern."""
+        sides = {name + side: weight for name, weight in self.rest for side in ("", "Left", "Right")}
+        return AT_REST | {name: weight for name, weight in sides.items() if name in ARKIT}
 
     def touched(self, part: MeshPart) -> MeshPart:
         """The part with what is done to its texture."""
@@ -70,20 +80,28 @@ PEOPLE = {
         iris="brown",
         source="hm08 body, male_casualsuit02, shoes01, short01, eyebrow001, young_darkskinned_male",
         touches=(("body", darker_palms), ("male_casualsuit02", plain_sleeves)),
+        rest=(("mouthSmile", 0.42), ("browInnerUp", 0.4), ("cheekSquint", 0.15)),
+        brows=(0.0025, 0.001),
+        lashes=0.75,
     ),
     "anna": Recipe(
         archive="p13.npz",
         iris="blue",
         source="hm08 body, female_casualsuit01, male_casualsuit04, shoes05, long01, eyebrow002, "
         "young_lightskinned_female_diffuse",
-        touches=(("top", without_dots),),
+        touches=(("top", without_dots), ("hair", fair_ends), ("eyebrows", toned((134, 106, 72), 0.8))),
+        rest=(("mouthSmile", 0.25), ("browInnerUp", 0.5), ("cheekSquint", 0.1)),
+        brows=(0.0055, 0.0),
+        lashes=0.9,
     ),
     "mei": Recipe(
         archive="p15.npz",
         iris="brown",
         source="hm08 body, female_casualsuit01, male_casualsuit02, shoes01, short02, eyebrow006, "
         "old_lightskinned_female_diffuse2",
-        touches=(("top", calmer),),
+        touches=(("top", calmer), ("eyebrows", toned((128, 120, 112), 1.3))),
+        rest=(("mouthSmile", 0.25), ("browInnerUp", 0.2), ("cheekSquint", 0.1)),
+        lashes=0.55,
     ),
 }
 
@@ -95,8 +113,9 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> RiggedMesh:
     same, count = matched(mesh), len(mesh.vertices)
     moving = with_expressions(mesh, same)
     assert moving.morphs is not None
-    still = Pose(np.zeros((len(mesh.skeleton), 3)), expression=AT_REST)
+    still = Pose(np.zeros((len(mesh.skeleton), 3)), expression=recipe.resting())
     mesh = replace(mesh, vertices=mesh.vertices + moving.morphs.moved(still, count))
+    mesh = raised_brows(mesh, _part(mesh, "eyebrow"), *recipe.brows)
     eyes = next(part.name for part in mesh.parts if "eyes" in part.name.split("/"))
     mesh = with_eyeballs(mesh, eyes, recipe.iris)
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
@@ -144,13 +163,18 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
     return replace(avatar, splats=splats, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
 
 
-def made(mesh: RiggedMesh, splats: int, steps: int, show: Callable[[str, float], None]) -> Avatar:
+def made(mesh: RiggedMesh, splats: int, steps: int, lashes: float, show: Callable[[str, float], None]) -> Avatar:
     """``splats`` splats fitted to the furnished person, with lashes, and strands on its hair."""
     balls = eyeballs(mesh, *EYES)
-    hair = next((part.name for part in mesh.parts if "hair" in part.name.split("/")), "")
-    avatar = make_avatar(mesh, splats - (STRANDS if hair else 0) - LASHES, config=SAMPLER, progress=show)
-    avatar = with_lashes(fitted_to_mesh(avatar, mesh, steps=steps, progress=show), mesh, balls)
+    hair, brows = (_part(mesh, name).name for name in ("hair", "eyebrow"))
+    avatar = make_avatar(mesh, splats - STRANDS - BROWS - LASHES, config=SAMPLER, progress=show)
+    avatar = with_lashes(fitted_to_mesh(avatar, mesh, steps=steps, progress=show), mesh, balls, length=lashes)
+    avatar = with_brow_hairs(avatar, mesh, brows, BROWS)
     return with_strands(avatar, mesh, hair, splats - len(avatar.splats))
+
+
+def _part(mesh: RiggedMesh, word: str) -> MeshPart:
+    return next(part for part in mesh.parts if any(one.startswith(word) for one in part.name.split("/")))
 
 
 def main() -> None:
@@ -160,13 +184,13 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--splats", type=int, default=40_000)
     parser.add_argument("--steps", type=int, default=600)
-    parser.add_argument("--levels", type=int, nargs="*", default=[14_000, 4_500])
-    parser.add_argument("--level-steps", type=int, default=250)
+    parser.add_argument("--levels", type=int, nargs="*", default=[14_000, 7_000, 4_500])
+    parser.add_argument("--level-steps", type=int, default=150)
     options = parser.parse_args()
     recipe = PEOPLE[options.name]
     mesh = furnished(read_person(options.person), recipe)
     with progress_bar() as show:
-        avatar = made(mesh, options.splats, options.steps, show)
+        avatar = made(mesh, options.splats, options.steps, recipe.lashes, show)
         if options.levels:
             avatar = with_cones(
                 with_levels(avatar, options.levels, steps=options.level_steps, progress=show), progress=show

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import cv2
@@ -54,6 +55,32 @@ def without_dots(texture: U8) -> U8:
     out = texture.copy()
     out[..., :3] = np.rint(_CLOTH * np.clip(1 + shade, 0.6, 1.5)[..., None]).clip(0, 255)
     return out
+
+
+def fair_ends(texture: U8) -> U8:
+    """[H, W, 4] hair that is nowhere darker than three quarters of its own colour: dark ends look like a rim."""
+    colour = texture[..., :3].astype(np.float64)
+    light = colour.mean(axis=2)
+    shown = texture[..., 3] > 128
+    usual = float(np.quantile(light[shown], 0.75))
+    own = np.median(colour[shown & (np.abs(light - usual) < 0.1 * usual)], axis=0)
+    fair = own * (0.72 + 0.28 * light / usual)[..., None]
+    dark = np.clip((0.85 - light / usual) / 0.25, 0, 1)[..., None]
+    out = texture.copy()
+    out[..., :3] = np.rint(colour * (1 - dark) + fair * dark).clip(0, 255)
+    return out
+
+
+def toned(colour: tuple[int, int, int], solid: float) -> Callable[[U8], U8]:
+    """A touch that gives brows one sRGB colour, and that share of their alpha."""
+
+    def touch(texture: U8) -> U8:
+        out = texture.copy()
+        out[..., :3] = colour
+        out[..., 3] = np.rint(texture[..., 3] * solid)
+        return out
+
+    return touch
 
 
 def calmer(texture: U8) -> U8:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from glsplat.authoring.faces.eyeballs import Eyeball
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.avatar import Avatar
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.rotations import matrix_quaternions
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["lid_edges", "with_lashes", "with_strands"]
+__all__ = ["lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -33,6 +33,8 @@ _DARK = np.array([22, 15, 12]) / 255
 _SHADE = np.array([46, 28, 22]) / 255
 _GLINT = np.radians((10.0, 13.0))  # to the person's left and up: where a window would be mirrored
 _STRAND = (0.0075, 0.00050, 0.00018)  # metres, standard deviations
+_BROW_HAIR, _BROWS = (0.0014, 0.00011, 0.00008), 0.35  # metres; alpha from which a texel has hair
+_TRIES = 20
 
 
 class LidEdges(NamedTuple):
@@ -98,6 +100,7 @@ def with_lashes(
     seed: int = 0,
     *,
     strength: float = 1.0,  # of lashes and shadows
+    length: float = 1.0,  # of lashes
     light: bool = True,  # in the eyes; photographs have their own
 ) -> Avatar:
     """The avatar, made of ``mesh``, with lashes on its lids, shadows under the upper ones and a light in its eyes.
@@ -106,25 +109,29 @@ def with_lashes(
     the lids close. Levels are left out.
     """
     rng = np.random.default_rng((seed, 7))
-    parts, glints, lit = [], [], []
+    parts, veils, glints, lit = [], [], [], []
     for ball in balls:
         edges = lid_edges(mesh, ball)
         if len(edges.side) < 8:
             continue
-        parts += [_fringe(ball, edges, True, rng), _fringe(ball, edges, False, rng), _shadow(ball, edges)]
+        parts += [_fringe(ball, edges, up, rng, length) for up in (True, False)]
+        veils.append(_shadow(ball, edges))
         if light:
             glints.append(_glint(ball, edges))
             lit.append(ball.joint)
     if not parts:
         return avatar
-    many = [*parts, *glints]
+    many = [*parts, *veils, *glints]
     extra = _Extra(*(np.concatenate([getattr(one, key) for one in many]) for key in _Extra._fields))
     extra = extra._replace(opacities=extra.opacities * strength)
-    still = len(extra.means) - len(glints)
     made = _added(avatar, mesh, extra)
-    if not glints or made.shapes is None:
+    if made.shapes is None:
         return made
-    return replace(made, shapes=_going_out(made.shapes, len(avatar.splats) + still, lit))
+    first = len(made.splats) - len(glints)
+    veiled = first - sum(len(one.means) for one in veils)
+    bends = np.where((made.shapes.rows >= veiled)[:, None, None], 0, made.shapes.bends)  # lids stretch sixfold
+    made = replace(made, shapes=replace(made.shapes, bends=bends))
+    return replace(made, shapes=_going_out(made.shapes, first, lit)) if glints else made
 
 
 def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
@@ -133,41 +140,78 @@ def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: 
     Textures of hair run along it, so that the flow is the direction in which v changes. Levels are left out.
     """
     rng = np.random.default_rng((seed, 8))
-    first = 0
-    found: tuple[MeshPart, int] | None = None
-    for one in mesh.parts:
-        if one.name == part:
-            found = one, first
-        first += len(one.faces)
-    if found is None or not count:
+    found = _strewn(mesh, part, count, rng, 0.8)
+    if found is None:
         return avatar
-    hair, begin = found
+    size = np.array(_STRAND) * rng.uniform(0.6, 1.3, (len(found.rgb), 1))
+    tone = found.rgb * rng.uniform(0.65, 1.45, (len(found.rgb), 1)) + rng.uniform(0, 0.03, (len(found.rgb), 1))
+    return _added(avatar, mesh, found.laid(found.along, size, tone, 0.8))
+
+
+def with_brow_hairs(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
+    """The avatar with ``count`` hairs on its brows ``part``: upright at the nose, lying along the brow at the temple.
+
+    Levels are left out.
+    """
+    rng = np.random.default_rng((seed, 9))
+    found = _strewn(mesh, part, count, rng, _BROWS)
+    if found is None:
+        return avatar
+    aside = np.abs(found.means[:, 0])
+    share = ((aside - aside.min()) / max(float(np.ptp(aside)), 1e-9))[:, None] + rng.normal(0, 0.12, (count, 1))
+    way = np.concatenate([np.sign(found.means[:, :1]) * (0.25 + 0.75 * share), 1.0 - 1.25 * share, 0 * share], axis=1)
+    way -= np.einsum("nc,nc->n", way, found.facing)[:, None] * found.facing
+    size = np.array(_BROW_HAIR) * rng.uniform(0.7, 1.2, (count, 1))
+    return _added(avatar, mesh, found.laid(way, size, found.rgb * rng.uniform(0.7, 1.2, (count, 1)), 0.75))
+
+
+class _Strewn(NamedTuple):
+    """Points on a part of the mesh."""
+
+    means: F64
+    facing: F64  # unit normals, outwards
+    along: F64  # of the hair, as the texture has it
+    rgb: F64
+    faces: Indices
+
+    def laid(self, ways: F64, scales: F64, rgb: F64, opacity: float) -> _Extra:
+        """A splat a point, along ``ways``, just above the surface."""
+        axes, opacities = _frames(ways, self.facing), np.full(len(self.means), opacity)
+        return _Extra(self.means + self.facing * 0.0008, axes, scales, opacities, np.clip(rgb, 0, 1), self.faces)
+
+
+def _strewn(mesh: RiggedMesh, part: str, count: int, rng: np.random.Generator, solid: float) -> _Strewn | None:
+    """``count`` points where the texture of a ``part`` is as ``solid`` as that, even over its area; None without it."""
+    begin = 0
+    for hair in mesh.parts:
+        if hair.name == part:
+            break
+        begin += len(hair.faces)
+    else:
+        return None
     corners = mesh.vertices[hair.faces]
     along, normal, area = _flow(corners, hair.uv)
-    which = rng.choice(len(area), 4 * count, p=area / area.sum())
-    edge, other = np.sqrt(rng.random(4 * count)), rng.random(4 * count)
-    bary = np.stack([1 - edge, edge * (1 - other), edge * other], axis=1)
-    rgba = hair.sample(np.einsum("nk,nkc->nc", bary, hair.uv[which]))
-    chosen = np.flatnonzero(rgba[:, 3] > 0.8)[:count]
-    which, bary, rgb = which[chosen], bary[chosen], rgba[chosen, :3]
+    chosen: tuple[list[Indices], list[F64], list[F64]] = [], [], []
+    for _ in range(_TRIES):
+        which = rng.choice(len(area), 4 * count, p=area / area.sum())
+        edge, other = np.sqrt(rng.random(4 * count)), rng.random(4 * count)
+        bary = np.stack([1 - edge, edge * (1 - other), edge * other], axis=1)
+        rgba = hair.sample(np.einsum("nk,nkc->nc", bary, hair.uv[which]))
+        good = rgba[:, 3] > solid
+        for many, one in zip(chosen, (which[good], bary[good], rgba[good, :3]), strict=True):
+            many.append(one)
+        if sum(map(len, chosen[0])) >= count:
+            break
+    which, bary, rgb = (np.concatenate(many)[:count] for many in chosen)
+    if len(which) < max(count, 1):
+        return None
     means = np.einsum("nk,nkc->nc", bary, corners[which])
     outward = np.einsum("ni,ni->n", normal[which], means - corners.mean(axis=(0, 1)))
     facing = normal[which] * np.where(outward < 0, -1, 1)[:, None]
-    axes = _frames(along[which], facing)
-    size = np.array(_STRAND) * rng.uniform(0.6, 1.3, (len(which), 1))
-    tone = rgb * rng.uniform(0.65, 1.45, (len(which), 1)) + rng.uniform(0, 0.03, (len(which), 1))
-    extra = _Extra(
-        means + facing * 0.0008,
-        axes,
-        size,
-        np.full(len(which), 0.8),
-        np.clip(tone, 0, 1),
-        (which + begin).astype(np.intp),
-    )
-    return _added(avatar, mesh, extra)
+    return _Strewn(means, facing, along[which], rgb, (which + begin).astype(np.intp))
 
 
-def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator) -> _Extra:
+def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator, long: float) -> _Extra:
     """Two splats a lash: the first half stands off, the second curls up (or down)."""
     count = _LASHES if upper else _LOWER
     at, face = (edges.upper_at, edges.upper_face) if upper else (edges.lower_at, edges.lower_face)
@@ -185,7 +229,7 @@ def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = first + np.array([0, 0.75 * up, 0])
     second /= np.linalg.norm(second, axis=1, keepdims=True)
-    length = (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
+    length = long * (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
     joint = root + 0.5 * length * first
     ways = np.concatenate([first, second])
     means = np.concatenate([root + 0.25 * length * first, joint + 0.25 * length * second])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.light.occlusion import ambient_occlusion
-from glsplat.authoring.light.surfaces import nearest_open, opened
+from glsplat.authoring.light.surfaces import nearest_open, opened, surface_seen
 from glsplat.authoring.paint.light import Light as Lamp
 from glsplat.authoring.paint.light import find_light
 from glsplat.authoring.paint.shot import FittedPicture
@@ -80,10 +80,11 @@ def with_captured_light(
     """
     where = nearest_open(mesh, avatar.splats, captured.occlusion)
     normals = where.directions(vertex_normals(mesh.vertices, mesh.faces))
+    normals, occlusion = surface_seen(avatar, normals, opened(where.at(captured.occlusion)))
     shade = np.repeat(where.at(captured.shade[:, None]), 3, axis=1)
     if photographed is not None:
         shade[photographed:] = 1.0
-    surface = Surface.of(normals, opened(where.at(captured.occlusion)), shade)
+    surface = Surface.of(normals, occlusion, shade)
     meta: dict[str, Any] = dict(avatar.meta) | {"light": captured.light.to_json()}
     return replace(avatar, splats=replace(avatar.splats, surface=surface), meta=meta)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.authoring.light.occlusion import ambient_occlusion
+from glsplat.authoring.optimize.seen import as_seen
 from glsplat.authoring.visibility import probe_poses
 from glsplat.avatar import Avatar
 from glsplat.light.surface import Surface
@@ -24,8 +25,9 @@ F64 = NDArray[np.float64]
 _SPACING = 0.004  # metres between points on triangles, at most so many of each
 _MOST = 64
 _CANDIDATES = 12  # nearest points, of which one is open and faces as the splat does
-_SIDEWAYS, _HIDDEN = 0.004, 0.02  # metres that facing another way is worth, and lying inside (a mouth behind a cheek)
+_SIDEWAYS, _HIDDEN = 0.004, 0.05  # metres that facing another way is worth, and lying inside (a mouth behind a cheek)
 _INSIDE = 0.1  # occlusion of what lies inside
+_OWN = ("teeth", "tongue")  # parts that keep their own surface, wherever they lie
 _DARKEST = 0.25  # occlusion at least: teeth are hidden while the mouth is shut, and not black when it opens
 _AS_MANY = 4  # splats of a finer one that a coarser one's surface is the mean of, at most
 
@@ -68,13 +70,22 @@ def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
     )
     points = np.einsum("nk,nkc->nc", weights, corner[which])
     means = np.nan_to_num(splats.means.astype(np.float64), posinf=0, neginf=0)
-    far, near = cKDTree(points).query(means, min(_CANDIDATES, len(points)))
-    far, near = far.reshape(len(means), -1), near.reshape(len(means), -1)
+    apart = np.repeat([part.name in _OWN for part in mesh.parts], [len(part.faces) for part in mesh.parts])
+    inside = (occlusion[faces].mean(axis=1) < _INSIDE) & ~apart
+    far, near = _nearest(points, np.arange(len(points)), means)
+    outer = np.flatnonzero(~inside[which])
+    if 0 < len(outer) < len(points):  # what lies inside may have none but such about it
+        far, near = (np.concatenate(both, axis=1) for both in zip((far, near), _nearest(points, outer, means), strict=True))
     facing = np.abs(np.einsum("nkc,nc->nk", face_normals[which[near]], thin_axes(splats)))
-    hidden = (occlusion[faces].mean(axis=1) < _INSIDE)[which[near]]
-    cost = far + _SIDEWAYS * (1 - facing) + _HIDDEN * hidden
+    cost = far + _SIDEWAYS * (1 - facing) + _HIDDEN * inside[which[near]]
     chosen = np.take_along_axis(near, cost.argmin(axis=1)[:, None], axis=1)[:, 0]
     return Nearest(faces[which[chosen]].astype(np.intp), _projected(means, corner[which[chosen]]))
+
+
+def _nearest(points: F64, some: NDArray[np.intp], means: F64) -> tuple[F64, NDArray[np.intp]]:
+    """[N, K] how far from the means the nearest of ``some`` points are, and which."""
+    far, near = cKDTree(points[some]).query(means, min(_CANDIDATES, len(some)))
+    return far.reshape(len(means), -1), some[near.reshape(len(means), -1)]
 
 
 def _projected(points: F64, corner: F64) -> F64:
@@ -116,11 +127,18 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
 
     def surfaced(one: Avatar) -> Avatar:
         where = nearest_open(mesh, one.splats, occlusion)
-        surface = Surface.of(where.directions(normals), opened(where.at(occlusion)))
+        surface = Surface.of(*surface_seen(one, where.directions(normals), opened(where.at(occlusion))))
         return replace(one, splats=replace(one.splats, surface=surface))
 
     levels = tuple(replace(level, content=surfaced(level.content)) for level in avatar.levels)
     return replace(surfaced(replace(avatar, levels=())), levels=levels)
+
+
+def surface_seen(avatar: Avatar, normals: F64, occlusion: F64) -> tuple[F64, F64]:
+    """Normals [N, 3] and occlusion [N] that agree where splats lie over each other (optimize/seen.py)."""
+    held = as_seen(avatar, np.concatenate([normals, occlusion[:, None]], axis=1))
+    length = np.linalg.norm(held[:, :3], axis=1, keepdims=True)
+    return np.where(length > 1e-6, held[:, :3] / np.maximum(length, 1e-6), 0), held[:, 3]
 
 
 def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.optimize.rasterizer import Rasterizer
-from glsplat.authoring.posed import drawable, placed, posed_splats
+from glsplat.authoring.posed import PosedSplats, drawable, placed, posed_splats
 from glsplat.authoring.raster import mesh_picture
 from glsplat.authoring.refine import random_pose
 from glsplat.authoring.visibility import EYES, GAZE_LIDS, HEAD
@@ -25,7 +25,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["TargetPicture", "ViewConfig", "pictures_of", "pictures_of_splats"]
+__all__ = ["TargetPicture", "ViewConfig", "looks_at", "pictures_of", "pictures_of_splats"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -56,6 +56,7 @@ _EXPRESSIONS: tuple[dict[str, float], ...] = (  # what a face does, of which the
     {"mouthPucker": 1.0, "browInnerUp": 0.8},
     {"jawOpen": 0.5, "tongueOut": 1.0, "eyeWideLeft": 0.8, "eyeWideRight": 0.8},
 )
+_OPEN = _EXPRESSIONS[0], _EXPRESSIONS[2]  # what shows lids, teeth and a tongue
 _FACE_FROM = ((0, 0), (-35, 5), (35, -5))
 _LIDS, _LIPS = ("eyeBlinkLeft", "eyeBlinkRight"), ("mouthFunnel", "mouthPucker")
 _REGIONS = {"lids": _LIDS, "lips": _LIPS}
@@ -72,6 +73,9 @@ class ViewConfig:
     each: int = 2  # pictures of a pose
     size: int = 768  # pixels a side of a whole body
     close: int = 384  # of a head, a hand or a foot, and of a face with an expression
+
+
+_LOOKS = ViewConfig(body=12, poses=0, size=512, close=256)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -135,6 +139,23 @@ def pictures_of_splats(
     drawing = Rasterizer(len(zero))
     drawn = (_eight_bits(drawing.draw(placed(shown(view.pose)), view.camera, zero.antialias)) for view in views)
     return _taken(views, drawn, progress)
+
+
+def looks_at(avatar: Avatar) -> Iterator[tuple[PosedSplats, list[Camera]]]:
+    """The avatar's splats in the zero pose with cameras about all of it, head, hands and feet; then faces that move."""
+    skin, usable = avatar.skin, drawable(avatar.splats)
+    if not usable.any():
+        return
+    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(axis=1)[:, None], axis=1)[usable, 0]
+    names, means = avatar.skeleton.names, avatar.splats.means[usable].astype(np.float64)
+    views = _views(_Subject(names, means, strongest, lambda pose: means), np.random.default_rng(0), _LOOKS)
+    yield placed(avatar.splats), [view.camera for view in views]
+    head = means[np.array([name.startswith(HEAD) for name in names])[strongest]]
+    if avatar.shapes is None or not len(head):
+        return
+    cameras = [_camera(head, around, up, _LOOKS.close, 1.5) for around, up in _FACE_FROM]
+    for expression in _OPEN:
+        yield placed(posed_splats(avatar, Pose(np.zeros((len(names), 3)), expression=expression))), cameras
 
 
 def _stirred(mesh: RiggedMesh, names: tuple[str, ...]) -> NDArray[np.bool_]:

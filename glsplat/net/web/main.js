@@ -58,6 +58,7 @@ const inWorker = asked.get('decode') !== 'main';
 const stage = new Stage(gl, connection, settings, { inWorker });
 const orbit = new Orbit();
 const voice = addVoice(document.getElementById('controls'));
+stage.speaks = () => Object.keys(voice.weights() ?? {}).length > 0;
 const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),

@@ -9,6 +9,7 @@ import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
+import { Hurry } from '../voice/hurry.js';
 import { Here } from './here.js';
 import { Names } from './names.js';
 import { Painter } from './painter.js';
@@ -22,6 +23,8 @@ export class Stage {
   info = {}; // the JSON of the newest reply
   canHide = false; // whether the avatar has a head that can be left out
   light = null; // the server's, which falls where the page asks for none
+  speaks = () => false; // whether the user's mouth moves
+  #hurry = new Hurry();
   #complaint = { text: '', until: 0 };
   #asked = 0; // when the pair on the screen was asked for
   #seen = true; // whether that pair has been drawn
@@ -168,7 +171,8 @@ export class Stage {
   ask(views, where, drive, { alpha, light = null, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
-    const framed = this.framing.frame(views, where, sample, this.settings.get('size'), age, now);
+    const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now);
+    const framed = this.framing.frame(views, where, sample, side, age, now);
     const request = {
       ...drive,
       t: drive.t ?? now,
