@@ -29,7 +29,7 @@ export class Framing {
 
   /** Learn the box [x0, y0, z0, x1, y1, z1] of the reply to what `frame` returned, in a room where its `people` stand. */
   learn(box, asked, people = []) {
-    this.#people = people.map(({ at }) => at).filter(Array.isArray);
+    this.#people = people.map(({ at }) => at);
     if (Array.isArray(box) && box.length === 6 && box.every(Number.isFinite)) {
       this.#box = box;
       this.#boxHead = asked.head;
