@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.skeleton import Skeleton
@@ -93,7 +94,7 @@ def test_the_first_view_of_a_room_has_everybody_in_it(open_page: OpenPage, serve
 
 
 def test_pictures_of_an_empty_room_are_of_its_people_alone(open_page: OpenPage, serve: Any) -> None:
-    """As many pixels for a smaller part of the view; and who is in it is in it whole, words over heads, too."""
+    """Pixels go to that part of the view; who is in it is in it whole, words over heads, too."""
     drawn: list[RenderJob] = []
     served = serve(Markers(lambda request: drawn.append(request) or {}), config=EMPTY, offered=OFFERED)
     pages = [
@@ -110,12 +111,35 @@ def test_pictures_of_an_empty_room_are_of_its_people_alone(open_page: OpenPage, 
 
     pages[0].meanwhile(lambda: len(met()) > 3)
     (whole,), (cut,) = anns()[0].cameras, met()[-1].cameras
-    assert cut.K[0, 0] / cut.width > 1.1 * whole.K[0, 0] / whole.width or cut.K[1, 1] > 1.1 * whole.K[1, 1]
+
+    def wide(camera: Camera) -> float:  # its field of view, tangents across times up
+        return float(camera.width * camera.height / (camera.K[0, 0] * camera.K[1, 1]))
+
+    assert wide(cut) < 0.9 * wide(whole)
     for x, y, z in ((x, y, z) for x in (-0.5, 0.5) for y in (0, 2.5) for z in (-1.2, 1.2)):
         a, b, away = cut.viewmat[:3, :3] @ (x, y, z) + cut.viewmat[:3, 3]
         column, row = cut.K[0, 0] * a / away + cut.K[0, 2], cut.K[1, 1] * b / away + cut.K[1, 2]
         in_view = 0 < whole.K[1, 1] * b / away + whole.K[1, 2]  # what the canvas has no room for is not asked for
         assert away > 0 and 0 < column < cut.width and (0 < row < cut.height or not in_view)
+
+
+def test_pictures_of_a_room_have_no_more_pixels_than_the_display(modules: Opened) -> None:
+    """Words of so many pixels would be the smaller for it."""
+    asked = """async (viewport) => {
+      const { Framing } = await import('/vr/space/framing.js');
+      const { IDENTITY } = await import('/vr/space/matrix.js');
+      const framing = new Framing();
+      framing.learn(null, { head: null }, [{ at: [0, 0, 0] }, { at: [0.3, 0, 2] }]);
+      const projection = [0.7, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, -1, 0, 0, -0.2, 0];
+      const view = { transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 1, 5, 1], projection, viewport };
+      const where = { shown: IDENTITY, mirror: false, glass: null, whole: true };
+      const { size, cameras: [{ frustum: f }] } = framing.frame([view], where, null, 512, 0.1, 0);
+      return [size[0] * size[1], (f.right - f.left) * (f.up - f.down)];
+    }"""
+    full, _ = modules.js(asked)
+    pixels, seen = modules.js(asked, {"width": 1000, "height": 700})
+    assert 0.9 * 512**2 < full < 1.1 * 512**2 and pixels < 0.6 * full
+    assert pixels == pytest.approx(seen * 1000 * 0.7 / 2 * 700 * 1 / 2, rel=0.1)
 
 
 def shot(page: Opened) -> NDArray[np.int64]:

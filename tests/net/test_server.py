@@ -136,8 +136,8 @@ def test_status_pages(serve, cameras):
 
     out = asyncio.run(main())
     assert [out[path][0] for path in out] == [200, 200, 200, 200, 404]
-    page = re.sub(r"http://127\.0\.0\.1:\d+/vr", "VIEWER", out["/"][1])
-    assert "numpy &lt;fake&gt;" in page and page.count("VIEWER") == 2 and "http://" not in page
+    page = out["/"][1]
+    assert "numpy &lt;fake&gt;" in page and "http://" not in page  # no other device reaches this server
     # nothing from elsewhere, and no script but the file's own
     assert all(address.startswith(("vr/", "/")) for address in re.findall(r'(?:src|href)="([^"]*)"', page))
     assert re.findall(r"<script[^>]*>[^<]*", page) == ['<script type="module" src="vr/status/main.js">']

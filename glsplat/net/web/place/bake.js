@@ -69,7 +69,11 @@ export function* baking(look) {
 export function lightIn(look) {
   const windows = look.windows.map((one) => panes(one, look));
   const suns = look.sun ? discOf(unit(look.sun.towards)) : [];
-  return (point, normal, spots = [point]) => lightAt(point, normal, look, windows, suns, spots);
+  let [where, rays] = [null, []]; // of the sun that come to the point asked for last, often with other normals
+  return (point, normal, spots = [point]) => {
+    if (point !== where) [where, rays] = [point, suns.filter((ray, i) => comesIn(spots[i % spots.length], ray, look))];
+    return lightAt(point, normal, look, windows, rays);
+  };
 }
 
 /** Bytes of the floor's grain, 128 where it changes nothing, and the metres it covers [x, z]; null: there is none. */
@@ -140,8 +144,8 @@ function faces({ walls, half: [w, h, d] }) {
   return [floor, [FACES.ceiling, ceiling], ...sides];
 }
 
-/** Light [3] at a point of a face, the sun's at `spots`. */
-function lightAt(point, normal, look, windows, suns, spots) {
+/** Light [3] at a point of a face, to which `rays` of the sun come. */
+function lightAt(point, normal, look, windows, rays) {
   const out = look.ambient.map((v) => v * corners(point, normal, look));
   const [px, py, pz] = point;
   const [nx, ny, nz] = normal;
@@ -164,7 +168,7 @@ function lightAt(point, normal, look, windows, suns, spots) {
     for (let k = 0; k < 3; k++) out[k] += part * colour[k];
   }
   if (look.sun) {
-    const part = sunlit(spots, normal, look, suns);
+    const part = rays.reduce((sum, ray) => sum + Math.max(0, dot(ray, normal)), 0) / SUNS;
     for (let k = 0; k < 3; k++) out[k] += part * look.sun.colour[k];
   }
   return out;
@@ -192,18 +196,11 @@ function discOf(middle) {
   });
 }
 
-/** The part of the sun that comes in by a window, each of `suns` at one of the `spots`. */
-function sunlit(spots, normal, look, suns) {
-  let seen = 0;
-  for (let i = 0; i < suns.length; i++) {
-    const [ray, point] = [suns[i], spots[i % spots.length]];
-    const falls = dot(ray, normal);
-    if (falls <= 0) continue;
-    if (!look.windows.some((pane) => through(point, ray, pane, look))) continue;
-    const [x, y, z] = ray.map((v) => 20 * v);
-    if (!look.bench || !hidden(point[0], point[1], point[2], x, y, z, look.bench)) seen += falls;
-  }
-  return seen / suns.length;
+/** Whether the sun in the direction of a ray is seen from a point: by a window, past the block. */
+function comesIn(point, ray, look) {
+  if (!look.windows.some((pane) => through(point, ray, pane, look))) return false;
+  const [x, y, z] = ray.map((v) => 20 * v);
+  return !look.bench || !hidden(point[0], point[1], point[2], x, y, z, look.bench);
 }
 
 /** Whether a ray leaves by a window. */

@@ -10,7 +10,7 @@ import { GLASS, ROOM, SHADOW, SKY } from './shaders.js';
 const MOST_BLOBS = 16;
 const STRIDE = 36; // bytes a vertex
 const IN_PASSTHROUGH = 0.62; // how dark shadows are on a floor that is not ours
-const TURN = 8; // ms in a row that baking takes of a page that shows pictures
+const TURN = [8, 100]; // ms in a row that baking takes of a page that shows pictures, at least and at most
 const SOURCES = { sky: SKY, room: ROOM, shadow: SHADOW, glass: GLASS };
 
 const baked = new Map(); // by name: the bytes of the faces; null while it is worked on
@@ -196,12 +196,15 @@ export class Place {
 async function bakeBetween(name) {
   baked.set(name, null);
   const rows = baking(LOOKS[name]);
+  let before = performance.now();
   for (;;) {
-    const until = performance.now() + TURN;
+    // where frames are slow there are few turns: a third of what was between them, or the room would never come
+    const until = performance.now() + Math.min(TURN[1], Math.max(TURN[0], (performance.now() - before) / 3));
     while (performance.now() < until) {
       const { done, value } = rows.next();
       if (done) return baked.set(name, value);
     }
+    before = performance.now();
     await new Promise((done) => setTimeout(done));
   }
 }

@@ -132,7 +132,7 @@ export class Stage {
     const shown = where.glass ? IDENTITY : where.shown; // a mirror shows the floor under its user
     if (here && this.here.people.size) return this.here.shadows(shown, now);
     const { box, room } = this.painter.hasPair ? this.info : {};
-    if (room) return fromPlaces(room.people.filter(({ at }) => at), shown);
+    if (room) return fromPlaces(standing(room), shown);
     const trans = pose?.trans;
     const root = trans ? [trans[0], trans[2]] : tracking?.head ? below(tracking.head) : null;
     return box ? fromBox(box, shown, root) : [];
@@ -264,7 +264,10 @@ export class Stage {
       return;
     }
     if (asked?.scene !== this.#scene) return; // of nothing in sight, or of another place
-    this.framing.learn(reply.info.box, asked, reply.info.room?.people);
+    this.framing.learn(reply.info.box, asked, standing(reply.info.room));
     this.pictures.offer(reply, buffer, { ...asked, sent });
   }
 }
+
+/** Those of a reply's room of whom it says where they stand, `at` [x, y, z]. */
+const standing = (room) => (Array.isArray(room?.people) ? room.people : []).filter(({ at }) => Array.isArray(at) && at.length === 3 && at.every(Number.isFinite));

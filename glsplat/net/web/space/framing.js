@@ -29,7 +29,7 @@ export class Framing {
 
   /** Learn the box [x0, y0, z0, x1, y1, z1] of the reply to what `frame` returned, in a room where its `people` stand. */
   learn(box, asked, people = []) {
-    this.#people = people.map(({ at }) => at).filter(Array.isArray);
+    this.#people = people.map(({ at }) => at);
     if (Array.isArray(box) && box.length === 6 && box.every(Number.isFinite)) {
       this.#box = box;
       this.#boxHead = asked.head;
@@ -63,7 +63,7 @@ export class Framing {
     const frusta = where.whole && cut.every((frustum) => frustum === null) ? sights : cut;
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
-    const size = this.#size(whole, side);
+    const size = this.#size(whole, where.whole ? Math.min(side, ...whole.map((frustum, i) => shownSide(frustum, views[i]))) : side);
     const eyes = views.map(({ transform }, i) => ({
       viewmat: viewmat(serverEye(where, transform)).map(rounded),
       K: intrinsics(whole[i], size).map(rounded),
@@ -127,6 +127,13 @@ export class Framing {
     const block = (length) => Math.max(16, 16 * Math.round(length / 16)); // whole blocks of a JPEG
     return [block(side * Math.sqrt(this.#shape)), block(side / Math.sqrt(this.#shape))];
   }
+}
+
+/** The side of a square with as many pixels as the display has for a frustum: more would only make words smaller. */
+function shownSide({ left, right, down, up }, { projection, viewport }) {
+  if (!viewport) return Infinity;
+  const [across, along] = [(right - left) * viewport.width * projection[0], (up - down) * viewport.height * projection[5]];
+  return Math.max(64, Math.sqrt(across * along) / 2);
 }
 
 /** A frustum cut by another one, which may be null (nothing of it in sight), widened by an angle. */

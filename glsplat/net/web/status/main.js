@@ -41,7 +41,7 @@ async function look() {
     summary(stats);
     curves(history);
     clients(stats.clients);
-    now(stats.clients, sentLast);
+    now(stats.clients, sentLast, avatars);
     await people(avatars);
   } catch (error) {
     $('trouble').textContent = `The server does not answer (${error.message}); what stands here is old. It is asked again.`;
@@ -93,13 +93,14 @@ function clients(list) {
 }
 
 /** What clients were sent last, where that is nobody's secret. */
-function now(list, sentLast) {
+function now(list, sentLast, avatars) {
   const shown = list.filter(({ id }) => sentLast[id]);
   $('now').hidden = !shown.length;
+  const titles = new Map(avatars.map(({ name, title }) => [name, title]));
   const made = [];
   for (const { id, avatar, room } of shown) {
     const address = `data:image/jpeg;base64,${sentLast[id]}`;
-    made.push(tile(address, `Client ${id}`, room ? `client ${id}, room ${room}` : `client ${id}: ${avatar}`));
+    made.push(tile(address, `Client ${id}`, room ? `client ${id}, room ${room}` : `client ${id}: ${titles.get(avatar) || avatar}`));
   }
   $('pictures').replaceChildren(...made);
 }
