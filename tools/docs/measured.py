@@ -215,6 +215,21 @@ def ladder() -> Iterator[Table]:
     yield "set-aside", note, _markdown(script("tools.net.ladder_table", "--set-aside", *files))
 
 
+def codec() -> Iterator[Table]:
+    """What video takes beside JPEG."""
+    about = (
+        "Pairs of `glsplat replay` (the embedded avatar, 2 x 1024^2, 20 a second, 2.4 s of wave-and-turn), as the server\n"
+        "codes them. Bytes without the first pair, which is a key frame. LPIPS (AlexNet) and PSNR in the box of the left\n"
+        "eye's avatar against the uncompressed picture, every sixth pair. Cropped JPEGs are those that a thin link gets.\n"
+        "Qualities of video (glsplat/net/codec/video.py) were chosen by this table."
+    )
+    equal = "Bytes as parts of those of the cropped JPEG, at its LPIPS; `-`: finer than any that was tried."
+    for name, said, options in (("developed", about, ()), ("set-aside", "The same for walk.", ("--set-aside",))):
+        settings, _, parts = script("tools.net.codec_table", *options).partition("\n\n")
+        yield name, said, _markdown(settings)
+        yield f"{name}-equal", equal, _markdown(parts)
+
+
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -231,6 +246,7 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "stream": ("The stream", stream),
     "links": ("Far links", links),
     "ladder": ("Sizes and qualities", ladder),
+    "codec": ("Video", codec),
 }
 BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
 """Pages that another script writes, of a run that takes a day."""

@@ -30,10 +30,13 @@ class Member:
         self.room.moved(self.person, self._moved(request, solved, at))
 
     def meeting(self, request: Request) -> Request:
-        """A request with tracking, and in it where the others' faces are."""
+        """A request with tracking, and in it where the others' faces are.
+
+        Without what its client says of its own pictures: how late others are is the room's to make up for.
+        """
         assert request.tracking is not None
         faces = self.room.faces(self.person, request.tracking.head)
-        return replace(request, faces=(*request.faces, *faces)) if faces else request
+        return replace(request, faces=(*request.faces, *faces), arrival=None)
 
     def received(self, request: Request, at: float) -> None:
         """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""
