@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # most servers hear of no face
 
 __all__ = ["MOST", "PART", "Ahead", "OneClock", "TrackingSolver"]
 
-PART, MOST = 0.8, 0.04
+PART, MOST = 0.8, 0.036
 """Of the age of pictures, how much poses are drawn ahead of their samples; seconds at most: more would tremble."""
 
 _AGES = 15  # of pictures, whose median counts
