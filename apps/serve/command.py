@@ -20,7 +20,8 @@ from glsplat.net.face.listener import FaceListener
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.options import ServerConfig
+from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from glsplat.scene import Rigged
 from glsplat.tracking.calibration import Calibration

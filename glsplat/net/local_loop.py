@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from glsplat.net.backend import Backend, Interruptible, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
-from glsplat.net.messages import PictureOptions
+from glsplat.net.fields import PictureOptions
 from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.render_loop import RenderLoop
 

@@ -220,8 +220,8 @@ def codec() -> Iterator[Table]:
     about = (
         "Pairs of `glsplat replay` (the embedded avatar, 2 x 1024^2, 20 a second, 2.4 s of wave-and-turn), as the\n"
         "server codes them. Bytes without the first pair, which is a key frame. LPIPS (AlexNet) and PSNR in the box\n"
-        "of the left eye's avatar against the uncompressed picture, every sixth pair. Cropped JPEGs are what a thin link\n"
-        "gets. Qualities of video (glsplat/net/codec/video.py) were chosen by this table."
+        "of the left eye's avatar against the uncompressed picture, every sixth pair. Cropped JPEGs are those that a\n"
+        "thin link gets. Qualities of video (glsplat/net/codec/video.py) were chosen by this table."
     )
     equal = "Bytes as parts of those of the cropped JPEG, at its LPIPS; `-`: finer than any that was tried."
     for name, said, options in (("developed", about, ()), ("set-aside", "The same for walk.", ("--set-aside",))):

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.codec.encode import Encoded
+from glsplat.net.fields import PictureOptions
 from glsplat.net.guard.limits import CpuShare
-from glsplat.net.messages import PictureOptions, Request, eye_fields
+from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.poses.history import PoseHistory, Poses

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
-from glsplat.net.messages import PictureOptions, Request
+from glsplat.net.fields import PictureOptions
+from glsplat.net.messages import Request
 from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room
