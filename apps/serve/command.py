@@ -220,7 +220,7 @@ def server_config(
         wire=wire,
         session=SessionConfig(
             window=args.window,
-            adapt=not args.fixed,
+            adapt=not args.fixed and args.study is None,  # all participants see the same
             bitrate=None if args.bitrate is None else args.bitrate * 1e6,
             watermark=watermark,
         ),
