@@ -23,7 +23,7 @@ from textwrap import fill
 from apps.demo import running_server
 from glsplat.evaluate.machine import machine
 from glsplat.io.files import replace_file
-from tools.net.link_tables import alone, busy, falling, shared
+from tools.net.link_tables import alone, busy, falling, shared, video
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
@@ -198,6 +198,11 @@ def links() -> Iterator[Table]:
         "Once a server that hears of arrivals from the client alone, once with pings behind pictures."
     )
     yield "busy", note, "\n".join(busy())
+    note = (
+        "Pictures of a tenth of the bytes, as video has them (6.4 kB a pair, [codec.md](codec.md)), beside JPEG.\n"
+        "Simulated as above; neither key frames nor how much less quality saves in a video is modelled."
+    )
+    yield "video", note, "\n".join(video())
 
 
 def ladder() -> Iterator[Table]:
