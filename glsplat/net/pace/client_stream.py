@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -134,6 +135,7 @@ class ClientStream:
     pose_history: PoseHistory = field(default_factory=PoseHistory)  # whom it was sent in poses, and how they stood
     tap: Tap | None = None  # what else hears of it
     video: VideoStream | None = None  # what codes its pictures where it asks for video; None: this server has none
+    coding: Future[Encoded] | None = None  # the newest picture of it: the next is coded after that
     newest: Encoded | None = None  # what it was sent last, for the status page
 
     def __post_init__(self) -> None:
