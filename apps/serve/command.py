@@ -20,7 +20,8 @@ from glsplat.net.face.listener import FaceListener
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.options import ServerConfig
+from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from glsplat.scene import Rigged
 from glsplat.tracking.calibration import Calibration
@@ -219,7 +220,7 @@ def server_config(
         wire=wire,
         session=SessionConfig(
             window=args.window,
-            adapt=not args.fixed,
+            adapt=not args.fixed and args.study is None,  # all participants see the same
             bitrate=None if args.bitrate is None else args.bitrate * 1e6,
             watermark=watermark,
         ),

@@ -10,9 +10,11 @@ if TYPE_CHECKING:
     from glsplat.net.backend import AvatarInfo, Backend, PoseSolver, Rendered, RenderJob, Solved
     from glsplat.net.backends.server import make_server
     from glsplat.net.client import Client
-    from glsplat.net.messages import PictureOptions, Request
+    from glsplat.net.fields import PictureOptions
+    from glsplat.net.messages import Request
+    from glsplat.net.options import ServerConfig
     from glsplat.net.reply import Reply
-    from glsplat.net.server import Server, ServerConfig
+    from glsplat.net.server import Server
 
 __all__ = [
     "AvatarInfo",
@@ -32,8 +34,10 @@ __all__ = [
 
 _HOME = {
     **dict.fromkeys(("Backend", "AvatarInfo", "PoseSolver", "RenderJob", "Rendered", "Solved"), "backend"),
-    **dict.fromkeys(("PictureOptions", "Request"), "messages"),
-    **dict.fromkeys(("Server", "ServerConfig"), "server"),
+    "PictureOptions": "fields",
+    "Request": "messages",
+    "ServerConfig": "options",
+    "Server": "server",
     "Client": "client",
     "Reply": "reply",
     "make_server": "backends.server",

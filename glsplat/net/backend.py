@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.formats.web.write import WebFile
-from glsplat.net.messages import DEFAULT, PictureOptions, Request
+from glsplat.net.fields import DEFAULT, PictureOptions
+from glsplat.net.messages import Request
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 

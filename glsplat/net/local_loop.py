@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from glsplat.net.backend import Backend, Interruptible, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
-from glsplat.net.messages import PictureOptions
+from glsplat.net.fields import PictureOptions
 from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.render_loop import RenderLoop
 
@@ -43,7 +43,6 @@ class LocalLoop(RenderLoop):
     ) -> None:
         super().__init__(clock, rate)
         self.codecs: tuple[str, ...] = _codecs() if video else ()
-        self._coding: dict[int, Future[Encoded]] = {}  # by client: the picture of its video that is coded last
         self._backend = backend
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
@@ -59,11 +58,6 @@ class LocalLoop(RenderLoop):
 
             channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self.codecs})
         return channel
-
-    def remove(self, channel: ClientStream) -> None:
-        """Forget a client, and its video."""
-        super().remove(channel)
-        self._coding.pop(channel.number, None)
 
     async def _open(self) -> str:
         return await self._loop.run_in_executor(self._render_thread, self._backend.open)
@@ -111,10 +105,8 @@ class LocalLoop(RenderLoop):
     def _submit(self, channel: ClientStream, rendered: Rendered, options: PictureOptions) -> Future[Encoded]:
         if options.video is None or channel.video is None:
             return self._encode_threads.submit(encode, self._encoder, rendered, options)
-        before = self._coding.get(channel.number)
-        coded = self._encode_threads.submit(self._code, channel.video, before, rendered, options)
-        self._coding[channel.number] = coded
-        return coded
+        channel.coding = self._encode_threads.submit(self._code, channel.video, channel.coding, rendered, options)
+        return channel.coding
 
     def _code(
         self, video: VideoStream, before: Future[Encoded] | None, rendered: Rendered, options: PictureOptions

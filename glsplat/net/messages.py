@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from glsplat.light.light import Light
 
 __all__ = [
-    "DEFAULT",
     "MAX_BYTES",
     "MAX_ID",
     "PARTS",
@@ -55,7 +54,6 @@ __all__ = [
     "Ack",
     "Arrival",
     "Decoder",
-    "PictureOptions",
     "Request",
     "WireOptions",
     "error_text",

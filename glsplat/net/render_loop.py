@@ -188,6 +188,8 @@ class RenderLoop(ABC):
             log.exception("frame %s of client %d could not be encoded", request.frame_id, channel.number)
             return session.failed(request, "encode", "the picture could not be encoded")
         frame.times["encode"] = encoded.ms
+        if encoded.video is not None:  # which takes as long as drawing, of the cores that draw
+            self._turns.charge(channel.address, channel, encoded.ms / 1e3, self._clock())
         if encoded.pictures and encoded.video is None:
             channel.newest = encoded
         frame.times["total"] = (self._clock() - frame.arrived) * 1e3

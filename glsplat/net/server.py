@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from glsplat.net.uploads.routes import Uploads
     from glsplat.net.workers.pool import WorkerPool
 
-__all__ = ["Server", "ServerConfig"]
+__all__ = ["Server"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too

@@ -288,8 +288,9 @@ class Session:
             return None
         if frame_id > MAX_ID:  # counted here, behind a number that could not be higher
             raise ProtocolError(f"there is no frame_id after {MAX_ID}; connect again", "bad_request")
-        if frame_id != request.frame_id:
-            request = replace(request, frame_id=frame_id)
+        arrival = request.arrival if self.config.adapt else None  # else nothing goes by it
+        if (frame_id, arrival) != (request.frame_id, request.arrival):
+            request = replace(request, frame_id=frame_id, arrival=arrival)
         self._newest = frame_id
         self.last_form = request.form
         if request.cameras:

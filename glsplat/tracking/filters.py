@@ -10,10 +10,24 @@ speed the distance behind is below 1 / (2 pi beta), whatever the speed.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from math import acos, exp, pi, sqrt
 
-from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, clamp, mul, nlerp, pull, slerp, to_quat
+from glsplat.tracking.solve.quat import (
+    IDENTITY,
+    Quat,
+    Vec,
+    add,
+    clamp,
+    conj,
+    mul,
+    nlerp,
+    pull,
+    rotation_vector,
+    slerp,
+    to_quat,
+)
 
 __all__ = ["Device", "OneEuro", "PositionFilter", "RotationFilter"]
 
@@ -40,6 +54,36 @@ class OneEuro:
         return 0.0 if self.min_cutoff <= 0 else 1 / (2 * pi * self.cutoff(speed))
 
 
+SPAN = 0.1
+"""Seconds of the past that a prediction goes by: shorter ones tremble more, longer ones come later."""
+
+_FEWEST, _ENOUGH = 4, 0.7  # points, and the part of SPAN that they reach back
+
+
+class Trend:
+    """The velocity of the last ``SPAN`` seconds: the slope of the line through them (least squares)."""
+
+    def __init__(self) -> None:
+        self._past: deque[tuple[float, Vec]] = deque()  # seconds, and where it was
+        self._now = 0.0
+
+    def add(self, value: Vec, dt: float) -> None:
+        """Where it is ``dt`` seconds later."""
+        self._now += dt
+        self._past.append((self._now, value))
+        while self._now - self._past[0][0] > SPAN:
+            self._past.popleft()
+
+    def velocity(self) -> Vec | None:
+        """A second; None before there is a past to go by."""
+        if len(self._past) < _FEWEST or self._now - self._past[0][0] < _ENOUGH * SPAN:
+            return None
+        middle = sum(t for t, _ in self._past) / len(self._past)
+        spread = sum((t - middle) ** 2 for t, _ in self._past)
+        x, y, z = (sum((t - middle) * at[k] for t, at in self._past) / spread for k in range(3))
+        return (x, y, z)
+
+
 class PositionFilter:
     """One Euro on a point, with a limit on its speed."""
 
@@ -51,15 +95,18 @@ class PositionFilter:
         self.first: Vec | None = None  # behind the first low pass
         self.value: Vec | None = None
         self.velocity: Vec = (0.0, 0.0, 0.0)
+        self.trend: Trend | None = None  # once something was predicted
 
     def reset(self) -> None:
         """Forget the past: the next value passes unchanged."""
-        self.first = self.value = None
+        self.first = self.value = self.trend = None
         self.velocity = (0.0, 0.0, 0.0)
 
     def update(self, raw: Vec, dt: float) -> Vec:
         """The filtered point ``dt`` seconds after the last one."""
         last, value = self.first, self.value
+        if self.trend is not None:
+            self.trend.add(raw, dt)
         if last is None or value is None:
             self.first = self.value = raw
             return raw
@@ -83,7 +130,8 @@ class PositionFilter:
     def ahead(self, seconds: float, most: float) -> Vec:
         """The value extrapolated at its present velocity, at most ``most`` metres."""
         x, y, z = self.value or (0.0, 0.0, 0.0)
-        vx, vy, vz = self.velocity
+        self.trend = self.trend or Trend()
+        vx, vy, vz = self.trend.velocity() or self.velocity
         speed = sqrt(vx * vx + vy * vy + vz * vz)
         k = seconds if speed * seconds <= most else most / speed
         return (x + vx * k, y + vy * k, z + vz * k)
@@ -100,15 +148,23 @@ class RotationFilter:
         self.first: Quat | None = None  # behind the first low pass
         self.value: Quat | None = None
         self.velocity: Vec = (0.0, 0.0, 0.0)  # rad/s, world axes
+        self.trend: Trend | None = None  # of all small turns together, once something was predicted
+        self._raw: Quat | None = None
+        self._turned: Vec = (0.0, 0.0, 0.0)
 
     def reset(self) -> None:
         """Forget the past: the next value passes unchanged."""
-        self.first = self.value = None
+        self.first = self.value = self.trend = self._raw = None
         self.velocity = (0.0, 0.0, 0.0)
 
     def update(self, raw: Quat, dt: float) -> Quat:
         """The filtered rotation ``dt`` seconds after the last one."""
         last, value = self.first, self.value
+        if self.trend is not None:
+            if self._raw is not None:
+                self._turned = add(self._turned, rotation_vector(mul(raw, conj(self._raw))))
+            self._raw = raw
+            self.trend.add(self._turned, dt)
         if last is None or value is None:
             self.first = self.value = raw
             return raw
@@ -141,7 +197,8 @@ class RotationFilter:
 
     def ahead(self, seconds: float, most: float) -> Quat:
         """The value turned on at its present angular velocity, by at most ``most`` radians."""
-        vx, vy, vz = self.velocity
+        self.trend = self.trend or Trend()
+        vx, vy, vz = self.trend.velocity() or self.velocity
         speed = sqrt(vx * vx + vy * vy + vz * vz)
         k = seconds if speed * seconds <= most else most / speed
         return mul(to_quat((vx * k, vy * k, vz * k)), self.value or (1.0, 0.0, 0.0, 0.0))
@@ -157,6 +214,10 @@ class Device:
     turn: Quat = IDENTITY
     raw: tuple[float, ...] | None = None
     frozen: int = 0
+
+    def ahead(self, seconds: float, metres: float, radians: float) -> tuple[Vec, Quat]:
+        """Where it will be, as far as that may differ from where it is."""
+        return self.position.ahead(seconds, metres), self.rotation.ahead(seconds, radians)
 
     def reset(self) -> None:
         """Not seen any more: the next pose is taken as it comes."""

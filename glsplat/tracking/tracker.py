@@ -71,6 +71,7 @@ class Tracker:
         )
         self.calibration: Calibration = instance(calibration or Calibration(), Calibration, "calibration", PoseError)
         self.config = c = instance(config or TrackerConfig(), TrackerConfig, "config", PoseError)
+        self.prediction: float = c.prediction  # seconds; may change from sample to sample
         self.body: Body = Body.of(skeleton)
         self.solver: Solver = solver_of(solver, self.body)
         self._trusted = type(self.solver) in (AnalyticSolver, LearnedSolver)
@@ -171,6 +172,7 @@ class Tracker:
         targets = self._filtered(head, hands, step, flags)
         assert self._head.at is not None
         if not self.head_only:
+            self._extras.prediction = self.prediction
             self._extras.update(sample, self._head.at, targets, step, flags)
         solution = self._solve(targets, step, fresh)
         if solution is not None:
@@ -266,11 +268,10 @@ class Tracker:
             device.at = device.position.update(head[0], dt)
             device.turn = device.rotation.update(head[1], dt)
         assert device.at is not None
-        ahead = config.prediction
+        ahead = self.prediction, config.predicted_metres, config.predicted_radians
         eye, turn = device.at, device.turn
-        if ahead > 0 and head is not None:
-            eye = device.position.ahead(ahead, config.predicted_metres)
-            turn = device.rotation.ahead(ahead, config.predicted_radians)
+        if self.prediction > 0 and head is not None:
+            eye, turn = device.ahead(*ahead)
         targets = Targets(eye, turn)
         for side, (device, hand) in enumerate(zip(self._hands, hands, strict=True)):
             if hand is None:
@@ -280,9 +281,8 @@ class Tracker:
                 continue
             device.at = at = device.position.update(hand[0], dt)
             device.turn = turn = device.rotation.update(hand[1], dt)
-            if ahead > 0:
-                at = device.position.ahead(ahead, config.predicted_metres)
-                turn = device.rotation.ahead(ahead, config.predicted_radians)
+            if self.prediction > 0:
+                at, turn = device.ahead(*ahead)
             if side:
                 targets.right, targets.right_hand = at, turn
             else:

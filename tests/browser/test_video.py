@@ -78,7 +78,6 @@ def test_a_loss_is_mended_by_a_key_frame(open_page: OpenPage, serve: Any, coded:
     served = serve(StoredPairs(), ServerConfig(port=0, video=True), offered=OFFERED)
     page = visit(open_page, served)
     page.until("window.glsplat.stats().shown > 5")
-    page.meanwhile(lambda: served.server.render_loop._coding)
     (channel,) = served.server._channels.values()
     before = len(coded)
     channel.video._number += 1  # the page misses one

@@ -81,6 +81,55 @@ def test_a_cap_holds() -> None:
     assert 0.85 * 4 <= outcome.nbytes * 8e-6 / outcome.seconds <= 4.0
 
 
+class Unanswered(LinkControl):
+    """Hears of arrivals from the client alone."""
+
+    def follow(self, number: int) -> bytes:
+        return b""
+
+
+@pytest.mark.parametrize("busy", [0.15, 0.4])
+def test_a_client_that_is_busy_is_no_slow_link(busy: float) -> None:
+    """Its page looks at pictures only so often; what receives for it answers pings at once."""
+    link = Link(lambda now: 100.0, 0.001)
+    told, pinged = (play(link, [policy], SECONDS, SEED, busy=busy)[0] for policy in (Unanswered(), LinkControl()))
+    assert pinged.full == pinged.arrived > 0
+    assert told.full < 0.1 * told.arrived
+    thin = play(Link(lambda now: 3.0, 0.02), [LinkControl()], SECONDS, SEED, busy=busy)[0]
+    assert thin.full < 0.1 * thin.arrived  # and a slow link is still one
+
+
+def test_pongs_tell_when_pictures_arrived() -> None:
+    """The newest may stand for those before it; one that is guessed, or comes again, says nothing."""
+    control = LinkControl()
+    assert control.link.known is False
+    control.ponged(control.ping(0.0) or b"", 0.02)
+    pings = []
+    for number in (1, 2, 3):
+        control.written(number, 10_000, 1.0 + number)
+        pings.append(control.follow(number))
+    assert len({*pings}) == 3 and all(len(ping) >= 8 for ping in pings)
+    for guess in (b"", b"\0\0\0\1", bytes(8), pings[0][:-1], pings[1] + b"x"):
+        control.ponged(guess, 4.1)
+    assert control.link.on_the_way == 3
+    control.ponged(pings[1], 4.1)
+    assert control.link.on_the_way == 1 and control.link.newest is not None
+    newest = control.link.newest
+    for ping in pings[:2]:
+        control.ponged(ping, 9.0)
+    control.acknowledged(2, 5.0, 0.0, 9.0)  # later than the pong: nothing new, but for the age
+    assert control.link.newest is newest and control.age == 5.0
+    control.acknowledged(3, 1.0, 0.0, 9.1)  # of one whose pong never came
+    assert control.link.on_the_way == 0 and control.link.newest is not newest
+
+
+def test_pings_that_nobody_answers_are_forgotten() -> None:
+    control = LinkControl()
+    pings = [control.follow(number) for number in range(10_000)]
+    control.ponged(pings[0], 1.0)
+    assert len(control._behind) <= 64
+
+
 def test_nothing_swings() -> None:
     """On a link that stays as it is sizes stay, and qualities change by little."""
 

@@ -11,6 +11,7 @@ import pytest
 
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
+from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Ack, Arrival, Decoder, Request
 from glsplat.net.pace.adaptive_quality import FULL, AdaptiveQuality, Detail
 from glsplat.net.pace.ladder import ladder
@@ -220,6 +221,34 @@ class TestSockets:
         replies, link = asyncio.run(main())
         assert not any("detail" in reply.info for reply in replies)
         assert link["rate"] > 0 and link["age"] > 0
+
+    def test_a_ping_follows_each_picture_and_its_pong_costs_the_client_nothing(self, serve, fake_backend) -> None:
+        """300 pictures, as fast as they come: far more pongs than control frames are allowed of a client's own."""
+
+        async def main():
+            async with serve(fake_backend(), ADAPTS) as server, aiohttp.ClientSession() as http:
+                async with http.ws_connect(server.url, autoping=False) as ws:
+                    kinds, payloads, told = [], set(), {}
+                    await ws.send_str(asking(1, ack=0).decode())
+                    number = 1
+                    while number <= 300:
+                        message = await ws.receive(timeout=HANG)
+                        kinds.append(message.type)
+                        if message.type == aiohttp.WSMsgType.PING:
+                            payloads.add(bytes(message.data))
+                            await ws.pong(message.data)
+                        else:
+                            assert message.type == aiohttp.WSMsgType.BINARY, message
+                            told = {"arrival": {"age": 5, "held": 0}}
+                            number += 1
+                            await ws.send_str(asking(number, ack=number - 1, **told).decode())
+                    return kinds, payloads, server.stats()["clients"][0]
+
+        kinds, payloads, client = asyncio.run(main())
+        assert len(payloads) >= 299 > Limits().control_burst
+        behind = [kinds[i + 1] for i, kind in enumerate(kinds[:-1]) if kind == aiohttp.WSMsgType.BINARY]
+        assert behind[2:] == [aiohttp.WSMsgType.PING] * len(behind[2:])
+        assert client["link"]["rate"] > 0 and client["limited"] == 0
 
     def test_pings_of_clients_are_still_answered(self, serve) -> None:
         async def main():

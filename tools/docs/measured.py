@@ -24,7 +24,7 @@ from apps.demo import running_server
 from glsplat.evaluate.machine import machine
 from glsplat.io.files import replace_file
 from tests.conftest import SHARED_DATA
-from tools.net.link_tables import alone, busy, falling, shared
+from tools.net.link_tables import alone, busy, falling, shared, video
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
@@ -198,6 +198,11 @@ def links() -> Iterator[Table]:
         "Once a server that hears of arrivals from the client alone, once with pings behind pictures."
     )
     yield "busy", note, "\n".join(busy())
+    note = (
+        "Pictures of a tenth of the bytes, as video has them (6.4 kB a pair, [codec.md](codec.md)), beside JPEG.\n"
+        "Simulated as above; neither key frames nor how much less quality saves in a video is modelled."
+    )
+    yield "video", note, "\n".join(video())
 
 
 def ladder() -> Iterator[Table]:
@@ -213,6 +218,21 @@ def ladder() -> Iterator[Table]:
     yield "moments", about, _markdown(script("tools.net.ladder_table", *files))
     note = "The same for moments of other motions, which the ladder was not drawn from."
     yield "set-aside", note, _markdown(script("tools.net.ladder_table", "--set-aside", *files))
+
+
+def codec() -> Iterator[Table]:
+    """What video takes beside JPEG."""
+    about = (
+        "Pairs of `glsplat replay` (the embedded avatar, 2 x 1024^2, 20 a second, 2.4 s of wave-and-turn), as the\n"
+        "server codes them. Bytes without the first pair, which is a key frame. LPIPS (AlexNet) and PSNR in the box\n"
+        "of the left eye's avatar against the uncompressed picture, every sixth pair. Cropped JPEGs are those that a\n"
+        "thin link gets. Qualities of video (glsplat/net/codec/video.py) were chosen by this table."
+    )
+    equal = "Bytes as parts of those of the cropped JPEG, at its LPIPS; `-`: finer than any that was tried."
+    for name, said, options in (("developed", about, ()), ("set-aside", "The same for walk.", ("--set-aside",))):
+        settings, _, parts = script("tools.net.codec_table", *options).partition("\n\n")
+        yield name, said, _markdown(settings)
+        yield f"{name}-equal", equal, _markdown(parts)
 
 
 def _markdown(text: str) -> str:
@@ -231,6 +251,7 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "stream": ("The stream", stream),
     "links": ("Far links", links),
     "ladder": ("Sizes and qualities", ladder),
+    "codec": ("Video", codec),
 }
 BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
 """Pages that another script writes, of a run that takes a day."""

@@ -26,7 +26,8 @@ from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
 from glsplat.motion.motion import load_motion
 from glsplat.net.backends.server import make_server
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.options import ServerConfig
+from glsplat.net.server import Server
 from glsplat.rotations import FLIP_YZ
 from tests.browser.served import Served
 from tests.browser.vr import settings

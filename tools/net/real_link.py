@@ -27,9 +27,10 @@ from glsplat.motion.motion import load_embedded_motion
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import covered_box
+from glsplat.net.options import ServerConfig
 from glsplat.net.pace.ladder import SCALES
 from glsplat.net.pace.stages import median_p95
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from glsplat.renderer import Renderer
 from tools.net.simulated_link import draw_time

@@ -152,19 +152,28 @@ def play(
     seed: int = 1,
     starts: Sequence[float] = (),
     busy: float = 0.0,
+    full: int = FULL,
 ) -> list[Outcome]:
     """So many seconds after the warm-up, a client a policy, all behind one bottleneck.
 
-    ``busy``: seconds between two moments at which the clients look at what arrived.
+    ``busy``: seconds between two moments at which the clients look at what arrived. ``full``: bytes of a pair at full
+    size and quality, as of a video.
     """
-    return _Simulation(link, policies, seconds, seed, starts, busy).run()
+    return _Simulation(link, policies, seconds, seed, starts, busy, full).run()
 
 
 class _Simulation:
     def __init__(
-        self, link: Link, policies: Sequence[Policy], seconds: float, seed: int, starts: Sequence[float], busy: float
+        self,
+        link: Link,
+        policies: Sequence[Policy],
+        seconds: float,
+        seed: int,
+        starts: Sequence[float],
+        busy: float,
+        full: int,
     ) -> None:
-        self._link, self._end, self._busy = link, WARM_UP + seconds, busy
+        self._link, self._end, self._busy, self._full = link, WARM_UP + seconds, busy, full
         self._clients = [
             _Client(policy, getattr(policy, "window", 8), seed * 100 + i) for i, policy in enumerate(policies)
         ]
@@ -239,7 +248,7 @@ class _Simulation:
 
     def _write(self, client: _Client, number: int, asked: float, rung: Rung) -> None:
         now, trip = self._now, self._link.round_trip
-        nbytes = round(FULL * rung.bits * (1 + 0.1 * client.chance.uniform(-1, 1)))
+        nbytes = round(self._full * rung.bits * (1 + 0.1 * client.chance.uniform(-1, 1)))
         ping = client.policy.ping(now)
         if ping is not None:
             there = max(now, self._free) + trip

@@ -24,7 +24,7 @@ import numpy as np
 
 from glsplat.data import default_avatar
 from glsplat.net.backends.server import make_server
-from glsplat.net.server import ServerConfig
+from glsplat.net.options import ServerConfig
 from glsplat.speech.sound import Sound, wav_bytes
 from tests import needs
 from tests.browser.conftest import _FLAGS

@@ -20,9 +20,9 @@ from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.messages import PARTS
-from glsplat.net.options import NAME
+from glsplat.net.options import NAME, ServerConfig
 from glsplat.net.pages.lead import Lead
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import Server
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked

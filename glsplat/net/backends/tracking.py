@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import median
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
-from glsplat.net.messages import Request
+from glsplat.net.messages import Arrival, Request
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.extra.idle import IdleFace
@@ -20,8 +22,13 @@ from glsplat.tracking.tracker import Tracker
 if TYPE_CHECKING:  # most servers hear of no face
     from glsplat.net.face.feed import FaceFeed
 
-__all__ = ["OneClock", "TrackingSolver"]
+__all__ = ["MOST", "PART", "Ahead", "OneClock", "TrackingSolver"]
 
+PART, MOST = 0.8, 0.036
+"""Of the age of pictures, how much poses are drawn ahead of their samples; seconds at most: more would tremble."""
+
+_AGES = 15  # of pictures, whose median counts
+_RAMP = 5e-4  # seconds a sample, by which that changes
 _CLOCK = 1e12  # seconds; a clock beyond has no room for a frame's time in a double
 
 
@@ -47,6 +54,27 @@ class OneClock:
         return self._last
 
 
+class Ahead:
+    """How far ahead of a client's samples its pictures are to be drawn: for when they will be seen.
+
+    By the age that the client says its pictures have (docs/protocol.md, section 5.1); who says nothing is drawn as it
+    was. A part of it, and not all: noise and haste grow with it faster than the error falls.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: float = 0.0
+        self._ages: deque[float] = deque(maxlen=_AGES)
+
+    def update(self, arrival: Arrival | None) -> float:
+        """Seconds for the next sample, which came with that."""
+        if arrival is not None:
+            self._ages.append(arrival.age / 1e3)
+        if self._ages:
+            wanted = min(PART * median(self._ages), MOST)
+            self.seconds += min(max(wanted - self.seconds, -_RAMP), _RAMP)
+        return self.seconds
+
+
 class TrackingSolver:
     """Tracking to pose for one user.
 
@@ -63,6 +91,7 @@ class TrackingSolver:
     ) -> None:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._clock = OneClock()
+        self._ahead = Ahead()
         self._idle = IdleFace() if idle else None
         self._face = face
 
@@ -76,6 +105,7 @@ class TrackingSolver:
             sample = self._face.worn(self, sample, now)
         if self._idle is not None:
             sample = self._idle.fill(sample, (*request.faces, *_watcher(request.cameras)))
+        self._tracker.prediction = self._ahead.update(request.arrival)
         pose = self._tracker.update(sample)
         known = self._tracker.calibration
         moved = known.scale != 1 or known.floor != 0

@@ -8,6 +8,7 @@ refreshes column by column besides (intra refresh).
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -61,7 +62,7 @@ CODECS: dict[str, Coder] = {
 
 _AGAIN = 0.5  # seconds before a stream takes another form, or has another key frame that a client asks for
 _LEAST, _MOST = 32, 4096 * 2304  # pixels of a side, and of the coded picture
-_THREADS = 2
+_THREADS = max(1, min(2, (os.cpu_count() or 1) // 4))  # the renderer wants cores, too
 _BLACK = 16, 128, 128  # of Y, U and V in limited range (ITU-R BT.601)
 _601, _709, _SRGB, _LIMITED = 6, 1, 13, 1  # matrix, primaries, transfer and range as FFmpeg numbers them
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.codec.encode import Encoded
+from glsplat.net.fields import PictureOptions
 from glsplat.net.guard.limits import CpuShare
-from glsplat.net.messages import PictureOptions, Request, eye_fields
+from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.poses.history import PoseHistory, Poses
@@ -133,6 +135,7 @@ class ClientStream:
     pose_history: PoseHistory = field(default_factory=PoseHistory)  # whom it was sent in poses, and how they stood
     tap: Tap | None = None  # what else hears of it
     video: VideoStream | None = None  # what codes its pictures where it asks for video; None: this server has none
+    coding: Future[Encoded] | None = None  # the newest picture of it: the next is coded after that
     newest: Encoded | None = None  # what it was sent last, for the status page
 
     def __post_init__(self) -> None:

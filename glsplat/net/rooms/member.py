@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from glsplat.camera import Camera
 from glsplat.net.backend import Solved
-from glsplat.net.messages import PictureOptions, Request
+from glsplat.net.fields import PictureOptions
+from glsplat.net.messages import Request
 from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room
@@ -30,10 +31,13 @@ class Member:
         self.room.moved(self.person, self._moved(request, solved, at))
 
     def meeting(self, request: Request) -> Request:
-        """A request with tracking, and in it where the others' faces are."""
+        """A request with tracking, and in it where the others' faces are.
+
+        Without what its client says of its own pictures: how late others are is the room's to make up for.
+        """
         assert request.tracking is not None
         faces = self.room.faces(self.person, request.tracking.head)
-        return replace(request, faces=(*request.faces, *faces)) if faces else request
+        return replace(request, faces=(*request.faces, *faces), arrival=None)
 
     def received(self, request: Request, at: float) -> None:
         """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""

@@ -60,6 +60,7 @@ class Extras:
         self, body: Body, config: TrackerConfig, scale: float, floor: float, mounts: Sequence[Transform | None]
     ) -> None:
         self.body, self.config, self.scale, self.floor = body, config, scale, floor
+        self.prediction: float = config.prediction  # seconds, as the tracker has it
         self.places: Places = Places(body)
         self._farthest = [share * body.eye_height for share in FARTHEST]
         self._slots = [
@@ -135,9 +136,8 @@ class Extras:
         device.at = device.position.update(pose[0], dt)
         device.turn = device.rotation.update(pose[1], dt)
         at, turn = device.at, device.turn
-        if config.prediction > 0:
-            at = device.position.ahead(config.prediction, config.predicted_metres)
-            turn = device.rotation.ahead(config.prediction, config.predicted_radians)
+        if self.prediction > 0:
+            at, turn = device.ahead(self.prediction, config.predicted_metres, config.predicted_radians)
         mount = BODY if own else slot.mount
         return None if mount is None else mounted((at, turn), mount)
 

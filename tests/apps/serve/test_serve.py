@@ -58,6 +58,23 @@ def test_defaults_are_loopback_and_the_papers_setting():
     assert config.limits == Limits(per_address=3, waiting=9) and config.access.hosts == ("a.example", "*.b.example")
 
 
+def test_pictures_fit_links_unless_they_are_fixed():
+    config = serve.server_config(arguments())
+    assert config.session.adapt and config.session.bitrate is None and not config.video
+    assert not serve.server_config(arguments("--fixed")).session.adapt
+    assert not serve.server_config(arguments("--study", "plan.toml")).session.adapt
+    assert serve.server_config(arguments("--bitrate", 8)).session.bitrate == 8e6
+    assert serve.server_config(arguments("--video")).video
+    for words, message in (
+        (("--bitrate", 8, "--fixed"), "leave one out"),
+        (("--bitrate", 0), "0.1 to 100000"),
+        (("--video", "--workers", 2), "--workers out"),
+        (("--video", "--study", "plan.toml"), "--study out"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            serve.server_config(arguments(*words))
+
+
 def test_further_avatars_are_called_like_their_files(tmp_path):
     for name in ("ann.glb", "ben.glb"):
         save(limb(20), tmp_path / name)
