@@ -155,7 +155,7 @@ class LearnedSolver:
             self.steady.reset()
             return plain
         share += (1 - share) * lost
-        upright = self.upright.share(targets.eye, targets.head) * (1 - lost) * (1 - self.pelvis.share)
+        upright = self.upright.share(targets.eye) * (1 - lost) * (1 - self.pelvis.share)
         under = self.upright.place(targets.eye, targets.head, swing_twist_y(hint.pelvis) or 0.0)
         place = pull(pull(hint.pelvis_at, plain.pelvis_at, share), under, upright)
         hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)

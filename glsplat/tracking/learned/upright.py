@@ -13,7 +13,6 @@ SHARE = 0.3  # of the pelvis that is this opinion's
 LOW = (0.72, 0.85)  # of the eye height: lower, nobody is upright and it has no say, higher, it has all of SHARE
 SINKS = (0.85, 0.5)  # of what a head is lower that the pelvis is, under eyes that look ahead, and down
 AHEAD, DOWN = 0.3, 0.7  # radians that a head looks down by, likewise
-STOOPS = (0.85, 1.1)  # likewise: who looks further down stoops, and it has no say
 
 
 class Upright:
@@ -28,24 +27,18 @@ class Upright:
         self.height: float = joints[HEAD][1] - body.ground
         self.low: tuple[float, float] = (LOW[0] * body.eye_height, LOW[1] * body.eye_height)
 
-    def share(self, eye: Vec, head: Quat) -> float:
+    def share(self, eye: Vec) -> float:
         """How much of the pelvis is this opinion's: 0 to SHARE."""
         low, high = self.low
-        some, most = STOOPS
-        straight = clamp((most - _looks_down(head)) / (most - some), 0.0, 1.0)
-        return SHARE * clamp((eye[1] - low) / (high - low), 0.0, 1.0) * straight
+        return SHARE * clamp((eye[1] - low) / (high - low), 0.0, 1.0)
 
     def place(self, eye: Vec, head: Quat, yaw: float) -> Vec:
         """The pelvis under a head, in a body that faces ``yaw``."""
         skull = sub(eye, rotate(head, self.eye))
         x, y, z = add(skull, rotate(yaw_quat(yaw), self.pelvis))
+        looks_down = asin(clamp(-rotate(head, (0.0, 0.0, 1.0))[1], -1.0, 1.0))
         ahead, down = SINKS
-        sinks = ahead + (down - ahead) * clamp((_looks_down(head) - AHEAD) / (DOWN - AHEAD), 0.0, 1.0)
+        sinks = ahead + (down - ahead) * clamp((looks_down - AHEAD) / (DOWN - AHEAD), 0.0, 1.0)
         y += (1 - sinks) * max(self.height - skull[1], 0.0)
         neck = add(skull, rotate(head, self.neck))
         return add(neck, scale(unit(sub((x, y, z), neck), (0.0, -1.0, 0.0)), self.torso))
-
-
-def _looks_down(head: Quat) -> float:
-    """Radians."""
-    return asin(clamp(-rotate(head, (0.0, 0.0, 1.0))[1], -1.0, 1.0))
