@@ -36,7 +36,7 @@ def add_train(commands: Any) -> None:
     command.add_argument("-o", "--output", required=True, metavar="MODEL.npz", help="the network")
     command.add_argument("--steps", type=int, default=DEFAULT.steps, help=f"of the fit (default {DEFAULT.steps})")
     command.add_argument("--units", type=int, default=DEFAULT.units, help=f"of its memory (default {DEFAULT.units})")
-    command.add_argument("--from", dest="start", metavar="MODEL.npz", help="a network that goes on learning")
+    command.add_argument("--from", dest="start", metavar="MODEL.npz", help="a network that goes on learning, as large as it is")
     command.add_argument("--seed", type=int, default=0, help="of everything random")
     command.add_argument(
         "--groups",
