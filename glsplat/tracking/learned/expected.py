@@ -31,14 +31,14 @@ FARTHEST = 0.8  # metres: nobody's pelvis is expected to be further off
 
 # a joint's expected error is exp of these times (1, log of the gap, log of the pace, how low, hands that are not seen)
 TABLE: dict[tuple[int, ...], tuple[float, float, float, float, float]] = {
-    (PELVIS, *HIPS): (-1.45, 0.50, 0.15, 1.45, 0.43),
-    (SPINE1, SPINE2, SPINE3): (-1.69, 0.48, 0.13, 1.37, 0.47),
-    (NECK, HEAD): (-3.42, 0.33, 0.03, 1.06, 0.42),
-    (*COLLARS, *SHOULDERS): (-2.60, 0.26, 0.07, 1.13, 0.43),
-    ELBOWS: (-2.07, 0.33, 0.07, 0.35, 1.33),
-    WRISTS: (-4.36, 0.58, -0.17, 0.86, 4.51),
-    KNEES: (-1.01, 0.41, 0.19, 1.54, 0.32),
-    (*ANKLES, *FEET): (-0.86, 0.34, 0.11, 1.43, 0.30),
+    (PELVIS, *HIPS): (-0.74, 0.72, 0.15, 0.58, 0.10),
+    (SPINE1, SPINE2, SPINE3): (-1.12, 0.67, 0.11, 0.70, 0.11),
+    (NECK, HEAD): (-3.90, 0.18, -0.14, 0.96, 0.05),
+    (*COLLARS, *SHOULDERS): (-2.39, 0.37, 0.00, 0.62, 0.16),
+    ELBOWS: (-1.96, 0.45, 0.03, 0.21, 1.14),
+    WRISTS: (-2.43, 1.52, -0.11, 0.79, 4.35),
+    KNEES: (-0.69, 0.45, 0.25, 0.80, 0.05),
+    (*ANKLES, *FEET): (-0.44, 0.39, 0.25, 0.63, 0.09),
 }
 
 
