@@ -36,7 +36,9 @@ def add_train(commands: Any) -> None:
     command.add_argument("-o", "--output", required=True, metavar="MODEL.npz", help="the network")
     command.add_argument("--steps", type=int, default=DEFAULT.steps, help=f"of the fit (default {DEFAULT.steps})")
     command.add_argument("--units", type=int, default=DEFAULT.units, help=f"of its memory (default {DEFAULT.units})")
-    command.add_argument("--from", dest="start", metavar="MODEL.npz", help="a network that goes on learning")
+    command.add_argument(
+        "--from", dest="start", metavar="MODEL.npz", help="a network that goes on learning, as large as it is"
+    )
     command.add_argument("--seed", type=int, default=0, help="of everything random")
     command.add_argument(
         "--groups",
@@ -57,6 +59,7 @@ def train(args: argparse.Namespace) -> int:
         raise UsageError("--steps needs 1 to 1,000,000, --units 1 to 1024")
     groups = pattern_of(args.groups, "--groups")
     held = _part(args.hold_out)
+    start = load_network(args.start) if args.start else None
     skeleton = skeleton_of(args.avatar)
     unit = unit_of_skeleton(skeleton)
     quiet = not sys.stderr.isatty()
@@ -95,7 +98,7 @@ def train(args: argparse.Namespace) -> int:
             bar.set_postfix(loss=f"{loss:.3f}")
 
         config = TrainingConfig(steps=args.steps, units=args.units, seed=args.seed)
-        network = fit(heard, config, load_network(args.start) if args.start else None, show, args.note)
+        network = fit(heard, config, start, show, args.note)
     save_network(args.output, network)
     seconds = sum(len(clip.points) for clip in seen) / 30
     result = {"motions": len(seen), "seconds": round(seconds), "left_out": sorted(out)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib import resources
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from apps.tracking.bench import table
 from apps.tracking.show import BONE, NAIVE, TRUE
 from glsplat.evaluate.tracking_rows import Row
 from glsplat.evaluate.tracking_score import TrackingScore
+from glsplat.tracking.learned.network import load_network
 
 nan = float("nan")
 SCORE = TrackingScore(600, *[1.0] * 13)
@@ -175,3 +177,21 @@ def test_a_calibration_does_not_replace_its_recording(derived, capsys):
     before = (derived / "r.jsonl").read_bytes()
     assert run("calibrate", derived / "r.jsonl", "-o", derived / "r.jsonl") == 2
     assert "different names" in capsys.readouterr().err and (derived / "r.jsonl").read_bytes() == before
+
+
+def test_train_makes_a_network_that_solves_and_goes_on_learning(tmp_path, capsys):
+    clips = tmp_path / "clips"
+    clips.mkdir()
+    for name in ("walk", "idle"):
+        text = (resources.files("glsplat.data") / f"{name}.json").read_text()
+        (clips / f"{name}_01.json").write_text(text)
+    words = ("--steps", 2, "--units", 8)
+    model = tmp_path / "m.npz"
+    assert run("train", clips, "-o", model, *words, "--hold-out", "1/2", "--note", "two", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert len(said["left_out"]) == 1 and said["pelvis"] > 0 and 0 <= said["contact"] <= 1
+    assert load_network(model).units == 8 and load_network(model).note == "two"
+    assert run("train", clips, "-o", tmp_path / "n.npz", *words, "--from", model) == 0
+    assert not np.array_equal(load_network(model).cell, load_network(tmp_path / "n.npz").cell)
+    assert run("train", clips, "-o", tmp_path / "o.npz", *words, "--from", tmp_path / "none.npz") == 1
+    assert "cannot read the tracking model" in capsys.readouterr().err and not (tmp_path / "o.npz").exists()

@@ -73,6 +73,20 @@ def test_a_file_comes_back(tmp_path: Path, rng: np.random.Generator) -> None:
         np.testing.assert_array_equal(getattr(again, name), getattr(n, name))
 
 
+def test_a_file_of_version_1_hears_nothing_of_the_analytic_body(tmp_path: Path, rng: np.random.Generator) -> None:
+    n, path = small(rng), tmp_path / "m.npz"
+    arrays = n.weights() | {"front": n.front[:, :SEEN].copy()}
+    with open(path, "wb") as file:
+        parts = {"version": np.array(1), "rate": np.array(RATE), "sha256": np.array(module._hash(arrays))}
+        np.savez(file, **(parts | arrays))
+    old = load_network(path)
+    np.testing.assert_array_equal(old.front[:, :SEEN], n.front[:, :SEEN])
+    heard = rng.normal(size=INPUTS).astype(np.float32)
+    other = np.concatenate((heard[:SEEN], rng.normal(size=INPUTS - SEEN))).astype(np.float32)
+    np.testing.assert_array_equal(old.step(heard, old.start())[0], old.step(other, old.start())[0])
+    assert not np.allclose(n.step(heard, n.start())[0], n.step(other, n.start())[0])
+
+
 def test_broken_files_are_told_in_a_line(tmp_path: Path, rng: np.random.Generator) -> None:
     n, path = small(rng), tmp_path / "m.npz"
     save_network(path, n)
