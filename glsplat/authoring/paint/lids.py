@@ -18,7 +18,7 @@ __all__ = ["lids_of", "within_eyes"]
 F64 = NDArray[np.float64]
 
 _NEAR = 0.01  # metres from an eyeball
-_EDGE, _SOFT = 0.35, 1.0  # of an iris's radius, and pixels: so far beyond the lids' edge an eye and its lashes reach
+_SOFT = 0.7  # pixels beyond the lids' edge over which an eye ends
 
 
 @lru_cache(maxsize=1)
@@ -37,10 +37,9 @@ def within_eyes(looks: Mapping[str, EyeLook], pixels: F64) -> F64:
         if look.lids is None:
             continue
         outline = cv2.convexHull(look.lids.astype(np.float32))
-        edge = _EDGE * look.radius + _SOFT
         near = np.flatnonzero(
-            ((pixels > look.lids.min(axis=0) - edge) & (pixels < look.lids.max(axis=0) + edge)).all(axis=1)
+            ((pixels > look.lids.min(axis=0) - _SOFT) & (pixels < look.lids.max(axis=0) + _SOFT)).all(axis=1)
         )
         inside = [cv2.pointPolygonTest(outline, tuple(map(float, pixels[k])), True) for k in near]
-        out[near] = np.maximum(out[near], ((np.array(inside) + edge) / _SOFT).clip(0, 1))
+        out[near] = np.maximum(out[near], ((np.array(inside) + _SOFT) / _SOFT).clip(0, 1))
     return out
