@@ -15,7 +15,7 @@ __all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "overla
 
 F64 = NDArray[np.float64]
 
-_BRIM = 0.045, 0.012  # of the figure: what is less high and wider beside a head is no hair
+_BRIM = 0.045, 0.02  # of the figure: what is less high and wider beside a head is no hair
 
 
 def projected_mask(pixels: F64, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:
