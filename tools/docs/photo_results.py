@@ -1,16 +1,18 @@
 """Makes an avatar of each participant's capture and holds it against the participant, for docs/photo-results.md.
 
-    python -m tools.docs.photo_results OUT [--avatars DIR] [p01 p02 ...]
+    python -m tools.docs.photo_results OUT [--avatars DIR] [--steps N] [p01 p02 ...]
 
-With --avatars, DIR/p01.glb ... are shown instead of made.
+With --avatars, DIR/p01.glb ... are shown instead of made; --steps are those of fitting splats, 0 for none.
 OUT gets photo-results-1.jpg and -2.jpg (of everybody the photograph, then the avatar from the front, the left and the
-back, and the participant below) and photo-worst.jpg (those that are farthest from the truth); a table is printed.
+back, and the participant below) and photo-worst.jpg (those that are farthest from the truth); tables are printed: of
+each person PSNR by side and overlap, then the four figures over all sides.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +25,9 @@ from glsplat.authoring.reconstruct.builtin import Builtin
 from glsplat.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.avatar import Avatar
 from glsplat.evaluate.light import CaptureLight, shade_of
+from glsplat.evaluate.metrics.lpips import Lpips
+from glsplat.evaluate.metrics.pixels import l1, psnr
+from glsplat.evaluate.metrics.structure import ssim
 from glsplat.formats import load
 from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
@@ -45,10 +50,13 @@ class Result:
     truth: dict[str, np.ndarray]
     drawn: dict[str, np.ndarray]
 
+    def mean(self, measure: Callable[[np.ndarray, np.ndarray], float], *views: str) -> float:
+        """Of these views, over the whole squares."""
+        return float(np.mean([measure(self.drawn[view], self.truth[view]) for view in views]))
+
     def psnr(self, *views: str) -> float:
-        """dB, the mean of these views, over the whole squares."""
-        away = [((self.truth[view] - self.drawn[view]) ** 2).mean() for view in views]
-        return float(np.mean(-10 * np.log10(away)))
+        """dB."""
+        return self.mean(psnr, *views)
 
     def overlap(self, view: str) -> float:
         """Intersection over union of the two figures."""
@@ -56,7 +64,7 @@ class Result:
         return float((a & b).sum() / (a | b).sum())
 
 
-def avatar_of(name: str) -> Avatar:
+def avatar_of(name: str, steps: int) -> Avatar:
     folder = SHARED_DATA / "participants"
     people = json.loads((folder / "participants.json").read_text())["participants"]
     height = next(float(person["height_m"]) for person in people if person["id"] == name)
@@ -65,7 +73,7 @@ def avatar_of(name: str) -> Avatar:
     if seen.person is None:
         raise SystemExit(f"{name}: {seen.findings[0].text}")
     pictures = {"front": Picture(photo.picture, photo.focal, seen.person)}
-    return Builtin().reconstruct(pictures, {"front": seen.mask}, Options(height=height))
+    return Builtin().reconstruct(pictures, {"front": seen.mask}, Options(height=height, steps=steps))
 
 
 def result_of(name: str, avatar: Avatar) -> Result:
@@ -106,12 +114,12 @@ def sheet(path: Path, results: list[Result], columns: int, scale: float) -> None
     print(path, path.stat().st_size // 1024, "kB")
 
 
-def main(folder: Path, names: list[str], avatars: Path | None) -> None:
+def main(folder: Path, names: list[str], avatars: Path | None, steps: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     results = []
     print("| | front | sides | back | overlap: front | left | back |")
     for name in names:
-        avatar = load(str(avatars / f"{name}.glb")) if avatars else avatar_of(name)
+        avatar = load(str(avatars / f"{name}.glb")) if avatars else avatar_of(name, steps)
         assert isinstance(avatar, Avatar)
         one = result_of(name, avatar)
         results.append(one)
@@ -121,6 +129,15 @@ def main(folder: Path, names: list[str], avatars: Path | None) -> None:
     for number, first in enumerate(range(0, len(results), DOZEN), 1):
         sheet(folder / f"photo-results-{number}.jpg", results[first : first + DOZEN], 4, 0.32)
     sheet(folder / "photo-worst.jpg", sorted(results, key=lambda one: one.psnr(*VIEWS))[:WORST], 2, 0.56)
+    network = Lpips("alex")
+
+    def distance(a: np.ndarray, b: np.ndarray) -> float:
+        return network.distance(network.features(a), network.features(b))
+
+    print("| | L1 | PSNR dB | SSIM | LPIPS |")
+    table = np.array([[one.mean(measure, *VIEWS) for measure in (l1, psnr, ssim, distance)] for one in results])
+    for label, row in zip([*names, "mean"], [*table, table.mean(axis=0)], strict=True):
+        print(f"| {label} | {row[0]:.4f} | {row[1]:.2f} | {row[2]:.4f} | {row[3]:.4f} |")
     for label, views in (("front", ("front",)), ("sides", ("left", "right")), ("back", ("back",))):
         print(label, round(float(np.mean([one.psnr(*views) for one in results])), 2))
 
@@ -129,6 +146,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
     parser.add_argument("--avatars", type=Path)
+    parser.add_argument("--steps", type=int, default=Options().steps)
     parser.add_argument("names", nargs="*", default=[f"p{number:02d}" for number in range(1, 25)])
     given = parser.parse_intermixed_args()
-    main(given.out, given.names, given.avatars)
+    main(given.out, given.names, given.avatars, given.steps)

@@ -61,7 +61,6 @@ class EyeLook:
     radius: float  # pixels of the iris; NaN where it is not seen
     iris_colour: F64  # [3] RGB of 255
     white_colour: F64  # [3] RGB of 255
-    lids: F64 | None = None  # [16, 2] pixels of the lids' edges around it; None where it is not seen
 
 
 def eyeball(body: Body, side: str) -> Eyeball:
@@ -108,7 +107,7 @@ def look_of_eye(picture: NDArray[np.uint8], eye: Eye) -> EyeLook:
     if whites < _CONTRAST * max(float(np.percentile(light[dark], 25)), 1.0):
         return hidden
     bright = white & (light >= np.percentile(light[white], _BRIGHTEST))
-    return EyeLook(True, centre, radius, np.median(colours[ring], axis=0), np.median(colours[bright], axis=0), outline)
+    return EyeLook(True, centre, radius, np.median(colours[ring], axis=0), np.median(colours[bright], axis=0))
 
 
 def iris_angle(looks: Mapping[str, EyeLook], ball: Eyeball, metre: float) -> float:

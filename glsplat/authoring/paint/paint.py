@@ -14,7 +14,6 @@ from glsplat.authoring.fit.offsets import face_of
 from glsplat.authoring.paint.head import BackOfHead, back_of_head
 from glsplat.authoring.paint.inside import with_inside
 from glsplat.authoring.paint.layers.segments import half_width, trunk_of, twins_across
-from glsplat.authoring.paint.lids import lids_of, within_eyes
 from glsplat.authoring.paint.light import Light, find_light
 from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
 from glsplat.authoring.paint.smooth import smoothest
@@ -90,10 +89,6 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         ground, first = self.cloth.at(points), sights[0]
         strange = self.cloth.strange(self.shots[0], points, first.linear, shade, ground)
-        lids = np.flatnonzero(lids_of()[points.corners].any(axis=1)) if self.looks else np.zeros(0, np.intp)
-        if len(lids):
-            pixels = self.shots[0].project(points.at(self.shots[0].view.vertices)[lids])
-            strange[lids] = np.maximum(strange[lids], within_eyes(self.looks, pixels))
         sights[0] = replace(first, trust=first.trust * (1 - strange))
         return sights, ground, shade
 
@@ -148,7 +143,7 @@ def painter_of(
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
     cloth = cloth_of(body, front, points, sight, light.shade(normals))
-    plain, seen = _smooth_colours(body, shots, light, cloth, looks or {}), Front(front.mesh)
+    plain, seen = _smooth_colours(body, shots, light, cloth), Front(front.mesh)
     twins, span = find_twins(front.mesh, trunk_of(body), seen), cloth.patterned
     sleeves = None if span is None else cut_sleeves(front.mesh, seen, span)
     head = back_of_head(body, front, light, cloth.nape)
@@ -156,11 +151,9 @@ def painter_of(
 
 
 def _aside(body: Body, shot: FittedPicture) -> F64:
-    """[V] 1, but 0 about the middle of the trunk, on lids, which eyes are over, and on hair, whose edges are mixed with
-    the room."""
+    """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
     trunk, rest = trunk_of(body), shot.mesh.vertices
     hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
-    hair = hair | lids_of()
     share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
     return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
 
@@ -180,9 +173,7 @@ def _mixed(sights: Sequence[Sight]) -> tuple[F64, F64]:
     return np.max([sight.trust for sight in sights], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
 
 
-def _smooth_colours(
-    body: Body, shots: Sequence[FittedPicture], light: Light, cloth: Cloth, looks: Mapping[str, EyeLook]
-) -> F64:
+def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light, cloth: Cloth) -> F64:
     """[V, 3] what is added to the cloth's linear colours without light: as seen at the vertices, the smoothest between.
 
     Where no cloth is known it is the colours themselves.
@@ -197,8 +188,6 @@ def _smooth_colours(
         # every picture is of the same room: normals are turned back into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
-        if shot is first:
-            trust = trust * (1 - lids_of() * within_eyes(looks, shot.view.pixels))
         trust = trust * ground.alike(plain, patterned=False)  # a print does not flow into the cloth beside it
         known += trust
         target += trust[:, None] * plain

@@ -109,7 +109,7 @@ def check_capture(
     found = [
         several,
         cut,
-        small,
+        None if half else small,  # what is seen of half a person is small, and to go closer is no help
         turned(person, view, config.posture) if view is not None else None,
         _face(person, view, config),
         None if half else arms(person, view, config.posture),

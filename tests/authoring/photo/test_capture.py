@@ -167,6 +167,15 @@ def test_half_of_somebody_is_told_by_what_is_seen(pair) -> None:
         assert findings[0].text == f"the person is seen down to the {place} only; show them whole, shoes included"
 
 
+def test_half_of_somebody_is_not_told_to_come_closer(pair) -> None:
+    """Seen down to the thighs from afar: whole people are to be shown, not nearer ones."""
+    half = BAD["down to the thighs"][1](*pair)
+    size = 360 / (half.shape[0] - rows(pair[0])[0])
+    found = check_capture(small(np.ascontiguousarray(half), size))
+    assert found.refused and found.mask.any(axis=1).sum() < 400
+    assert [finding.code for finding in found.findings if finding.refusal] == ["cut_off"]
+
+
 def test_a_frame_is_no_outline(pair) -> None:
     person = pair[0]
     found = check_capture(person.picture)

@@ -24,7 +24,7 @@ _ROUNDS = (6, 4, 3)
 _HALF = 3  # pixels of a piece around its middle
 _AROUND = 0.16  # of the height: so far from the hole pieces are taken
 _UPRIGHT, _ASIDE = 1.6, 0.4  # root mean square of colour that a height of distance counts as, along it and across
-_KEPT = 12  # principal components of a piece
+_KEPT, _DIGITS = 12, 4  # principal components of a piece, which differ in their last bits with the number of threads
 _NEAR, _FAR = 0.006, 0.014  # of the height: so near to another layer one is guessed anew; cloth is looked for no nearer
 _THIN = 0.01  # of it
 _MOST = 12_000  # pieces that are compared
@@ -87,7 +87,7 @@ def patched(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture
         return picture
     out = picture.copy()
     inside = out[box]
-    inside[wanted] = (_copied(seen, sure, wanted, filled, source)) ** 2
+    inside[wanted] = _copied(seen, sure, wanted, filled, source) ** 2
     return out
 
 
@@ -105,17 +105,17 @@ def _filled(small: Picture, known: Mask, hole: Mask, rounds: int, height: float)
     at = np.stack([rows, columns], axis=1)
     touched = np.argwhere(cv2.dilate(hole.astype(np.uint8), square) > 0)
     padded = np.pad(small, ((_HALF, _HALF), (_HALF, _HALF), (0, 0)), mode="edge")
-    offsets = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2)
-    pieces = _pieces(padded, at, offsets)
+    offsets = np.argwhere(np.ones((side, side), bool))
+    pieces = _pieces(padded, at, offsets).astype(np.float64)
     mean = pieces.mean(axis=0)
-    basis = np.linalg.eigh(np.cov((pieces - mean).T))[1][:, : -_KEPT - 1 : -1].astype(np.float32)
-    place = np.array([_UPRIGHT, _ASIDE], np.float32) / np.float32(height) * np.float32(side)
-    tree = cKDTree(np.hstack([(pieces - mean) @ basis, at * place]))
+    basis = np.linalg.eigh(np.cov((pieces - mean).T))[1][:, : -_KEPT - 1 : -1]
+    place = np.array([_UPRIGHT, _ASIDE]) / height * side
+    tree = cKDTree(np.hstack([np.round((pieces - mean) @ basis, _DIGITS), at * place]))
     out, source, framed = small.copy(), np.full((*hole.shape, 2), -1, np.intp), padded.copy()
     for _ in range(rounds):
         padded[_HALF:-_HALF, _HALF:-_HALF] = out
         wanted = _pieces(padded, touched, offsets)
-        _, nearest = tree.query(np.hstack([(wanted - mean) @ basis, touched * place]))
+        _, nearest = tree.query(np.hstack([np.round((wanted - mean) @ basis, _DIGITS), touched * place]))
         source[touched[:, 0], touched[:, 1]] = at[nearest]
         away = _joined(source, wanted, touched, whole, framed, offsets)
         usual = max(float(np.median(away)) * _SHARP, 1e-4)
