@@ -15,7 +15,6 @@ from tqdm import tqdm
 from glsplat.errors import FormatError
 from glsplat.motion.motion import Motion, load_motion
 from glsplat.tracking.learned.network import load_network, save_network
-from glsplat.tracking.solve.body import Body
 from glsplat.tracking.training.clips import TrainingClip, clips_of, looks_away, unit_of_skeleton
 from glsplat.tracking.training.fit import TrainingConfig, evaluate, fit, lessons_of
 from glsplat.tracking.training.standing import Stance, stances_of, stood
@@ -89,8 +88,7 @@ def train(args: argparse.Namespace) -> int:
     seen = [clip for clip in clips if clip.group not in out]
     if not seen:
         raise FormatError("no motion of a second or more is left to learn from")
-    body = Body.of(skeleton)
-    heard = lessons_of(tqdm(seen, unit="clip", disable=quiet, leave=False), body, unit, rng)
+    heard = lessons_of(tqdm(seen, unit="clip", disable=quiet, leave=False), unit, rng)
     with tqdm(total=args.steps, unit="step", disable=quiet, leave=False) as bar:
 
         def show(_: int, loss: float) -> None:
@@ -104,7 +102,7 @@ def train(args: argparse.Namespace) -> int:
     result = {"motions": len(seen), "seconds": round(seconds), "left_out": sorted(out)}
     if out:  # the motions as they are, not their mirror images or other speeds
         left = [clip for clip in clips if clip.group in out and clip.plain and not clip.made]
-        result |= evaluate(network, [lesson for lesson in lessons_of(left, body, unit, rng) if lesson.clean], unit)
+        result |= evaluate(network, [lesson for lesson in lessons_of(left, unit, rng) if lesson.clean], unit)
     print(json.dumps(result) if args.json else "\n".join(f"{key:10} {value}" for key, value in result.items()))
     return 0
 

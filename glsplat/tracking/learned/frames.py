@@ -16,10 +16,8 @@ __all__ = [
     "INPUTS",
     "OUTPUTS",
     "RATE",
-    "SEEN",
     "TICK",
     "Guess",
-    "PlainFrames",
     "TrackedFrames",
     "inputs_of",
     "level",
@@ -35,10 +33,8 @@ TICK = 1 / RATE
 MEMORIES = (0.3, 1.0, 3.0)  # seconds of the running means of the head's place
 HAND = 13  # numbers a hand: tracked, place, two axes, velocity
 
-SEEN = 1 + 6 + 3 + 1 + 2 * len(MEMORIES) + 2 * HAND
-INPUTS = SEEN + 9 + 2 + 2 + 1
-"""Numbers in: eye height, two axes of the head, its velocity, its turning, where it was lately, two hands (SEEN); then
-the analytic body: places of pelvis and feet, the pelvis' heading, whether each foot is planted, how surely it walks."""
+INPUTS = 1 + 6 + 3 + 1 + 2 * len(MEMORIES) + 2 * HAND
+"""Numbers in: eye height, two axes of the head, its velocity, its turning, where it was lately, two hands."""
 
 POINTS = ("pelvis", "left_knee", "right_knee", "left_ankle", "right_ankle", "left_foot", "right_foot")
 OUTPUTS = 3 * len(POINTS) + 12 + 12 + 2
@@ -55,16 +51,6 @@ class TrackedFrames:
     at: F32  # [N, 2, 3] wrists, left and right; anything where not tracked
     hand: F32  # [N, 2, 3, 3]
     tracked: F32  # [N, 2] 0 or 1
-
-
-@dataclass(slots=True)
-class PlainFrames:
-    """The analytic solver's body at N moments: what it remembers, where feet are planted, is more than is seen."""
-
-    points: F32  # [N, 3, 3] pelvis and balls of the feet from the ground below the eyes, axes of the world, metres
-    yaw: F32  # [N] of the pelvis, radians
-    planted: F32  # [N, 2] 0 or 1
-    walks: F32  # [N] 0 .. 1
 
 
 @dataclass(slots=True)
@@ -111,8 +97,8 @@ def slower(means: F32, eye: F32) -> F32:
     return means + (eye[..., None, [0, 2]] - means) * k
 
 
-def inputs_of(now: TrackedFrames, before: TrackedFrames, means: F32, plain: PlainFrames, unit: float) -> F32:
-    """[N, INPUTS] from the moments, those one tick earlier, running means [N, 3, 2] of ``slower``, and ``plain``."""
+def inputs_of(now: TrackedFrames, before: TrackedFrames, means: F32, unit: float) -> F32:
+    """[N, INPUTS] from the moments, those one tick earlier, and the running means [N, 3, 2] of ``slower``."""
     n, yaw = len(now.yaw), now.yaw
     k = 1 / unit
     turned = (yaw - before.yaw + np.pi) % (2 * np.pi) - np.pi
@@ -124,7 +110,6 @@ def inputs_of(now: TrackedFrames, before: TrackedFrames, means: F32, plain: Plai
     place = level(now.at - now.eye[:, None], yaw) * (k * mask)
     moved = level(now.at - before.at, yaw) * (k * RATE * mask * before.tracked[..., None])
     hands = level(now.hand[..., [1, 2]].transpose(0, 1, 3, 2).reshape(n, 4, 3), yaw).reshape(n, 2, 6) * mask
-    off = (plain.yaw - yaw)[:, None]
     return np.concatenate(
         (
             now.eye[:, 1:2] * k,
@@ -133,11 +118,6 @@ def inputs_of(now: TrackedFrames, before: TrackedFrames, means: F32, plain: Plai
             turned[:, None] * RATE * 0.2,
             level(away, yaw)[..., [0, 2]].reshape(n, -1) * k,
             np.concatenate((mask, place, hands, moved * 0.5), -1).reshape(n, -1),
-            level(plain.points, yaw).reshape(n, -1) * k,
-            np.sin(off),
-            np.cos(off),
-            plain.planted,
-            plain.walks[:, None],
         ),
         -1,
         dtype=np.float32,

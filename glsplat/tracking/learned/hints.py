@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.rotations import quaternion_matrices
-from glsplat.tracking.learned.frames import TICK, Guess, PlainFrames, TrackedFrames, inputs_of, slower, unit_of
+from glsplat.tracking.learned.frames import TICK, Guess, TrackedFrames, inputs_of, slower, unit_of
 from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.solve.body import ANKLES, FEET, Body
 from glsplat.tracking.solve.quat import (
@@ -117,12 +117,12 @@ class Hints:
         self._off: list[Vec] = [(0.0, 0.0, 0.0)] * 4  # what is shown of the feet, less what is said; fades
         self._stages: list[_Pose] = []  # what the low passes hold
 
-    def update(self, targets: Targets, plain: PlainFrames, dt: float) -> Hint:
-        """The hint for these targets, ``dt`` seconds after the last ones. ``plain``: the analytic body of now."""
+    def update(self, targets: Targets, dt: float) -> Hint:
+        """The hint for these targets, ``dt`` seconds after the last ones."""
         seen = swing_twist_y(targets.head)
         yaw = self._last[1] if seen is None and self._last else (seen or 0.0)
         if self._last is None:
-            self._tick(targets, yaw, plain)
+            self._tick(targets, yaw)
         else:
             before, turned = self._last
             self._since += dt
@@ -130,22 +130,21 @@ class Hints:
                 self._since = max(self._since - TICK, 0.0)
                 part = 1 - self._since / dt if dt > 0 else 1.0
                 if part >= 1 - 1e-6:
-                    self._tick(targets, yaw, plain)
+                    self._tick(targets, yaw)
                 else:
                     between = _between(before, targets, max(part, 0.0))
                     seen = swing_twist_y(between.head)
-                    self._tick(between, turned if seen is None else seen, plain)
+                    self._tick(between, turned if seen is None else seen)
         self._last = (targets, yaw)
         return self._hint(targets, dt)
 
-    def _tick(self, targets: Targets, yaw: float, plain: PlainFrames) -> None:
+    def _tick(self, targets: Targets, yaw: float) -> None:
         now = _seen(targets, yaw)
         if self._before is None:
             self._before = now
             self._means = np.repeat(now.eye[:, None, [0, 2]], 3, 1)
         self._means = slower(self._means, now.eye)
-        inputs = inputs_of(now, self._before, self._means, plain, self.unit)[0]
-        numbers, self.state = self.network.step(inputs, self.state)
+        numbers, self.state = self.network.step(inputs_of(now, self._before, self._means, self.unit)[0], self.state)
         self._before = now
         old, self._said = self._said, _plain(Guess.of(numbers[None], self.unit), targets.eye, yaw)
         if old is not None:

@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.io.npz import read_arrays
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE, SEEN
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE
 
 __all__ = ["VERSION", "PoseNetwork", "load_network", "save_network"]
 
 F32 = NDArray[np.float32]
 
-VERSION = 2
-"""Of the file and of what the numbers in and out mean (``frames.py``). One of version 1 hears nothing of the analytic
-body; another one is refused."""
+VERSION = 1
+"""Of the file and of what the numbers in and out mean (``frames.py``); another one is refused."""
 
 MOST = 1024  # units and width at most: a file that says more is not one of these
 
@@ -97,25 +96,23 @@ def load_network(path: str | PathLike[str]) -> PoseNetwork:
             )
     except OSError as error:
         raise FormatError(f"{name}: cannot read the tracking model ({error.strerror or error})") from None
-    if known["version"].shape or known["version"] not in (1, VERSION) or known["rate"] != RATE:
+    if known["version"].shape or known["version"] != VERSION or known["rate"] != RATE:
         raise FormatError(f"{name}: a tracking model of version {known['version']}, not {VERSION}; train it again")
     arrays = {key: known[key] for key in ARRAYS}
-    inputs = SEEN if known["version"] == 1 else INPUTS
-    wrong = _misshapen(arrays, inputs)
+    wrong = _misshapen(arrays)
     if wrong:
         raise FormatError(f"{name}: a tracking model whose {wrong}; train it again")
     if str(known["sha256"]) != _hash(arrays):
         raise FormatError(f"{name}: the tracking model is damaged (its numbers do not fit its checksum)")
-    arrays["front"] = np.pad(arrays["front"], ((0, 0), (0, INPUTS - inputs)))
     return PoseNetwork(**arrays, note=str(known.get("note", "")))
 
 
-def _misshapen(arrays: dict[str, F32], inputs: int) -> str:
+def _misshapen(arrays: dict[str, F32]) -> str:
     width, units = arrays["front"].shape[:1], arrays["cell"].shape[1:]
     if not (len(width) == len(units) == 1 and 1 <= width[0] <= MOST and 1 <= units[0] <= MOST):
         return f"layers have shapes {arrays['front'].shape} and {arrays['cell'].shape}"
     w, u = width[0], units[0]
-    shapes = ((w, inputs), (w,), (3 * u, w), (3 * u,), (3 * u, u), (3 * u,), (w, u), (w,), (OUTPUTS, w), (OUTPUTS,))
+    shapes = ((w, INPUTS), (w,), (3 * u, w), (3 * u,), (3 * u, u), (3 * u,), (w, u), (w,), (OUTPUTS, w), (OUTPUTS,))
     for (key, array), shape in zip(arrays.items(), shapes, strict=True):
         if array.shape != shape or array.dtype != np.float32:
             return f"{key} is {array.dtype} {array.shape}, not float32 {shape}"

@@ -8,12 +8,10 @@ from glsplat.tracking.learned.expected import ExpectedError
 from glsplat.tracking.learned.feet import Feet, Rest
 from glsplat.tracking.learned.hints import Hint, Hints
 from glsplat.tracking.learned.network import PoseNetwork
-from glsplat.tracking.learned.plain import plain_frames
 from glsplat.tracking.learned.seat import Seat
 from glsplat.tracking.learned.stance import Stance
 from glsplat.tracking.learned.steady import Steady
 from glsplat.tracking.learned.uncertainty import Uncertainty
-from glsplat.tracking.learned.upright import Upright
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.hands import Hands
@@ -46,7 +44,7 @@ from glsplat.tracking.solve.tracked import Pelvis
 
 __all__ = ["LearnedSolver"]
 
-PLAIN = 0.25  # of the pelvis that the analytic solver places, before what ``Upright`` says of it
+PLAIN = 0.3  # of the pelvis that the analytic solver places
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
 AHEAD, UNDER = 0.55, 0.85  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
@@ -56,9 +54,8 @@ SWING = 0.7  # radians at most that the torso swings about the neck to bring the
 class LearnedSolver:
     """What ``Solver`` asks for. Head and reachable hands are exact, whatever the network says; feet do not slide.
 
-    PLAIN of the pelvis is the analytic solver's, and some of it is where somebody upright has it (``Upright``): the
-    three are off in different ways, so that a mean is nearer than the worst of them, and where the network knows least
-    of a person often nearer than any.
+    PLAIN of the pelvis is the analytic solver's: the two are off in different ways, so that a mean is nearer than the
+    worse of them, and where the network knows least of a person often nearer than either.
     Where the network has learned nothing (``Uncertainty``) all of it is the analytic solver's.
     """
 
@@ -69,7 +66,6 @@ class LearnedSolver:
         self.doubt: Uncertainty = Uncertainty(body.eye_height)
         self.steady: Steady = Steady()
         self.plain: AnalyticSolver = AnalyticSolver(body)
-        self.upright: Upright = Upright(body)
         self.stance: Stance = Stance(body)
         self.expected: ExpectedError = ExpectedError(body.eye_height)
         self.seat: Seat = Seat(body)
@@ -105,16 +101,16 @@ class LearnedSolver:
         """One moment."""
         before = self._steps or self.feet
         targets = self.ground.bring(targets, before.slack, before.clearance.tiptoe, dt)
+        hint = self.hints.update(targets, dt)
+        if targets.left is None and targets.right is None:
+            self._face(hint, targets.head)
         rests = self.rest.update(targets.eye, swing_twist_y(targets.head) or 0.0, dt)
         lost = self.doubt.update(targets, self._missed, dt)
         steps = self._whose(lost)
         plain = self.plain.torso(targets, dt)
+        expected = self.expected.update(targets, length(sub(hint.pelvis_at, plain.pelvis_at)), dt)
         if steps is self.feet:
             self.plain.stepped(targets, plain, dt, shown=False)
-        hint = self.hints.update(targets, plain_frames(self.plain, plain, targets.eye), dt)
-        if targets.left is None and targets.right is None:
-            self._face(hint, targets.head)
-        expected = self.expected.update(targets, length(sub(hint.pelvis_at, plain.pelvis_at)), dt)
         stands = self.stance.update(targets, hint.feet, self.plain.legs.feet, dt)
         self.pelvis.update(targets.pelvis, targets.pelvis_turn, targets.eye, dt)
         # a pelvis that is tracked is known better than by either
@@ -155,11 +151,8 @@ class LearnedSolver:
             self.steady.reset()
             return plain
         share += (1 - share) * lost
-        upright = self.upright.share(targets.eye) * (1 - lost) * (1 - self.pelvis.share)
-        under = self.upright.place(targets.eye, targets.head, swing_twist_y(hint.pelvis) or 0.0)
-        place = pull(pull(hint.pelvis_at, plain.pelvis_at, share), under, upright)
         hint.pelvis, hint.chest = slerp(hint.pelvis, plain.pelvis, share), slerp(hint.chest, plain.spine3, lost)
-        return self._torso(targets, hint, self.steady.update(place, dt))
+        return self._torso(targets, hint, self.steady.update(pull(hint.pelvis_at, plain.pelvis_at, share), dt))
 
     def _seated(self, hint: Hint, torso: Torso) -> None:
         """Feet where those of somebody on a chair are: on the ground, below the knees, the thighs ahead."""

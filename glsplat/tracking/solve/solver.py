@@ -56,7 +56,7 @@ class AnalyticSolver:
         self._slow: Vec = (0.0, 0.0, 0.0)  # horizontal, smoothed by SLOW more: walking or only swaying
         self._twist = 0.0
         self.hands.reset()
-        self.walks = 0.0  # how surely: 0 .. 1
+        self._walking = 0.0
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """One moment. See the module's docstring for the order of things."""
@@ -87,7 +87,7 @@ class AnalyticSolver:
         )
         moving = clamp((speed - 0.25) / 0.5, 0.0, 1.0) * clamp((self._away - 0.12) / 0.15, 0.0, 1.0)
         moving = max(moving, 1.0 if legs.gait.walking else 0.0)
-        self.walks += (moving - self.walks) * (1 - exp(-dt / 0.1)) if self._seen > 3 else moving
+        self._walking += (moving - self._walking) * (1 - exp(-dt / 0.1)) if self._seen > 3 else moving
         middle = legs.middle()
         balance = (0.0, 0.0)
         if middle is not None:
@@ -98,7 +98,7 @@ class AnalyticSolver:
             balance = (local[2], local[0])
         self._twist = TWIST * self.heading.hands
         torso = spine.update(
-            targets.eye, targets.head, yaw, self.heading.head_yaw, balance, self.walks, speed, self._twist, dt
+            targets.eye, targets.head, yaw, self.heading.head_yaw, balance, self._walking, speed, self._twist, dt
         )
         return self.pelvis.bring(spine, targets.eye, targets.head, torso)
 

@@ -9,12 +9,10 @@ from math import cos, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, PlainFrames, TrackedFrames, inputs_of, slower
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, TrackedFrames, inputs_of, slower
 from glsplat.tracking.learned.network import PoseNetwork
-from glsplat.tracking.solve.body import Body
 from glsplat.tracking.training.clips import TrainingClip, targets_of
 from glsplat.tracking.training.disturbed import disturbed
-from glsplat.tracking.training.plain import plain_body
 from glsplat.tracking.training.recurrent import Learner, started
 
 __all__ = ["Lesson", "TrainingConfig", "evaluate", "features", "fit", "lessons_of", "loss", "shares_of"]
@@ -54,7 +52,7 @@ class Lesson:
     clean: bool  # undisturbed
 
 
-def features(seen: TrackedFrames, plain: PlainFrames, unit: float) -> F32:
+def features(seen: TrackedFrames, unit: float) -> F32:
     """[T, INPUTS] of moments [T] that begin with their first."""
     t = len(seen.yaw)
     back = np.maximum(np.arange(t) - 1, 0)
@@ -63,18 +61,17 @@ def features(seen: TrackedFrames, plain: PlainFrames, unit: float) -> F32:
     for i in range(t):
         means[i] = now = slower(now, seen.eye[i])
     before = TrackedFrames(*[getattr(seen, name)[back] for name in TrackedFrames.__slots__])
-    return inputs_of(seen, before, means, plain, unit)
+    return inputs_of(seen, before, means, unit)
 
 
-def lessons_of(clips: Iterable[TrainingClip], body: Body, unit: float, rng: np.random.Generator) -> list[Lesson]:
+def lessons_of(clips: Iterable[TrainingClip], unit: float, rng: np.random.Generator) -> list[Lesson]:
     """Every clip disturbed, and those that are neither faster nor slower as they are, too."""
     out = []
     for clip in clips:
         odd, truth = disturbed(clip.seen, rng), targets_of(clip, unit)
-        heard = features(odd, plain_body(odd, body), unit)
-        out.append(Lesson(clip, heard, _seen_from(truth, clip.seen, odd, unit), False))
+        out.append(Lesson(clip, features(odd, unit), _seen_from(truth, clip.seen, odd, unit), False))
         if clip.plain or clip.made:
-            out.append(Lesson(clip, features(clip.seen, plain_body(clip.seen, body), unit), truth, True))
+            out.append(Lesson(clip, features(clip.seen, unit), truth, True))
     return out
 
 
