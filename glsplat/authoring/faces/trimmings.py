@@ -18,7 +18,7 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
+__all__ = ["LASH", "VEIL", "lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -29,8 +29,8 @@ _LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
 _ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
 _LASHES, _LOWER = 34, 18  # of an upper and a lower lid
 _LONG, _SHORT, _THICK = 0.0085, 0.0045, 0.00011  # metres
-_DARK = np.array([22, 15, 12]) / 255
-_SHADE = np.array([46, 28, 22]) / 255
+LASH, VEIL = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255
+"""Colours of lashes, and of the shadow under an upper lid."""
 _GLINT = np.radians((10.0, 13.0))  # to the person's left and up: where a window would be mirrored
 _STRAND = (0.0075, 0.00050, 0.00018)  # metres, standard deviations
 _BROW_HAIR, _BROWS = (0.0014, 0.00011, 0.00008), 0.35  # metres; alpha from which a texel has hair
@@ -237,7 +237,7 @@ def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     scales = np.concatenate([np.tile(length, (2, 1)) * 0.17, np.full((2 * count, 2), _THICK)], axis=1)
     scales[count:, 1:] *= 0.7
     opacity = np.repeat([0.95, 0.8] if upper else [0.6, 0.4], count)
-    return _Extra(means, _frames(ways, across), scales, opacity, np.tile(_DARK, (2 * count, 1)), np.tile(face[row], 2))
+    return _Extra(means, _frames(ways, across), scales, opacity, np.tile(LASH, (2 * count, 1)), np.tile(face[row], 2))
 
 
 def _shadow(ball: Eyeball, edges: LidEdges) -> _Extra:
@@ -253,7 +253,7 @@ def _shadow(ball: Eyeball, edges: LidEdges) -> _Extra:
     outward = np.concatenate(ways)
     axes = _frames(np.cross(np.array([0.0, 1, 0]), outward), outward)
     scales = np.tile([0.0011, 0.0007, 0.00008], (len(outward), 1))
-    rgb = np.tile(_SHADE, (len(outward), 1))
+    rgb = np.tile(VEIL, (len(outward), 1))
     return _Extra(np.concatenate(means), axes, scales, np.concatenate(opacity), rgb, np.concatenate(face))
 
 

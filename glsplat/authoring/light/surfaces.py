@@ -127,18 +127,11 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
 
     def surfaced(one: Avatar) -> Avatar:
         where = nearest_open(mesh, one.splats, occlusion)
-        surface = Surface.of(*surface_seen(one, where.directions(normals), opened(where.at(occlusion))))
+        surface = Surface.of(*as_seen(one, where.directions(normals), opened(where.at(occlusion))))
         return replace(one, splats=replace(one.splats, surface=surface))
 
     levels = tuple(replace(level, content=surfaced(level.content)) for level in avatar.levels)
     return replace(surfaced(replace(avatar, levels=())), levels=levels)
-
-
-def surface_seen(avatar: Avatar, normals: F64, occlusion: F64) -> tuple[F64, F64]:
-    """Normals [N, 3] and occlusion [N] that agree where splats lie over each other (optimize/seen.py)."""
-    held = as_seen(avatar, np.concatenate([normals, occlusion[:, None]], axis=1))
-    length = np.linalg.norm(held[:, :3], axis=1, keepdims=True)
-    return np.where(length > 1e-6, held[:, :3] / np.maximum(length, 1e-6), 0), held[:, 3]
 
 
 def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:

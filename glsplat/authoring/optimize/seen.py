@@ -1,8 +1,8 @@
 """What splats know of their surface, made to agree with what is seen: a picture mixes splats that lie over each other.
 
 A splat of the inside of a cheek shows through between those of its outside, in the skin's colour: a fit has seen to
-that. Lit by its own normal it would be a dark speck there. What is seen is mostly the outside, so each splat takes the
-mean of the pictures where it shows; what nobody sees keeps its own, and teeth are mostly seen in an open mouth.
+that. Lit by its own normal it would be a dark speck there. So a splat that is far from what faces the camera where it
+shows takes the mean of that; what nobody sees keeps its own, and teeth are mostly seen in an open mouth.
 """
 
 from __future__ import annotations
@@ -18,35 +18,51 @@ __all__ = ["as_seen"]
 F64 = NDArray[np.float64]
 
 _ROUNDS = 3
-_OWN = 1.0  # pixels of all pictures that a splat's own value counts as
+_OWN = 1.0  # pixels of all pictures that a splat's own values count as
+_NEAR, _FAR = 0.2, 0.4  # of a unit: how far from the mean a splat's own may be, and from where on it is the mean
+_GRAZING = 0.22  # square of the cosine under which a splat is seen at most from aside; from twice that it is seen well
+_FACING = 0.5  # of a pixel, at least, that shows what faces the camera: elsewhere one looks through
 
 
-def as_seen(avatar: Avatar, values: F64) -> F64:
-    """Values [N, C] of the avatar's splats as pictures of it mix them.
+def as_seen(avatar: Avatar, normals: F64, occlusion: F64) -> tuple[F64, F64]:
+    """Unit normals [N, 3] and occlusion [N] of the avatar's splats, in the zero pose, as pictures of it mix them.
 
-    The values as they are without numba, and where there is nothing to look at.
+    As they are without numba, and where there is nothing to look at.
     """
     if not available():
-        return values
+        return normals, occlusion
     from glsplat.authoring.optimize.pictures import looks_at
     from glsplat.authoring.optimize.rasterizer import Rasterizer
 
     antialias, drawing = avatar.splats.antialias, Rasterizer(len(avatar.splats))
     looks = list(looks_at(avatar))
-    held = np.concatenate([values, np.zeros((len(values), -values.shape[1] % 3))], axis=1)
-    low, span = held.min(axis=0, initial=0), np.maximum(np.ptp(held, axis=0), 1e-9) if len(held) else 1.0
-    held = (held - low) / span  # colours
+    values = np.concatenate([normals, occlusion[:, None]], axis=1)
     for _ in range(_ROUNDS):
-        total, weight = held * _OWN, np.full(len(held), _OWN)
+        total, weight, more = values * _OWN, np.full(len(values), _OWN), np.zeros((len(values), 3))
         for splats, cameras in looks:
             for camera in cameras:
-                for first in range(0, held.shape[1], 3):
-                    mine = slice(first, first + 3)
-                    drawn = drawing.draw(splats._replace(rgb=np.ascontiguousarray(held[:, mine])), camera, antialias)
-                    covered = np.maximum(drawn[:, :, 3:], 1e-3)
-                    slope = np.concatenate([drawn[:, :, :3] / covered, np.zeros_like(covered)], axis=2)
-                    found = drawing.backward(slope, np.zeros_like(drawn[:, :, 0]))
-                    total[:, mine] += found.rgb
-                weight += found.weight
-        held = total / weight[:, None]
-    return np.asarray((held * span + low)[:, : values.shape[1]])
+                way = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3] - splats.means
+                facing = (np.einsum("nc,nc->n", way, values[:, :3]) > 0)[:, None]
+                shown = [
+                    drawing.draw(splats._replace(rgb=np.ascontiguousarray(some)), camera, antialias)[:, :, :3]
+                    for some in (values[:, :3] * facing, np.concatenate([values[:, 3:] * facing, facing, 0 * facing], 1))
+                ]
+                part = shown[1][:, :, 1:2]
+                seen = np.concatenate(shown, axis=2)[:, :, :4] / np.maximum(part, 1e-6)
+                upright = np.clip(seen[:, :, :3] @ -camera.viewmat[2, :3], 0, 1)[:, :, None] ** 2
+                good = (part > _FACING).astype(np.float32)
+                upright = (upright * good).astype(np.float32)  # rims show much of what is behind
+                nothing = np.zeros_like(upright)
+                for columns, slope in (
+                    (total[:, :3], [seen[:, :, :3] * upright, nothing]),
+                    (more, [seen[:, :, 3:] * upright, upright, good, nothing]),
+                ):
+                    columns += drawing.backward(np.concatenate(slope, axis=2), nothing[:, :, 0]).rgb
+        total[:, 3:], weight = total[:, 3:] + more[:, :1], weight + more[:, 1]
+        mean = total / weight[:, None]
+        off = np.linalg.norm(mean - values, axis=1, keepdims=True)
+        sure = np.clip((more[:, 1:2] / np.maximum(more[:, 2:], 1e-6) - _GRAZING) / _GRAZING, 0, 1)
+        values += (mean - values) * sure * np.clip((off - _NEAR) / (_FAR - _NEAR), 0, 1)
+        length = np.linalg.norm(values[:, :3], axis=1, keepdims=True)
+        values[:, :3] = np.where(length > 1e-6, values[:, :3] / np.maximum(length, 1e-6), 0)
+    return values[:, :3], values[:, 3]
