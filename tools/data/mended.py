@@ -84,7 +84,8 @@ def _with_lashes(avatar: Avatar, share: float) -> Avatar:
     scales[dark] *= np.where(scales[dark] == scales[dark].max(axis=1, keepdims=True), share, 1)
     opacities[dark] *= share
     shapes = replace(shapes, bends=np.where(veils[shapes.rows][:, None, None], 0, shapes.bends))
-    return replace(avatar, splats=replace(splats, scales=scales, opacities=opacities), shapes=shapes)
+    new = replace(splats, scales=scales, opacities=opacities)
+    return replace(avatar, splats=new, shapes=shapes, levels=tuple(avatar.levels))
 
 
 def _rested(avatar: Avatar, expression: Mapping[str, float]) -> Avatar:
