@@ -84,11 +84,11 @@ def with_captured_light(
     """
     where = nearest_open(mesh, avatar.splats, captured.occlusion)
     normals = where.directions(vertex_normals(mesh.vertices, mesh.faces))
-    normals, occlusion = as_seen(avatar, normals, opened(where.at(captured.occlusion)))
-    shade = np.repeat(where.at(captured.shade[:, None]), 3, axis=1)
+    shade = where.at(captured.shade[:, None])[:, 0]
     if photographed is not None:
         shade[photographed:] = 1.0
-    surface = Surface.of(normals, occlusion, shade)
+    normals, occlusion, shade = as_seen(avatar, normals, opened(where.at(captured.occlusion)), shade)
+    surface = Surface.of(normals, occlusion, np.repeat(shade[:, None], 3, axis=1))
     meta: dict[str, Any] = dict(avatar.meta) | {"light": captured.light.to_json()}
     return replace(avatar, splats=replace(avatar.splats, surface=surface), meta=meta)
 

@@ -44,7 +44,7 @@ def cheek() -> tuple[Avatar, F64, F64, F64]:
 
 def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
     avatar, ways, normals, occlusion = cheek()
-    found, opened = as_seen(avatar, normals, occlusion)
+    found, opened, shade = as_seen(avatar, normals, occlusion, np.repeat([0.5, 1.0], [700, 400]))
     before, after = ((some * ways).sum(axis=1) for some in (normals, found))
     outer = slice(0, 700)
     assert after[outer].min() > 0.95 and opened[outer].min() > 0.8
@@ -52,12 +52,13 @@ def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
     level[outer] = False
     assert (before[level] < -0.99).all() and (after[level] > 0.9).mean() > 0.95 and np.median(opened[level]) > 0.8
     assert np.allclose(np.linalg.norm(found, axis=1), 1)
-    again, _ = as_seen(avatar, normals, occlusion)
-    assert again.tobytes() == found.tobytes()
+    assert np.allclose(shade[outer], 0.5, rtol=0.1) and np.median(shade[level]) < 0.6
+    unlit, _, ones = as_seen(avatar, normals, occlusion)
+    assert (ones == 1).all() and (unlit * found).sum(axis=1)[outer].min() > 0.95
 
 
 def test_without_numba_all_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     avatar, _, normals, occlusion = cheek()
     without_numba(monkeypatch)
-    same, opened = as_seen(avatar, normals, occlusion)
-    assert same is normals and opened is occlusion
+    same, opened, shade = as_seen(avatar, normals, occlusion)
+    assert same is normals and opened is occlusion and (shade == 1).all()
