@@ -127,7 +127,7 @@ class SunFields(msgspec.Struct):
 
 
 class LightFields(msgspec.Struct):
-    """What glsplat.light.Light.from_json reads: the type bounds the depth, and other keys are dropped as everywhere here."""
+    """What Light.from_json reads: the type bounds the depth, and other keys are dropped as everywhere here."""
 
     ambient: list[tuple[float, ...]]
     sun: SunFields | None = None
@@ -252,7 +252,7 @@ def faces_of(value: Sequence[Place] | None, farthest: float) -> tuple[Place, ...
 
 
 def light_of(value: LightFields | str | None) -> Light | None:
-    """The light that falls on what is shown, in the space of the eyes, read as scene files are. Raises ProtocolError."""
+    """The light that falls on what is shown, in the space of the eyes. Raises ProtocolError for what is none."""
     if value is None:
         return None
     from glsplat.light.light import Light  # here: clients and most requests have none

@@ -2,8 +2,9 @@
 
 python -m tools.data.mended AVATAR.glb PERSON.npz NAME OUT.glb [--touched top ...] [--levels 14000 7000 4500]
 
-- Colours of mended textures (touched.py) of the parts that are named, once: of splats that lie at such a part and have its colours; one that lies
-  behind them, as hair under a collar, has others. Whites of eyes are those of eyeballs.py.
+- Colours of mended textures (touched.py) of the parts that are named, once: of splats that lie at such a part and
+  have its colours; one that lies behind them, as hair under a collar, has others.
+- Whites of eyes as those of eyeballs.py, lashes and veils as those of trimmings.py.
 - The face at rest, if the file does not have one: by the splats' own shapes, which then start from there.
 - The surface, for light.
 
@@ -91,7 +92,9 @@ def _with_lashes(avatar: Avatar, share: float) -> Avatar:
 def _rested(avatar: Avatar, expression: Mapping[str, float]) -> Avatar:
     """The avatar with the expression as its still face; cones stay, which such moves of millimetres leave true."""
     assert avatar.shapes is not None
-    expression = {name: weight for name, weight in expression.items() if name not in AT_REST}  # it was fitted with those
+    expression = {
+        name: weight for name, weight in expression.items() if name not in AT_REST
+    }  # it was fitted with those
     posed = posed_splats(avatar, Pose(np.zeros((len(avatar.skeleton), 3)), expression=expression))
     splats = replace(avatar.splats, means=posed.means, quats=posed.quats, scales=posed.scales)
     levels = tuple(replace(one, content=_rested(one.content, expression)) for one in avatar.levels)

@@ -37,7 +37,9 @@ _COMES = 0.003  # metres that a closing lid comes down
 _SHADED = 0.95  # of that skin's colour
 _ABOVE = 0.008  # metres from a lid's middle to the skin below the brow
 _UNLIKE = 0.1  # of 1, from the skin about it: what lies on a lid and has the eye's colours or a lash's
-_SUNK = np.array([0.0, 0.0, -0.008])  # metres into the head, where such goes when the lid closes, and its skin comes from
+_SUNK = np.array(
+    [0.0, 0.0, -0.008]
+)  # metres into the head, where such goes when the lid closes, and its skin comes from
 _NEAR = 0.03  # metres from what expressions move; splats farther off stay
 
 

@@ -229,7 +229,9 @@ def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = first + np.array([0, 0.75 * up, 0])
     second /= np.linalg.norm(second, axis=1, keepdims=True)
-    length = long * (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
+    length = (
+        long * (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
+    )
     joint = root + 0.5 * length * first
     ways = np.concatenate([first, second])
     means = np.concatenate([root + 0.25 * length * first, joint + 0.25 * length * second])

@@ -75,7 +75,9 @@ def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
     far, near = _nearest(points, np.arange(len(points)), means)
     outer = np.flatnonzero(~inside[which])
     if 0 < len(outer) < len(points):  # what lies inside may have none but such about it
-        far, near = (np.concatenate(both, axis=1) for both in zip((far, near), _nearest(points, outer, means), strict=True))
+        far, near = (
+            np.concatenate(both, axis=1) for both in zip((far, near), _nearest(points, outer, means), strict=True)
+        )
     facing = np.abs(np.einsum("nkc,nc->nk", face_normals[which[near]], thin_axes(splats)))
     cost = far + _SIDEWAYS * (1 - facing) + _HIDDEN * inside[which[near]]
     chosen = np.take_along_axis(near, cost.argmin(axis=1)[:, None], axis=1)[:, 0]

@@ -19,7 +19,10 @@ F64 = NDArray[np.float64]
 
 _ROUNDS = 3
 _OWN = 1.0  # pixels of all pictures that a splat's own values count as
-_NEAR, _FAR = 0.2, 0.4  # of a unit, or an octave: how far from the mean a splat's own may be; from there on it is the mean
+_NEAR, _FAR = (
+    0.2,
+    0.4,
+)  # of a unit, or an octave: how far from the mean a splat's own may be; from there on it is the mean
 _GRAZING = 0.22  # square of the cosine under which a splat is seen at most from aside; from twice that it is seen well
 _FACING = 0.5  # of a pixel, at least, that shows what faces the camera: elsewhere one looks through
 
