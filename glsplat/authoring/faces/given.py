@@ -93,11 +93,11 @@ def _lid(face: RiggedMesh, avatar: Avatar, near: NDArray[np.intp], side: str) ->
     blink = f"eyeBlink{side}"
     still = np.zeros((len(face.skeleton), 3))
     comes = -face.morphs.moved(Pose(still, expression={blink: 1.0}), len(face.vertices))[:, 1]
-    lid = (comes[face.faces] > _COMES).any(axis=1)
+    lid: NDArray[np.bool_] = np.any(comes[face.faces] > _COMES, axis=1)
     middle = face.vertices[face.faces[lid]].reshape(-1, 3).mean(axis=0)
     means, rgb = avatar.splats.means[near].astype(np.float64), avatar.splats.sh[near, 0] * SH_C0 + 0.5
     _, _, which, _ = nearest_on(face.vertices, face.faces, means)
-    close = np.linalg.norm(means - middle, axis=1) < _NEAR
+    close: NDArray[np.bool_] = np.less(np.linalg.norm(means - middle, axis=1), _NEAR)
     about = rgb[close & (means[:, 1] > middle[1] + _ABOVE) & (np.abs(means[:, 0] - middle[0]) < _NEAR / 2)]
     about = about[about.sum(axis=1) >= np.quantile(about.sum(axis=1), 0.3)] if len(about) else np.full((1, 3), 0.5)
     colour = np.median(about, axis=0) * _SHADED

@@ -130,8 +130,8 @@ def with_lashes(
     first = len(made.splats) - len(glints)
     veiled = first - sum(len(one.means) for one in veils)
     bends = np.where((made.shapes.rows >= veiled)[:, None, None], 0, made.shapes.bends)  # lids stretch sixfold
-    made = replace(made, shapes=replace(made.shapes, bends=bends))
-    return replace(made, shapes=_going_out(made.shapes, first, lit)) if glints else made
+    shapes = replace(made.shapes, bends=bends)
+    return replace(made, shapes=_going_out(shapes, first, lit) if glints else shapes)
 
 
 def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
@@ -191,18 +191,25 @@ def _strewn(mesh: RiggedMesh, part: str, count: int, rng: np.random.Generator, s
         return None
     corners = mesh.vertices[hair.faces]
     along, normal, area = _flow(corners, hair.uv)
-    chosen: tuple[list[Indices], list[F64], list[F64]] = [], [], []
+    places: list[Indices] = []
+    weights: list[F64] = []
+    colours: list[F64] = []
     for _ in range(_TRIES):
         which = rng.choice(len(area), 4 * count, p=area / area.sum())
         edge, other = np.sqrt(rng.random(4 * count)), rng.random(4 * count)
         bary = np.stack([1 - edge, edge * (1 - other), edge * other], axis=1)
         rgba = hair.sample(np.einsum("nk,nkc->nc", bary, hair.uv[which]))
         good = rgba[:, 3] > solid
-        for many, one in zip(chosen, (which[good], bary[good], rgba[good, :3]), strict=True):
-            many.append(one)
-        if sum(map(len, chosen[0])) >= count:
+        places.append(which[good])
+        weights.append(bary[good])
+        colours.append(rgba[good, :3])
+        if sum(map(len, places)) >= count:
             break
-    which, bary, rgb = (np.concatenate(many)[:count] for many in chosen)
+    which, bary, rgb = (
+        np.concatenate(places)[:count],
+        np.concatenate(weights)[:count],
+        np.concatenate(colours)[:count],
+    )
     if len(which) < max(count, 1):
         return None
     means = np.einsum("nk,nkc->nc", bary, corners[which])
