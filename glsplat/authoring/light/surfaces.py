@@ -18,7 +18,7 @@ from glsplat.rotations import signed_axes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["Nearest", "nearest_open", "open_pose", "opened", "surface_carried", "with_surface"]
+__all__ = ["Nearest", "nearest_open", "open_pose", "opened", "with_surface"]
 
 F64 = NDArray[np.float64]
 
@@ -29,7 +29,6 @@ _SIDEWAYS, _HIDDEN = 0.004, 0.05  # metres that facing another way is worth, and
 _INSIDE = 0.1  # occlusion of what lies inside
 _OWN = ("teeth", "tongue")  # parts that keep their own surface, wherever they lie
 _DARKEST = 0.25  # occlusion at least: teeth are hidden while the mouth is shut, and not black when it opens
-_AS_MANY = 4  # splats of a finer one that a coarser one's surface is the mean of, at most
 
 
 class Nearest:
@@ -135,20 +134,3 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
 
     levels = tuple(replace(level, content=surfaced(level.content)) for level in avatar.levels)
     return replace(surfaced(replace(avatar, levels=())), levels=levels)
-
-
-def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
-    """The surface of splats that were made of others: the mean of as many of the nearest as each stands for.
-
-    Where there are as many they are the same ones moved a little, and each takes the nearest's.
-    """
-    usable = np.flatnonzero(before.finite())
-    if surface is None or not len(usable):
-        return None
-    k = int(np.clip(round(len(before) / max(len(after), 1)), 1, min(_AS_MANY, len(usable))))
-    means = np.nan_to_num(after.means.astype(np.float64), posinf=0, neginf=0)
-    near = usable[cKDTree(before.means[usable].astype(np.float64)).query(means, k)[1].reshape(len(means), k)]
-    normals = surface.units[near].sum(axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    shade = None if surface.shade is None else np.exp2(np.log2(surface.shades[near]).mean(axis=1))
-    return Surface.of(normals, surface.ao[near].mean(axis=1), shade)
