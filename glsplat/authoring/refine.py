@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.authoring.faces.carry import carried
 from glsplat.authoring.footprints import footprints
-from glsplat.authoring.light.surfaces import surface_carried
+from glsplat.authoring.light.carried import surface_carried
 from glsplat.authoring.raster import mesh_picture_and_depth
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole

@@ -135,7 +135,7 @@ class SunFields(msgspec.Struct):
 
 
 class LightFields(msgspec.Struct):
-    """What glsplat.light.Light.from_json reads: the type bounds the depth, and other keys are dropped as everywhere here."""
+    """What Light.from_json reads: the type bounds the depth, and other keys are dropped as everywhere here."""
 
     ambient: list[tuple[float, ...]]
     sun: SunFields | None = None
@@ -293,7 +293,7 @@ def video_of(value: Video | None) -> Video | None:
 
 
 def light_of(value: LightFields | str | None) -> Light | None:
-    """The light that falls on what is shown, in the space of the eyes, read as scene files are. Raises ProtocolError."""
+    """The light that falls on what is shown, in the space of the eyes. Raises ProtocolError for what is none."""
     if value is None:
         return None
     from glsplat.light.light import Light  # here: clients and most requests have none

@@ -75,7 +75,13 @@ def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_
 
         assert sides(512, (False, slow, 0), (False, slow, 9000)) == [512, 512]  # nobody speaks
         assert sides(512, (True, quick, 0), (True, quick, 900)) == [512, 512]  # nobody waits
-        some = [(True, slow, 0.0), (True, slow, 100.0), (True, slow, 500.0), (True, slow, 1000.0), (True, quick, 1500.0)]
+        some = [
+            (True, slow, 0.0),
+            (True, slow, 100.0),
+            (True, slow, 500.0),
+            (True, slow, 1000.0),
+            (True, quick, 1500.0),
+        ]
         assert sides(512, *some) == [384, 384, 288, 288, 288]  # no smaller than 256
         assert sides(512, *some, (False, quick, 6000), (False, quick, 7000))[-2:] == [288, 512]
 

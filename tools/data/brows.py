@@ -13,7 +13,7 @@ __all__ = ["raised_brows"]
 
 
 def raised_brows(mesh: RiggedMesh, part: MeshPart, inner: float, outer: float = 0.0) -> RiggedMesh:
-    """The mesh whose ``part`` lies so many metres higher at its inner and outer ends, as far before the skin as it was."""
+    """The mesh whose ``part`` lies so many metres higher at its ends, as far before the skin as it was."""
     skin = next(one for one in mesh.parts if one.name == "body").faces
     own = np.unique(part.faces)
     points = mesh.vertices[own]

@@ -43,8 +43,11 @@ SAMPLER = SamplerConfig(hand_share=0.097, head_share=0.32, face_boost=3.5, eye_b
 """Faces are what one looks at: a third of the splats instead of a fifth."""
 AT_REST = {"mouthClose": 0.035}
 """What closes lips that MakeHuman leaves a little open."""
+LEVEL_STEPS = 150
 LASHES, BROWS, STRANDS = 342, 360, 2_000
 """Splats of those, of the 40,000; strands take what the others leave."""
+RESTING = "still face"
+"""Of a file's notes: the expression of MakeHuman's face that it has at rest."""
 _BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
@@ -129,6 +132,7 @@ def about(recipe: Recipe) -> dict[str, str]:
         "body_model": "SMPL-X joints (55)",
         "consent": "synthetic person, no real likeness",
         "licence": LICENCE,
+        RESTING: ", ".join(f"{name} {weight:g}" for name, weight in recipe.resting().items()),
     }
 
 
@@ -185,7 +189,7 @@ def main() -> None:
     parser.add_argument("--splats", type=int, default=40_000)
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--levels", type=int, nargs="*", default=[14_000, 7_000, 4_500])
-    parser.add_argument("--level-steps", type=int, default=150)
+    parser.add_argument("--level-steps", type=int, default=LEVEL_STEPS)
     options = parser.parse_args()
     recipe = PEOPLE[options.name]
     mesh = furnished(read_person(options.person), recipe)

@@ -1,6 +1,7 @@
-"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, other places, the page, a photograph.
+"""Draws the pictures of docs/vr.md anew: both eyes of a headset in each view, other places, the page, a photograph; and
+of docs/light.md the avatar in three places.
 
-    python -m tools.docs.vr_pictures [docs/images [mirror facing own places page photo]]
+    python -m tools.docs.vr_pictures [docs/images [mirror facing own places page light photo]]
 
 The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta. Look at every picture.
 """
@@ -29,6 +30,7 @@ from tools.docs.chromium import chromium, page_of
 
 QUALITY = 88  # JPEG
 PATIENCE = 240  # seconds for a picture
+LIT = ("day", "studio", "night")
 
 # view: the head, the left and the right wrist
 DEVICE = {
@@ -62,6 +64,16 @@ def seen_in(browser: Any, address: str, view: str, **values: Any) -> dict[str, A
         for _ in range(3):
             fresh(page, PATIENCE)
         return see(page)
+
+
+def lit_in(browser: Any, address: str, place: str) -> np.ndarray:
+    """The middle of the flat page, where the avatar stands in a place."""
+    init = settings(size=1024, quality=90, driver="rest", place=place)
+    with page_of(browser, address, init, (900, 800), xr=False) as page:
+        page.until("window.glsplat.stats().shown > 3", PATIENCE)
+        page.js("document.body.style.visibility = 'hidden'")
+        page.js("document.querySelector('canvas').style.visibility = 'visible'")
+        return shot_of(page, {"x": 210, "width": 480})
 
 
 def photo(browser: Any) -> np.ndarray:
@@ -125,10 +137,12 @@ def main(folder: Path, names: list[str]) -> None:
                 page.until("window.glsplat.stats().shown > 6", PATIENCE)
                 page.until("document.querySelector('#people img') !== null", PATIENCE)
                 save(folder, "vr-page", shot_of(page, {"x": 0, "width": 1280}))
+        if "light" in names:
+            save(folder, "light-places", np.hstack([lit_in(browser, served.page, place) for place in LIT]))
         if "photo" in names:
             save(folder, "vr-photo", photo(browser))
 
 
 if __name__ == "__main__":
-    given = sys.argv[2:] or [*DEVICE, "places", "page", "photo"]
+    given = sys.argv[2:] or [*DEVICE, "places", "page", "light", "photo"]
     main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"), given)

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from glsplat.authoring.faces.carry import merged_shapes
-from glsplat.authoring.light.surfaces import surface_carried
+from glsplat.authoring.light.carried import surface_carried
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.rotations import quaternion_matrices

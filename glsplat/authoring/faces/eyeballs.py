@@ -28,8 +28,8 @@ _IRIS, _PUPIL = 0.0059, 0.36  # metres of radius; of the iris
 _INSET = 0.0004  # metres by which a ball is smaller, so that lids lie before it
 _WIDE = np.radians(115)  # from the gaze; further back nobody sees it
 _RINGS, _AROUND = 24, 36
-_WHITE, _EDGE = np.array([180, 171, 164]), np.array([122, 101, 94])  # sRGB before the iris's rim and far from it: lids and
-# lashes keep a part of the light from what is not white itself
+# sRGB before the iris's rim and far from it: lids and lashes keep a part of the light from what is not white itself
+_WHITE, _EDGE = np.array([180, 171, 164]), np.array([122, 101, 94])
 _SIDE = 192  # texels
 
 

@@ -18,7 +18,7 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
+__all__ = ["LASH", "VEIL", "lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -29,8 +29,8 @@ _LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
 _ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
 _LASHES, _LOWER = 34, 18  # of an upper and a lower lid
 _LONG, _SHORT, _THICK = 0.0085, 0.0045, 0.00011  # metres
-_DARK = np.array([22, 15, 12]) / 255
-_SHADE = np.array([46, 28, 22]) / 255
+LASH, VEIL = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255
+"""Colours of lashes, and of the shadow under an upper lid."""
 _GLINT = np.radians((10.0, 13.0))  # to the person's left and up: where a window would be mirrored
 _STRAND = (0.0075, 0.00050, 0.00018)  # metres, standard deviations
 _BROW_HAIR, _BROWS = (0.0014, 0.00011, 0.00008), 0.35  # metres; alpha from which a texel has hair
@@ -130,8 +130,8 @@ def with_lashes(
     first = len(made.splats) - len(glints)
     veiled = first - sum(len(one.means) for one in veils)
     bends = np.where((made.shapes.rows >= veiled)[:, None, None], 0, made.shapes.bends)  # lids stretch sixfold
-    made = replace(made, shapes=replace(made.shapes, bends=bends))
-    return replace(made, shapes=_going_out(made.shapes, first, lit)) if glints else made
+    shapes = replace(made.shapes, bends=bends)
+    return replace(made, shapes=_going_out(shapes, first, lit) if glints else shapes)
 
 
 def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
@@ -191,18 +191,25 @@ def _strewn(mesh: RiggedMesh, part: str, count: int, rng: np.random.Generator, s
         return None
     corners = mesh.vertices[hair.faces]
     along, normal, area = _flow(corners, hair.uv)
-    chosen: tuple[list[Indices], list[F64], list[F64]] = [], [], []
+    places: list[Indices] = []
+    weights: list[F64] = []
+    colours: list[F64] = []
     for _ in range(_TRIES):
         which = rng.choice(len(area), 4 * count, p=area / area.sum())
         edge, other = np.sqrt(rng.random(4 * count)), rng.random(4 * count)
         bary = np.stack([1 - edge, edge * (1 - other), edge * other], axis=1)
         rgba = hair.sample(np.einsum("nk,nkc->nc", bary, hair.uv[which]))
         good = rgba[:, 3] > solid
-        for many, one in zip(chosen, (which[good], bary[good], rgba[good, :3]), strict=True):
-            many.append(one)
-        if sum(map(len, chosen[0])) >= count:
+        places.append(which[good])
+        weights.append(bary[good])
+        colours.append(rgba[good, :3])
+        if sum(map(len, places)) >= count:
             break
-    which, bary, rgb = (np.concatenate(many)[:count] for many in chosen)
+    which, bary, rgb = (
+        np.concatenate(places)[:count],
+        np.concatenate(weights)[:count],
+        np.concatenate(colours)[:count],
+    )
     if len(which) < max(count, 1):
         return None
     means = np.einsum("nk,nkc->nc", bary, corners[which])
@@ -229,7 +236,9 @@ def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = first + np.array([0, 0.75 * up, 0])
     second /= np.linalg.norm(second, axis=1, keepdims=True)
-    length = long * (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
+    length = (
+        long * (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
+    )
     joint = root + 0.5 * length * first
     ways = np.concatenate([first, second])
     means = np.concatenate([root + 0.25 * length * first, joint + 0.25 * length * second])
@@ -237,7 +246,7 @@ def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     scales = np.concatenate([np.tile(length, (2, 1)) * 0.17, np.full((2 * count, 2), _THICK)], axis=1)
     scales[count:, 1:] *= 0.7
     opacity = np.repeat([0.95, 0.8] if upper else [0.6, 0.4], count)
-    return _Extra(means, _frames(ways, across), scales, opacity, np.tile(_DARK, (2 * count, 1)), np.tile(face[row], 2))
+    return _Extra(means, _frames(ways, across), scales, opacity, np.tile(LASH, (2 * count, 1)), np.tile(face[row], 2))
 
 
 def _shadow(ball: Eyeball, edges: LidEdges) -> _Extra:
@@ -253,7 +262,7 @@ def _shadow(ball: Eyeball, edges: LidEdges) -> _Extra:
     outward = np.concatenate(ways)
     axes = _frames(np.cross(np.array([0.0, 1, 0]), outward), outward)
     scales = np.tile([0.0011, 0.0007, 0.00008], (len(outward), 1))
-    rgb = np.tile(_SHADE, (len(outward), 1))
+    rgb = np.tile(VEIL, (len(outward), 1))
     return _Extra(np.concatenate(means), axes, scales, np.concatenate(opacity), rgb, np.concatenate(face))
 
 

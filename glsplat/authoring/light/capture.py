@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.light.occlusion import ambient_occlusion
-from glsplat.authoring.light.surfaces import nearest_open, opened, surface_seen
+from glsplat.authoring.light.surfaces import nearest_open, opened
+from glsplat.authoring.optimize.seen import as_seen
 from glsplat.authoring.paint.light import Light as Lamp
 from glsplat.authoring.paint.light import find_light
 from glsplat.authoring.paint.shot import FittedPicture
@@ -31,6 +32,7 @@ F64 = NDArray[np.float64]
 
 _DOUBTS = 1.5, 0.7  # of direction and strength: far more than painting unseen sides allows, for a face lit from aside
 _LEAST = 0.3  # of the brightest: darker than that a photograph is noise, and dividing by it shows it
+_WHITEST = 0.85  # of what light a surface gives back: white cloth and paper, which photographs show as white
 _SURE = 0.3  # trust in a vertex's colour above which it tells of the light
 
 
@@ -39,7 +41,8 @@ class CapturedLight:
     """What light a photograph holds."""
 
     light: Light
-    """In the axes of the avatar's zero pose, scaled so that white where it shines brightest is white."""
+    """In the axes of the avatar's zero pose, scaled so that white cloth is as white as a picture can be where it shines
+    brightest."""
     shade: F64
     """[V] of the mesh's vertices as photographed, where nobody looked as painted; irradiance over pi."""
     occlusion: F64
@@ -56,14 +59,15 @@ def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], painted: La
     occlusion = ambient_occlusion(mesh, vertices)
     ambient = replace(lamp, strength=0.0).shade(normals)
     seen = ambient * opened(occlusion) + lamp.shade(normals) - ambient
-    full = _brightest(lamp)
-    seen = np.maximum(seen / full, _LEAST)
+    full = _brightest(lamp) * _WHITEST
+    least = _LEAST / _WHITEST
+    seen = np.maximum(seen / full, least)
     # what nobody sees was painted as if in the other light: alike on what is seen, as bright on the whole
     guessed = painted.shade(normals)
     trust = np.max([shot.trust for shot in shots], axis=0)
     sure = trust > _SURE
     guessed = guessed * np.exp(np.log(seen / guessed)[sure].mean() if sure.any() else -np.log(_brightest(painted)))
-    shade = np.maximum(guessed + trust * (seen - guessed), _LEAST)
+    shade = np.maximum(guessed + trust * (seen - guessed), least)
     ramp = replace(lamp, strength=0.0).shade(np.stack([up, -up])) / full
     sky, ground = (np.full(3, one) for one in ramp)
     direction = front.view.root.T @ lamp.direction
@@ -80,11 +84,11 @@ def with_captured_light(
     """
     where = nearest_open(mesh, avatar.splats, captured.occlusion)
     normals = where.directions(vertex_normals(mesh.vertices, mesh.faces))
-    normals, occlusion = surface_seen(avatar, normals, opened(where.at(captured.occlusion)))
-    shade = np.repeat(where.at(captured.shade[:, None]), 3, axis=1)
+    shade = where.at(captured.shade[:, None])[:, 0]
     if photographed is not None:
         shade[photographed:] = 1.0
-    surface = Surface.of(normals, occlusion, shade)
+    normals, occlusion, shade = as_seen(avatar, normals, opened(where.at(captured.occlusion)), shade)
+    surface = Surface.of(normals, occlusion, np.repeat(shade[:, None], 3, axis=1))
     meta: dict[str, Any] = dict(avatar.meta) | {"light": captured.light.to_json()}
     return replace(avatar, splats=replace(avatar.splats, surface=surface), meta=meta)
 

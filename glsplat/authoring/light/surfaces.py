@@ -18,7 +18,7 @@ from glsplat.rotations import signed_axes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["Nearest", "nearest_open", "open_pose", "opened", "surface_carried", "with_surface"]
+__all__ = ["Nearest", "nearest_open", "open_pose", "opened", "with_surface"]
 
 F64 = NDArray[np.float64]
 
@@ -29,7 +29,6 @@ _SIDEWAYS, _HIDDEN = 0.004, 0.05  # metres that facing another way is worth, and
 _INSIDE = 0.1  # occlusion of what lies inside
 _OWN = ("teeth", "tongue")  # parts that keep their own surface, wherever they lie
 _DARKEST = 0.25  # occlusion at least: teeth are hidden while the mouth is shut, and not black when it opens
-_AS_MANY = 4  # splats of a finer one that a coarser one's surface is the mean of, at most
 
 
 class Nearest:
@@ -75,7 +74,9 @@ def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
     far, near = _nearest(points, np.arange(len(points)), means)
     outer = np.flatnonzero(~inside[which])
     if 0 < len(outer) < len(points):  # what lies inside may have none but such about it
-        far, near = (np.concatenate(both, axis=1) for both in zip((far, near), _nearest(points, outer, means), strict=True))
+        far, near = (
+            np.concatenate(both, axis=1) for both in zip((far, near), _nearest(points, outer, means), strict=True)
+        )
     facing = np.abs(np.einsum("nkc,nc->nk", face_normals[which[near]], thin_axes(splats)))
     cost = far + _SIDEWAYS * (1 - facing) + _HIDDEN * inside[which[near]]
     chosen = np.take_along_axis(near, cost.argmin(axis=1)[:, None], axis=1)[:, 0]
@@ -127,32 +128,9 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
 
     def surfaced(one: Avatar) -> Avatar:
         where = nearest_open(mesh, one.splats, occlusion)
-        surface = Surface.of(*surface_seen(one, where.directions(normals), opened(where.at(occlusion))))
+        facing, arriving, _ = as_seen(one, where.directions(normals), opened(where.at(occlusion)))
+        surface = Surface.of(facing, arriving)
         return replace(one, splats=replace(one.splats, surface=surface))
 
     levels = tuple(replace(level, content=surfaced(level.content)) for level in avatar.levels)
     return replace(surfaced(replace(avatar, levels=())), levels=levels)
-
-
-def surface_seen(avatar: Avatar, normals: F64, occlusion: F64) -> tuple[F64, F64]:
-    """Normals [N, 3] and occlusion [N] that agree where splats lie over each other (optimize/seen.py)."""
-    held = as_seen(avatar, np.concatenate([normals, occlusion[:, None]], axis=1))
-    length = np.linalg.norm(held[:, :3], axis=1, keepdims=True)
-    return np.where(length > 1e-6, held[:, :3] / np.maximum(length, 1e-6), 0), held[:, 3]
-
-
-def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
-    """The surface of splats that were made of others: the mean of as many of the nearest as each stands for.
-
-    Where there are as many they are the same ones moved a little, and each takes the nearest's.
-    """
-    usable = np.flatnonzero(before.finite())
-    if surface is None or not len(usable):
-        return None
-    k = int(np.clip(round(len(before) / max(len(after), 1)), 1, min(_AS_MANY, len(usable))))
-    means = np.nan_to_num(after.means.astype(np.float64), posinf=0, neginf=0)
-    near = usable[cKDTree(before.means[usable].astype(np.float64)).query(means, k)[1].reshape(len(means), k)]
-    normals = surface.units[near].sum(axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    shade = None if surface.shade is None else np.exp2(np.log2(surface.shades[near]).mean(axis=1))
-    return Surface.of(normals, surface.ao[near].mean(axis=1), shade)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.faces.carry import carried, deformed
-from glsplat.authoring.light.surfaces import surface_carried
+from glsplat.authoring.light.carried import surface_carried
 from glsplat.authoring.optimize import descent
 from glsplat.authoring.optimize.loss import loss_of
 from glsplat.authoring.optimize.pictures import TargetPicture

@@ -13,11 +13,12 @@ from glsplat.authoring.faces.eyeballs import eyeballs
 from glsplat.authoring.faces.given import FACE_SPLATS, with_face
 from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.shapes import with_shapes
-from glsplat.authoring.faces.trimmings import lid_edges, with_lashes, with_strands
+from glsplat.authoring.faces.trimmings import VEIL, lid_edges, with_brow_hairs, with_lashes, with_strands
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
+from glsplat.splats import SH_C0
 from tests.authoring.faces.figures import avatar_on, person
 
 STILL = np.zeros((55, 3))
@@ -111,6 +112,44 @@ def test_strands_lie_along_the_texture_s_second_axis() -> None:
     assert with_strands(bald, tufted, "wig", 200) is bald
 
 
+def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
+    mesh = person()
+    bald = avatar_on(mesh, 300)
+    head = mesh.skeleton.names.index("head")
+    middle = np.array(mesh.skeleton.joints[head]) + (0, 0.1, 0.1)
+    corners = [[-0.06, 0, 0], [-0.01, 0, 0], [-0.06, 0.01, 0], [-0.01, 0.01, 0]]
+    corners += [[0.01, 0, 0], [0.06, 0, 0], [0.01, 0.01, 0], [0.06, 0.01, 0]]
+    first, influences = len(mesh.vertices), mesh.joints.shape[1]
+    faces = np.array([[0, 1, 2], [1, 3, 2], [4, 5, 6], [5, 7, 6]], np.int32) + first
+    brown = np.full((4, 4, 4), 255, np.uint8)
+    brown[..., :3] = (90, 60, 40)
+    browed = replace(
+        mesh,
+        vertices=np.concatenate([mesh.vertices, middle + np.array(corners)]),
+        joints=np.concatenate([mesh.joints, np.full((8, influences), head)]),
+        weights=np.concatenate([mesh.weights, np.eye(1, influences).repeat(8, axis=0)]),
+        parts=(*mesh.parts, MeshPart("eyebrows", faces, np.zeros((4, 3, 2)) + [[0, 0], [1, 0], [0, 1]], brown)),
+        morphs=None,
+    )
+    made = with_brow_hairs(bald, browed, "eyebrows", 160)
+    assert len(made.splats) == 460 and (made.splats.scales[300:, 0] > 5 * made.splats.scales[300:, 1]).all()
+    w, x, y, z = made.splats.quats[300:].astype(float).T
+    along = np.abs(np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)], axis=1))
+    aside = np.abs(made.splats.means[300:, 0] - middle[0])
+    assert along[aside < 0.02, 1].mean() > 0.85 and along[aside > 0.05, 0].mean() > 0.85
+    assert with_brow_hairs(bald, browed, "beard", 160) is bald
+
+
+def test_veils_go_with_the_lids_without_stretching() -> None:
+    mesh = expressive()
+    avatar = smiling()
+    shapes = with_lashes(avatar, mesh, eyeballs(mesh, "eyes")).shapes
+    made = with_lashes(avatar, mesh, eyeballs(mesh, "eyes")).splats
+    veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - VEIL).max(axis=1) < 1e-3
+    assert shapes is not None and veils.sum() > 60
+    assert not shapes.bends[veils[shapes.rows]].any() and np.abs(shapes.metres[veils[shapes.rows]]).max() > 0.004
+
+
 def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat() -> None:
     mesh = person()
     avatar = avatar_on(mesh)
@@ -121,5 +160,11 @@ def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat() -> No
         assert np.array_equal(getattr(made.splats, key)[:count], getattr(avatar.splats, key))
     assert made.shapes is not None and sorted(made.shapes.names) == sorted(ARKIT)
     assert set(np.unique(made.shapes.targets)) == set(range(52))
+    bones = Pose(STILL).bones(made.skeleton)
+    for side in ("Left", "Right"):  # the lids' own skin lies behind the eyes, and comes before them
+        weights = made.shapes.weights({f"eyeBlink{side}": 1.0})
+        posed = reference.skin(made.splats, made.skin, bones, shapes=made.shapes, expression=weights)
+        forward = posed.means[count:, 2] - made.splats.means[count:, 2]
+        assert 60 < (forward > 0.006).sum() <= 100
     again = with_face(avatar, mesh, len(avatar.splats) + FACE_SPLATS)
     assert again.splats.means.tobytes() == made.splats.means.tobytes()

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from glsplat.authoring.light.capture import CapturedLight, with_captured_light
+from glsplat.authoring.light.carried import surface_carried
 from glsplat.authoring.light.occlusion import ambient_occlusion
-from glsplat.authoring.light.surfaces import nearest_open, surface_carried, with_surface
+from glsplat.authoring.light.surfaces import nearest_open, with_surface
 from glsplat.avatar import Avatar
 from glsplat.light.light import Light
 from glsplat.light.surface import Surface
