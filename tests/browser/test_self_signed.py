@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from urllib.parse import urlsplit
+
 import cv2
 import numpy as np
 import pytest
 
-from glsplat.net.guard.access import Access
+from glsplat.net.guard.access import Access, is_loopback
 from glsplat.net.guard.certificate import kept_certificate
 from glsplat.net.guard.kept import kept_token, state_folder
 from glsplat.net.server import ServerConfig
@@ -17,10 +19,10 @@ UNASKED = [r"401 \(Unauthorized\)"]  # Chromium reports the answer to a question
 
 @pytest.fixture
 def secured(state, serve):
-    """(server, token)."""
+    """(server, token); the server is reached from other devices, too."""
     folder = state_folder()
     kept, token = kept_certificate(folder, ()), kept_token(folder)
-    config = ServerConfig(port=0, tls=(kept.path, kept.path), access=Access(tls=True, token=token))
+    config = ServerConfig(port=0, tls=(kept.path, kept.path), access=Access(host="0.0.0.0", tls=True, token=token))
     return serve(StoredPairs(), config), token
 
 
@@ -45,8 +47,13 @@ def test_without_the_token_the_page_asks(secured, open_page):
 
 def test_the_status_pages_code_is_read_from_the_screen(secured, open_page):
     served, token = secured
-    opened = open_page(f"{served.origin}/", http_credentials={"username": "me", "password": token}, allow=UNASKED)
+    who = {"username": "me", "password": token}
+    opened = open_page(f"{served.origin}/", http_credentials=who, allow=UNASKED, device_scale_factor=3)
     code = opened.page.locator("svg:not(.curve)")
     code.wait_for()
     picture = cv2.imdecode(np.frombuffer(code.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == served.page
+    told = cv2.QRCodeDetector().detectAndDecode(picture)[0]
+    assert opened.page.locator("code", has_text=told).first.is_visible()
+    address = urlsplit(told)
+    assert (address.scheme, address.port, address.path) == ("https", served.port, "/vr")
+    assert address.hostname and not is_loopback(address.hostname)  # which is another machine to a phone

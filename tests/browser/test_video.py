@@ -40,11 +40,11 @@ def coded(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     said: list[dict[str, Any]] = []
     encode = VideoStream.encode
 
-    def spied(self: VideoStream, *args: Any, **kwargs: Any) -> Encoded | None:
-        encoded = encode(self, *args, **kwargs)
+    def spied(self: VideoStream, images: Any, *how: Any) -> Encoded | None:
+        encoded = encode(self, images, *how)
         if encoded is not None:
             assert encoded.video is not None
-            said.append(encoded.video)
+            said.append(encoded.video | {"asked": how[-1] is True})
         return encoded
 
     monkeypatch.setattr(VideoStream, "encode", spied)
@@ -65,7 +65,7 @@ def test_what_is_shown_is_what_was_coded(open_page: OpenPage, serve: Any, coded:
     page = visit(open_page, served)
     page.until("window.glsplat.stats().shown > 12")
     assert matching(page, 1)
-    assert len(coded) >= 10 and coded[0]["key"] and not any(one["key"] for one in coded[1:10])
+    assert len(coded) >= 10 and coded[0]["key"] and not any(one["key"] and not one["asked"] for one in coded[1:10])
     steer(page, side=256)
     enter(page)
     page.until("watch.uploads.slice(-12).filter(({eye}) => eye === 1).length >= 3")

@@ -61,6 +61,7 @@ _FACE_FROM = ((0, 0), (-35, 5), (35, -5))
 _LIDS, _LIPS = ("eyeBlinkLeft", "eyeBlinkRight"), ("mouthFunnel", "mouthPucker")
 _REGIONS = {"lids": _LIDS, "lips": _LIPS}
 _STIRRED = 0.001  # metres; what an expression moves less is not its region
+_LEAST = 1e-3  # tangent of half an angle of view: a hand of one splat has no extent
 _LEVELS = (-12, 8, 30)  # degrees from which bodies are looked at, in turn
 
 
@@ -270,7 +271,7 @@ def _camera(points: F64, around: float, up: float, size: int, distance: float, f
     reach = max(distance, 1.5 * float(np.linalg.norm(points - middle, axis=1).max()))
     viewmat = look_at(middle + reach * towards, middle)
     seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-    half = float(np.abs(seen[:, :2] / seen[:, 2:]).max())
+    half = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), _LEAST)
     return Camera(viewmat, pinhole(size, size, float(2 * np.degrees(np.arctan(half / fill)))), size, size)
 
 

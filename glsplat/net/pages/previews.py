@@ -166,8 +166,8 @@ class Previews:
                 found = await self._drawn(name, key)
             except GlsplatError as error:
                 return web.Response(status=503, text=f"{error}\n", headers={"Retry-After": "5"})
-        if found is None:
-            return web.Response(status=404, text="there is no such avatar here\n")
+        if found is None:  # it was there when it was asked for: no failure that a page's console tells
+            return web.Response(status=204)
         data, tag = found
         headers = _UNKEPT | {"ETag": f'"{tag}"'}
         if any(known.value == tag for known in request.if_none_match or ()):

@@ -104,7 +104,7 @@ const photo = new PhotoForm(document, upload, {
 const dock = new Dock(document, settings, {
   async picture(name) {
     const response = await connection.fetch(`thumbnails/${encodeURIComponent(name)}`);
-    return response.ok ? URL.createObjectURL(await response.blob()) : null;
+    return response.status === 200 ? URL.createObjectURL(await response.blob()) : null; // 204: deleted meanwhile
   },
   add: () => page.show(offer?.upload ? 'photo' : 'no-photo'),
   worn: () => chosenAvatar()?.name,

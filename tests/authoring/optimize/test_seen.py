@@ -57,6 +57,16 @@ def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
     assert (ones == 1).all() and (unlit * found).sum(axis=1)[outer].min() > 0.95
 
 
+def test_a_hand_of_one_splat_is_looked_at_like_any_other() -> None:
+    avatar, ways, normals, occlusion = cheek()
+    skeleton = Skeleton.from_joints(("base", "left_wrist"), [-1, 0], [[0, 0, 0], [0, 1, 0]])
+    joints = np.zeros((len(ways), 1), int)
+    joints[7] = 1
+    one_handed = Avatar(avatar.splats, skeleton, Skin.create(joints, np.ones((len(ways), 1)), 2))
+    found, opened, _ = as_seen(one_handed, normals, occlusion)
+    assert np.isfinite(found).all() and np.isfinite(opened).all()
+
+
 def test_without_numba_all_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     avatar, _, normals, occlusion = cheek()
     without_numba(monkeypatch)

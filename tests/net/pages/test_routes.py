@@ -201,6 +201,7 @@ def test_what_the_server_offers(serve):
         "clients": 0,
         "max_clients": 1,
         "full": False,
+        "video": [],
         "driver": "numpy <fake>",
     }
     assert during == before | {"clients": 1, "full": True}

@@ -123,7 +123,7 @@ async function picture(name, tag) {
   const before = pictures.get(name);
   if (before && (!tag || tag === before.tag)) return before.address;
   const response = await ask(`thumbnails/${encodeURIComponent(name)}`).catch(() => null);
-  if (!response?.ok) return before?.address ?? null;
+  if (response?.status !== 200) return before?.address ?? null; // 204: deleted meanwhile
   const address = URL.createObjectURL(await response.blob());
   if (before) setTimeout(() => URL.revokeObjectURL(before.address), PAUSE);
   pictures.set(name, { tag: response.headers.get('ETag')?.replaceAll('"', '') ?? tag, address });
