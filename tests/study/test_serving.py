@@ -149,6 +149,7 @@ def test_nobody_without_their_own_secret(tmp_path: Path) -> None:
             for secret in ("", "x", "é", client.lead.secrets[other], client.lead.secrets[needed][:-1]):
                 status, said = await client.post(path, {"do": "enter", "page": PAGE}, secret=secret)
                 assert (status, said["error"]["code"]) == (403, "not_allowed")
+        await until(client.log)  # the session is opened beside the first requests
         assert client.log() == ["open", "begin"]
         async with client.http.post(f"http://127.0.0.1:{client.server.port}/study/do", json={}) as answer:
             assert answer.status == 401  # the server's own token comes first
