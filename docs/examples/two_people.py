@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 import glsplat
+from glsplat.data import person
 from glsplat.motion import load_motion
 
 out = sys.argv[1] if len(sys.argv) > 1 else "people.png"
-person = glsplat.default_avatar()
 
 # a room: a floor and a wall of flat splats (a capture: glsplat.load("room.ply"))
 x, d = (a.ravel() for a in np.meshgrid(np.linspace(-2, 2, 81), np.linspace(0, 2.5, 51)))
@@ -22,16 +22,16 @@ room = glsplat.Splats.create(
     rgb=np.concatenate([tiles * [1, 1, 1], tiles * 0 + [0.55, 0.5, 0.45]]),
 )
 
-# a quarter turn about y to either side, xyzw
-ann = glsplat.Item(person, transform=glsplat.similarity((-0.5, 0, 0), (0, 1, 0, 1)))
-bob = glsplat.Item(person, transform=glsplat.similarity((0.5, 0, 0), (0, -1, 0, 1), 0.95))
+# turned about y by 53 degrees to either side, towards each other and the viewer, xyzw
+ann = glsplat.Item(person("anna"), transform=glsplat.similarity((-0.55, 0, 0), (0, 0.5, 0, 1)))
+bob = glsplat.Item(person("ben"), transform=glsplat.similarity((0.55, 0, 0), (0, -0.5, 0, 1)))
 scene = glsplat.Scene([glsplat.Item(room), ann, bob])
-wave, idle = (load_motion(name, person.skeleton) for name in ("wave-and-turn", "idle"))
+wave, idle = load_motion("wave-and-turn", bob.content.skeleton), load_motion("idle", ann.content.skeleton)
 size = (640, 480)
 camera = glsplat.Camera(glsplat.look_at((0.3, 1.4, 3.2), (0, 0.9, 0)), glsplat.pinhole(*size, fov=45), *size)
 with glsplat.Renderer(scene, size=size) as renderer:
     for seconds in (0.0, 0.5, 1.0):  # only Ann and Bob are posed again
-        ann.pose, bob.pose = wave.at(seconds), idle.at(seconds)
+        ann.pose, bob.pose = idle.at(seconds), wave.at(seconds)
         images, depths = renderer.render([camera], depth=True)
 
 if not cv2.imwrite(out, cv2.cvtColor(images[0, ..., :3], cv2.COLOR_RGB2BGR)):

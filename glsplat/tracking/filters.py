@@ -58,13 +58,14 @@ SPAN = 0.1
 """Seconds of the past that a prediction goes by: shorter ones tremble more, longer ones come later."""
 
 _FEWEST, _ENOUGH = 4, 0.7  # points, and the part of SPAN that they reach back
+_MOST = 64  # points: no device is that quick, but a client may say so
 
 
 class Trend:
     """The velocity of the last ``SPAN`` seconds: the slope of the line through them (least squares)."""
 
     def __init__(self) -> None:
-        self._past: deque[tuple[float, Vec]] = deque()  # seconds, and where it was
+        self._past: deque[tuple[float, Vec]] = deque(maxlen=_MOST)  # seconds, and where it was
         self._now = 0.0
 
     def add(self, value: Vec, dt: float) -> None:
