@@ -184,8 +184,9 @@ def check(args: argparse.Namespace) -> None:
     if args.video and (args.workers is not None or args.study is not None):
         other = "--workers" if args.workers is not None else "--study"
         raise UsageError(f"--video is coded where one process draws, and not in a study: leave it or {other} out")
-    if args.bitrate is not None and args.fixed:
-        raise UsageError("--bitrate fits pictures to a rate, and --fixed none: leave one out")
+    if args.bitrate is not None and (args.fixed or args.study is not None):
+        other = "--fixed" if args.fixed else "--study"
+        raise UsageError(f"--bitrate fits pictures to a rate, and {other} none: leave one out")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     if max(_pixels(args)) > args.max_size:

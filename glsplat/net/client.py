@@ -41,8 +41,8 @@ class Client:
     the mirror image; ``height`` and arm ``span`` from wrist to wrist (metres) fit the avatar to the user whose
     tracking is sent. ``room`` is where to meet others, as ``name``, who stands ``at`` x, z metres from its centre and
     degrees about y (None: where there is a free place). ``cafile`` is the certificate to trust on wss.
-    ``timeout`` is in seconds, of connecting and of each picture. ``adapt`` tells the server when each arrives, which
-    then fits them to the link, if need be: smaller, cropped, of lower quality (``Reply.info`` says so).
+    ``timeout`` is in seconds, of connecting and of each picture. ``adapt`` tells the server when each arrives; one
+    that adapts, as ``glsplat serve`` does, fits them to the link: smaller, cropped, coarser (``Reply.info`` says so).
 
     May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
     All methods raise ProtocolError when the server reports an error or goes away (``code`` "closed", "timeout", ...).

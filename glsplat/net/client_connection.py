@@ -27,7 +27,7 @@ _GOODBYE = 1.0  # seconds for a server to agree to the end of a TLS connection
 class ClientConnection:
     """An open WebSocket and what is under way on it. Belongs to the event loop that made it.
 
-    ``adapt`` tells the server when pictures arrive, so that it fits them to the link.
+    ``adapt`` tells the server when pictures arrive, so that one that adapts fits them to the link.
     """
 
     def __init__(

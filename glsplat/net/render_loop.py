@@ -190,8 +190,8 @@ class RenderLoop(ABC):
         frame.times["encode"] = encoded.ms
         if encoded.video is not None:  # which takes as long as drawing, of the cores that draw
             self._turns.charge(channel.address, channel, encoded.ms / 1e3, self._clock())
-        if encoded.pictures and encoded.video is None:
-            channel.newest = encoded
+        if encoded.pictures:
+            channel.newest = encoded if encoded.video is None else None
         frame.times["total"] = (self._clock() - frame.arrived) * 1e3
         self.stages.add(frame.times)
         if request.form == "single-legacy":

@@ -33,6 +33,30 @@ DECODE = """async ([address, data, video, side]) => {
   }));
 }"""
 
+HELD_BACK = """async ([address, sent]) => {
+  const { VideoFrames } = await import(address);
+  const { decode } = VideoDecoder.prototype;
+  const held = []; // what a decoder was given, and has not looked at
+  VideoDecoder.prototype.decode = function (chunk) {
+    held.push([this, chunk]);
+    if (held.length < 2) return;
+    for (const [decoder, one] of held) if (decoder.state === 'configured') decode.call(decoder, one);
+  };
+  const frames = new VideoFrames();
+  const found = [];
+  for (const [data, video] of sent) {
+    const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
+    const pictures = await frames.decode(bytes, video, [64, 64], {});
+    if (pictures) {
+      const context = new OffscreenCanvas(64, 64).getContext('2d');
+      context.drawImage(pictures[0][0], 0, 0);
+      found.push(context.getImageData(32, 32, 1, 1).data[0]);
+    } else found.push(null);
+  }
+  VideoDecoder.prototype.decode = decode;
+  return found;
+}"""
+
 
 @pytest.fixture
 def coded(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
@@ -86,6 +110,27 @@ def test_a_loss_is_mended_by_a_key_frame(open_page: OpenPage, serve: Any, coded:
     page.until(f"window.glsplat.stats().shown > {shown + 5}")
     assert matching(page, 1)
     assert sum(one["key"] for one in coded) <= 4
+
+
+def test_a_browser_whose_decoder_fails_gets_jpegs(open_page: OpenPage, serve: Any, coded: list[dict[str, Any]]) -> None:
+    served = serve(StoredPairs(), ServerConfig(port=0, video=True), offered=OFFERED)
+    broken = "VideoDecoder.prototype.decode = () => { throw new Error('no') };"
+    page = open_page(f"{served.page}?decode=main", init=broken)
+    page.until("window.glsplat?.stats().shown > 5", timeout=60)
+    assert sum(one["key"] for one in coded) >= 3
+
+
+def test_a_picture_that_comes_late_is_not_taken_for_the_next(open_page: OpenPage, serve: Any) -> None:
+    """A decoder holds back the first picture until it is given the second."""
+    served = serve(StoredPairs(), ServerConfig(port=0), offered=OFFERED)
+    page = visit(open_page, served)
+    sent = []
+    for level in (40, 200):
+        encoded = VideoStream().encode(np.full((1, 64, 64, 4), level, np.uint8), [next(iter(CODECS))], 90)
+        assert encoded is not None
+        sent.append([base64.b64encode(encoded.pictures[0]).decode(), encoded.video])
+    found = page.js(HELD_BACK, [f"{served.origin}/vr/stream/video.js", sent])
+    assert found[0] is None and abs(found[1] - 200) < 8
 
 
 @pytest.mark.parametrize("codec", CODECS)

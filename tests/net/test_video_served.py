@@ -99,6 +99,22 @@ def test_others_get_the_same_bytes_as_ever(serve, fake_backend):
     assert pictures[0] == pictures[1] == pictures[2] == pictures[3]
 
 
+def test_what_was_sent_last_is_no_old_jpeg(serve, fake_backend):
+    """The status page shows a client's newest JPEG, and none of one that has gone over to video."""
+
+    async def main():
+        async with serve(fake_backend(), WATCHES) as server, aiohttp.ClientSession() as http:
+            async with http.ws_connect(server.url, max_msg_size=0) as ws:
+                out = []
+                for number, more in ((1, {}), (2, {"video": {"codecs": ["vp9"]}})):
+                    await ws.send_str(asking(number, ack=number - 1, **more))
+                    await ws.receive(timeout=HANG)
+                    out += [one.newest is not None for one in server._channels.values()]
+                return out
+
+    assert asyncio.run(main()) == [True, False]
+
+
 def test_a_picture_that_fails_leaves_no_gap(serve, fake_backend):
     async def main():
         backend = fake_backend(fail=lambda job: RuntimeError("no") if job.frame_id == 3 else None)

@@ -1,1 +1,1 @@
-"""How the network of ``learned`` is made: clips, what real tracking does to them, and the fit (PyTorch)."""
+"""How the network of ``learned`` is made: clips, what real tracking does to them, and the fit."""

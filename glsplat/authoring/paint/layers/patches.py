@@ -51,7 +51,7 @@ def woven(picture: Picture, known: Mask, there: Mask, label: Ints, layer: int) -
     if layer:  # an arm is looked for beside its projection, and may not be where that is
         before |= cv2.morphologyEx((there & (label != layer)).astype(np.uint8), cv2.MORPH_OPEN, near)
     beside, apart = cv2.dilate(before, near) > 0, cv2.dilate(before, far) > 0
-    return patched(picture, known & ~apart, there & beside & ~(known & ~beside), height)
+    return patched(picture, known & ~apart, there & beside, height)
 
 
 def patched(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:

@@ -9,6 +9,7 @@ const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also beh
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
 const MOST_BUFFERED = 128 * 1024; // bytes that may wait in the socket before requests are left out
 const LONGEST = 60_000; // ms that the server hears of
+const UNDECODED = 3; // key frames after which a browser that says that it decodes video is not believed
 const REMEMBERED = 2048; // requests whose replies may still come: 20 s at 90 Hz
 
 /**
@@ -33,6 +34,7 @@ export class Connection extends EventTarget {
   #acknowledged = 0; // frame_id received on this connection; another one knows nothing of it
   #codecs = []; // of video that this browser decodes
   #lost = false; // the video cannot go on from what was decoded
+  #undecoded = 0; // key frames that were not
   #arrival = null; // {age, at} of that picture, in ms, until the server has heard of it
 
   /** `options()` gives the query of /ws at each attempt: {avatar, height, span, window}, those that are set. */
@@ -127,6 +129,7 @@ export class Connection extends EventTarget {
       this.#acknowledged = 0;
       this.#arrival = null;
       this.#lost = false;
+      this.#undecoded = 0;
       this.opened++;
       this.#become('open', '', '');
     };
@@ -152,8 +155,12 @@ export class Connection extends EventTarget {
       return;
     }
     if (reply.info?.video) {
-      reply.lost = () => (this.#lost = true);
-      if (reply.info.video.key) this.#lost = false;
+      const { key } = reply.info.video;
+      reply.lost = () => {
+        this.#lost = true;
+        if (key && ++this.#undecoded >= UNDECODED) this.#codecs = []; // JPEGs from now on
+      };
+      if (key) this.#lost = false;
     }
     this.#failures = 0; // not when it opens: a server may accept and drop at once
     this.received++;

@@ -90,6 +90,7 @@ export class Pictures {
       this.#ready = { id: reply.id, info: reply.info, asked, pictures };
       this.#onDecoded(performance.now() - started);
     } else {
+      reply?.lost?.();
       this.#onError(error);
     }
     this.#next();

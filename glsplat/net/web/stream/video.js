@@ -33,6 +33,7 @@ export class VideoFrames {
     const frame = await this.#frame(new EncodedVideoChunk({ type: key ? 'key' : 'delta', timestamp: number, data }));
     if (!frame) {
       this.#last = 0;
+      this.#form = ''; // another decoder goes on: what this one still has would be taken for a later picture
       return null;
     }
     const part = (at) => at && createImageBitmap(frame, ...at, ...side, options);

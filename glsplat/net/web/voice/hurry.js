@@ -15,7 +15,7 @@ export class Hurry {
   side(side, speaks, { render = 0, encode = 0 } = {}, now) {
     if (speaks) this.#spoke = now;
     if (now - this.#spoke > CALM) this.#share = 1;
-    else if (render + encode > ENOUGH && now - this.#changed > PATIENCE && side * this.#share * STEP >= LEAST) {
+    else if (render + encode > ENOUGH && now - this.#changed > Math.max(PATIENCE, 2 * (render + encode)) && side * this.#share * STEP >= LEAST) {
       this.#share *= STEP;
       this.#changed = now;
     }
