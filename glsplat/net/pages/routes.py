@@ -85,10 +85,8 @@ class Pages:
     async def _status(self, request: web.Request) -> web.Response:
         secure = "s" if self._tls else ""
         url, viewer = f"ws{secure}://{request.host}/ws", f"http{secure}://{request.host}/vr"
-        if is_loopback(request.url.host or "localhost") and is_loopback(self._host):
-            viewer = ""  # nobody else reaches it
-        else:
-            viewer = self._outward(request)
+        if is_loopback(request.url.host or "localhost"):  # which is another machine to a phone
+            viewer = "" if is_loopback(self._host) else self._outward(request)
         code = await self._codes.svg(viewer) if viewer else ""
         headers = {"Content-Security-Policy": STATUS_POLICY}
         text = page_html(self._stats(), url, viewer, code)
