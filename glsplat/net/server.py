@@ -134,6 +134,7 @@ class Server:
                 self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
             app.add_routes(self._lead.open(self._end))
+            self.gate.knows = self._lead.knows
         app.on_response_prepare.append(set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()

@@ -18,6 +18,7 @@ import pytest
 
 from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.guard.access import Access
+from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Request
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server, ServerConfig
@@ -110,13 +111,16 @@ class Clock:
 
 @asynccontextmanager
 async def serving(
-    folder: Path, clock: Callable[[], float] = time.monotonic, wall: Callable[[], float] = time.time
+    folder: Path,
+    clock: Callable[[], float] = time.monotonic,
+    wall: Callable[[], float] = time.time,
+    limits: Limits = UNLIMITED,
 ) -> AsyncIterator[Client]:
     study, plan = planned(folder)
     live = Live(study, plan, 1, Store(folder / "data", 1), clock, wall)
     lead, solver = StudyLead(live, {"fast": "a", "slow": "b"}), Solver()
     offered = [AvatarInfo(name=name, solver=lambda height, span: solver) for name in ("a", "b")]
-    config = ServerConfig(port=0, access=Access(token=TOKEN), limits=UNLIMITED)
+    config = ServerConfig(port=0, access=Access(token=TOKEN), limits=limits)
     server = Server(FakeBackend(), config, offered, lead=lead)
     await server.start()
     try:
@@ -155,6 +159,22 @@ def test_nobody_without_their_own_secret(tmp_path: Path) -> None:
             assert answer.status == 401  # the server's own token comes first
 
     run(tmp_path, test)
+
+
+def test_a_quick_participant_does_not_keep_the_experimenter_out(tmp_path: Path) -> None:
+    """Of one address: what comes with a secret costs as much as a file of the page, what guesses one a whole visit."""
+
+    async def test(client: Client) -> None:
+        await client.begin()
+        for count in range(60):
+            assert (await client.post("command", {"do": "note", "text": f"{count}"}, "experimenter"))[0] == 200
+            assert (await client.post("state", {"page": PAGE, "after": -1}))[0] == 200
+        guesses = 0
+        while (await client.post("watch", {}, secret="x"))[0] == 403:
+            guesses += 1
+        assert guesses < 50 - 0.1 * 120
+
+    run(tmp_path, test, limits=Limits(visits=0.001))
 
 
 @pytest.mark.parametrize(

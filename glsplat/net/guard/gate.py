@@ -52,6 +52,7 @@ class Gate:
         self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
         self.rights: Rights = Rights(access.accounts, consent)
         self.refused = 0  # requests
+        self.knows: Callable[[web.Request], bool] = lambda request: False  # who costs no more than a file of the page
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
         self._listener: Listener | None = None
@@ -161,7 +162,7 @@ class Gate:
         if (seconds := addresses.held_off(key, now)) > 0:
             return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
         public = _is_page(request)
-        if not addresses.visit(key, now, self.limits.file if public else 1.0):
+        if not addresses.visit(key, now, self.limits.file if public or self.knows(request) else 1.0):
             return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
         guesses = not public and access.guarded and access.offers_token(request.headers)
         if guesses and (seconds := addresses.no_guess(key, now)) > 0:

@@ -36,7 +36,7 @@ class Limits:
     per_address: int | None = None  # clients of one address; None: half of max_clients, all of them on loopback
     visits: float = 10.0  # connections and HTTP requests a second of one address
     visits_burst: float = 50.0
-    file: float = 0.1  # of a visit, for a file of the page (/vr), which has a few dozen of them
+    file: float = 0.1  # of a visit, for a file of the page (/vr), which has a few dozen of them, or a study's message
     waiting: int = 64  # connections of all addresses that are not, or not yet, clients
     head: int = 64 * 1024  # bytes before a request is whole, or between one and the next
     body: int = 512 * 1024  # the same where clients send pictures: what may have come before a request is looked at

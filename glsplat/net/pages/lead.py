@@ -21,6 +21,10 @@ class Lead(Protocol):
         """The addresses, from now on. ``end`` closes the connection of a client by its number, for a reason."""
         ...
 
+    def knows(self, request: web.Request) -> bool:
+        """Whether it comes from somebody with a secret of these addresses, who may ask often."""
+        ...
+
     async def stop(self) -> None:
         """The server stops."""
         ...
