@@ -15,7 +15,7 @@ from glsplat.passes.stats import union
 
 __all__ = ["draw_labels"]
 
-_LEAST = 11.0  # pixels from the lower to the upper edge, however far away a label is
+_LEAST, _SHARE = 11.0, 1 / 64  # pixels, and of the picture's height, that a label has at least, however far away it is
 _ROWS = 40  # pixels of a label before it is projected
 _MARGIN = 10
 _WIDEST = 4096
@@ -99,7 +99,8 @@ def _corners(label: Label, cameras: Sequence[Camera]) -> NDArray[np.float64] | N
     depths = [float(camera.viewmat[2, :3] @ label.place + camera.viewmat[2, 3]) for camera in cameras]
     if not all(camera.near < z < camera.far for z, camera in zip(depths, cameras, strict=True)):
         return None
-    height = max(label.height, _LEAST * float(np.mean(depths)) / float(cameras[0].K[1, 1]))
+    least = max(_LEAST, _SHARE * cameras[0].height)
+    height = max(label.height, least * float(np.mean(depths)) / float(cameras[0].K[1, 1]))
     rows, columns = _patch(label.text).shape[:2]
     right, down = (np.mean([camera.viewmat[row, :3] for camera in cameras], axis=0) for row in (0, 1))
     across, along = right * height * columns / rows / 2, down * height / 2

@@ -48,6 +48,15 @@ def test_two_people_at_one_bearing_can_both_be_read() -> None:
         assert middles[0] - middles[1] == pytest.approx(EYES[0].K[0, 0] * 0.064 / 2.1, abs=1)
 
 
+@pytest.mark.parametrize(("size", "least"), [(256, 11), (512, 11), (1024, 16)])
+def test_from_afar_it_keeps_a_share_of_the_picture(size: int, least: int) -> None:
+    eyes = stereo_cameras(head_matrix((0, 1.5, 0), (0, 1, 0, 0)), ipd=0.064, size=(size, size))
+    images = np.zeros((len(eyes), size, size, 4), np.uint8)
+    draw_labels(images, eyes, [Label("driven by Ann", np.array([0.0, 1.5, 30.0]))])
+    for low, high in rows(images[..., 3] > 0):
+        assert high - low + 1 == pytest.approx(least, abs=1)
+
+
 def test_who_stands_apart_is_left_alone() -> None:
     labels = [Label("Ann", np.array([x, 1.5, 2.0])) for x in (-0.6, 0.6)]
     assert np.array_equal(drawn(labels), np.maximum(drawn(labels[:1]), drawn(labels[1:])))
