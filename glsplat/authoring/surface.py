@@ -17,6 +17,7 @@ from glsplat.authoring.visibility import EYES, HEAD, VisiblePart, seen_surface
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.skin import strongest_joint
 
 __all__ = ["FEWEST", "SamplerConfig", "allot", "face_densities", "face_zones", "joint_zones", "make_avatar"]
 
@@ -150,7 +151,7 @@ def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float6
 def _eye_densities(mesh: RiggedMesh, boost: float) -> NDArray[np.float64]:
     """[F] an iris is a centimetre wide and needs more splats than skin; the back of an eyeball shows to nobody."""
     density = np.ones(len(mesh.faces))
-    owner = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[mesh.faces[:, 0], 0]
+    owner = strongest_joint(mesh.joints, mesh.weights)[mesh.faces[:, 0]]
     middle = mesh.vertices[mesh.faces].mean(axis=1)
     for joint, name in enumerate(mesh.skeleton.names):
         ball = owner == joint
@@ -172,7 +173,7 @@ def joint_zones(names: Sequence[str]) -> NDArray[np.intp]:
 
 def face_zones(mesh: RiggedMesh) -> NDArray[np.intp]:
     """[F] zone of each triangle by its strongest joint (``joint_zones``)."""
-    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    strongest = strongest_joint(mesh.joints, mesh.weights)
     return np.median(joint_zones(mesh.skeleton.names)[strongest][mesh.faces], axis=1).astype(np.intp)
 
 

@@ -17,6 +17,7 @@ from glsplat.evaluate.metrics.structure import ssim
 from glsplat.mesh import MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
+from glsplat.skinning.skin import strongest_joint
 
 __all__ = ["AvatarScore", "camera_around", "compare", "score"]
 
@@ -65,7 +66,7 @@ def score(
             f"{len(mesh.skeleton)} from {mesh.skeleton.names[0]}; score against the mesh it was made from"
         )
     used = np.unique(mesh.faces)
-    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    strongest = strongest_joint(mesh.joints, mesh.weights)
     looks = np.array([joint.startswith(FACE) for joint in mesh.skeleton.names])
     face = used[looks[strongest[used]]]
     hands = []

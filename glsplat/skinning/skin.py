@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, SupportsFloat, SupportsIndex
+from typing import Any, SupportsFloat, SupportsIndex, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import count, frozen, number, own, own_whole, plain, restored, rows
 from glsplat.errors import FormatError
 
-__all__ = ["INFLUENCES", "Skin"]
+__all__ = ["INFLUENCES", "Skin", "strongest_joint"]
+
+IntT = TypeVar("IntT", bound=np.integer[Any])
 
 INFLUENCES = (1, 2, 4, 8)
 """Joints a splat that have a shader variant."""
@@ -187,8 +189,13 @@ class Skin:
         return out
 
 
+def strongest_joint(joints: NDArray[IntT], weights: NDArray[Any]) -> NDArray[IntT]:
+    """[N] the joint that holds most of each row of ``joints`` and ``weights`` [N, K]."""
+    return np.take_along_axis(joints, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+
+
 def _without_strays(ids: NDArray[np.uint16], weights: NDArray[np.float32]) -> NDArray[np.uint16]:
     """The same joints, the slots without weight naming the row's strongest: it is fetched anyway, and it exists."""
-    strongest = np.take_along_axis(ids, weights.argmax(axis=1)[:, None], axis=1)
+    strongest = strongest_joint(ids, weights)[:, None]
     stray = (weights == 0) & (ids != strongest)
     return frozen(np.where(stray, strongest, ids)) if stray.any() else ids

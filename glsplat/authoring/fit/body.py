@@ -13,6 +13,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from glsplat.arrays import frozen
+from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
 __all__ = ["BETAS", "Body", "Points", "open_body"]
@@ -92,7 +93,7 @@ class Body:
     @cached_property
     def part(self) -> Indices:
         """[V] the joint that holds most of each vertex."""
-        return np.take_along_axis(self.skin_joints, self.skin_weights.argmax(axis=1)[:, None], 1)[:, 0]
+        return strongest_joint(self.skin_joints, self.skin_weights)
 
 
 @lru_cache(maxsize=1)

@@ -26,7 +26,7 @@ from glsplat.authoring.surface import joint_zones
 from glsplat.avatar import Avatar
 from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_matrices
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.skin import Skin
+from glsplat.skinning.skin import Skin, strongest_joint
 from glsplat.splats import SH_C0, Splats
 
 __all__ = ["FitConfig", "fitted"]
@@ -126,7 +126,7 @@ class _Fit:
         self._placed = PosedSplats(*(np.zeros((count, *shape)) for shape in ((3,), (3, 3), (3,), (), (3,))))
         self._posed = PosedSplats(np.zeros((count, 3)), np.zeros((count, 3, 3)), *self._placed[2:])
         self._joints, self._weights = avatar.skin.joints.astype(np.intp), avatar.skin.weights.astype(np.float64)
-        strongest = np.take_along_axis(self._joints, self._weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+        strongest = strongest_joint(self._joints, self._weights)
         self._zones = joint_zones(avatar.skeleton.names)[strongest]
         self._origin = np.arange(count)  # the splat that each was split from, whose shapes it has
         self._blended: dict[int, tuple[F32, F32]] = {}

@@ -23,6 +23,7 @@ from glsplat.gl.context import Context, create_context
 from glsplat.mesh.renderer import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Splats
 
 __all__ = ["TargetPicture", "ViewConfig", "looks_at", "pictures_of", "pictures_of_splats"]
@@ -107,7 +108,7 @@ def pictures_of(
 ) -> list[TargetPicture]:
     """Pictures of the mesh, unlit, drawn by OpenGL, or in numpy where no context can be made. Deterministic."""
     used = np.unique(mesh.faces)
-    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    strongest = strongest_joint(mesh.joints, mesh.weights)
     regions = {} if mesh.morphs is None else {name: _stirred(mesh, names)[used] for name, names in _REGIONS.items()}
     subject = _Subject(
         mesh.skeleton.names, mesh.vertices[used], strongest[used], lambda pose: mesh.posed(pose)[used], regions
@@ -127,7 +128,7 @@ def pictures_of_splats(
     if not usable.any():
         raise GlsplatError("pictures of an avatar need at least one finite splat")
     skin = avatar.skin
-    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    strongest = strongest_joint(skin.joints, skin.weights)
     zero = avatar.splats.take(usable)
 
     def shown(pose: Pose | None) -> Splats:
@@ -147,7 +148,7 @@ def looks_at(avatar: Avatar) -> Iterator[tuple[PosedSplats, list[Camera]]]:
     skin, usable = avatar.skin, drawable(avatar.splats)
     if not usable.any():
         return
-    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(axis=1)[:, None], axis=1)[usable, 0]
+    strongest = strongest_joint(skin.joints, skin.weights)[usable]
     names, means = avatar.skeleton.names, avatar.splats.means[usable].astype(np.float64)
     views = _views(_Subject(names, means, strongest, lambda pose: means), np.random.default_rng(0), _LOOKS)
     yield placed(avatar.splats), [view.camera for view in views]

@@ -20,6 +20,7 @@ from glsplat.authoring.raster import visible_faces
 from glsplat.camera import Camera
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.pictures import to_linear
+from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["FittedPicture", "Sight", "SurfacePoints"]
@@ -297,7 +298,7 @@ class FittedPicture:
         ids, _ = self._drawn(self.mesh.faces, scale)
         corner = np.where(ids >= 0, self.mesh.faces[ids.clip(0), 0], 0)
         segment = np.where(ids >= 0, self.segment[corner], -1)
-        part = self.mesh.joints[np.arange(len(self.mesh.joints)), self.mesh.weights.argmax(axis=1)][corner]
+        part = strongest_joint(self.mesh.joints, self.mesh.weights)[corner]
         size = ids.shape[::-1]
         rgb = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
         mask = cv2.resize(self.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.skin import strongest_joint
 
 __all__ = ["PARTS", "labelled_mesh", "labels_of", "regions"]
 
@@ -59,7 +60,7 @@ def regions(labels: NDArray[np.int8], reach: int) -> NDArray[np.int8]:
 def _kinds(mesh: RiggedMesh, part: MeshPart) -> NDArray[np.intp]:
     """[F] place in PARTS of each triangle, by the joint that holds most of its first corner."""
     corner = part.faces[:, 0]
-    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0][corner]
+    strongest = strongest_joint(mesh.joints, mesh.weights)[corner]
     names = mesh.skeleton.names
     out = np.full(len(corner), PARTS.index("torso"))
     for kind, starts in (("head", _HEAD), ("hands", _HANDS), ("legs", _LEGS)):

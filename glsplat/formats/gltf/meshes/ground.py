@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["faces_back", "on_the_floor"]
@@ -42,7 +43,7 @@ def on_the_floor(
     rest, inverse = skeleton.rest.copy(), skeleton.inverse_bind.copy()
     rest[:, :3, 3] += shift
     inverse[:, :3, 3] -= inverse[:, :3, :3] @ shift
-    heaviest = joints[np.arange(len(joints)), weights.argmax(axis=1)]
+    heaviest = strongest_joint(joints, weights)
     stature = float(np.ptp(posed[:, 1]))
     for side in ("left", "right"):
         ankle, ball = _AT[f"{side}_ankle"], _AT[f"{side}_foot"]
@@ -71,7 +72,7 @@ def faces_back(
 
     By the toes where the rig has them, else by the shoes as they were bound.
     """
-    heaviest = joints[np.arange(len(joints)), weights.argmax(axis=1)]
+    heaviest = strongest_joint(joints, weights)
     bound = np.linalg.inv(skeleton.inverse_bind)
     votes = []
     for side in ("left", "right"):
