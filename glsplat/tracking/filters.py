@@ -21,11 +21,14 @@ from glsplat.tracking.solve.quat import (
     add,
     clamp,
     conj,
+    length,
     mul,
     nlerp,
     pull,
     rotation_vector,
+    scale,
     slerp,
+    sub,
     to_quat,
 )
 
@@ -62,16 +65,22 @@ _MOST = 64  # points: no device is that quick, but a client may say so
 
 
 class Trend:
-    """The velocity of the last ``SPAN`` seconds: the slope of the line through them (least squares)."""
+    """The velocity of the last ``SPAN`` seconds: the slope of the line through them (least squares).
 
-    def __init__(self) -> None:
-        self._past: deque[tuple[float, Vec]] = deque(maxlen=_MOST)  # seconds, and where it was
-        self._now = 0.0
+    Steps faster than ``max_speed`` are cut to it: a device that is found elsewhere has not moved there.
+    """
 
-    def add(self, value: Vec, dt: float) -> None:
-        """Where it is ``dt`` seconds later."""
+    def __init__(self, max_speed: float) -> None:
+        self._past: deque[tuple[float, Vec]] = deque(maxlen=_MOST)  # seconds, and how far it had come
+        self._most, self._now = max_speed, 0.0
+        self._come: Vec = (0.0, 0.0, 0.0)
+
+    def add(self, step: Vec, dt: float) -> None:
+        """It moved by ``step`` in ``dt`` seconds."""
         self._now += dt
-        self._past.append((self._now, value))
+        far, most = length(step), self._most * dt
+        self._come = add(self._come, step if far <= most else scale(step, most / far))
+        self._past.append((self._now, self._come))
         while self._now - self._past[0][0] > SPAN:
             self._past.popleft()
 
@@ -97,17 +106,19 @@ class PositionFilter:
         self.value: Vec | None = None
         self.velocity: Vec = (0.0, 0.0, 0.0)
         self.trend: Trend | None = None  # once something was predicted
+        self._raw: Vec | None = None
 
     def reset(self) -> None:
         """Forget the past: the next value passes unchanged."""
-        self.first = self.value = self.trend = None
+        self.first = self.value = self.trend = self._raw = None
         self.velocity = (0.0, 0.0, 0.0)
 
     def update(self, raw: Vec, dt: float) -> Vec:
         """The filtered point ``dt`` seconds after the last one."""
         last, value = self.first, self.value
         if self.trend is not None:
-            self.trend.add(raw, dt)
+            self.trend.add(sub(raw, self._raw or raw), dt)
+            self._raw = raw
         if last is None or value is None:
             self.first = self.value = raw
             return raw
@@ -131,7 +142,7 @@ class PositionFilter:
     def ahead(self, seconds: float, most: float) -> Vec:
         """The value extrapolated at its present velocity, at most ``most`` metres."""
         x, y, z = self.value or (0.0, 0.0, 0.0)
-        self.trend = self.trend or Trend()
+        self.trend = self.trend or Trend(self.max_speed)
         vx, vy, vz = self.trend.velocity() or self.velocity
         speed = sqrt(vx * vx + vy * vy + vz * vz)
         k = seconds if speed * seconds <= most else most / speed
@@ -151,7 +162,6 @@ class RotationFilter:
         self.velocity: Vec = (0.0, 0.0, 0.0)  # rad/s, world axes
         self.trend: Trend | None = None  # of all small turns together, once something was predicted
         self._raw: Quat | None = None
-        self._turned: Vec = (0.0, 0.0, 0.0)
 
     def reset(self) -> None:
         """Forget the past: the next value passes unchanged."""
@@ -162,10 +172,8 @@ class RotationFilter:
         """The filtered rotation ``dt`` seconds after the last one."""
         last, value = self.first, self.value
         if self.trend is not None:
-            if self._raw is not None:
-                self._turned = add(self._turned, rotation_vector(mul(raw, conj(self._raw))))
+            self.trend.add(rotation_vector(mul(raw, conj(self._raw or raw))), dt)
             self._raw = raw
-            self.trend.add(self._turned, dt)
         if last is None or value is None:
             self.first = self.value = raw
             return raw
@@ -198,7 +206,7 @@ class RotationFilter:
 
     def ahead(self, seconds: float, most: float) -> Quat:
         """The value turned on at its present angular velocity, by at most ``most`` radians."""
-        self.trend = self.trend or Trend()
+        self.trend = self.trend or Trend(self.max_speed)
         vx, vy, vz = self.trend.velocity() or self.velocity
         speed = sqrt(vx * vx + vy * vy + vz * vz)
         k = seconds if speed * seconds <= most else most / speed

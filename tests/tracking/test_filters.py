@@ -78,3 +78,14 @@ def test_prediction_is_right_at_constant_speed_and_bounded() -> None:
     assert rotation_angle(inverse_mul(expected, turn.ahead(0.05, 0.35))) < 1e-3
     assert rotation_angle(inverse_mul(turn.value, turn.ahead(0.1, 0.02))) == pytest.approx(0.02, abs=1e-6)
     assert mul(yaw_quat(0.0), turn.value) == turn.value
+
+
+def test_a_device_that_is_found_elsewhere_is_not_drawn_beyond_it() -> None:
+    """It moves there at the fastest speed that is allowed, and nothing is predicted from its leap."""
+    place, turn = PositionFilter(OneEuro(0.0, 0.0), 8.0), RotationFilter(OneEuro(0.0, 0.0), 30.0)
+    for i in range(60):
+        there = i >= 30
+        place.update((1.5 * there, 0.0, 0.0), DT)
+        turn.update(yaw_quat(2.0 * there), DT)
+        assert 0.0 <= place.ahead(0.036, 0.25)[0] <= 1.5 + 8.0 * DT
+        assert rotation_angle(inverse_mul(yaw_quat(1.0), turn.ahead(0.036, 0.6))) <= 1.0 + 30.0 * DT
