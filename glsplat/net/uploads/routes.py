@@ -105,7 +105,7 @@ class Uploads:
         try:
             self._queue.go_on(job)
         except RefusedError as refusal:
-            return web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=refusal.headers)
+            return _said(refusal)
         return _answer(self._status(job), 202)
 
     async def _delete(self, request: web.Request) -> web.Response:
@@ -132,7 +132,7 @@ class Uploads:
     async def _refused(self, request: web.Request, refusal: RefusedError) -> web.Response:
         if refusal.status not in (408, 429):  # it sends too little, or too often
             await discard(request, self.config)
-        response = web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=refusal.headers)
+        response = _said(refusal)
         response.force_close()
         return response
 
@@ -142,3 +142,7 @@ class Uploads:
 
 def _answer(fields: Mapping[str, Any], status: int = 200, headers: Mapping[str, str] | None = None) -> web.Response:
     return web.json_response(fields, status=status, headers=headers)
+
+
+def _said(refusal: RefusedError) -> web.Response:
+    return web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=refusal.headers)
