@@ -281,11 +281,11 @@ def backward(
 
 @compiled
 def add_up(splat: I32, sums: F32, totals: F64) -> None:
-    """Entries to splats [N, SUMS], always in the same order."""
+    """Entries [E, K] to splats [N, K], always in the same order."""
     totals[:] = 0
     for entry in range(len(splat)):
         i = splat[entry]
-        for k in range(SUMS):
+        for k in range(sums.shape[1]):
             totals[i, k] += sums[entry, k]
 
 
