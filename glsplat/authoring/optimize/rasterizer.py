@@ -66,9 +66,10 @@ class Rasterizer:
             self._ranges,
             lambda part: kernels.project(part[0], part[1], placed, view, lens, size, near, antialias, *written),
         )
-        order = np.argsort(self._record[:many, 7], kind="stable")
+        shown = np.flatnonzero(self._record[:many, 5] > 0)
+        order = shown[np.argsort(self._record[shown, 7], kind="stable")]
         across, down = -(-width // TILE), -(-height // TILE)
-        start, splat = kernels.list_entries(order, self._record, self._box, across, down)
+        start, splat = kernels.list_entries(order, self._box, across, down)
         each = np.diff(start)
         tiles = np.argsort(-each, kind="stable")
         tiles = tiles[each[tiles] > 0]

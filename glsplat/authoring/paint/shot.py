@@ -94,7 +94,7 @@ class FittedPicture:
     def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
         """The same picture of a ``mesh`` that differs only where this one does not show it."""
         other = replace(self, mesh=mesh, view=view)
-        kept = ("trust", "normals", "shown", "_layers", "_labelled", "_label", "_agreed", "_room", "_deep")
+        kept = ("trust", "normals", "shown", "_layers", "_details", "_labelled", "_label", "_agreed", "_room", "_deep")
         vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return other
 
@@ -164,7 +164,7 @@ class FittedPicture:
 
     def detail(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
         """[M] how much detail the picture has around each pixel [M, 2], from 0, none, to 1."""
-        return np.asarray(self._at([seen.detail for seen in self._layers], pixels, layer), np.float64)
+        return np.asarray(self._at(self._details, pixels, layer), np.float64)
 
     def room(self, pixels: F64) -> F64:
         """[M, 3] linear colours of the room nearest to pixels [M, 2]."""
@@ -260,8 +260,13 @@ class FittedPicture:
             there = cv2.resize(seen.depth, inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
             picture = woven(seen.picture, inner & (seen.known > 0.9), np.isfinite(there), self._label, number)
             carried = np.where((picture == seen.picture).all(axis=2), seen.far, np.float32(0))
-            out[number] = replace(seen, picture=picture, detail=_busy(picture), far=carried)
+            out[number] = replace(seen, picture=picture, far=carried)
         return out
+
+    @cached_property
+    def _details(self) -> list[NDArray[np.float32]]:
+        """[H, W] of each layer the local spread of colour, as a share of what counts as full of detail."""
+        return [_busy(seen.picture) for seen in self._layers]
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> _Layer:
         table = to_linear(np.arange(256) / 255).astype(np.float32)
@@ -273,7 +278,7 @@ class FittedPicture:
         depth = np.full(ids.shape, np.inf, np.float32)
         hit = ids >= 0
         depth[hit] = (bary[hit] * self.view.vertices[faces[ids[hit]], 2]).sum(axis=1)
-        return _Layer(picture, _busy(picture), depth, known, far)
+        return _Layer(picture, depth, known, far)
 
     @cached_property
     def _label(self) -> NDArray[np.intp]:
@@ -350,7 +355,6 @@ class _Layer:
     """What a picture shows of one layer of the body."""
 
     picture: NDArray[np.float32]  # [H, W, 3] linear light, carried on beyond what is its own
-    detail: NDArray[np.float32]  # [H, W] the local spread of colour, as a share of what counts as full of detail
     depth: NDArray[np.float32]  # [H / 2, W / 2] camera z of its nearest surface, infinite where there is none
     known: NDArray[np.float32]  # [H, W] 1 where a pixel shows it
     far: NDArray[np.float32]  # [H, W] pixels that the colour was carried
