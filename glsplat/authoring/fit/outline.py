@@ -26,7 +26,7 @@ def projected_mask(pixels: F64, faces: NDArray[np.int32], shape: tuple[int, int]
     x, y = ([pixels[corner, axis] for corner in seen.T] for axis in (0, 1))
     some = np.flatnonzero((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]) > 0)
     x, y = ([corner[some] for corner in axis] for axis in (x, y))
-    (left, wide), (top, high) = pixel_span(*x, width), pixel_span(*y, height)
+    (left, wide), (top, high) = pixel_span(x[0], x[1], x[2], width), pixel_span(y[0], y[1], y[2], height)
     face, column, row = box_pixels(left, top, wide, high)
     hit = np.ones(len(face), bool)
     for k in range(3):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.optimize import kernels
 from glsplat.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
 from glsplat.authoring.posed import PosedSplats
+from glsplat.authoring.threads import cores
 from glsplat.camera import Camera
 
 __all__ = ["Gradients", "Rasterizer"]
@@ -45,7 +45,7 @@ class Rasterizer:
 
     def __init__(self, count: int, threads: int | None = None, least: float = 1e-4) -> None:
         self._least = np.float32(least)
-        self._pool = ThreadPoolExecutor(threads or _cores(), "glsplat-fit")
+        self._pool = ThreadPoolExecutor(threads or cores(), "glsplat-fit")
         self._record, self._box = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
         self._to_pixels, self._axes = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
         self._slope, self._totals = np.zeros((count, 3)), np.zeros((count, SUMS))
@@ -122,7 +122,3 @@ class Rasterizer:
     def _each(self, parts: list[Any], work: Callable[[Any], None]) -> None:
         for _ in self._pool.map(work, parts):  # which raises what a thread raised
             pass
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
