@@ -45,7 +45,7 @@ class SamplerConfig:
     sigma: float = 1.85  # standard deviations of the splat over those of its cell
     inset: float = 0.0  # metres inwards
     round_off: float = 0.0  # samples that a round cell of the same size is worth against those drawn
-    probe: int = 512  # pixels of the views that find the visible surface
+    probe: int = 512  # pixels of the views that find the visible surface; 0: all of it is
     reach: float = 0.004  # metres from a seen point within which surface counts as seen
     thickness: float = 0.0004  # metres along the normal, at least
     opacity: float = 0.97

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["mesh_picture", "mesh_picture_and_depth", "visible_faces"]
+__all__ = ["box_pixels", "mesh_picture", "mesh_picture_and_depth", "pixel_span", "visible_faces"]
 
 
 def visible_faces(
@@ -29,41 +29,39 @@ def visible_faces(
     safe = np.where(depth > camera.near, depth, 1.0)
     x = view[:, 0] / safe * camera.K[0, 0] + camera.K[0, 2]
     y = view[:, 1] / safe * camera.K[1, 1] + camera.K[1, 2]
-    fx, fy, fz = x[faces], y[faces], depth[faces]
+    fz = depth[faces]
+    ax, bx, cx = (x[corner] for corner in faces.T)
+    ay, by, cy = (y[corner] for corner in faces.T)
 
-    # every pixel centre in every triangle's bounding box, as one flat list
-    low_x = np.clip(np.ceil(fx.min(axis=1) - 0.5), 0, camera.width).astype(np.int64)
-    low_y = np.clip(np.ceil(fy.min(axis=1) - 0.5), 0, camera.height).astype(np.int64)
-    wide = np.clip(np.floor(fx.max(axis=1) - 0.5), -1, camera.width - 1).astype(np.int64) - low_x + 1
-    high = np.clip(np.floor(fy.max(axis=1) - 0.5), -1, camera.height - 1).astype(np.int64) - low_y + 1
-    count = np.where((fz > camera.near).all(axis=1), np.maximum(wide, 0) * np.maximum(high, 0), 0)
-    face = np.repeat(np.arange(len(faces)), count)
-    inside = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    column, row = low_x[face] + inside % wide[face], low_y[face] + inside // wide[face]
+    low_x, wide = pixel_span(ax, bx, cx, camera.width)
+    low_y, high = pixel_span(ay, by, cy, camera.height)
+    before = np.minimum(np.minimum(fz[:, 0], fz[:, 1]), fz[:, 2]) > camera.near
+    face, column, row = box_pixels(low_x, low_y, np.where(before, wide, 0), high)
 
     # barycentric coordinates on the screen, then divided by depth
-    ax, ay, bx, by, cx, cy = fx[:, 0], fy[:, 0], fx[:, 1], fy[:, 1], fx[:, 2], fy[:, 2]
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.where(np.abs(area) > 1e-12, 1 / area, 0.0)
-    px, py = column + 0.5, row + 0.5
-    wb = ((px - ax[face]) * (cy - ay)[face] - (cx - ax)[face] * (py - ay[face])) * inverse[face]
-    wc = ((bx - ax)[face] * (py - ay[face]) - (px - ax[face]) * (by - ay)[face]) * inverse[face]
-    hit = (wb >= 0) & (wc >= 0) & (wb + wc <= 1) & (inverse[face] != 0)
+    px, py = column + 0.5 - ax[face], row + 0.5 - ay[face]
+    inverse = inverse[face]
+    wb = (px * (cy - ay)[face] - (cx - ax)[face] * py) * inverse
+    wc = ((bx - ax)[face] * py - px * (by - ay)[face]) * inverse
+    hit = np.flatnonzero((wb >= 0) & (wc >= 0) & (wb + wc <= 1) & (inverse != 0))
     face, column, row, wb, wc = face[hit], column[hit], row[hit], wb[hit], wc[hit]
     bary = np.stack([1 - wb - wc, wb, wc], axis=1) / fz[face]
     nearness = bary.sum(axis=1)
     bary /= nearness[:, None]
 
-    keep = np.ones(len(face), bool)
-    first = 0
+    keep, first = None, 0
     for part in mesh.parts:
         if part.cutout:
+            keep = np.ones(len(face), bool) if keep is None else keep
             mine = np.flatnonzero((face >= first) & (face < first + len(part.faces)))
             uv = np.einsum("nk,nkc->nc", bary[mine], part.uv[face[mine] - first])
             keep[mine] = part.sample(uv)[:, 3] >= 0.5
         first += len(part.faces)
-    face, column, row, bary, nearness = face[keep], column[keep], row[keep], bary[keep], nearness[keep]
+    if keep is not None:
+        face, column, row, bary, nearness = face[keep], column[keep], row[keep], bary[keep], nearness[keep]
 
     order = np.argsort(nearness, kind="stable")  # the nearest is written last
     pixel = (row * camera.width + column)[order]
@@ -72,6 +70,28 @@ def visible_faces(
     weights = np.zeros((camera.width * camera.height, 3))
     weights[pixel] = bary[order]
     return ids.reshape(camera.height, camera.width), weights.reshape(camera.height, camera.width, 3)
+
+
+def pixel_span(
+    first: NDArray[np.float64], second: NDArray[np.float64], third: NDArray[np.float64], size: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """[F] along one axis: the first pixel whose centre may lie between three corners, and how many, 0 for none."""
+    low, high = np.minimum(np.minimum(first, second), third), np.maximum(np.maximum(first, second), third)
+    begin = np.ceil(low - 0.5).clip(0, size).astype(np.int64)
+    return begin, np.maximum(np.floor(high - 0.5).clip(-1, size - 1).astype(np.int64) - begin + 1, 0)
+
+
+def box_pixels(
+    left: NDArray[np.int64], top: NDArray[np.int64], wide: NDArray[np.int64], high: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Every pixel of F boxes as one flat list: its box, its column and its row; boxes one after another, row by row."""
+    lines = np.where(wide > 0, high, 0)
+    line = np.repeat(np.arange(len(left)), lines)
+    row = np.arange(len(line)) - np.repeat(np.cumsum(lines) - lines - top, lines)
+    count = wide[line]
+    pixel = np.repeat(np.arange(len(line)), count)
+    column = np.arange(len(pixel)) - np.repeat(np.cumsum(count) - count - left[line], count)
+    return line[pixel], column, row[pixel]
 
 
 def mesh_picture(

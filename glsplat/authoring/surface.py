@@ -46,8 +46,8 @@ def make_avatar(
     report = progress or (lambda stage, done: None)
     rng = np.random.default_rng(seed)
     report("finding the visible surface", 0.0)
-    seen = seen_surface(mesh, config.probe)
-    zone = np.where(seen.faces, face_zones(mesh), -1)
+    seen = seen_surface(mesh, config.probe) if config.probe else None
+    zone = face_zones(mesh) if seen is None else np.where(seen.faces, face_zones(mesh), -1)
     chosen: list[Cells] = []
     for index, (label, count) in enumerate(allot(splats, zone, config)):
         report("placing splats", index / 4)
@@ -65,7 +65,7 @@ def make_avatar(
 
 def _sample_surface(
     mesh: RiggedMesh,
-    seen: VisiblePart,
+    seen: VisiblePart | None,
     chosen: NDArray[np.bool_],
     count: int,
     rng: np.random.Generator,
@@ -94,7 +94,8 @@ def _sample_surface(
         rgba[mine], detail[mine] = part.sample(uv), _detail(part).sample(uv)[:, 0]
     solid = rgba[:, 3] >= 0.5
     normals = surface.face_normals[which]
-    solid &= seen.shows(points, normals, part_of, config.reach)
+    if seen is not None:
+        solid &= seen.shows(points, normals, part_of, config.reach)
     if not solid.any():
         return None
     points, which, bary, corners, rgba, part_of, normals, detail = (

@@ -83,12 +83,12 @@ def seen_surface(mesh: RiggedMesh, size: int = 512) -> VisiblePart:
     if mesh.morphs is not None:
         still = np.zeros((len(mesh.skeleton), 3))
         faces += [Pose(still, expression=dict.fromkeys(names, 1.0)) for names in _OPENED]
+    used = np.unique(mesh.faces)
+    head = used[np.isin(mesh.joints[used, 0], [i for i, name in enumerate(mesh.skeleton.names) if name in HEAD])]
     for number, pose in enumerate(poses + faces):
         vertices = mesh.posed(pose)
-        shown = vertices[np.unique(mesh.faces)]
-        spheres = [(shown, 20)] if number < len(poses) else []
-        head = np.isin(mesh.joints[:, 0], [i for i, name in enumerate(mesh.skeleton.names) if name in HEAD])
-        if head.any():
+        spheres = [(vertices[used], 20)] if number < len(poses) and len(head) < len(used) else []
+        if len(head):
             spheres.append((vertices[head], 12))
         for points, views in spheres:
             centre = (points.max(axis=0) + points.min(axis=0)) / 2
@@ -140,8 +140,8 @@ def probe_poses(names: tuple[str, ...]) -> list[Pose]:
 
 def _gazes(mesh: RiggedMesh) -> list[Pose]:
     """Eyes turned to the sides, up and down, with the lids that go along: whites that a look ahead hides."""
-    names = mesh.skeleton.names
-    eyes = [names.index(name) for name in EYES if name in names and (mesh.joints[:, 0] == names.index(name)).any()]
+    names, moved = mesh.skeleton.names, np.unique(mesh.joints[np.unique(mesh.faces), 0])
+    eyes = [names.index(name) for name in EYES if name in names and names.index(name) in moved]
     out = []
     for turn in _GAZES if eyes else ():
         rotations = np.zeros((len(names), 3))

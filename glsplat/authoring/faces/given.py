@@ -28,7 +28,8 @@ __all__ = ["FACE_SPLATS", "with_face"]
 FACE_SPLATS = 900
 """Splats that teeth, gums, lids and lashes take of those of an avatar."""
 
-_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=128)
+_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=64)
+_OPEN = replace(_SAMPLER, probe=0)  # nothing hides a lid
 _LASHES = 0.45  # of opacities: what photographs show of lashes is there already
 _BENT = round(0.8 / BEND)  # lids have few splats, of the eye's colours in part, which smear where they stretch more
 _LIDS = FEWEST  # splats of an upper lid in the skin's colour, which photographs of open eyes do not show
@@ -59,13 +60,14 @@ def with_face(avatar: Avatar, mesh: RiggedMesh, total: int, seed: int = 0) -> Av
     near = np.flatnonzero(np.isfinite(cKDTree(stirred).query(means, distance_upper_bound=_NEAR)[0]))
     skin = replace(avatar.skin, joints=avatar.skin.joints[near], weights=avatar.skin.weights[near])
     part = replace(avatar, splats=avatar.splats.take(near), skin=skin, shapes=None, levels=())
-    shapes = with_shapes(part, face).shapes
+    _, _, which, _ = nearest_on(face.vertices, face.faces, part.splats.means.astype(np.float64))
+    shapes = with_shapes(part, face, which).shapes
     assert shapes is not None
     spread = np.zeros(len(avatar.splats) + 1, np.int64)
     spread[near + 1] = np.diff(shapes.starts)
     bends = np.clip(shapes.bends, -_BENT, _BENT)
     whole = replace(shapes, starts=np.cumsum(spread), bends=bends)
-    lids = [_lid(face, avatar, near, side) for side in ("Left", "Right")]
+    lids = [_lid(face, avatar, near, which, side) for side in ("Left", "Right")]
     for lid in lids:
         whole = _sinking(whole, lid)
     splats = replace(avatar.splats, cones=None, cones_psnr=None)
@@ -74,7 +76,7 @@ def with_face(avatar: Avatar, mesh: RiggedMesh, total: int, seed: int = 0) -> Av
     teeth = tuple(one for one in furnished.parts if one.name == "teeth")
     for lid in lids:
         if len(lid.part.faces):
-            given = joined(given, _rising(make_avatar(replace(face, parts=(lid.part,)), _LIDS, seed, _SAMPLER), lid))
+            given = joined(given, _rising(make_avatar(replace(face, parts=(lid.part,)), _LIDS, seed, _OPEN), lid))
     given = with_lashes(given, face, eyeballs(mesh, "eyes"), seed, strength=_LASHES, light=False)
     left = max(total - len(given.splats), FEWEST)
     return joined(given, make_avatar(replace(furnished, parts=teeth), left, seed, _SAMPLER))
@@ -88,7 +90,8 @@ class _Lid(NamedTuple):
     strangers: NDArray[np.intp]  # splats that lie on it and are not of its skin
 
 
-def _lid(face: RiggedMesh, avatar: Avatar, near: NDArray[np.intp], side: str) -> _Lid:
+def _lid(face: RiggedMesh, avatar: Avatar, near: NDArray[np.intp], which: NDArray[np.intp], side: str) -> _Lid:
+    """Of the splats ``near`` [K], which lie on the triangles ``which`` [K]."""
     assert face.morphs is not None
     blink = f"eyeBlink{side}"
     still = np.zeros((len(face.skeleton), 3))
@@ -96,7 +99,6 @@ def _lid(face: RiggedMesh, avatar: Avatar, near: NDArray[np.intp], side: str) ->
     lid: NDArray[np.bool_] = np.any(comes[face.faces] > _COMES, axis=1)
     middle = face.vertices[face.faces[lid]].reshape(-1, 3).mean(axis=0)
     means, rgb = avatar.splats.means[near].astype(np.float64), avatar.splats.sh[near, 0] * SH_C0 + 0.5
-    _, _, which, _ = nearest_on(face.vertices, face.faces, means)
     close: NDArray[np.bool_] = np.less(np.linalg.norm(means - middle, axis=1), _NEAR)
     about = rgb[close & (means[:, 1] > middle[1] + _ABOVE) & (np.abs(means[:, 0] - middle[0]) < _NEAR / 2)]
     about = about[about.sum(axis=1) >= np.quantile(about.sum(axis=1), 0.3)] if len(about) else np.full((1, 3), 0.5)

@@ -35,6 +35,7 @@ _GLINT = np.radians((10.0, 13.0))  # to the person's left and up: where a window
 _STRAND = (0.0075, 0.00050, 0.00018)  # metres, standard deviations
 _BROW_HAIR, _BROWS = (0.0014, 0.00011, 0.00008), 0.35  # metres; alpha from which a texel has hair
 _TRIES = 20
+_RAYS = 512  # at a time
 
 
 class LidEdges(NamedTuple):
@@ -364,18 +365,22 @@ def _hits(corners: F64, ways: F64, least: float) -> tuple[Indices, F64]:
     Moeller and Trumbore 1997.
     """
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    lifted = np.cross(-corners[:, 0], first)
+    normal, aside = np.cross(second, first), np.cross(second, -corners[:, 0])
     best: Indices = np.full(len(ways), -1, np.intp)
     far: F64 = np.full(len(ways), np.inf)
-    for number in range(len(corners)):
-        across = np.cross(ways, second[number])
-        size = across @ first[number]
+    if not len(corners):
+        return best, far
+    for begin in range(0, len(ways), _RAYS):
+        some = ways[begin : begin + _RAYS]
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = across @ -corners[number, 0] / size
-            lifted = np.cross(-corners[number, 0], first[number])
-            v = ways @ lifted / size
-            t = float(second[number] @ lifted) / size
-            met = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > least) & (t < far)
-        best[met], far[met] = number, t[met]
+            size = some @ normal.T
+            u, v, t = some @ aside.T / size, some @ lifted.T / size, (second * lifted).sum(axis=1) / size
+            met = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > least)
+        t = np.where(met, t, np.inf)
+        nearest = t.argmin(axis=1)
+        far[begin : begin + _RAYS] = t[np.arange(len(some)), nearest]
+        best[begin : begin + _RAYS] = np.where(met.any(axis=1), nearest, -1)
     return best, far
 
 

@@ -250,7 +250,7 @@ def dressed(body: Body, bare: F64, poses: Sequence[PosedBody], views: Sequence[V
         known, far = np.concatenate(vertices), np.concatenate(wanted)
         if len(views) > _FEW:
             known, far = _agreed(known, far)
-        offsets = smooth_offsets(body, known, far, np.ones(len(known)))
+        offsets = smooth_offsets(body, known, far, np.ones(len(known)), offsets)
         if len(views) > _FEW:
             offsets = np.where(soles, np.minimum(offsets, _SOLE), offsets)
     return offsets

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import diags
-from scipy.sparse.linalg import cg
 
+from glsplat.authoring.conjugate import solved
 from glsplat.authoring.fit.body import Body
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -66,8 +66,11 @@ def _hairy(body: Body) -> NDArray[np.bool_]:
     return np.asarray(head & body.skin & (body.vertices[:, 2] < _EARS))
 
 
-def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64) -> F64:
-    """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere."""
+def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64, start: F64 | None = None) -> F64:
+    """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere.
+
+    ``start`` [V] are about these, where that is known.
+    """
     of_joint = [next((most for part, most in _BARE.items() if part in name), MOST[1]) for name in JOINT_NAMES]
     most = np.array(of_joint)[body.part]  # hands wear nothing, shoes have soles
     least = np.maximum(MOST[0], -most)
@@ -78,5 +81,6 @@ def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights:
     shy = np.where(_hairy(body), _HAIR_SHY, _SHY)
     scale = pull + _STIFF * degree + shy
     matrix = diags(scale) - _STIFF * body.neighbours
-    offsets, _ = cg(matrix, target, rtol=1e-4, maxiter=300, M=diags(1 / scale))
+    begin = np.zeros(len(target)) if start is None else start
+    offsets = solved(matrix.tocsr(), target[:, None], begin[:, None])[:, 0]
     return np.asarray(np.where(body.skin, offsets, 0.0).clip(least, most))

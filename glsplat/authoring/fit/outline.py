@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.fit.body import Body
+from glsplat.authoring.raster import box_pixels, pixel_span
 from glsplat.meshes import vertex_normals
 
 __all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "overlap", "projected_mask"]
@@ -22,21 +23,11 @@ def projected_mask(pixels: F64, faces: NDArray[np.int32], shape: tuple[int, int]
     """[H, W] pixels whose centres lie in a triangle that turns to the camera; ``pixels`` [V, 2], centres at +0.5."""
     height, width = shape
     seen = faces[:, [0, 2, 1]]  # counter-clockwise with y up is clockwise with y down
-    x, y = pixels[seen, 0].T, pixels[seen, 1].T  # [3, F]
-    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
-    left = np.ceil(x.min(axis=0) - 0.5).clip(0, width).astype(np.int32)
-    top = np.ceil(y.min(axis=0) - 0.5).clip(0, height).astype(np.int32)
-    wide = np.floor(x.max(axis=0) - 0.5).clip(-1, width - 1).astype(np.int32) - left + 1
-    high = np.floor(y.max(axis=0) - 0.5).clip(-1, height - 1).astype(np.int32) - top + 1
-    some = np.flatnonzero((area > 0) & (wide > 0) & (high > 0))
-    x, y, left, top, wide, high = x[:, some], y[:, some], left[some], top[some], wide[some], high[some]
-
-    # every pixel centre in every triangle's bounding box, as one flat list
-    count = wide * high
-    face = np.repeat(np.arange(len(some)), count)
-    inside = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    down = inside // wide[face]
-    row, column = top[face] + down, left[face] + inside - down * wide[face]
+    x, y = ([pixels[corner, axis] for corner in seen.T] for axis in (0, 1))
+    some = np.flatnonzero((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]) > 0)
+    x, y = ([corner[some] for corner in axis] for axis in (x, y))
+    (left, wide), (top, high) = pixel_span(x[0], x[1], x[2], width), pixel_span(y[0], y[1], y[2], height)
+    face, column, row = box_pixels(left, top, wide, high)
     hit = np.ones(len(face), bool)
     for k in range(3):
         n = (k + 1) % 3

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.authoring.raster import visible_faces
+from glsplat.authoring.threads import abreast
 from glsplat.authoring.visibility import sphere
 from glsplat.camera import Camera, look_at
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -30,9 +31,12 @@ def ambient_occlusion(mesh: RiggedMesh, vertices: F64, directions: int = _DIRECT
     """
     normals = vertex_normals(vertices, mesh.faces)
     arrives, whole = np.zeros(len(vertices)), np.zeros(len(vertices))
-    for direction in sphere(directions):
+    ways = sphere(directions)
+    for direction, open_ in zip(
+        ways, abreast(lambda way: reached_from(mesh, vertices, way, normals), ways), strict=True
+    ):
         cosine = np.maximum(normals @ direction, 0)
-        arrives += cosine * reached_from(mesh, vertices, direction, normals)
+        arrives += cosine * open_
         whole += cosine
     return smoothed(mesh, np.asarray(arrives / np.maximum(whole, 1e-9)), _EVENED)
 

@@ -133,25 +133,23 @@ def project(
 
 
 @compiled
-def list_entries(order: I64, record: F32, box: I32, across: int, down: int) -> tuple[I64, I32]:
-    """Where the entries of each tile begin [tiles + 1], and the splat of each entry."""
+def list_entries(order: I64, box: I32, across: int, down: int) -> tuple[I64, I32]:
+    """Where the entries of each tile begin [tiles + 1], and the splat of each entry; ``order`` [K] are those shown."""
     start = np.zeros(across * down + 1, np.int64)
     for i in order:
-        if record[i, 5] > 0:
-            for row in range(box[i, 2] // TILE, box[i, 3] // TILE + 1):
-                for column in range(box[i, 0] // TILE, box[i, 1] // TILE + 1):
-                    start[row * across + column + 1] += 1
+        for row in range(box[i, 2] // TILE, box[i, 3] // TILE + 1):
+            for column in range(box[i, 0] // TILE, box[i, 1] // TILE + 1):
+                start[row * across + column + 1] += 1
     for tile in range(across * down):
         start[tile + 1] += start[tile]
     splat = np.empty(start[-1], np.int32)
     at = start[:-1].copy()
     for i in order:
-        if record[i, 5] > 0:
-            for row in range(box[i, 2] // TILE, box[i, 3] // TILE + 1):
-                for column in range(box[i, 0] // TILE, box[i, 1] // TILE + 1):
-                    tile = row * across + column
-                    splat[at[tile]] = i
-                    at[tile] += 1
+        for row in range(box[i, 2] // TILE, box[i, 3] // TILE + 1):
+            for column in range(box[i, 0] // TILE, box[i, 1] // TILE + 1):
+                tile = row * across + column
+                splat[at[tile]] = i
+                at[tile] += 1
     return start, splat
 
 
@@ -281,11 +279,11 @@ def backward(
 
 @compiled
 def add_up(splat: I32, sums: F32, totals: F64) -> None:
-    """Entries to splats [N, SUMS], always in the same order."""
+    """Entries [E, K] to splats [N, K], always in the same order."""
     totals[:] = 0
     for entry in range(len(splat)):
         i = splat[entry]
-        for k in range(SUMS):
+        for k in range(sums.shape[1]):
             totals[i, k] += sums[entry, k]
 
 

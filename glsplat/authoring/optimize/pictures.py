@@ -77,7 +77,7 @@ class ViewConfig:
     close: int = 384  # of a head, a hand or a foot, and of a face with an expression
 
 
-_LOOKS = ViewConfig(body=12, poses=0, size=512, close=256)
+_LOOKS = ViewConfig(body=12, poses=0, size=384, close=192)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

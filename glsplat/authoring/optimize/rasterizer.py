@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.optimize import kernels
 from glsplat.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
 from glsplat.authoring.posed import PosedSplats
+from glsplat.authoring.threads import cores
 from glsplat.camera import Camera
 
 __all__ = ["Gradients", "Rasterizer"]
@@ -45,20 +45,19 @@ class Rasterizer:
 
     def __init__(self, count: int, threads: int | None = None, least: float = 1e-4) -> None:
         self._least = np.float32(least)
-        self._pool = ThreadPoolExecutor(threads or _cores(), "glsplat-fit")
+        self._pool = ThreadPoolExecutor(threads or cores(), "glsplat-fit")
         self._record, self._box = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
         self._to_pixels, self._axes = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
         self._slope, self._totals = np.zeros((count, 3)), np.zeros((count, SUMS))
         self.out: F64 = np.zeros((count, GRADIENTS))  # of the last backward(), a row a splat
         self._sums = np.zeros((0, SUMS), np.float32)
-        edges = np.linspace(0, count, _PARTS + 1).astype(int).tolist()
-        self._ranges = list(pairwise(edges))
 
-    def draw(self, splats: PosedSplats, camera: Camera, antialias: bool) -> F32:
-        """Premultiplied RGBA [H, W, 4] over nothing."""
-        width, height = camera.width, camera.height
+    def place(self, splats: PosedSplats, camera: Camera, antialias: bool) -> None:
+        """Find where the splats, ``count`` or fewer, are in the camera's picture, before ``gathered``."""
+        width, height, many = camera.width, camera.height, len(splats.means)
+        self._ranges = list(pairwise(np.linspace(0, many, _PARTS + 1).astype(int).tolist()))
         K = camera.K
-        self._scales = splats.scales
+        self._scales, self._size = splats.scales, (height, width)
         view = np.ascontiguousarray(camera.viewmat, np.float64)
         lens = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
         near, size, placed = float(camera.near), (width, height), splats[:5]
@@ -67,15 +66,20 @@ class Rasterizer:
             self._ranges,
             lambda part: kernels.project(part[0], part[1], placed, view, lens, size, near, antialias, *written),
         )
-        order = np.argsort(self._record[:, 7], kind="stable")
+        shown = np.flatnonzero(self._record[:many, 5] > 0)
+        order = shown[np.argsort(self._record[shown, 7], kind="stable")]
         across, down = -(-width // TILE), -(-height // TILE)
-        start, splat = kernels.list_entries(order, self._record, self._box, across, down)
+        start, splat = kernels.list_entries(order, self._box, across, down)
         each = np.diff(start)
         tiles = np.argsort(-each, kind="stable")
         tiles = tiles[each[tiles] > 0]
         self._work = [np.ascontiguousarray(tiles[k::_PARTS]) for k in range(_PARTS)]
         self._entries = across, start, splat, self._record, self._box
-        self._picture, passes = np.zeros((height, width, 4), np.float32), np.ones((height, width), np.float32)
+
+    def draw(self, splats: PosedSplats, camera: Camera, antialias: bool) -> F32:
+        """Premultiplied RGBA [H, W, 4] over nothing."""
+        self.place(splats, camera, antialias)
+        self._picture, passes = np.zeros((*self._size, 4), np.float32), np.ones(self._size, np.float32)
         self._each(self._work, lambda tiles: kernels.draw(tiles, *self._entries, self._picture, passes, self._least))
         return self._picture
 
@@ -98,6 +102,18 @@ class Rasterizer:
         out = self.out
         return Gradients(out[:, :3], out[:, 3:6], out[:, 6:9], out[:, 9], out[:, 10:13], out[:, 13], out[:, 14])
 
+    def gathered(self, kernel: Callable[..., None], columns: int, *given: F32) -> F64:
+        """[N, columns] what ``kernel`` sums up over the picture, for all N splats that ``place`` was called with.
+
+        It is called with some tiles, the entries as ``kernels.draw`` takes them, height and width of the picture, how
+        much has to pass, [E, columns] sums of the E entries that it writes, and what is ``given``.
+        """
+        sums = np.empty((len(self._entries[2]), columns), np.float32)
+        totals = np.empty((self._ranges[-1][1], columns))
+        self._each(self._work, lambda tiles: kernel(tiles, *self._entries, self._size, self._least, sums, *given))
+        kernels.add_up(self._entries[2], sums, totals)
+        return totals
+
     def weights(self) -> F64:
         """[N] how much of the last picture each splat makes, in pixels."""
         nothing = np.zeros_like(self._picture)
@@ -106,7 +122,3 @@ class Rasterizer:
     def _each(self, parts: list[Any], work: Callable[[Any], None]) -> None:
         for _ in self._pool.map(work, parts):  # which raises what a thread raised
             pass
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.optimize.compiled import available
+from glsplat.authoring.posed import PosedSplats
 from glsplat.avatar import Avatar
 
 __all__ = ["as_seen"]
@@ -24,7 +25,7 @@ _NEAR, _FAR = (
     0.4,
 )  # of a unit, or an octave: how far from the mean a splat's own may be; from there on it is the mean
 _GRAZING = 0.22  # square of the cosine under which a splat is seen at most from aside; from twice that it is seen well
-_FACING = 0.5  # of a pixel, at least, that shows what faces the camera: elsewhere one looks through
+_LEAST = 1e-3  # of a pixel: what less passes to is not seen
 
 
 def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> tuple[F64, F64, F64]:
@@ -35,34 +36,29 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
     shade = np.ones(len(normals)) if shade is None else shade
     if not available():
         return normals, occlusion, shade
+    from glsplat.authoring.optimize.agreed import SUMS, agreed
     from glsplat.authoring.optimize.pictures import looks_at
     from glsplat.authoring.optimize.rasterizer import Rasterizer
 
-    antialias, drawing = avatar.splats.antialias, Rasterizer(len(avatar.splats))
-    looks = list(looks_at(avatar))
+    antialias, drawing = avatar.splats.antialias, Rasterizer(len(avatar.splats), least=_LEAST)
+    looks = [(splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras]
+    shown: list[NDArray[np.intp] | slice] = [slice(None)] * len(looks)  # after the first round, what is not hidden
     values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
     for _ in range(_ROUNDS):
-        total, weight, whole = values * _OWN, np.full((len(values), 1), _OWN), np.zeros((len(values), 1))
-        for splats, cameras in looks:
-            for camera in cameras:
-                way = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3] - splats.means
-                facing = (np.einsum("nc,nc->n", way, values[:, :3]) > 0)[:, None]
-                shown = [
-                    drawing.draw(splats._replace(rgb=np.ascontiguousarray(some)), camera, antialias)[:, :, :3]
-                    for some in (values[:, :3] * facing, np.concatenate([values[:, 3:] * facing, facing], axis=1))
-                ]
-                part = shown[1][:, :, 2:]
-                seen = np.concatenate(shown, axis=2)[:, :, :5] / np.maximum(part, 1e-6)
-                good = (part > _FACING).astype(np.float32)
-                upright = np.clip(seen[:, :, :3] @ -camera.viewmat[2, :3], 0, 1)[:, :, None] ** 2
-                upright = (upright * good).astype(np.float32)  # rims show much of what is behind
-                seen, nothing = seen * upright, np.zeros_like(upright)
-                found = drawing.backward(np.concatenate([seen[:, :, :3], nothing], axis=2), good[:, :, 0])
-                total[:, :3] += found.rgb
-                whole += found.error[:, None]
-                found = drawing.backward(np.concatenate([seen[:, :, 3:], upright, nothing], axis=2), good[:, :, 0])
-                total[:, 3:] += found.rgb[:, :2]
-                weight += found.rgb[:, 2:]
+        sums = np.zeros((len(values), SUMS))
+        for index, (splats, camera) in enumerate(looks):
+            some = shown[index]
+            splats, own = PosedSplats(*(part[some] for part in splats)), values[some]
+            eye, towards = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3], -camera.viewmat[2, :3]
+            facing = np.einsum("nc,nc->n", eye - splats.means, own[:, :3]) > 0
+            mixed = np.column_stack([own, np.ones(len(own))]) * facing[:, None]
+            drawing.place(splats, camera, antialias)
+            found = drawing.gathered(agreed, SUMS, mixed.astype(np.float32), towards.astype(np.float32))
+            sums[some] += found
+            if isinstance(some, slice):
+                shown[index] = np.flatnonzero(found[:, 7])
+        weight, whole = sums[:, 5:6] + _OWN, sums[:, 6:7]
+        total = values * _OWN + sums[:, :5]
         mean = total / weight
         off = np.linalg.norm(mean - values, axis=1, keepdims=True)
         sure = np.clip(((weight - _OWN) / np.maximum(whole, 1e-6) - _GRAZING) / _GRAZING, 0, 1)

@@ -62,26 +62,21 @@ class Painter:
     aside: F64  # [V] how much the other half of the body says of a vertex that is not seen
 
     def paint(self, points: SurfacePoints) -> Paint:
-        """What is known and guessed of the points."""
+        """What is known and guessed of the points; what is seen squarely is not guessed."""
         sights, ground, shade = self._looked(points)
         seen, colour = _mixed(sights)
-        guess, there = self._guess(points, ground, shade)
         busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
-        busy = np.maximum(busy, _GUESSED * there * (1 - seen))
-        rgb = with_inside(
-            self.body, self.shots[0], self.looks, points, to_srgb(guess + seen[:, None] * (colour - guess))
-        )
+        doubt = np.flatnonzero(seen < 1)
+        part = SurfacePoints(points.corners[doubt], points.weights[doubt])
+        guess, there = self._guess(part, ground.at(doubt), shade[doubt])
+        busy[doubt] = np.maximum(busy[doubt], _GUESSED * there * (1 - seen[doubt]))
+        colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
+        rgb = with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour))
         return Paint(np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS))
 
     def colours(self, points: SurfacePoints) -> F64:
-        """``paint(points).rgb`` alone, which is quicker: what is seen squarely is not guessed."""
-        sights, ground, shade = self._looked(points)
-        seen, colour = _mixed(sights)
-        doubt = np.flatnonzero(seen < 1)
-        part = SurfacePoints(points.corners[doubt], points.weights[doubt])
-        guess, _ = self._guess(part, ground.at(doubt), shade[doubt])
-        colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
-        return np.round(with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour)), _DIGITS)
+        """``paint(points).rgb``."""
+        return self.paint(points).rgb
 
     def _looked(self, points: SurfacePoints) -> tuple[list[Sight], Ground, F64]:
         """What each picture shows, the front without what is not the body's; the cloth there, and the light [M]."""

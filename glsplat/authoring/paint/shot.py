@@ -12,11 +12,12 @@ from scipy.sparse import csr_array
 
 from glsplat.authoring.fit.body import open_body
 from glsplat.authoring.fit.fit import FittedView
-from glsplat.authoring.paint.layers.fill import continued, nearest_known, only_in_the_middle
+from glsplat.authoring.paint.layers.fill import continued, disc, nearest_known, only_in_the_middle
 from glsplat.authoring.paint.layers.labels import labels_of
 from glsplat.authoring.paint.layers.patches import woven
 from glsplat.authoring.paint.layers.segments import HANDS, LAYERS, half_width, layer_of, trunk_of
 from glsplat.authoring.raster import visible_faces
+from glsplat.authoring.threads import abreast
 from glsplat.camera import Camera
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.pictures import to_linear
@@ -95,7 +96,7 @@ class FittedPicture:
     def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
         """The same picture of a ``mesh`` that differs only where this one does not show it."""
         other = replace(self, mesh=mesh, view=view)
-        kept = ("trust", "normals", "shown", "_layers", "_labelled", "_label", "_agreed", "_room", "_deep")
+        kept = ("trust", "normals", "shown", "_layers", "_details", "_labelled", "_label", "_agreed", "_room", "_deep")
         vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return other
 
@@ -165,7 +166,7 @@ class FittedPicture:
 
     def detail(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
         """[M] how much detail the picture has around each pixel [M, 2], from 0, none, to 1."""
-        return np.asarray(self._at([seen.detail for seen in self._layers], pixels, layer), np.float64)
+        return np.asarray(self._at(self._details, pixels, layer), np.float64)
 
     def room(self, pixels: F64) -> F64:
         """[M, 3] linear colours of the room nearest to pixels [M, 2]."""
@@ -191,7 +192,7 @@ class FittedPicture:
         """Of a smaller picture its scale, and the room's colours carried on into the person."""
         scale = min(1.0, _LABELLED / self._height)
         size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
-        mask = cv2.dilate(cv2.resize(self.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), _disc(_RIM))
+        mask = cv2.dilate(cv2.resize(self.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), disc(_RIM))
         row, column = nearest_known(mask == 0)
         small = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
         return scale, to_linear(small[row, column] / 255).astype(np.float32)
@@ -240,29 +241,35 @@ class FittedPicture:
 
     @cached_property
     def _layers(self) -> list[_Layer]:
-        inner = cv2.erode(self.mask.astype(np.uint8), _disc(_RIM)) > 0
+        inner = cv2.erode(self.mask.astype(np.uint8), disc(_RIM)) > 0
         if not inner.any():
             inner = self.mask
         if self.segment is None:
             return [self._layer_of(inner, np.ones(self.mask.shape, np.float32), self.mesh.faces)]
-        out = []
-        for number in range(LAYERS):
+
+        def cut(number: int) -> _Layer:
             other = self.mask & (self._label != number) if number == 0 else self._label != number
-            near = _disc(max(1, round(_MIXED[min(number, 1)] * self._height)))
+            near = disc(max(1, round(_MIXED[min(number, 1)] * self._height)))
             own = inner & ~(cv2.dilate(other.astype(np.uint8), near) > 0)
             known = cv2.GaussianBlur(own.astype(np.float32), (0, 0), _SOFT)
             mine = (self.layer[self.mesh.faces] == number).all(axis=1)
-            out.append(self._layer_of(own if own.sum() > _FEWEST else inner, known, self.mesh.faces[mine]))
-        trunk = out[0]
-        hole = self._label != 0
-        filled = continued(trunk.picture, inner & ~hole & (trunk.known > 0.9), hole, self._height)
-        out[0] = replace(trunk, picture=filled, far=np.zeros_like(trunk.far))
-        for number, seen in enumerate(out):
+            seen = self._layer_of(own if own.sum() > _FEWEST else inner, known, self.mesh.faces[mine])
+            if number == 0:
+                hole = self._label != 0
+                filled = continued(seen.picture, inner & ~hole & (seen.known > 0.9), hole, self._height)
+                seen = replace(seen, picture=filled, far=np.zeros_like(seen.far))
             there = cv2.resize(seen.depth, inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
             picture = woven(seen.picture, inner & (seen.known > 0.9), np.isfinite(there), self._label, number)
             carried = np.where((picture == seen.picture).all(axis=2), seen.far, np.float32(0))
-            out[number] = replace(seen, picture=picture, detail=_busy(picture), far=carried)
-        return out
+            return replace(seen, picture=picture, far=carried)
+
+        _ = self._label, self.layer  # found once, before threads ask for them
+        return abreast(cut, range(LAYERS))
+
+    @cached_property
+    def _details(self) -> list[NDArray[np.float32]]:
+        """[H, W] of each layer the local spread of colour, as a share of what counts as full of detail."""
+        return abreast(lambda seen: _busy(seen.picture), self._layers)
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> _Layer:
         table = to_linear(np.arange(256) / 255).astype(np.float32)
@@ -274,7 +281,7 @@ class FittedPicture:
         depth = np.full(ids.shape, np.inf, np.float32)
         hit = ids >= 0
         depth[hit] = (bary[hit] * self.view.vertices[faces[ids[hit]], 2]).sum(axis=1)
-        return _Layer(picture, _busy(picture), depth, known, far)
+        return _Layer(picture, depth, known, far)
 
     @cached_property
     def _label(self) -> NDArray[np.intp]:
@@ -341,7 +348,7 @@ class FittedPicture:
         size = ids.shape[::-1]
         small = cv2.resize(front.picture, size, interpolation=cv2.INTER_AREA)
         own = cv2.resize(np.asarray(front.known, np.float32), size, interpolation=cv2.INTER_AREA)
-        own = cv2.erode((own > 0.9).astype(np.uint8), _disc(_RIM)) > 0
+        own = cv2.erode((own > 0.9).astype(np.uint8), disc(_RIM)) > 0
         prints = _grown(only_in_the_middle(small, at, own).astype(np.intp), self.mask.shape) > 0
         return continued(front.picture, self.mask & (self._label == 0) & ~prints, prints, self._height)
 
@@ -351,7 +358,6 @@ class _Layer:
     """What a picture shows of one layer of the body."""
 
     picture: NDArray[np.float32]  # [H, W, 3] linear light, carried on beyond what is its own
-    detail: NDArray[np.float32]  # [H, W] the local spread of colour, as a share of what counts as full of detail
     depth: NDArray[np.float32]  # [H / 2, W / 2] camera z of its nearest surface, infinite where there is none
     known: NDArray[np.float32]  # [H, W] 1 where a pixel shows it
     far: NDArray[np.float32]  # [H, W] pixels that the colour was carried
@@ -379,10 +385,6 @@ def _bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:
 def _grown(small: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Labels at the size of the picture."""
     return cv2.resize(small.astype(np.int16), shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.intp)
-
-
-def _disc(radius: int) -> NDArray[np.uint8]:
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)
 
 
 def _joints(*names: str) -> list[int]:

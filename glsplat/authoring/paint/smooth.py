@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix, diags
-from scipy.sparse.linalg import cg
 
+from glsplat.authoring.conjugate import solved
 from glsplat.authoring.fit.body import Body
 from glsplat.authoring.paint.layers.segments import HANDS
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -61,8 +61,4 @@ def smoothest(
     scale = known + _STIFF * degree + keep
     matrix = diags(scale) - _STIFF * neighbours
     start = np.where(known[:, None] > 0.2, target / np.maximum(known, 0.2)[:, None], mean)
-    columns = [
-        cg(matrix, target[:, c] + keep * mean[c], x0=start[:, c], rtol=1e-4, maxiter=300, M=diags(1 / scale))[0]
-        for c in range(3)
-    ]
-    return np.stack(columns, axis=1).clip(0 if shy is None else -2, 2)
+    return solved(matrix.tocsr(), target + keep * mean, start).clip(0 if shy is None else -2, 2)

@@ -44,10 +44,11 @@ class Twins:
         share = (0.5 + points.at(self.across[:, None]) / (2 * _SEAM)).clip(0, 1)
         striped = np.zeros(len(share), bool) if pattern is None else pattern
         mixed = np.zeros((len(share), 9))
-        for twins, some in ((self.points, np.flatnonzero(~striped)), (self.straight, np.flatnonzero(striped))):
-            part = SurfacePoints(points.corners[some], points.weights[some])
-            left, right = (_half(shot, part, twin, twins is self.straight) for twin in twins)
-            mixed[some] = share[some] * left + (1 - share[some]) * right
+        for twins, cloth in ((self.points, ~striped), (self.straight, striped)):
+            for twin, much in zip(twins, (share, 1 - share), strict=True):
+                some = np.flatnonzero(cloth & (much[:, 0] > 0))  # few are between the halves
+                part = SurfacePoints(points.corners[some], points.weights[some])
+                mixed[some] += much[some] * _half(shot, part, twin, twins is self.straight)
         length = np.maximum(np.linalg.norm(mixed[:, 3:6], axis=1, keepdims=True), 1e-9)
         return Sighted(mixed[:, :3], mixed[:, 3:6] / length, mixed[:, 6], mixed[:, 7], mixed[:, 8])
 

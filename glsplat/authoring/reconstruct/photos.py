@@ -14,6 +14,7 @@ from glsplat.authoring.photo.capture import VIEWS, Capture, check_capture, is_ou
 from glsplat.authoring.photo.mask import person_mask
 from glsplat.authoring.photo.mask_file import MaskSource, mask_of
 from glsplat.authoring.photo.photo_file import Photo, read_photo
+from glsplat.authoring.threads import one_blas_thread
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError, GlsplatError
 from glsplat.meshes import RiggedMesh
@@ -80,6 +81,7 @@ class MeshReconstruction:
     made: FittedBody
 
 
+@one_blas_thread()
 def check_photos(
     front: PhotoSource,
     *,
@@ -213,6 +215,7 @@ def _name_of(using: str | Reconstructor) -> str:
     return using if isinstance(using, str) else type(using).__name__
 
 
+@one_blas_thread()
 def _done(
     shots: Mapping[str, CheckedPhoto],
     options: Options | None,

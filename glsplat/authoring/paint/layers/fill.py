@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["continued", "nearest_known", "only_in_the_middle"]
+__all__ = ["continued", "disc", "nearest_known", "only_in_the_middle"]
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.float32]
@@ -20,6 +20,11 @@ _ALIKE, _LEVEL = (22.0, 8.0, 8.0), 0.06  # of Lab, and metres of height: colours
 _FEWEST = 50  # pixels
 _SEVERAL = 6  # pixels of the sides that a colour has to be found at
 _GRAIN = 0.012  # of the height: what is finer is grain
+
+
+def disc(radius: int) -> NDArray[np.uint8]:
+    """[2 radius + 1, 2 radius + 1] a round kernel of so many pixels, to grow and shrink masks by."""
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)
 
 
 def nearest_known(known: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.paint.layers.fill import disc
 from glsplat.authoring.paint.layers.segments import LAYERS, layer_of
 
 __all__ = ["NOTHING", "labels_of"]
@@ -97,8 +98,8 @@ def _arm(lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height
         mine = _cut(seen, near, likely & near, core & near, away[index] <= 3 * _UNSURE * height)
         believed = _LIKELY[0] * part.sum() < mine.sum() < _LIKELY[1] * part.sum()
         total |= (mine if believed else part) & mask
-    arm = cv2.morphologyEx(total.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
-    arm = cv2.morphologyEx(arm, cv2.MORPH_CLOSE, _disc(2))
+    arm = cv2.morphologyEx(total.astype(np.uint8), cv2.MORPH_OPEN, disc(1))
+    arm = cv2.morphologyEx(arm, cv2.MORPH_CLOSE, disc(2))
     _, pieces = cv2.connectedComponents(arm)
     return np.asarray((arm > 0) & np.isin(pieces, np.unique(pieces[whole & (arm > 0)])))
 
@@ -140,18 +141,18 @@ def _cut(seen: NDArray[np.uint8], near: Mask, likely: Mask, sure: Mask, around: 
 def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, head: Mask, height: float) -> Mask:
     """What is much more like the room nearby than like arm or trunk nearby."""
     layer, colours = layer_of(segment), lab.astype(np.float32)
-    inner = cv2.erode(mask.astype(np.uint8), _disc(2)) > 0
-    outer = cv2.dilate(mask.astype(np.uint8), _disc(2)) == 0
+    inner = cv2.erode(mask.astype(np.uint8), disc(2)) > 0
+    outer = cv2.dilate(mask.astype(np.uint8), disc(2)) == 0
     room = np.minimum(*(_unlike(colours, outer, share * height) for share in (0.03, 0.08)))
     # where the fit has a hand and the picture has none, there may be the wall
-    cores = [inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), _disc(3)) > 0) for k in range(LAYERS)]
+    cores = [inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), disc(3)) > 0) for k in range(LAYERS)]
     person = np.minimum.reduce([_unlike(colours, core, 0.03 * height) for core in cores])
     shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
     strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin
     found = mask & shallow & (room < _ROOM[0] * strict) & (room < _ROOM[1] * strict * person)
-    found = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
+    found = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, disc(1))
     # its edges are mixed with the person
-    return np.asarray((found > 0) | (mask & (cv2.dilate(found, _disc(_EDGED)) > 0) & (room < strict * person)))
+    return np.asarray((found > 0) | (mask & (cv2.dilate(found, disc(_EDGED)) > 0) & (room < strict * person)))
 
 
 def _unlike(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[np.float32]:
@@ -170,7 +171,7 @@ def _held_things(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Lab
     out = np.zeros(mask.shape, bool)
     if not hand.any():
         return out
-    body = cv2.dilate((segment >= 0).astype(np.uint8), _disc(max(2, int(_APART * height)))) > 0
+    body = cv2.dilate((segment >= 0).astype(np.uint8), disc(max(2, int(_APART * height)))) > 0
     beside = mask & (label == 0) & ~body
     away = _distance(hand)
     count, pieces, sizes, _ = cv2.connectedComponentsWithStats(beside.astype(np.uint8))
@@ -181,7 +182,7 @@ def _held_things(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Lab
         near = (_distance(piece) <= 0.08 * height) & (label == 0)
         seen = lab.copy()
         seen[~mask | (label > 0)] = _NOBODY
-        core = cv2.erode(piece.astype(np.uint8), _disc(1)) > 0
+        core = cv2.erode(piece.astype(np.uint8), disc(1)) > 0
         thing = _cut(seen, near, near & beside, core, _distance(piece) <= 0.16 * height)
         out |= thing if thing.sum() < 4 * piece.sum() else piece
     return out
@@ -192,7 +193,3 @@ def _distance(some: Mask) -> NDArray[np.float32]:
     if not some.any():
         return np.full(some.shape, 1e9, np.float32)
     return np.asarray(cv2.distanceTransform((~some).astype(np.uint8), cv2.DIST_L2, 3), np.float32)
-
-
-def _disc(radius: int) -> NDArray[np.uint8]:
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)

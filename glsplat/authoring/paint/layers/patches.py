@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.authoring.paint.layers.fill import disc
+
 __all__ = ["patched", "woven"]
 
 Mask = NDArray[np.bool_]
@@ -44,7 +46,7 @@ def woven(picture: Picture, known: Mask, there: Mask, label: Ints, layer: int) -
     if not len(rows):
         return picture
     height = float(rows[-1] - rows[0] + 1)
-    near, far, thin = (_disc(max(1, round(share * height))) for share in (_NEAR, _FAR, _THIN))
+    near, far, thin = (disc(max(1, round(share * height))) for share in (_NEAR, _FAR, _THIN))
     # what is not the body's is thin along outlines, and is a thing where it is not
     things = cv2.morphologyEx(((label < 0) & there).astype(np.uint8), cv2.MORPH_OPEN, thin)
     before = ((label >= 0) & (label != layer)).astype(np.uint8) | things
@@ -175,7 +177,3 @@ def _copied(seen: Picture, known: Mask, wanted: Mask, filled: Picture, source: I
     torn = sum((np.abs(at - np.roll(at, 1, axis)).max(axis=2) > 0).astype(np.float32) for axis in (0, 1))
     whole = 1 - np.minimum(cv2.blur(np.asarray(torn, np.float32), (3, 3)), 1)
     return np.asarray((filled[wanted] + whole[own[:, 0], own[:, 1], None] * detail).clip(0, 1))
-
-
-def _disc(radius: int) -> NDArray[np.uint8]:
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)

@@ -1,0 +1,74 @@
+"""Who works on how many cores: pieces of work beside each other, and products of matrices on one."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import scipy
+
+__all__ = ["abreast", "cores", "one_blas_thread"]
+
+_NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
+
+T = TypeVar("T")
+U = TypeVar("U")
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def abreast(work: Callable[[T], U], pieces: Iterable[T]) -> list[U]:
+    """``work`` of each piece, in their order, so that sums of them do not hang on the number of threads.
+
+    For numpy and OpenCV on large arrays, which let other threads run meanwhile. Raises what ``work`` raises.
+
+    >>> from glsplat.authoring.threads import abreast
+    >>> abreast(lambda n: n * n, [1, 2, 3])
+    [1, 4, 9]
+    """
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(work, pieces))
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Meanwhile products of matrices take one core, in the whole process: the same bytes on any number of cores.
+
+    OpenBLAS adds in another order with more threads, and these wait for the next product by running on: for many small
+    ones that is half of the time of a machine that is busy. For numpy and scipy of PyPI; nothing where they have
+    another library.
+    """
+    found = _openblas()
+    before = [get() for get, _ in found]
+    try:
+        for _, put in found:
+            put(1)
+        yield
+    finally:
+        for (_, put), count in zip(found, before, strict=True):
+            put(count)
+
+
+@lru_cache(maxsize=1)
+def _openblas() -> list[tuple[Callable[[], int], Callable[[int], Any]]]:
+    """What asks and sets the number of threads of each copy of OpenBLAS that numpy and scipy brought along."""
+    found = []
+    for package in (np, scipy):
+        folder = Path(str(package.__file__)).parent
+        for path in (*folder.with_name(f"{folder.name}.libs").glob("*openblas*"), *folder.glob(".dylibs/*openblas*")):
+            library = ctypes.CDLL(str(path))
+            for name in _NAMES:
+                if hasattr(library, name.format("set")):
+                    found.append((getattr(library, name.format("get")), getattr(library, name.format("set"))))
+                    break
+    return found

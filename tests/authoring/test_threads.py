@@ -1,0 +1,52 @@
+"""Work on several cores, and products of matrices on one."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from glsplat.authoring.threads import _openblas, abreast, one_blas_thread
+
+
+def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
+    def slower_first(piece: int) -> int:
+        time.sleep(0.02 * (3 - piece))
+        return piece * 10
+
+    assert abreast(slower_first, [0, 1, 2, 3]) == [0, 10, 20, 30]
+    with pytest.raises(ZeroDivisionError):
+        abreast(lambda n: 1 // n, [1, 0])
+
+
+def test_products_are_on_one_core_meanwhile_and_as_before_afterwards() -> None:
+    blas = _openblas()
+    before = [get() for get, _ in blas]
+    for _, put in blas:
+        put(2)
+    try:
+        with pytest.raises(KeyError), one_blas_thread():
+            assert [get() for get, _ in blas] == [1] * len(blas)
+            raise KeyError
+        assert [get() for get, _ in blas] == [2] * len(blas)
+    finally:
+        for (_, put), count in zip(blas, before, strict=True):
+            put(count)
+
+
+@pytest.mark.skipif(not _openblas(), reason="numpy has another library for products of matrices")
+def test_sums_do_not_hang_on_the_number_of_threads() -> None:
+    rows = np.random.default_rng(3).normal(size=(2, 200_000))
+    blas, found = _openblas(), set()
+    before = [get() for get, _ in blas]
+    try:
+        for count in (1, 2, 3):
+            for _, put in blas:
+                put(count)
+            with one_blas_thread():
+                found.add(float(rows[0] @ rows[1]))
+    finally:
+        for (_, put), count in zip(blas, before, strict=True):
+            put(count)
+    assert len(found) == 1
