@@ -31,6 +31,7 @@ _OUTLINE = 0.7  # of the width at a height: farther aside is the outline
 _SURE = 0.7  # nearer to hair than to cloth by that factor
 _STOUT = 0.085  # metres: half the width of what is no neck
 _WORN = 0.75  # of the way from skin to hair: what is farther from skin is worn on the head
+_IN_SHADE = 0.6, 1.2  # of a face's usual brightness: what other skin of it has
 _LIKE = 0.5  # of the way from hair to skin or cloth: what is nearer is hair
 _WIDE = 0.17  # metres from the middle within which long hair falls
 _FEWEST = 4
@@ -102,6 +103,8 @@ def back_of_head(
     # whatever is not skin beside a face is worn all around it: hair, and a hat above it
     worn = (head | neck) & ~face_of(body) & seen & (_away(look, skin) > _WORN * _away(hair, skin))
     worn &= rest[:, 1] > ends - _STEP
+    shaded = (look @ skin / (skin @ skin)).clip(*_IN_SHADE)[:, None] * skin
+    worn &= ~(_away(look, shaded) < _LIKE * _away(look, hair))  # nor are ears and jaws in the shade
     for other in (cloth, _room(shot, head)):  # collars and walls are not hair
         worn &= ~(_away(look, other) < np.minimum(_away(look, hair), _LIKE * _away(hair, other)))
     below_hat = worn & (rest[:, 1] < low + _NAPE * (top - low))
