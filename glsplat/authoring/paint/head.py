@@ -17,7 +17,7 @@ from glsplat.authoring.paint.unseen.strands import Strands, strands_of
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BackOfHead", "back_of_head"]
+__all__ = ["BackOfHead", "back_of_head", "ears_of"]
 
 F64 = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ def back_of_head(
         colour += share * (fell - colour)
     colour = np.where((fallen > 0)[:, None], fell, colour)
     covered, hairy = np.maximum(covered, fallen), np.maximum(above * (head | neck), fallen)
-    for ears in _ears(body):
+    for ears in ears_of(body):
         shown = np.flatnonzero(ears & seen)
         bare = shown[nearer_skin[shown]]
         if len(bare) > max(_BARE * len(shown), _FEWEST):
@@ -140,7 +140,7 @@ def back_of_head(
     return BackOfHead(rest, covered, hairy, colour, strands)
 
 
-def _ears(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """[V] the vertices of the left and the right ear."""
     edges = body.neighbours.tocoo()
     length = np.linalg.norm(body.vertices[edges.row] - body.vertices[edges.col], axis=1)
