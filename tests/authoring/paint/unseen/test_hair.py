@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.authoring.fit.eyes import EyeLook
 from glsplat.authoring.fit.body import open_body
+from glsplat.authoring.fit.eyes import EyeLook
 from glsplat.authoring.fit.offsets import face_of
 from glsplat.authoring.paint.eyes import eye_colours
 from glsplat.authoring.paint.head import ears_of
