@@ -18,6 +18,7 @@ from glsplat.authoring.fit.outline import (
     edge_distances,
     find_rim,
     half_gaps,
+    lengths_inside,
     overlap,
     projected_mask,
 )
@@ -60,6 +61,7 @@ _SOLE = 0.020  # metres; a thicker one would be height that the body lacks
 _FEW = 4  # views whose outlines hardly cross each other
 _HEIGHTS = 0.5, 2.5  # metres
 _ARM_REACH, _ARM_REACH_DRESSED = 0.015, 0.03  # shares of the figure: so near an arm no outline is a trunk's
+_ARM_EDGE = 0.008  # the same: what is farther from an arm, and of the person, is trunk
 _HELD_REACH, _HELD = 0.08, 0.025  # shares of the figure; so near a hand, what stands so far off is no cloth
 _ARM_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks of elbows and wrists
 # Against a fit speak: a percent uncovered, a percent that landmarks and those of arms stray, an arm hidden that is seen
@@ -202,8 +204,11 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
         gaps = np.where(np.isfinite(gaps), gaps, half_gaps(view.mask, drawn, rim.pixels, rim.normals, reach))
     around = (_ARM_REACH if moved is None else _ARM_REACH_DRESSED) * view.figure
     column, row = np.floor(rim.pixels).astype(int).T
-    trunk = layers(body)[rim.vertices] == TRUNK
-    found = np.isfinite(gaps) & ~(trunk & beside_arms(body, pixels, view.mask.shape, around)[row, column])
+    by_arm = layers(body)[rim.vertices] == TRUNK
+    by_arm &= beside_arms(body, pixels, view.mask.shape, around)[row, column]
+    shown = view.mask & ~beside_arms(body, pixels, view.mask.shape, _ARM_EDGE * view.figure)
+    gaps[by_arm] = lengths_inside(shown, rim.pixels[by_arm], rim.normals[by_arm], reach)
+    found = np.isfinite(gaps)
     if moved is not None:  # the edge of a ball or a bag
         held = beside_arms(body, pixels, view.mask.shape, _HELD_REACH * view.figure, hands(body))[row, column]
         found &= ~(held & (gaps > _HELD * view.figure))

@@ -12,7 +12,7 @@ from glsplat.authoring.fit.body import Body
 from glsplat.authoring.raster import box_pixels, pixel_span
 from glsplat.meshes import vertex_normals
 
-__all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "overlap", "projected_mask"]
+__all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "lengths_inside", "overlap", "projected_mask"]
 
 F64 = NDArray[np.float64]
 
@@ -116,3 +116,17 @@ def half_gaps(mask: NDArray[np.bool_], drawn: NDArray[np.bool_], start: F64, alo
     bare = np.arange(len(steps)) < far[:, None]
     bridged = covered.any(axis=1) & ~covered[:, 0] & (mask[row, column] | ~bare).all(axis=1)
     return np.where(bridged, steps[far] / 2 + 0.5, np.nan)
+
+
+def lengths_inside(mask: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:
+    """[K] pixels from ``start`` [K, 2] along unit ``along`` [K, 2] that lie in the ``mask`` [H, W] without a break.
+
+    NaN where these are hardly one, or more than ``reach``.
+    """
+    steps = np.arange(0.0, reach + 0.5, 0.5)
+    looked = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
+    height, width = mask.shape
+    beyond = ((looked < 0) | (looked >= (width, height))).any(axis=2)
+    outside = beyond | ~mask[looked[..., 1].clip(0, height - 1), looked[..., 0].clip(0, width - 1)]
+    first = outside.argmax(axis=1)
+    return np.where(outside.any(axis=1) & (first > 2), steps[first] - 0.25, np.nan)

@@ -17,7 +17,7 @@ from glsplat.authoring.paint.unseen.strands import Strands, strands_of
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BackOfHead", "back_of_head"]
+__all__ = ["BackOfHead", "back_of_head", "ears_of"]
 
 F64 = NDArray[np.float64]
 
@@ -31,6 +31,7 @@ _OUTLINE = 0.7  # of the width at a height: farther aside is the outline
 _SURE = 0.7  # nearer to hair than to cloth by that factor
 _STOUT = 0.085  # metres: half the width of what is no neck
 _WORN = 0.75  # of the way from skin to hair: what is farther from skin is worn on the head
+_IN_SHADE = 0.6, 1.2  # of a face's usual brightness: what other skin of it has
 _LIKE = 0.5  # of the way from hair to skin or cloth: what is nearer is hair
 _WIDE = 0.17  # metres from the middle within which long hair falls
 _FEWEST = 4
@@ -102,6 +103,8 @@ def back_of_head(
     # whatever is not skin beside a face is worn all around it: hair, and a hat above it
     worn = (head | neck) & ~face_of(body) & seen & (_away(look, skin) > _WORN * _away(hair, skin))
     worn &= rest[:, 1] > ends - _STEP
+    shaded = (look @ skin / (skin @ skin)).clip(*_IN_SHADE)[:, None] * skin
+    worn &= ~(_away(look, shaded) < _LIKE * _away(look, hair))  # nor are ears and jaws in the shade
     for other in (cloth, _room(shot, head)):  # collars and walls are not hair
         worn &= ~(_away(look, other) < np.minimum(_away(look, hair), _LIKE * _away(hair, other)))
     below_hat = worn & (rest[:, 1] < low + _NAPE * (top - low))
@@ -125,7 +128,7 @@ def back_of_head(
         colour += share * (fell - colour)
     colour = np.where((fallen > 0)[:, None], fell, colour)
     covered, hairy = np.maximum(covered, fallen), np.maximum(above * (head | neck), fallen)
-    for ears in _ears(body):
+    for ears in ears_of(body):
         shown = np.flatnonzero(ears & seen)
         bare = shown[nearer_skin[shown]]
         if len(bare) > max(_BARE * len(shown), _FEWEST):
@@ -137,7 +140,7 @@ def back_of_head(
     return BackOfHead(rest, covered, hairy, colour, strands)
 
 
-def _ears(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """[V] the vertices of the left and the right ear."""
     edges = body.neighbours.tocoo()
     length = np.linalg.norm(body.vertices[edges.row] - body.vertices[edges.col], axis=1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.authoring.networks.face import shows_face
 from glsplat.authoring.networks.people import DetectedPerson, find_person
-from glsplat.authoring.networks.person import body_in, bounds, people_mask, whole
+from glsplat.authoring.networks.person import DetectedBody, body_in, bounds, people_mask, whole
 
 from .finding import Finding, note
 from .mask import person_mask
@@ -56,6 +56,8 @@ class CaptureConfig:
     """Levels of 255 that the person's brighter parts have to reach."""
     other: float = 0.12
     """Size of a second person, in sizes of the first."""
+    strip: float = 0.12
+    """Width of the picture beside the first person in which a face is looked for, in heights of that person."""
     other_presence: float = 0.95
     """Of the body network, for a second person, whom both networks have to see."""
 
@@ -93,8 +95,10 @@ def check_capture(
     """
     config = config or CaptureConfig()
     people = people_mask(picture)
-    # grey people in busy rooms: the first network sees nothing, the others may
-    person = find_person(picture, people) or find_person(picture, np.ones_like(people))
+    person = find_person(picture, people)
+    if person is None or not _is_somebody(picture, person, people, config):
+        # grey people in busy rooms: the first network sees nothing, or a piece of the room, the others may
+        person = _better(picture, person, find_person(picture, np.ones_like(people)), people, config)
     if person is None or not _is_somebody(picture, person, people, config):
         nothing = np.zeros(picture.shape[:2], bool)
         return Capture((_instead(picture, person, people, config),), None, nothing)
@@ -120,12 +124,27 @@ def check_capture(
     return Capture(tuple(finding for finding in found if finding is not None), person, mask)
 
 
+def _better(
+    picture: NDArray[np.uint8],
+    first: DetectedPerson | None,
+    other: DetectedPerson | None,
+    people: NDArray[np.float32],
+    config: CaptureConfig,
+) -> DetectedPerson | None:
+    """The ``other`` one where there is no ``first`` or the networks agree on the other."""
+    return other if first is None or (other and _is_somebody(picture, other, people, config)) else first
+
+
 def _instead(
     picture: NDArray[np.uint8], person: DetectedPerson | None, people: NDArray[np.float32], config: CaptureConfig
 ) -> Finding:
     """What to say where nobody stands whole and upright: half of somebody, a group, or the picture on its side."""
     several = len(_faces(picture, people, config)) > 1
-    if several:
+    if several or (
+        person is not None
+        and person.face.presence > config.sure_face
+        and _several(picture, person, people, config) is not None
+    ):
         return _SEVERAL
     if person is not None and (person.body.presence >= config.presence or person.face.presence > config.sure_face):
         if person.body.presence > config.half_presence:
@@ -147,20 +166,25 @@ def _faces(picture: NDArray[np.uint8], people: NDArray[np.float32], config: Capt
 
     The body network looks at one person, and at a row of people sees none: so at halves and thirds of the row.
     """
-    height, width = picture.shape[:2]
+    width = picture.shape[1]
     row = bounds(_seen(picture, people))
     left, right = (row[0], row[2]) if row[2] > row[0] else (0.0, float(width))
     found: list[float] = []
     for count in (2, 3):
-        edges = np.linspace(left, right, count + 1)
-        for start, end in pairwise(edges):
-            body = body_in(picture, np.array([start, 0.0, end, height]))
-            if body.presence < config.half_presence or shows_face(picture, body) < config.sure_face:
-                continue
-            at = float(body.point("nose")[0]) / width
-            if all(abs(at - other) > config.apart for other in found):
+        for start, end in pairwise(np.linspace(left, right, count + 1)):
+            body = _faced(picture, start, end, config)
+            at = float("nan") if body is None else float(body.point("nose")[0]) / width
+            if all(abs(at - other) > config.apart for other in found) and body is not None:
                 found.append(at)
     return found
+
+
+def _faced(picture: NDArray[np.uint8], start: float, end: float, config: CaptureConfig) -> DetectedBody | None:
+    """Somebody between two columns of the picture who surely shows their face."""
+    body = body_in(picture, np.array([start, 0.0, end, len(picture)]))
+    if body.presence < config.half_presence or shows_face(picture, body) < config.sure_face:
+        return None
+    return body
 
 
 def _is_somebody(
@@ -199,11 +223,12 @@ def _several(
     reach = max(int(0.03 * person.body.crop.side), 3)
     near = cv2.dilate(own.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
     beside = _seen(picture, people) & ~near
-    if not _is_second(picture, beside, near, own, config):
-        without = _painted_over(picture, near)
-        if not _is_second(without, _seen(without, people_mask(without)), near, own, config):
-            return None
-    return _SEVERAL
+    if _is_second(picture, beside, near, own, config):
+        return _SEVERAL
+    without = _painted_over(picture, near)
+    if _is_second(without, _seen(without, people_mask(without)), near, own, config):
+        return _SEVERAL
+    return _SEVERAL if _faces_beside(without, near, own, config) else None
 
 
 _SEVERAL = Finding("several", "more than one person is in the picture; show one person alone")
@@ -229,6 +254,27 @@ def _is_second(
         second = body_in(picture, bounds(labels == index))
         theirs = second.mask > 0.5
         if second.presence > config.other_presence and (theirs & ~near).sum() > 0.5 * theirs.sum():
+            return True
+    return False
+
+
+def _faces_beside(
+    picture: NDArray[np.uint8], near: NDArray[np.bool_], own: NDArray[np.bool_], config: CaptureConfig
+) -> bool:
+    """Whether somebody shows a face left or right of the first person, whom the first network does not see.
+
+    ``picture`` is without the first person, who is ``own`` and with a margin ``near``.
+    """
+    left, top, right, bottom = bounds(near)
+    for start, end in ((0.0, left), (right, float(picture.shape[1]))):
+        if end - start < config.strip * (bottom - top):
+            continue
+        second = _faced(picture, start, end, config)
+        if second is None:
+            continue
+        theirs, (x, y) = second.mask > 0.5, second.point("nose").astype(int)
+        inside = 0 <= x < picture.shape[1] and 0 <= y < len(picture) and not near[y, x]
+        if inside and theirs.sum() > config.other * own.sum() and (theirs & ~near).sum() > 0.5 * theirs.sum():
             return True
     return False
 

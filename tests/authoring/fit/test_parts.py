@@ -14,7 +14,7 @@ from glsplat.authoring.fit.hands import CARRIERS, hand_places
 from glsplat.authoring.fit.landmarks import LANDMARK_COUNT, LANDMARKS, landmarks, twin
 from glsplat.authoring.fit.levenberg import least_squares
 from glsplat.authoring.fit.offsets import MOST, smooth_offsets
-from glsplat.authoring.fit.outline import edge_distances, overlap, projected_mask
+from glsplat.authoring.fit.outline import edge_distances, lengths_inside, overlap, projected_mask
 from glsplat.authoring.fit.view import SIDES, View, facing
 from glsplat.errors import FormatError
 from glsplat.rotations import rotation_matrices
@@ -77,6 +77,12 @@ def test_edges_are_found_on_both_sides() -> None:
     start = np.array([[90.0, 100.0], [105.0, 100.0], [75.0, 100.0]])
     gaps = edge_distances(MASK, start, np.tile([1.0, 0.0], (3, 1)), 12.0)
     assert np.allclose(gaps[:2], [10, -5], atol=0.3) and np.isnan(gaps[2])
+
+
+def test_lengths_inside_end_where_the_mask_does() -> None:
+    start = np.array([[90.0, 100.0], [98.0, 100.0], [99.6, 100.0], [105.0, 100.0], [75.0, 100.0]])
+    lengths = lengths_inside(MASK, start, np.tile([1.0, 0.0], (5, 1)), 12.0)
+    assert np.allclose(lengths[:2], [10, 2], atol=0.3) and np.isnan(lengths[2:]).all()
 
 
 def test_overlap_of_masks() -> None:

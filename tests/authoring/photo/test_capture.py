@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from glsplat.authoring.photo.capture import check_capture, is_outline
+from glsplat.authoring.photo.photo_file import read_photo
 from glsplat.authoring.photo.sharpness import blur_of
 from tests.authoring.captures import Capture, capture, needs_networks
 from tests.authoring.poses import standing
@@ -159,6 +161,32 @@ def test_arms_are_named(pair, pose: str, words: str) -> None:
     found = check_capture(person.shown(posed))
     assert not found.refused and [finding.code for finding in found.findings] == ["arms"]
     assert words in found.findings[0].text
+
+
+def real(shared_data: Path, name: str) -> np.ndarray:
+    needs_networks()
+    return read_photo(shared_data / "photos" / name, 1200).picture
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("names", [("11.jpg", "14.jpg"), ("14.jpg", "c85463b5.jpg")], ids=["grey", "beside grey"])
+def test_people_whom_one_network_overlooks_are_several(shared_data: Path, names: tuple[str, str]) -> None:
+    """A grey person before shelves and a coloured one: what shows a face beside somebody is somebody."""
+    first, second = (real(shared_data, name) for name in names)
+    height = min(len(first), len(second))
+    both = [cv2.resize(each, (round(each.shape[1] * height / len(each)), height)) for each in (first, second)]
+    found = check_capture(np.hstack(both))
+    assert [finding.code for finding in found.findings if finding.refusal] == ["several"], found.findings
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["14.jpg", "joker_2.jpg"])
+def test_the_whole_picture_is_looked_at_before_nobody_is_there(shared_data: Path, name: str) -> None:
+    """Mirrored or grey, in a busy room: the first network leads the others to a piece of the room."""
+    picture = real(shared_data, name)
+    grey = np.repeat(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)[..., None], 3, 2)
+    found = check_capture(np.ascontiguousarray(picture[:, ::-1]) if name == "14.jpg" else grey)
+    assert not found.refused, found.findings
 
 
 def test_half_of_somebody_is_told_by_what_is_seen(pair) -> None:

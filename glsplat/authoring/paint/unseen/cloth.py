@@ -186,8 +186,8 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
                 where[taken, 1] if axis == 0 else where[taken, 0] * (1 if other is None else np.sign(where[taken, 0]))
             )
             pattern = goes_around(these.colour, row, across[below], look[taken][below], weight[taken][below])
-            if number in _BODY[1:] and skin is not None:  # knees are no pattern
-                pattern &= np.linalg.norm(these.colour - skin, axis=1) > _LIKE_SKIN
+            if number != _TRUNK and skin is not None:  # knees and elbows are no pattern
+                pattern &= np.linalg.norm(these.colour - skin, axis=1) > (BARE if number in _SLEEVES else _LIKE_SKIN)
             these = replace(these, pattern=pattern)
         rows.append(these)
     for left, right in _PAIRS:  # both sleeves, or both legs of trousers, are of the same cloth

@@ -17,7 +17,9 @@ _UNLIKE = 0.1  # square roots of linear light: what is farther from a part's usu
 _GARMENT, _ALIKE = 18, 0.15  # rows up and down, of colours so near, are the same piece of cloth
 _LEAST = 0.05  # of a part that is of other colours in cloth with a pattern
 _OUTERMOST = 0.6  # against the mean of the parts: so much of that the first and the last part have
-_FEWEST = 2.0  # summed trust of a part
+_FEWEST, _ENOUGH = 2.0, 4  # summed trust of a part that is seen; so many of them
+_SLIVER = 0.15  # of the best seen part's: less is what an arm has left of it
+_ASLANT = 0.4  # trust of the outermost part against the other outermost one: less is seen aslant
 
 
 def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, trust: F64) -> NDArray[np.bool_]:
@@ -34,24 +36,32 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, trus
     number = np.arange(count)
     same = np.abs(number[:, None] - number) <= _GARMENT
     same &= np.linalg.norm(colour[:, None] - colour, axis=2) < _ALIKE
-    around = np.zeros(count, bool)
+    around, asked = np.zeros(count, bool), np.zeros(count, bool)
     for at in range(count):
         near = slice(starts[max(at - _GARMENT, 0)], starts[min(at + _GARMENT + 1, count)])
         of_it = near.start + np.flatnonzero(same[at][row[near]])
-        other = np.zeros(_PARTS)
-        for place in range(_PARTS):
-            mine = of_it[part[of_it] == place]
-            if trust[mine].sum() < _FEWEST:
-                break
-            usual = np.median(away[mine], axis=0)  # the light's, which falls off to a side
-            if np.linalg.norm(usual) > _ALIKE:
-                break  # another thing
-            other[place] = np.average(np.linalg.norm(away[mine] - usual, axis=1) > _UNLIKE, weights=trust[mine])
-            if other[place] <= _LEAST:
-                break
-        around[at] = other.min() > _LEAST and min(other[0], other[-1]) > _OUTERMOST * other.mean()
+        parts = [of_it[part[of_it] == place] for place in range(_PARTS)]
+        seen = [float(trust[mine].sum()) for mine in parts]
+        ends = [0, _PARTS - 1]
+        if min(seen[0], seen[-1]) < _ASLANT * max(seen[0], seen[-1]):  # of somebody turned one side speaks for both
+            far = int(seen[-1] < seen[0])
+            seen[ends.pop(far)] = 0.0
+        least = max(_FEWEST, _SLIVER * max(seen))
+        other = {k: _other(away[mine], trust[mine]) for k, mine in enumerate(parts) if seen[k] >= least}
+        asked[at] = len(other) >= _ENOUGH
+        if asked[at] and min(other.values()) > _LEAST and all(end in other for end in ends):
+            around[at] = min(other[end] for end in ends) > _OUTERMOST * np.mean(list(other.values()))
     cloth = same.astype(float)
-    return np.asarray(cloth @ around > 0.5 * cloth.sum(axis=1))  # most rows of a garment speak for all
+    # most rows of a garment that are seen speak for all
+    return np.asarray(cloth @ around > 0.5 * (cloth @ asked))
+
+
+def _other(away: F64, trust: F64) -> float:
+    """Share of a part's samples [N] that are not of its usual colour; 0 where that is another thing's."""
+    usual = np.median(away, axis=0)  # the light's, which falls off to a side
+    if np.linalg.norm(usual) > _ALIKE:
+        return 0.0
+    return float(np.average(np.linalg.norm(away - usual, axis=1) > _UNLIKE, weights=trust))
 
 
 def _parts(starts: NDArray[np.intp], across: F64) -> NDArray[np.intp]:
