@@ -177,6 +177,7 @@ class PictureOptions:
     alpha: Alpha = False  # the accumulated alpha too
     hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
     box: bool = False  # where the avatar is, too
+    depth: bool = False  # how far away what it shows is, too
     light: Light | None = None  # that falls on it, in the space of the cameras; None: the server's
     video: Video | None = None  # it may be part of a video; None: a JPEG
 
@@ -201,6 +202,7 @@ class Message(msgspec.Struct):
     mirror: bool | None = None
     hide: list[str] | None = None
     box: bool = False
+    depth: bool = False
     pose: PoseFields | None = None
     tracking: Tracking | None = None
     faces: list[Place] | None = None
@@ -216,7 +218,7 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = tuple("want eyes size quality crop alpha mirror hide box pose tracking faces light video".split())
+PICTURE = tuple("want eyes size quality crop alpha mirror hide box depth pose tracking faces light video".split())
 """Fields that only a request has."""
 
 

@@ -19,6 +19,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
+from glsplat.net.codec.depth import DepthGrid, read_grids
 from glsplat.net.messages import VERSION
 from glsplat.net.poses.body import Body, unpack_bodies
 
@@ -40,6 +41,7 @@ class Reply:
     nbytes: int = 0  # of the whole message
     alphas: dict[int, bytes] = field(default_factory=dict)  # grey JPEGs of the accumulated alpha, if asked for
     bodies: tuple[Body, ...] = ()  # of a reply in poses: how those stand of whom there is news
+    depth: tuple[DepthGrid, ...] = ()  # how far away what is shown is, one an eye, if it was asked for
 
     def __repr__(self) -> str:
         eyes = ", ".join(f"eye {eye}: {len(jpeg)} bytes" for eye, jpeg in sorted(self.pictures.items())) or "no picture"
@@ -91,6 +93,7 @@ def pack_reply(
     pictures: Sequence[bytes],
     info: Mapping[str, Any],
     alphas: Sequence[bytes] | None = None,
+    depth: Sequence[bytes] = (),
 ) -> bytes:
     """The binary message of one frame, atomic for all its eyes."""
     parts = [_HEAD.pack(b"VR", VERSION, frame_id, len(eyes))]
@@ -99,7 +102,7 @@ def pack_reply(
         if alphas is not None:
             parts += [_LENGTH.pack(len(alphas[index])), alphas[index]]
     text = msgspec.json.encode(info)
-    return b"".join([*parts, _LENGTH.pack(len(text)), text])
+    return b"".join([*parts, _LENGTH.pack(len(text)), text, *depth])
 
 
 def pack_poses(frame_id: int, info: Mapping[str, Any], bodies: Sequence[bytes]) -> bytes:
@@ -137,7 +140,11 @@ def parse_reply(data: bytes) -> Reply:
     except (struct.error, msgspec.MsgspecError, UnicodeError, RecursionError):
         raise ProtocolError(f"expected a whole reply, found {len(data)} bytes that end early", "bad_reply") from None
     bodies = tuple(unpack_bodies(data[offset:])) if count == 0 and info.get("want") == "pose" else ()
-    return Reply(frame_id, pictures, info, len(data), alphas, bodies)
+    try:
+        depth = read_grids(info["depth"], data[offset:]) if "depth" in info else ()
+    except (KeyError, TypeError, ValueError) as error:
+        raise ProtocolError(f"the depth of a reply cannot be read: {error}", "bad_reply") from None
+    return Reply(frame_id, pictures, info, len(data), alphas, bodies, depth)
 
 
 def decode_picture(
