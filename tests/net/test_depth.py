@@ -105,7 +105,7 @@ def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
                 head = {"tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}}
                 asked = [{}, {"depth": True}, {"depth": False}, {"depth": True, **head}, {"depth": 1}]
                 for number, more in enumerate(asked, 1):
-                    await ws.send_str(native(number, **{"ack": number - 1} | more))
+                    await ws.send_str(native(number, **{"ack": number - 1, **more}))
                     answers.append((await asyncio.wait_for(ws.receive(), HANG)).data)
                 return answers
 

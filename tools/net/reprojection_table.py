@@ -10,7 +10,7 @@ grey; the angle by which hands are shown elsewhere; holes and what is too much a
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,20 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.camera import FLIP_YZ, Camera, head_matrix
+from glsplat.camera import Camera, head_matrix
 from glsplat.data import PEOPLE, person
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.pixels import psnr
+from glsplat.gl.context import create_context
 from glsplat.motion.motion import load_embedded_motion
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.codec import depth as server
-from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encode import covered_box
 from glsplat.renderer import Renderer
+from glsplat.rotations import FLIP_YZ
 from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import embedded_recording
-from glsplat.tracking.sample import Sample
+from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.tracker import Tracker
 
 __all__ = ["markdown"]
@@ -45,7 +46,7 @@ Points = tuple[F64, F64, F64]
 """Columns, rows (parts of the picture) and camera z [rows, columns] in metres."""
 
 SIDE = 1024  # pixels of a square picture
-DENSITY = 1100  # pixels a unit of tangent where the truth is drawn: 19 a degree in the middle
+DENSITY = 800  # pixels a unit of tangent where the truth is drawn: 14 a degree in the middle
 MOST = 1.19  # tangent of what a headset shows to each side
 GREY = 0.45
 LATE = 7  # samples of 72 a second, by which a picture of a moving user is late
@@ -54,7 +55,6 @@ MOVES: dict[str, tuple[float, float, float]] = {  # metres aside and ahead, degr
     "10 cm aside": (0.1, 0, 0),
     "10 cm ahead": (0, 0.1, 0),
     "turned by 5": (0, 0, 5),
-    "10 cm aside, turned by 5": (0.1, 0, 5),
 }
 
 _VERTEX = """#version 330
@@ -102,7 +102,8 @@ class Warper:
     """Puts pictures back, by OpenGL as the page does by WebGL."""
 
     def __init__(self) -> None:
-        self._gl = moderngl.create_context(standalone=True, backend="egl")
+        self._context = create_context()
+        self._gl = self._context.ctx
         self._program: Any = self._gl.program(_VERTEX, _FRAGMENT)
 
     def __call__(self, image: Image, view: View, points: Points, seen: View, size: tuple[int, int]) -> Image:
@@ -138,21 +139,23 @@ class Warper:
 
 def _projection(view: View, near: float = 0.02, far: float = 100.0) -> F64:
     wide, high = view.right - view.left, view.up - view.down
-    return np.array(
-        [
-            [2 / wide, 0, (view.right + view.left) / wide, 0],
-            [0, 2 / high, (view.up + view.down) / high, 0],
-            [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)],
-            [0, 0, -1, 0],
-        ]
-    )
+    out = np.zeros((4, 4))
+    out[0, [0, 2]] = 2 / wide, (view.right + view.left) / wide
+    out[1, [1, 2]] = 2 / high, (view.up + view.down) / high
+    out[2, 2:], out[3, 2] = (-(far + near) / (far - near), -2 * far * near / (far - near)), -1
+    return out
 
 
-def turned(place: Sequence[float], yaw: float = 0.0, pitch: float = 0.0) -> F64:
-    """World from an eye at ``place`` that looks along -z, turned to the left and up by degrees."""
-    y, p = np.radians([yaw, pitch]) / 2
-    quat = [np.cos(y) * np.sin(p), np.sin(y) * np.cos(p), -np.sin(y) * np.sin(p), np.cos(y) * np.cos(p)]
-    return head_matrix(place, quat)
+def device(x: float, y: float, z: float, yaw: float = 0.0, pitch: float = 0.0) -> Transform:
+    """What is tracked there, looking along -z, turned to the left and up by degrees."""
+    a, b = (float(np.radians(angle)) / 2 for angle in (yaw, pitch))
+    return x, y, z, np.cos(a) * np.sin(b), np.sin(a) * np.cos(b), -np.sin(a) * np.sin(b), np.cos(a) * np.cos(b)
+
+
+def turned(*where: float) -> F64:
+    """World from such a device."""
+    seven = np.array(device(*where))
+    return head_matrix(seven[:3], seven[3:])
 
 
 def framed(eye: F64, box: F64, margin: float = 0.03) -> View:
@@ -189,11 +192,6 @@ def plane(case: Case, view: View) -> Points:
     return ends, ends, ((point - eye) @ normal) / (rays @ normal)
 
 
-def by_grid(grid: DepthGrid) -> Points:
-    """What a server says."""
-    return np.linspace(0, 1, grid.columns), np.linspace(0, 1, grid.rows), grid.metres()
-
-
 def quarter(image: Image, z: NDArray[np.float32]) -> Points:
     """One point each 4 x 4 pixels: means of what is covered, in 255 steps, elsewhere as the server fills."""
     rows, columns = z.shape[0] // 4, z.shape[1] // 4
@@ -218,7 +216,7 @@ class Judge:
         distance = self._lpips.distance(self._lpips.features(one), self._lpips.features(other))
         there, shown = truth[..., 3] > 127, found[..., 3] > 127
         parts = (there & ~shown).sum() / there.sum(), (shown & ~there).sum() / there.sum()
-        return psnr(one, other), distance, *map(float, parts)
+        return psnr(one, other), distance, float(parts[0]), float(parts[1])
 
 
 def ways(case: Case, view: View, size: tuple[int, int]) -> tuple[Image, NDArray[np.float32], dict[str, Points]]:
@@ -231,7 +229,9 @@ def ways(case: Case, view: View, size: tuple[int, int]) -> tuple[Image, NDArray[
     selector = renderer.selector
     (grid,) = depth_grids(renderer, [camera], case.pose)
     renderer.selector = selector
-    return image, z, found | {"32 x 32": by_grid(grid), "a quarter": quarter(image, z)}
+    found["32 x 32"] = np.linspace(0, 1, grid.columns), np.linspace(0, 1, grid.rows), grid.metres()
+    found["a quarter"] = quarter(image, z)
+    return image, z, found
 
 
 def off(case: Case, view: View, image: Image, z: NDArray[np.float32], points: Points, eye: F64) -> float:
@@ -244,16 +244,16 @@ def off(case: Case, view: View, image: Image, z: NDArray[np.float32], points: Po
     if not near.any():
         return float("nan")
     columns, rows, depth = points
-    i = np.minimum(np.searchsorted(columns, u[near], "right"), len(columns) - 1)
-    j = np.minimum(np.searchsorted(rows, v[near], "right"), len(rows) - 1)
-    s, t = (
-        np.clip((at - grid[k - 1]) / (grid[k] - grid[k - 1]), 0, 1)
-        for at, grid, k in ((u[near], columns, i), (v[near], rows, j))
-    )
+    (i, s), (j, t) = _between(columns, u[near]), _between(rows, v[near])
     d = 1 / depth
     inverse = (d[j - 1, i - 1] * (1 - s) + d[j - 1, i] * s) * (1 - t) + (d[j, i - 1] * (1 - s) + d[j, i] * s) * t
     a, b = view.eye[:3, 3] + rays[near] / inverse[:, None] - eye[:3, 3], true[near] - eye[:3, 3]
     return float(np.median(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))))
+
+
+def _between(points: F64, at: F64) -> tuple[NDArray[np.intp], F64]:
+    i = np.minimum(np.searchsorted(points, at, "right"), len(points) - 1)
+    return i, np.clip((at - points[i - 1]) / (points[i] - points[i - 1]), 0, 1)
 
 
 def shape(view: View) -> tuple[int, int]:
@@ -268,21 +268,11 @@ def seen_size(view: View) -> tuple[int, int]:
     return round((view.right - view.left) * DENSITY), round((view.up - view.down) * DENSITY)
 
 
-def tracked(avatar: Avatar, head: F64, left: F64, right: F64) -> Pose:
-    """How a user stands whose head and wrists are there."""
-    tracker, pose = Tracker(avatar.skeleton), None
-    devices = [_seven(one) for one in (head, left, right)]
-    for i in range(90):
-        pose = tracker.update(Sample(i / 72, *devices))
-    assert pose is not None
-    return pose
-
-
-def _seven(matrix: F64) -> tuple[float, ...]:
-    w = np.sqrt(max(0.0, 1 + np.trace(matrix[:3, :3]))) / 2
-    r = matrix[:3, :3]
-    quat = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4 * w)
-    return (*matrix[:3, 3].tolist(), *quat.tolist(), float(w))
+def tracked(avatar: Avatar, *where: tuple[float, ...]) -> Pose:
+    """How a user stands whose head and wrists have been there for a while."""
+    tracker = Tracker(avatar.skeleton)
+    head, left, right = (device(*one) for one in where)
+    return [tracker.update(Sample(i / 72, head, left, right)) for i in range(90)][-1]
 
 
 def joints_of(avatar: Avatar, pose: Pose) -> tuple[F64, F64]:
@@ -295,37 +285,35 @@ def joints_of(avatar: Avatar, pose: Pose) -> tuple[F64, F64]:
 def still(avatar: Avatar) -> Iterator[Case]:
     """Before a mirror 1.2 m away with hands held out, one's own body with them before the chest, a room of three."""
     reflect = np.diag([-1.0, 1, 1, 1])
-    head, wrists = turned([0, 1.68, 0], 0, -10), (turned([-0.2, 1.25, -0.45], 0, 10), turned([0.25, 1.35, -0.5], 0, 20))
-    pose = tracked(avatar, head, *wrists)
+    pose = tracked(avatar, (0, 1.68, 0, 0, -10), (-0.2, 1.25, -0.45, 0, 10), (0.25, 1.35, -0.5, 0, 20))
     joints, hands = joints_of(avatar, pose)
-    mirrored = np.diag([1.0, 1, -1, 1]) @ head @ reflect
-    mirrored[2, 3] = -2.4 - head[2, 3]
+    mirrored = np.diag([1.0, 1, -1, 1]) @ turned(0, 1.68, 2.4, 0, -10) @ reflect
     with Renderer(avatar) as renderer:
         yield Case("mirror", renderer, pose, mirrored, box_of(joints), hands)
-    head, wrists = turned([0, 1.68, 0], 0, -42), (turned([-0.2, 1.2, -0.38], 0, 15), turned([0.22, 1.25, -0.4], 0, 25))
-    pose = tracked(avatar, head, *wrists)
+    head = 0, 1.68, 0, 0, -42
+    pose = tracked(avatar, head, (-0.2, 1.2, -0.38, 0, 15), (0.22, 1.25, -0.4, 0, 25))
     joints, hands = joints_of(avatar, pose)
     with Renderer(avatar.without("head")) as renderer:
-        yield Case("own body", renderer, pose, head, box_of(joints), hands)
+        yield Case("own body", renderer, pose, turned(*head), box_of(joints), hands)
     others = [person(name) for name in PEOPLE]
     places = (((-0.35, 1.0), 180, "wave-and-turn"), ((0.15, 2.2), 200, "idle"), ((0.6, 4.0), 180, "wave-and-turn"))
     items, boxes, waving = [], [], None
     for one, ((x, z), yaw, motion) in zip(others, places, strict=True):
-        posed, place = load_embedded_motion(motion, one.skeleton).at(1.1), turned([x, 0, z], yaw)
+        posed, place = load_embedded_motion(motion, one.skeleton).at(1.1), turned(x, 0, z, yaw)
         items.append(Item(one, pose=posed, transform=place))
         joints, hands = (part @ place[:3, :3].T + place[:3, 3] for part in joints_of(one, posed))
         boxes.append(box_of(joints))
         waving = hands if waving is None else waving
     assert waving is not None
     with Renderer(Scene(items)) as renderer:
-        yield Case("room, 1 to 4 m", renderer, None, turned([0, 1.65, 0], 180, -8), np.concatenate(boxes), waving, True)
+        yield Case("room, 1 to 4 m", renderer, None, turned(0, 1.65, 0, 180, -8), np.concatenate(boxes), waving, True)
 
 
 def moved(eye: F64, aside: float, ahead: float, yaw: float) -> F64:
     """Along the eye's own x and the level direction that it looks in, then turned about the vertical."""
     out, forth = eye.copy(), -eye[:3, 2] * (1, 0, 1)
     out[:3, 3] += eye[:3, 0] * aside + forth / np.linalg.norm(forth) * ahead
-    out[:3, :3] = turned([0, 0, 0], yaw)[:3, :3] @ eye[:3, :3]
+    out[:3, :3] = turned(0, 0, 0, yaw)[:3, :3] @ eye[:3, :3]
     return out
 
 
@@ -386,7 +374,7 @@ def _views(avatar: Avatar) -> Iterator[tuple[str, Avatar, Callable[[F64, F64], F
         return np.asarray(reflection @ head @ np.diag([-1.0, 1, 1, 1]))
 
     yield "mirror", avatar, mirrored
-    yield "own body", avatar.without("head"), lambda head, _: head @ turned([0, 0, 0], 0, -45)
+    yield "own body", avatar.without("head"), lambda head, _: head @ turned(0, 0, 0, 0, -45)
 
 
 def _write(folder: Path | None, *words: Any) -> None:
