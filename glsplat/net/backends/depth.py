@@ -18,7 +18,7 @@ from glsplat.skinning.pose import Pose
 
 __all__ = ["depth_grids"]
 
-_COVERED = 0.5  # alpha of what counts as there
+_COVERED = 0.1  # alpha of what counts as there: better the depth of what covers a part of a pixel than a made up one
 
 
 def depth_grids(renderer: Renderer, views: Sequence[Camera], pose: Pose | None = None) -> tuple[DepthGrid, ...]:
