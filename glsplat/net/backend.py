@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.formats.web.write import WebFile
+from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.fields import DEFAULT, PictureOptions
 from glsplat.net.messages import Request
 from glsplat.skinning.pose import Pose
@@ -57,6 +58,7 @@ class Rendered:
     posed: int = 0  # people who were skinned anew for it
     box: tuple[float, ...] | None = None
     """Where the one avatar is, if the job asks for it: x, y, z lowest, then highest, metres in the cameras' world."""
+    depth: tuple[DepthGrid, ...] = ()  # one an image, if the job asks for it
 
 
 @runtime_checkable

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import ssl
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 from urllib.parse import urlencode, urlsplit
 
 import aiohttp
@@ -19,7 +19,7 @@ from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client_connection import ClientConnection
-from glsplat.net.fields import Alpha, Want
+from glsplat.net.fields import Want, Wishes
 from glsplat.net.flow import FlowControl, ReceivedReply
 from glsplat.net.messages import MAX_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
@@ -27,7 +27,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
 if TYPE_CHECKING:
-    from glsplat.light.light import Light
+    from glsplat.net.codec.video_reader import VideoReader
 
 __all__ = ["Client", "ReceivedReply", "request_message"]
 
@@ -43,6 +43,7 @@ class Client:
     degrees about y (None: where there is a free place). ``cafile`` is the certificate to trust on wss.
     ``timeout`` is in seconds, of connecting and of each picture. ``adapt`` tells the server when each arrives; one
     that adapts, as ``glsplat serve`` does, fits them to the link: smaller, cropped, coarser (``Reply.info`` says so).
+    ``video`` takes video where the server has it (``serve --video``) and decodes it, which needs PyAV.
 
     May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
     All methods raise ProtocolError when the server reports an error or goes away (``code`` "closed", "timeout", ...).
@@ -65,6 +66,7 @@ class Client:
         cafile: str | Path | None = None,
         timeout: float = 10.0,
         adapt: bool = False,
+        video: bool = False,
     ) -> None:
         self.url: str = _checked_url(url)
         _check_token(token)
@@ -78,6 +80,12 @@ class Client:
         self._query = {key: value for key, value in asked.items() if value is not None}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile, self._adapt = cafile, flag(adapt, "adapt", GlsplatError)
+        self._reader: Callable[[], VideoReader | None] = lambda: None
+        if flag(video, "video", GlsplatError):
+            from glsplat.net.codec.video_reader import VideoReader  # here: it needs what most have not
+
+            VideoReader()  # raises now what would come with the connection
+            self._reader = VideoReader
         self._timeout: float = number(timeout, "timeout", GlsplatError)
         if self._timeout <= 0:
             raise GlsplatError(f"timeout needs seconds above 0, not {self._timeout:g}")
@@ -125,7 +133,7 @@ class Client:
         except BaseException:
             await http.close()
             raise
-        connection = ClientConnection(self.url, http, ws, self._adapt)
+        connection = ClientConnection(self.url, http, ws, self._adapt, self._reader())
         if self._ours():  # another task was quicker
             await connection.close()
         else:
@@ -143,20 +151,9 @@ class Client:
         *,
         pose: Pose | Mapping[str, Any] | None = None,
         tracking: Mapping[str, Any] | None = None,
-        quality: int | None = None,
-        crop: bool = False,
-        alpha: Alpha = False,
-        mirror: bool | None = None,
-        hide: Sequence[str] = (),
-        box: bool = False,
-        light: Light | str | None = None,
+        **wishes: Unpack[Wishes],
     ) -> Reply:
         """Ask for one picture and wait for it. Calls at the same time are served one after the other.
-
-        ``crop`` has only the covered part of each picture sent, ``alpha`` its accumulated alpha too
-        (``Reply.rgba``; "straight" keeps the silhouette cleaner at the same quality).
-        ``mirror`` overrules what the connection asked for. ``hide`` leaves parts of the avatar out: ("head",). ``box``
-        has the server say where the avatar is (``Reply.box``). ``light`` (cameras' axes) falls instead of the server's.
 
         Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
         came first: the newest request wins, and the server never answers the one it replaced.
@@ -164,8 +161,7 @@ class Client:
         connection = self._open()
         async with connection.turn:
             connection.take_all()
-            flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box, "light": light}
-            request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
+            request = self._request(connection, cameras, pose=pose, tracking=tracking, **wishes)
             return (await connection.ask_and_wait(*request, self._timeout)).reply
 
     async def poses(
@@ -188,15 +184,9 @@ class Client:
         *,
         pose: Pose | Mapping[str, Any] | None = None,
         tracking: Mapping[str, Any] | None = None,
-        quality: int | None = None,
-        crop: bool = False,
-        alpha: Alpha = False,
-        mirror: bool | None = None,
-        hide: Sequence[str] = (),
-        box: bool = False,
-        light: Light | str | None = None,
         want: Want | None = None,
         subject: object = None,
+        **wishes: Unpack[Wishes],
     ) -> int:
         """Send a request without waiting for its picture, which may never come (a newer one replaces it).
 
@@ -204,8 +194,7 @@ class Client:
         it back when the answer is there. ``want`` "pose": as ``poses``.
         """
         connection = self._open()
-        flags = {"crop": crop, "alpha": alpha, "mirror": mirror, "hide": hide, "box": box, "light": light, "want": want}
-        request = self._request(connection, cameras, pose=pose, tracking=tracking, quality=quality, **flags)
+        request = self._request(connection, cameras, pose=pose, tracking=tracking, want=want, **wishes)
         await connection.ask(*request, subject)
         return request[0]
 
@@ -232,6 +221,8 @@ class Client:
         number = connection.flow.newest + 1
         message = request_message(number, cameras, t=now * 1e3, **fields)
         message |= connection.flow.acknowledging(now)
+        if connection.video is not None and message.get("want") != "pose":
+            message["video"] = connection.video.wish()
         try:
             data = _encoder.encode(message)
         except (TypeError, ValueError, RecursionError) as error:  # what JSON cannot say
@@ -259,15 +250,9 @@ def request_message(
     *,
     pose: Pose | Mapping[str, Any] | None = None,
     tracking: Mapping[str, Any] | None = None,
-    quality: int | None = None,
-    crop: bool = False,
-    alpha: Alpha = False,
-    mirror: bool | None = None,
-    hide: Sequence[str] = (),
-    box: bool = False,
-    light: Light | str | None = None,
     want: Want | None = None,
     t: float | None = None,
+    **wishes: Unpack[Wishes],
 ) -> dict[str, Any]:
     """The native request (docs/protocol.md) as a JSON object. Cameras may be left out where tracking has a head."""
     message: dict[str, Any] = {"v": VERSION, "frame_id": frame_id}
@@ -279,9 +264,13 @@ def request_message(
         if len(pose.rotations) != len(JOINT_NAMES):
             raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
         pose = pose.to_smplx()
-    parts = [hide] if isinstance(hide, str) else list(hide)
-    asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "quality": quality, "mirror": mirror, "want": want}
-    asked |= {"crop": crop or None, "alpha": alpha or None, "hide": parts or None, "box": box or None}
+    if unknown := wishes.keys() - Wishes.__annotations__.keys():
+        raise TypeError(f"a request has no {', '.join(sorted(unknown))}: it has {', '.join(Wishes.__annotations__)}")
+    asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "want": want, **wishes}
+    for key in ("crop", "alpha", "box", "depth"):
+        asked[key] = asked.get(key) or None
+    hide, light = wishes.get("hide", ()), wishes.get("light")
+    asked["hide"] = ([hide] if isinstance(hide, str) else list(hide)) or None
     asked["light"] = light if light is None or isinstance(light, str) else light.to_json()
     return message | {key: value for key, value in asked.items() if value is not None}
 

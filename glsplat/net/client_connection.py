@@ -11,12 +11,17 @@ import socket
 import time
 from collections import deque
 from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import aiohttp
 
 from glsplat.errors import ProtocolError
 from glsplat.net.flow import FlowControl, ReceivedReply, server_error
 from glsplat.net.reply import Reply, parse_reply
+
+if TYPE_CHECKING:
+    from glsplat.net.codec.video_reader import VideoReader
 
 __all__ = ["ClientConnection"]
 
@@ -27,15 +32,22 @@ _GOODBYE = 1.0  # seconds for a server to agree to the end of a TLS connection
 class ClientConnection:
     """An open WebSocket and what is under way on it. Belongs to the event loop that made it.
 
-    ``adapt`` tells the server when pictures arrive, so that one that adapts fits them to the link.
+    ``adapt`` tells the server when pictures arrive, so that one that adapts fits them to the link. ``video`` decodes
+    what is part of one.
     """
 
     def __init__(
-        self, url: str, http: aiohttp.ClientSession, ws: aiohttp.ClientWebSocketResponse, adapt: bool = False
+        self,
+        url: str,
+        http: aiohttp.ClientSession,
+        ws: aiohttp.ClientWebSocketResponse,
+        adapt: bool = False,
+        video: VideoReader | None = None,
     ) -> None:
         self.loop = asyncio.get_running_loop()
         self.turn = asyncio.Lock()  # of those who ask for one picture and wait for it
         self.flow: FlowControl = FlowControl()
+        self.video = video
         self._url, self._adapt = url, adapt
         self._http, self._ws = http, ws
         self._socket = ws.get_extra_info("socket")
@@ -148,7 +160,12 @@ class ClientConnection:
                 if message.type == aiohttp.WSMsgType.TEXT:
                     self._refused(server_error(message.data))
                 elif message.type == aiohttp.WSMsgType.BINARY:
-                    await self._arrived(parse_reply(message.data), time.perf_counter())
+                    reply, at = parse_reply(message.data), time.perf_counter()
+                    if self.video is not None and "video" in reply.info and reply.pictures:
+                        coded = next(iter(reply.pictures.values()))
+                        how = coded, reply.info["video"], reply.info["size"]
+                        reply = replace(reply, video=await asyncio.to_thread(self.video.eyes, *how))
+                    await self._arrived(reply, at)
                 else:
                     why = "" if self._ws.close_code is None else f" ({self._ws.close_code})"
                     failure = ProtocolError(f"{self._url}: the server closed the connection{why}", "closed")

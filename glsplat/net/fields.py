@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import msgspec
 
@@ -49,6 +49,7 @@ __all__ = [
     "Tracking",
     "Video",
     "Want",
+    "Wishes",
     "faces_of",
     "given",
     "light_of",
@@ -177,8 +178,28 @@ class PictureOptions:
     alpha: Alpha = False  # the accumulated alpha too
     hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
     box: bool = False  # where the avatar is, too
+    depth: bool = False  # how far away what it shows is, too
     light: Light | None = None  # that falls on it, in the space of the cameras; None: the server's
     video: Video | None = None  # it may be part of a video; None: a JPEG
+
+
+class Wishes(TypedDict, total=False):
+    """How a client of this package wants its pictures.
+
+    ``quality`` is JPEG's. ``crop`` has only the covered part sent, ``alpha`` the accumulated alpha too (``Reply.rgba``;
+    "straight" keeps the silhouette cleaner at the same quality). ``mirror`` overrules what the connection asked for.
+    ``hide`` leaves parts of the avatar out: ("head",). ``box`` has the server say where the avatar is (``Reply.box``),
+    ``depth`` how far away what is shown is (``Reply.depth``). ``light`` (cameras' axes) falls instead of the server's.
+    """
+
+    quality: int | None
+    crop: bool
+    alpha: Alpha
+    mirror: bool | None
+    hide: Sequence[str]
+    box: bool
+    depth: bool
+    light: Light | str | None
 
 
 DEFAULT = PictureOptions()
@@ -201,6 +222,7 @@ class Message(msgspec.Struct):
     mirror: bool | None = None
     hide: list[str] | None = None
     box: bool = False
+    depth: bool = False
     pose: PoseFields | None = None
     tracking: Tracking | None = None
     faces: list[Place] | None = None
@@ -216,7 +238,7 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = tuple("want eyes size quality crop alpha mirror hide box pose tracking faces light video".split())
+PICTURE = tuple("want eyes size quality crop alpha mirror hide box depth pose tracking faces light video".split())
 """Fields that only a request has."""
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -26,6 +27,8 @@ __all__ = ["LocalLoop", "encode"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _GRACE = 0.5  # seconds the picture in hand gets when the server stops
+_CODERS = max(1, (os.cpu_count() or 1) // 2)  # threads that code video, which takes long: JPEGs do not wait for it
+_CODED = _CODERS + 1  # pictures that are coded or wait for it, of all videos: each holds room that drawing needs
 
 
 class LocalLoop(RenderLoop):
@@ -42,22 +45,37 @@ class LocalLoop(RenderLoop):
         video: bool = False,
     ) -> None:
         super().__init__(clock, rate)
-        self.codecs: tuple[str, ...] = _codecs() if video else ()
+        self._codecs = _codecs() if video else ()
         self._backend = backend
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
+        self._video_threads = ThreadPoolExecutor(_CODERS, thread_name_prefix="video")
+        self._coded: tuple[Future[Encoded], ...] = ()  # by them, the newest last
         self._encoder = Encoder()
         if isinstance(backend, Interruptible):
             backend.abandoned = self._abandoned
 
+    @property
+    def codecs(self) -> tuple[str, ...]:
+        """Those that this machine codes, where clients may have video."""
+        return self._codecs
+
     def open(self, *args: Any, **kwargs: Any) -> ClientStream:
         """A client, as elsewhere; here it may have video."""
         channel = super().open(*args, **kwargs)
-        if self.codecs:
+        if self._codecs:
             from glsplat.net.codec.video import CODECS, VideoStream  # here: most servers have none
 
-            channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self.codecs})
+            channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self._codecs})
         return channel
+
+    def _ready(self, now: float, rests: list[float], channel: ClientStream) -> bool:
+        """As elsewhere; none that is to be video while as many are drawn already as are coded at a time."""
+        session = channel.session
+        asks = any(one is not None and one.options.video is not None for one in (session.newest, session.kept))
+        if channel.video is not None and asks and sum(not one.done() for one in self._coded) >= _CODED:
+            return False
+        return super()._ready(now, rests, channel)
 
     async def _open(self) -> str:
         return await self._loop.run_in_executor(self._render_thread, self._backend.open)
@@ -105,13 +123,16 @@ class LocalLoop(RenderLoop):
     def _submit(self, channel: ClientStream, rendered: Rendered, options: PictureOptions) -> Future[Encoded]:
         if options.video is None or channel.video is None:
             return self._encode_threads.submit(encode, self._encoder, rendered, options)
-        channel.coding = self._encode_threads.submit(self._code, channel.video, channel.coding, rendered, options)
-        return channel.coding
+        coding = self._video_threads.submit(self._code, channel.video, channel.coding, rendered, options)
+        channel.coding = coding
+        self._coded = (*(one for one in self._coded if not one.done()), coding)
+        coding.add_done_callback(lambda _: self._solved())  # the next may be drawn
+        return coding
 
     def _code(
         self, video: VideoStream, before: Future[Encoded] | None, rendered: Rendered, options: PictureOptions
     ) -> Encoded:
-        """The next picture of a client's video. On an encoding thread."""
+        """The next picture of a client's video. On a thread for it."""
         if before is not None:  # it was begun before this one was, so that this thread waits for no other place
             wait([before])
         assert options.video is not None
@@ -121,7 +142,8 @@ class LocalLoop(RenderLoop):
     def _end_threads(self) -> None:
         super()._end_threads()
         self._render_thread.shutdown(wait=False)
-        self._encode_threads.shutdown(wait=False)
+        for threads in (self._encode_threads, self._video_threads):
+            threads.shutdown(wait=False)
         self._encoder.close()
 
 

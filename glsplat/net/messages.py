@@ -214,6 +214,7 @@ class Decoder:
                 alpha=alpha,
                 hide=hide,
                 box=m.box,
+                depth=m.depth,
                 light=light_of(m.light),
                 video=video_of(m.video),
             ),

@@ -65,6 +65,11 @@ class RenderLoop(ABC):
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._task: asyncio.Task[None] | None = None
 
+    @property
+    def codecs(self) -> tuple[str, ...]:
+        """Of video that clients may ask for."""
+        return ()
+
     @abstractmethod
     async def _open(self) -> str:
         """Start what draws; returns the driver string. Raises GlsplatError."""
@@ -199,7 +204,8 @@ class RenderLoop(ABC):
         else:
             assert request.frame_id is not None
             eyes = request.eyes if encoded.video is None else request.eyes[:1]
-            packed = pack_reply(request.frame_id, eyes, encoded.pictures, frame.info(encoded), encoded.alphas)
+            depth = [grid.data for grid in frame.depth]
+            packed = pack_reply(request.frame_id, eyes, encoded.pictures, frame.info(encoded), encoded.alphas, depth)
         session.sending(request, len(packed), self._clock())
         return [packed]
 
@@ -379,6 +385,7 @@ class RenderLoop(ABC):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
         if rendered.box is not None:
             frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
+        frame.depth = tuple(grid.scaled(scale) for grid in rendered.depth)
         if frame.channel.member is not None:
             frame.channel.member.room.posed(rendered.posed)
         frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 from glsplat.errors import ProtocolError
 from glsplat.net.messages import VERSION
 from glsplat.net.poses.body import Body, unpack_bodies
+
+if TYPE_CHECKING:
+    from glsplat.net.codec.depth import DepthGrid
 
 __all__ = ["Reply", "decode_picture", "pack_poses", "pack_reply", "pack_single", "parse_reply"]
 
@@ -40,6 +43,8 @@ class Reply:
     nbytes: int = 0  # of the whole message
     alphas: dict[int, bytes] = field(default_factory=dict)  # grey JPEGs of the accumulated alpha, if asked for
     bodies: tuple[Body, ...] = ()  # of a reply in poses: how those stand of whom there is news
+    depth: tuple[DepthGrid, ...] = ()  # how far away what is shown is, one an eye, if it was asked for
+    video: tuple[NDArray[np.uint8], ...] = ()  # of a picture of a video: its eyes [H, W, 3 or 4], decoded
 
     def __repr__(self) -> str:
         eyes = ", ".join(f"eye {eye}: {len(jpeg)} bytes" for eye, jpeg in sorted(self.pictures.items())) or "no picture"
@@ -70,15 +75,22 @@ class Reply:
 
         Put them over a room as colour + (1 - alpha) * room. Raises ProtocolError where alpha was not asked for.
         """
-        if not self.pictures.keys() <= self.alphas.keys():
+        if self.video:
+            greys = [eye[..., 3:] for eye in self.video]
+        else:
+            greys = [decode() for decode in self._decoders(self.alphas, "GRAY")] if self.alphas else []
+        if not greys or not greys[0].size:
             raise ProtocolError(f"{self!r} has no alpha: ask for it with alpha=True", "bad_reply")
-        greys = [decode() for decode in self._decoders(self.alphas, "GRAY")]
         images = self.images()
         if self.info.get("alpha") == "straight":
             images = [_multiplied(image, grey) for image, grey in zip(images, greys, strict=True)]
         return [np.concatenate(pair, axis=2) for pair in zip(images, greys, strict=True)]
 
     def _decoders(self, jpegs: dict[int, bytes], space: str) -> list[Callable[[], NDArray[np.uint8]]]:
+        if self.video:
+            return [partial(np.ascontiguousarray, eye[..., :3]) for eye in self.video]
+        if "video" in self.info:
+            raise ProtocolError(f"{self!r}: a picture of a video that goes on from one that did not come", "lost")
         eyes = sorted(self.pictures)
         boxes = dict(zip(eyes, self.info.get("crop") or (), strict=False))
         size = self.info.get("size")
@@ -91,6 +103,7 @@ def pack_reply(
     pictures: Sequence[bytes],
     info: Mapping[str, Any],
     alphas: Sequence[bytes] | None = None,
+    depth: Sequence[bytes] = (),
 ) -> bytes:
     """The binary message of one frame, atomic for all its eyes."""
     parts = [_HEAD.pack(b"VR", VERSION, frame_id, len(eyes))]
@@ -99,7 +112,7 @@ def pack_reply(
         if alphas is not None:
             parts += [_LENGTH.pack(len(alphas[index])), alphas[index]]
     text = msgspec.json.encode(info)
-    return b"".join([*parts, _LENGTH.pack(len(text)), text])
+    return b"".join([*parts, _LENGTH.pack(len(text)), text, *depth])
 
 
 def pack_poses(frame_id: int, info: Mapping[str, Any], bodies: Sequence[bytes]) -> bytes:
@@ -137,7 +150,8 @@ def parse_reply(data: bytes) -> Reply:
     except (struct.error, msgspec.MsgspecError, UnicodeError, RecursionError):
         raise ProtocolError(f"expected a whole reply, found {len(data)} bytes that end early", "bad_reply") from None
     bodies = tuple(unpack_bodies(data[offset:])) if count == 0 and info.get("want") == "pose" else ()
-    return Reply(frame_id, pictures, info, len(data), alphas, bodies)
+    depth = _depth(info["depth"], data[offset:]) if "depth" in info else ()
+    return Reply(frame_id, pictures, info, len(data), alphas, bodies, depth)
 
 
 def decode_picture(
@@ -161,6 +175,15 @@ def decode_picture(
 
 def _multiplied(image: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return ((image.astype(np.uint16) * alpha + 127) // 255).astype(np.uint8)
+
+
+def _depth(fields: Any, data: bytes) -> tuple[DepthGrid, ...]:
+    from glsplat.net.codec.depth import read_grids  # here: most replies have none
+
+    try:
+        return read_grids(fields, data)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ProtocolError(f"the depth of a reply cannot be read: {error}", "bad_reply") from None
 
 
 def _take(data: bytes, offset: int, length: int) -> bytes:

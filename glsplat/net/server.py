@@ -244,7 +244,7 @@ class Server:
             "quality": wire.quality,
             "light": None if wire.light is None else wire.light.to_json(),
             "window": self.config.session.window,
-            "video": self.render_loop.codecs if isinstance(self.render_loop, LocalLoop) else (),
+            "video": self.render_loop.codecs,
             "clients": len(self._channels),
             "max_clients": most,
             "full": len(self._channels) >= most,

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 
 import aiohttp
 import numpy as np
 import pytest
 
 from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.net.codec.video import VideoStream
+from glsplat.net.local_loop import _CODED
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server, ServerConfig
-from tests.net.wire import EYE, HANG
+from tests.net.wire import EYE, HANG, until
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
 
@@ -131,6 +134,42 @@ def test_a_picture_that_fails_leaves_no_gap(serve, fake_backend):
     out = asyncio.run(main())
     assert [reply.frame_id for reply in out] == [1, 2, 4, 5]
     assert [reply.info["video"]["number"] for reply in out] == [1, 2, 3, 4]
+
+
+def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeypatch):
+    """While coding hangs, as many of its pictures are drawn as are coded at a time; JPEGs of others come as ever."""
+    gate, coded = threading.Event(), []
+    encode = VideoStream.encode
+
+    def slow(self, *how):
+        coded.append(how)
+        assert gate.wait(HANG)
+        return encode(self, *how)
+
+    monkeypatch.setattr(VideoStream, "encode", slow)
+
+    async def main():
+        backend = fake_backend()
+        async with serve(backend, WATCHES) as server, aiohttp.ClientSession() as http:
+            sockets = [await http.ws_connect(server.url + "?window=8", max_msg_size=0) for _ in range(4)]
+            for number in range(1, 9):  # without an ack, as many as the window holds
+                for ws in sockets:
+                    await ws.send_str(asking(number, video={"codecs": ["vp9"]}))
+                await asyncio.sleep(0.03)
+            await until(lambda: coded)
+            begun = len(backend.drawn)
+            plain = await replies(server, 5)
+            videos = [job for job in backend.drawn if job.options.video]
+            gate.set()
+            late = [parse_reply((await ws.receive(timeout=HANG)).data) for ws in sockets]  # nobody is forgotten
+            for ws in sockets:
+                await ws.close()
+            return begun, plain, len(videos), late
+
+    begun, plain, videos, late = asyncio.run(main())
+    assert len(plain) == 5 and all("video" not in reply.info for reply in plain)
+    assert 0 < begun <= videos <= _CODED
+    assert all("video" in reply.info for reply in late)
 
 
 def test_a_server_that_cannot_does_not_begin(monkeypatch, fake_backend):

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from apps.replay.streaming import observer
 from glsplat.data import default_avatar
 from glsplat.evaluate.metrics.lpips import Lpips
+from glsplat.evaluate.metrics.pixels import psnr
 from glsplat.motion.motion import load_embedded_motion
 from glsplat.net.codec.encode import Box, Encoder, covered_box
 from glsplat.net.codec.video import CODECS, STEPS, VideoStream
@@ -91,8 +92,7 @@ class Judge:
             return []
         part, truth, features = self._truth[index]
         found = seen()[part]
-        error = float(np.mean((found.astype(np.float64) - truth) ** 2))
-        return [(self._lpips.distance(self._lpips.features(found / 255), features), 10 * np.log10(255**2 / error))]
+        return [(self._lpips.distance(self._lpips.features(found / 255), features), psnr(found / 255, truth / 255))]
 
 
 def jpegs(pairs: Sequence[Pair], judge: Judge) -> Iterator[Setting]:

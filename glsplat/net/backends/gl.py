@@ -19,6 +19,7 @@ from glsplat.passes.stats import union
 from glsplat.scene import Rigged, SceneLike
 
 if TYPE_CHECKING:
+    from glsplat.net.codec.depth import DepthGrid
     from glsplat.scenes.scene_file import SceneFile
 
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
@@ -74,11 +75,12 @@ class RendererBackend:
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
         from glsplat.gl.context import create_context  # here: the module can be imported without a driver
+        from glsplat.net.backends.depth import depth_grids
         from glsplat.net.backends.renderer_pool import RendererPool
         from glsplat.renderer import Renderer
 
         self._context = create_context(self._device)
-        self._mark = 0
+        self._mark, self._depth_grids = 0, depth_grids
         self._opened = time.monotonic()
         try:
             make = partial(Renderer, size=self._pixels, views=2, config=self._config, context=self._context)
@@ -120,7 +122,14 @@ class RendererBackend:
             one.follow(request, seconds)
             renderer.selector, renderer.step = one.selector(request.viewer), request.mark
             renderer.selector.bias = request.detail
-            images = budget.render(renderer, one.views(request), request.pose, self.place)
+            views = one.views(request)
+            images = budget.render(renderer, views, request.pose, self.place)
+            stats, timings = renderer.stats, dict(renderer.timings)
+            depth: tuple[DepthGrid, ...] = ()
+            if request.options.depth:
+                start = time.perf_counter()
+                depth = self._depth_grids(renderer, views, request.pose)
+                timings["depth"] = (time.perf_counter() - start) * 1e3
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
         except (PoseError, BudgetError):  # before anything was drawn, or the next picture is drawn over it
@@ -131,16 +140,17 @@ class RendererBackend:
             renderer.drop_targets()
             raise
         self._check_alive()
-        stats, written = renderer.stats, self._pool.write(one, request, images)
+        written = self._pool.write(one, request, images)
         return Rendered(
             images,
-            dict(renderer.timings),
+            timings,
             renderer.driver,
             union(stats.covered, written),
             levels=stats.levels,
             coarsest=stats.coarsest,
             posed=stats.posed,
             box=one.box(request),
+            depth=depth,
         )
 
     def _check_alive(self) -> None:

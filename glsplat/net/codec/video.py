@@ -61,6 +61,7 @@ CODECS: dict[str, Coder] = {
 """What a server can code, by the name that requests have."""
 
 _AGAIN = 0.5  # seconds before a stream takes another form, or has another key frame that a client asks for
+_SHARE, _SAVED = 0.1, 1.0  # of a client's time that may go into other forms, in the long run; seconds at once
 _LEAST, _MOST = 32, 4096 * 2304  # pixels of a side, and of the coded picture
 _THREADS = max(1, min(2, (os.cpu_count() or 1) // 4))  # the renderer wants cores, too
 _BLACK = 16, 128, 128  # of Y, U and V in limited range (ITU-R BT.601)
@@ -90,6 +91,7 @@ class VideoStream:
         self._form: tuple[Any, ...] = ()
         self._step = 0
         self._opened = self._key = -np.inf
+        self._credit, self._since = _SAVED, clock()  # seconds that other forms may take, and when that was reckoned
         self._number = 0
         self._name = ""  # of the codec, as browsers know it
         self._canvas: Image = np.empty((0, 0), np.uint8)  # planes Y, U, V one below the other
@@ -119,12 +121,15 @@ class VideoStream:
             return None
         form = codec, *size, eyes, bool(alpha)
         step = next((i for i, one in enumerate(STEPS) if quality <= one), len(STEPS) - 1)
-        early = start - self._opened < _AGAIN
+        self._credit = min(_SAVED, self._credit + _SHARE * (start - self._since))
+        self._since = start
+        early = start - self._opened < _AGAIN or self._credit <= 0
         if form != self._form and early:
             return None
         if self._context is None or form != self._form or (step != self._step and not early):
             self._open(form, step, start)
-        force = self._key == -np.inf or (key and start - self._key >= _AGAIN)
+        anew = self._key == -np.inf
+        force = anew or (key and start - self._key >= _AGAIN)
         if alpha == "straight":
             images = np.stack([straightened(image) for image in images])
             covered = None
@@ -136,13 +141,16 @@ class VideoStream:
         except Exception:
             self._context, self._form = None, ()  # whatever state it is in: the next begins anew
             raise
+        end = self._clock()
         if is_key:
             self._key = start
             self._name = _name(codec, data)
+        if anew:
+            self._credit -= end - start
         self._number += 1
         said: dict[str, Any] = {"codec": self._name, "number": self._number, "key": is_key, "size": size}
         said |= {"eyes": places} | ({"alpha": below} if below else {})
-        return Encoded([data], None, (self._clock() - start) * 1e3, video=said)
+        return Encoded([data], None, (end - start) * 1e3, video=said)
 
     def _open(self, form: tuple[Any, ...], step: int, now: float) -> None:
         import av

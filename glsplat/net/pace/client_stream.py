@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.fields import PictureOptions
 from glsplat.net.guard.limits import CpuShare
@@ -63,6 +64,7 @@ class Frame:
     notes: tuple[str, ...] | None = None  # of the tracking solver
     drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
     box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
+    depth: tuple[DepthGrid, ...] = ()  # of its eyes, in the client's metres, where it was asked for
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
     detail: Detail = FULL  # less than was asked for, where a rate is held
     smaller: bool = False  # than the time for drawing it asks for
@@ -103,6 +105,8 @@ class Frame:
             info["still"] = channel.shown.still
         if self.box is not None:
             info["box"] = self.box
+        if self.depth:
+            info["depth"] = DepthGrid.fields(self.depth)
         if any(self.levels) or self.detail != FULL:
             info["detail"] = self.detail.fields(self.levels)
         if encoded.video is not None:

@@ -191,6 +191,7 @@ function offered(session) {
   const smaller = sizes[0] < session.size[0] ? '; smaller ones are faster' : '';
   page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}${smaller}.` : '');
   stage.light = session.light ?? null;
+  connection.videos = session.video ?? [];
   settings.setDefault('light', !session.light); // who started it with a light means that one
   wear();
   stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));

@@ -198,7 +198,13 @@ class RemoteLoop(RenderLoop):
         channel.cost += (took - channel.cost) * (_LEARN if channel.cost else 1.0)
         nothing = np.empty((said.views, 0, 0, 4), np.uint8)
         rendered = Rendered(
-            nothing, said.timings, levels=said.levels, coarsest=said.coarsest, posed=said.posed, box=said.box
+            nothing,
+            said.timings,
+            levels=said.levels,
+            coarsest=said.coarsest,
+            posed=said.posed,
+            box=said.box,
+            depth=said.depth,
         )
         self._note(frame, rendered, start, scale, floor)
         return encoded

@@ -21,6 +21,7 @@ from typing import Any
 import msgspec
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, FormatError, GlsplatError, PoseError
+from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encode import Encoded
 
 __all__ = [
@@ -88,6 +89,7 @@ class Drawn(msgspec.Struct, array_like=True, frozen=True):
     coarsest: bool
     posed: int
     box: tuple[float, ...] | None
+    depth: tuple[DepthGrid, ...] = ()
 
 
 class Failed(msgspec.Struct, array_like=True, frozen=True):

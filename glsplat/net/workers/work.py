@@ -98,7 +98,7 @@ class _Worker:
             return
         timings = {name: float(ms) for name, ms in rendered.timings.items()}
         levels, box = tuple(map(int, rendered.levels)), rendered.box
-        drawn = Drawn(len(rendered.images), timings, levels, rendered.coarsest, rendered.posed, box)
+        drawn = Drawn(len(rendered.images), timings, levels, rendered.coarsest, rendered.posed, box, rendered.depth)
         self._send(pack(Kind.DRAWN, number, drawn))
         self._encode_threads.submit(self._encode, number, rendered, job)
 

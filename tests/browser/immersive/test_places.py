@@ -135,11 +135,15 @@ class Held(Markers):
     begun, last = 0, 1 << 53
 
     def render(self, request: RenderJob) -> Rendered:
+        self.hold(request)
+        return super().render(request)
+
+    def hold(self, request: RenderJob) -> None:
+        """Wait until it is to be drawn."""
         self.begun = request.frame_id or 0
         end = time.monotonic() + GUARD
         while self.begun > self.last and time.monotonic() < end:
             time.sleep(0.002)
-        return super().render(request)
 
 
 def test_a_late_picture_stands_still_while_the_head_turns(open_page: OpenPage, serve: Any) -> None:

@@ -81,7 +81,7 @@ def valid(i: int) -> list[dict[str, Any]]:
         json.loads(request(i, pose=pose, quality=80, crop=True, t=1.5)),
         json.loads(request(i, pose=collapsed(), mirror=False, hide=["head"], box=True)),
         json.loads(request(i, eyes=pair(64, 64)[:1], size=[64, 64], ack=None)),
-        json.loads(request(i, light=LIGHT, alpha="straight")),
+        json.loads(request(i, light=LIGHT, alpha="straight", depth=True)),
         json.loads(request(i, light="evening")),
         json.loads(request(i, video={"codecs": ["vp9", "h264"], "key": i % 2 == 0})),
         json.loads(request(i, **full)),

@@ -171,6 +171,11 @@ def largest_video(frame_id: int, number: int) -> bytes:
     return request(frame_id, (2048, 1152), eyes=eyes, video={"codecs": ["vp9"]}, alpha=True, quality=100, ack=None)
 
 
+def deep(frame_id: int, number: int) -> bytes:
+    """A speck of which it wants to know how far away it is: that takes longer than to draw it."""
+    return request(frame_id, (1, 1), depth=True, ack=None)
+
+
 PICTURES: dict[str, Attack] = {
     "pings answered that were not sent": again_and_again(guessing),
     "another codec each time, 100 a second": asking(of_another_codec, 100),
@@ -187,6 +192,7 @@ PICTURES: dict[str, Attack] = {
     "another size each time": asking(never_the_same_size),
     "strips of 1 x 2048": asking(strips),
     "specks of 1 x 1": asking(specks, 230),
+    "depth of specks": asking(deep, 230),
     "one eye a message": asking(both_mailboxes, 100, query=""),
     "does not read": asking(noisy, 20, read=False, receive_buffer=4096),
     "reads a few bytes": again_and_again(asleep),

@@ -152,3 +152,26 @@ def test_without_pyav_one_line_says_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(GlsplatError, match=r"pip install 'glsplat\[video\]'"):
         available()
+
+
+def test_what_begins_anew_takes_a_part_of_the_time(monkeypatch):
+    """A machine on which that takes 0.2 s: some forms at once, then one in two seconds, JPEGs in between."""
+    clock, opened = Clock(), []
+    opening = VideoStream._open
+
+    def slow(self, *form):
+        opened.append(clock.now)
+        opening(self, *form)
+        clock.now += 0.2
+
+    monkeypatch.setattr(VideoStream, "_open", slow)
+    stream, images = VideoStream(clock), [moved(0, 64 + 2 * i, 64, 1)[0] for i in range(2)]
+    start = clock.now
+    for index in range(200):  # 0.6 s each
+        stream.encode(images[index % 2], ["vp9"])
+        clock.now += 0.6
+    seconds = clock.now - start
+    assert len([at for at in opened if at < start + 4]) >= 4
+    assert 0.05 * seconds <= 0.2 * len(opened) <= 0.1 * seconds + 1.2
+    clock.now += 20
+    assert stream.encode(moved(0, 96, 64, 1)[0], ["vp9"]).video["key"]  # who was quiet may again

@@ -4,10 +4,12 @@ import { Place } from '../place/place.js';
 import { shown } from '../place/bake.js';
 import { buildPrograms } from './shaders.js';
 import { add, axis, invert, multiply, place, scale } from '../space/matrix.js';
-import { pictureQuad } from '../space/picture.js';
+import { cuts, extent, planeGrid } from '../space/picture.js';
+import { Grid } from './grid.js';
 
 const FRAME = 0.03; // metres around a mirror's glass
 const COLOURS = { frame: [0.45, 0.36, 0.22, 1], glass: [0, 0, 0, 1], floor: [0.22, 0.26, 0.33, 1] };
+const SOLID = 0.5; // alpha of what hides what is behind it, where a picture has depth
 const FLOOR = { half: 5, step: 1, fade: 6 }; // metres
 
 export class Painter {
@@ -15,7 +17,7 @@ export class Painter {
   place; // what stands around; one that is not chosen is a grid in the dark
   #gl;
   #programs;
-  #pair = []; // by eye: {colour, alpha, box, hasAlpha}
+  #pair = []; // by eye: {colour, alpha, box, hasAlpha, grid}
   #asked = null; // what Framing.frame returned for the pair
   #mesh;
   #floor;
@@ -46,15 +48,19 @@ export class Painter {
     this.#asked = null;
   }
 
-  /** Take over a pair: {pictures: [[colour, alpha | null], ...], info, asked}; its bitmaps may be closed afterwards. */
-  upload({ pictures, info, asked }) {
+  /**
+   * Take over a pair: {pictures: [[colour, alpha | null], ...], info, asked, depth: grids | null}; its bitmaps may be
+   * closed afterwards. What has no depth is put on the plane that it was asked for with.
+   */
+  upload({ pictures, info, asked, depth }) {
     const [width, height] = info.size;
     pictures.forEach(([colour, alpha], i) => {
-      const eye = (this.#pair[i] ??= { colour: this.texture(), alpha: this.texture() });
+      const eye = (this.#pair[i] ??= { colour: this.texture(), alpha: this.texture(), grid: new Grid(this.#gl) });
       this.fill(eye.colour, colour);
       if (alpha) this.fill(eye.alpha, alpha);
       eye.hasAlpha = alpha !== null;
       const [x, y, w, h] = info.crop?.[i] ?? [0, 0, width, height];
+      eye.grid.fill(depth?.[i] ?? planeGrid(asked.cameras[i], asked.plane));
       eye.box = [x / width, y / height, w / width, h / height];
     });
     this.#asked = asked;
@@ -111,8 +117,8 @@ export class Painter {
       if (room) this.#drawFloor(clip, transform);
       if (mirror) this.#drawMirror(clip, mirror.glass);
     }
+    if (mirror && !placed) this.#drawFlat(clip, [3, 2, 0, 1].map((i) => mirror.glass[i]), COLOURS.glass);
     if (this.#asked && picture) this.#drawPicture(clip, transform, index);
-    else if (mirror && !placed) this.#drawFlat(clip, [3, 2, 0, 1].map((i) => mirror.glass[i]), COLOURS.glass);
     for (const label of labels) this.#drawLabel(clip, label);
   }
 
@@ -125,7 +131,8 @@ export class Painter {
 
   /** How many bytes of GPU memory the pair takes is not known to WebGL; give all of it back. */
   release() {
-    for (const { colour, alpha } of this.#pair) {
+    for (const { colour, alpha, grid } of this.#pair) {
+      grid.release();
       this.#gl.deleteTexture(colour);
       this.#gl.deleteTexture(alpha);
       this.textures -= 2;
@@ -136,13 +143,15 @@ export class Painter {
 
   #drawPicture(clip, transform, index) {
     const gl = this.#gl;
-    const { cameras, plane, where } = this.#asked;
-    const eye = this.#pair[Math.min(index, cameras.length - 1)];
-    const camera = cameras[Math.min(index, cameras.length - 1)];
-    const { positions, texels } = pictureQuad(camera, plane, where.glass, transform);
+    const { cameras, where } = this.#asked;
+    const shown = Math.min(index, cameras.length - 1);
+    const [eye, camera] = [this.#pair[shown], cameras[shown]];
     const { use, at } = this.#programs.picture;
     use();
-    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    gl.uniformMatrix4fv(at.clip_from_camera, false, new Float32Array(multiply(clip, camera.transform)));
+    gl.uniformMatrix4fv(at.cuts, false, new Float32Array(cuts(where.glass, camera, transform)));
+    gl.uniform4fv(at.extent, extent(camera));
+    gl.uniform2i(at.grid, ...eye.grid.size);
     gl.uniform4fv(at.box, eye.box);
     gl.uniform1i(at.has_alpha, eye.hasAlpha ? 1 : 0);
     gl.uniform1i(at.colour, 0);
@@ -151,9 +160,22 @@ export class Painter {
     gl.bindTexture(gl.TEXTURE_2D, eye.alpha);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, eye.colour);
-    if (!eye.hasAlpha) gl.disable(gl.BLEND); // nothing shows through it
-    this.#drawStrip(positions, texels);
-    gl.enable(gl.BLEND);
+    const draw = (from, upTo) => {
+      gl.uniform2f(at.range, from, upTo);
+      eye.grid.draw();
+    };
+    if (eye.grid.flat) {
+      draw(0, 2);
+      return;
+    }
+    // what is near hides what is far, but for its soft rim, which is blended over that
+    gl.enable(gl.DEPTH_TEST);
+    gl.clear(gl.DEPTH_BUFFER_BIT); // of the place
+    draw(SOLID, 2);
+    gl.depthMask(false);
+    draw(0, SOLID);
+    gl.depthMask(true);
+    gl.disable(gl.DEPTH_TEST);
   }
 
   #drawMirror(clip, glass) {

@@ -2,16 +2,24 @@
 
 import { build } from '../place/program.js';
 
-/** A picture put back into the room: `texel` is projective, so that it is right on any plane seen from anywhere. */
+/**
+ * A picture put back into the room, by the inverse depth of points on a grid. Homogeneous throughout: the way from the
+ * picture to the screen is right on any plane seen from anywhere.
+ */
 const PICTURE = {
   vertex: `#version 300 es
-layout(location = 0) in vec3 position;
-layout(location = 1) in vec3 texel; // picture coordinates times w, and w
-uniform mat4 clip_from_room;
-out vec3 uvw;
+layout(location = 0) in float inverse; // 1 / metres along the axis of the camera that it was drawn for
+uniform ivec2 grid;    // columns, rows
+uniform vec4 extent;   // left, up, width, height of the picture, in tangents
+uniform mat4 cuts;     // four planes in that camera's axes
+uniform mat4 clip_from_camera;
+out vec2 uv;
+out vec4 within;
 void main() {
-  uvw = texel;
-  gl_Position = clip_from_room * vec4(position, 1.0);
+  uv = vec2(gl_VertexID % grid.x, gl_VertexID / grid.x) / vec2(grid - 1);
+  vec4 place = vec4(extent.x + uv.x * extent.z, extent.y - uv.y * extent.w, -1.0, inverse);
+  within = place * cuts;
+  gl_Position = clip_from_camera * place;
 }`,
   fragment: `#version 300 es
 precision highp float;
@@ -19,14 +27,16 @@ uniform sampler2D colour;
 uniform sampler2D alpha;
 uniform vec4 box;      // x, y, width, height of what was sent, as parts of the whole picture
 uniform bool has_alpha;
-in vec3 uvw;
+uniform vec2 range;    // alpha from, up to which anything is drawn
+in vec2 uv;
+in vec4 within;
 out vec4 result;
 void main() {
-  vec2 at = (uvw.xy / uvw.z - box.xy) / box.zw;
-  bool inside = uvw.z > 0.0 && all(greaterThanEqual(at, vec2(0.0))) && all(lessThanEqual(at, vec2(1.0)));
-  vec4 nothing = vec4(0.0, 0.0, 0.0, has_alpha ? 0.0 : 1.0); // black, and see-through where anything is
-  float a = has_alpha ? texture(alpha, at).r : 1.0;
-  result = inside ? vec4(texture(colour, at).rgb * a, a) : nothing; // colours are straight: alpha alone cuts them
+  vec2 at = (uv - box.xy) / box.zw;
+  bool inside = all(greaterThanEqual(at, vec2(0.0))) && all(lessThanEqual(at, vec2(1.0)));
+  float a = !has_alpha ? 1.0 : inside ? texture(alpha, at).r : 0.0; // without alpha all around is black
+  if (any(lessThan(within, vec4(0.0))) || a < range.x || a >= range.y) discard;
+  result = vec4(inside ? texture(colour, at).rgb * a : vec3(0.0), a); // colours are straight: alpha alone cuts them
 }`,
 };
 

@@ -70,15 +70,16 @@ export class Stage {
    * One frame for `views` [{transform, projection, viewport}] of `where` (a placing): ask for the next, show the newest.
    * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
    * which `keeps` what was painted or, as in an immersive session, is cleared for each frame; `around`: the light of a
-   * room that is not ours, or null; `asks` false where nothing new is to be asked for. Returns the frame_id that was
+   * room that is not ours, or null; `asks` false where nothing new is to be asked for; `deep`: pictures are to know how
+   * far away is what they show. Returns the frame_id that was
    * asked for, or 0.
    */
-  frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, now }) {
+  frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
     let sent = 0;
-    if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, now });
+    if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
     this.advance(now);
     const look = this.settings.get('place');
     const bare = first || !this.painter.place.prepare(look);
@@ -168,7 +169,7 @@ export class Stage {
    * Send a request for what `views` [{transform, projection}] are to see of the avatar, `drive` {tracking, t} or
    * {pose} says how it stands, `light` falls on it. Returns its frame_id; 0 where nothing was sent.
    */
-  ask(views, where, drive, { alpha, light = null, now }) {
+  ask(views, where, drive, { alpha, light = null, deep = false, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
     const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now);
@@ -180,6 +181,7 @@ export class Stage {
       crop: true,
       box: true,
       ...(alpha ? { alpha: 'straight' } : {}),
+      ...(alpha && deep ? { depth: true } : {}),
       ...(light ? { light: onWire(light) } : {}),
       ...(where.mirror ? { mirror: true } : {}),
       ...(where.view === 'own' && this.canHide ? { hide: ['head'] } : {}),

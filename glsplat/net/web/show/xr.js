@@ -151,7 +151,8 @@ export class Immersive {
     const labels = () => this.#labels(frame, head, sample, now);
     this.#stage.here.choice.display = session.frameRate;
     const around = transparent ? this.#estimate.light(frame, this.#space) : undefined;
-    this.#stage.frame(views, this.#where, drive, { framebuffer, alpha, transparent, room, around, labels, now });
+    const deep = view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
+    this.#stage.frame(views, this.#where, drive, { framebuffer, alpha, transparent, room, around, labels, deep, now });
   }
 
   #placeView(head) {

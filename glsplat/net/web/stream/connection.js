@@ -32,6 +32,7 @@ export class Connection extends EventTarget {
   #failures = 0;
   #asked = new Map(); // by frame_id: what goes with the reply
   #acknowledged = 0; // frame_id received on this connection; another one knows nothing of it
+  videos = []; // codecs that the server has, as /session says
   #codecs = []; // of video that this browser decodes
   #lost = false; // the video cannot go on from what was decoded
   #undecoded = 0; // key frames that were not
@@ -96,10 +97,11 @@ export class Connection extends EventTarget {
     return frameId;
   }
 
-  /** The field that says which video this browser decodes; a server that has none sends JPEGs. */
+  /** The field that says which video this browser decodes; nothing for a server that has none. */
   #watching() {
-    if (!this.#codecs.length) return {};
-    return { video: { codecs: this.#codecs, ...(this.#lost && { key: true }) } };
+    const codecs = this.#codecs.filter((codec) => this.videos.includes(codec));
+    if (!codecs.length) return {};
+    return { video: { codecs, ...(this.#lost && { key: true }) } };
   }
 
   /** The fields that acknowledge the newest picture, and once how it arrived: the server fits pictures to the link. */

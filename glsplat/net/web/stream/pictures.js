@@ -47,7 +47,7 @@ export class Pictures {
     this.#next();
   }
 
-  /** The newest decoded {id, info, asked, pictures: [[colour, alpha | null], ...]}, once, or null. Then `close` it. */
+  /** The newest decoded {id, info, depth, asked, pictures: [[colour, alpha | null], ...]}, once, or null. Then `close` it. */
   take() {
     const ready = this.#ready;
     this.#ready = null;
@@ -87,7 +87,7 @@ export class Pictures {
         this.dropped++;
         this.close(this.#ready);
       }
-      this.#ready = { id: reply.id, info: reply.info, asked, pictures };
+      this.#ready = { id: reply.id, info: reply.info, depth: reply.depth, asked, pictures };
       this.#onDecoded(performance.now() - started);
     } else {
       reply?.lost?.();

@@ -2,8 +2,12 @@
 
 const MAGIC = 0x5256; // "VR", little endian
 const JPEG = 0xd8ff; // how one begins: FF D8
+const MOST = 65535; // points of a grid
 
-/** {id, eyes: [{eye, colour: [offset, length], alpha: [offset, length] | null}], info}. Throws if it is cut short. */
+/**
+ * {id, eyes: [{eye, colour: [offset, length], alpha: [offset, length] | null}], info, depth}: depth is null, or a grid
+ * {columns, rows, inverse} an eye. Throws if it is cut short.
+ */
 export function parseReply(buffer) {
   const view = new DataView(buffer);
   if (view.getUint16(0, true) !== MAGIC || view.getUint16(2, true) !== 1) throw new Error('no reply of version 1');
@@ -25,5 +29,16 @@ export function parseReply(buffer) {
     eyes.push({ eye, colour, alpha: follows ? part() : null });
   }
   const [start, length] = part();
-  return { id, eyes, info: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, start, length))) };
+  const info = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, start, length)));
+  return { id, eyes, info, depth: info.depth ? grids(info.depth, new Uint8Array(buffer, offset)) : null };
+}
+
+/** The grids that lie behind the JSON, copied. */
+function grids({ grid: [columns, rows], inverse }, data) {
+  const count = columns * rows;
+  if (!(columns > 1 && rows > 1 && count <= MOST && data.length === count * inverse.length)) throw new Error('no such depth');
+  return inverse.map(([low, high], i) => {
+    const steps = data.subarray(i * count, (i + 1) * count);
+    return { columns, rows, inverse: Float32Array.from(steps, (step) => low + ((high - low) / 255) * step) };
+  });
 }

@@ -1,0 +1,80 @@
+"""Video as a client takes it: every picture is decoded, in order, because the next goes on from it (PyAV)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+
+if TYPE_CHECKING:
+    from av import VideoCodecContext
+
+__all__ = ["VideoReader"]
+
+Image = NDArray[np.uint8]
+
+_NAMES = {"vp9": "vp09", "h264": "avc1"}  # a request's name: how a reply's name begins (docs/protocol.md, section 5.2)
+
+
+class VideoReader:
+    """Of one connection. Raises GlsplatError where there is no PyAV, or it decodes nothing that a server codes."""
+
+    def __init__(self) -> None:
+        try:
+            import av
+        except ImportError:
+            raise GlsplatError("video needs PyAV: pip install 'glsplat[video]', or leave video out") from None
+        self._codecs: list[str] = []
+        for name in _NAMES:
+            with suppress(av.error.FFmpegError, ValueError):
+                av.codec.Codec(name, "r")
+                self._codecs.append(name)
+        if not self._codecs:
+            raise GlsplatError(f"this PyAV decodes none of {', '.join(_NAMES)}: install another, or leave video out")
+        self._context: VideoCodecContext | None = None
+        self._name = ""
+        self._next = 0  # number of the picture that can be decoded; 0: a key frame alone
+
+    def wish(self) -> dict[str, Any]:
+        """``video`` of the next request: what is decoded, and whether nothing is until a key frame comes."""
+        return {"codecs": self._codecs} | ({} if self._next else {"key": True})
+
+    def eyes(self, data: bytes, said: Mapping[str, Any], size: Sequence[int]) -> tuple[Image, ...]:
+        """The eyes' pictures [H, W, 3], with alpha [H, W, 4], of ``size`` (width, height), left first.
+
+        ``said`` is what the reply says of its video. Nothing where it cannot be decoded: ``wish`` then asks for a key.
+        """
+        import av
+
+        try:
+            number, key = int(said["number"]), bool(said["key"])
+            if not (key or number == self._next):
+                raise ValueError("it goes on from what did not come")
+            name = next(name for name, begins in _NAMES.items() if str(said["codec"]).startswith(begins))
+            if self._context is None or (key and name != self._name):
+                self._context, self._name = cast("VideoCodecContext", av.CodecContext.create(name, "r")), name
+                self._context.options = {"flags": "low_delay"}  # what goes in comes out
+                self._context.thread_count = 1
+            (frame,) = self._context.decode(av.Packet(data))
+            whole = np.asarray(frame.to_ndarray(format="rgb24"))
+            parts = [[_part(whole, at, size) for at in said[k]] for k in ("eyes", "alpha") if k in said]
+        except (av.error.FFmpegError, KeyError, TypeError, ValueError, StopIteration):
+            self._context, self._next = None, 0
+            return ()
+        self._next = number + 1
+        if len(parts) == 1:
+            return tuple(parts[0])
+        return tuple(np.dstack([colour, alpha[..., :1]]) for colour, alpha in zip(*parts, strict=True))
+
+
+def _part(whole: Image, at: Sequence[int], size: Sequence[int]) -> Image:
+    (x, y), (width, height) = map(int, at), map(int, size)
+    found = whole[y : y + height, x : x + width]
+    if min(x, y) < 0 or found.shape[:2] != (height, width):
+        raise ValueError(f"{width} x {height} at {x}, {y} of {whole.shape}")
+    return found

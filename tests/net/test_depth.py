@@ -1,0 +1,117 @@
+"""Depth on the wire: of a real renderer, against its own depth at full size, in the user's metres."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import replace
+from functools import partial
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
+from glsplat.net.backend import RenderJob, Solved
+from glsplat.net.backends.depth import depth_grids
+from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.codec.depth import SIDE
+from glsplat.net.fields import PictureOptions
+from glsplat.net.reply import parse_reply
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from tests.net.wire import HANG, native
+
+SIZE = (320, 256)
+PAIR = stereo_cameras(head_matrix((0.2, 1.1, 1.5), (0, 0, 0, 1)), size=SIZE)
+REACHING = Pose.from_smplx({"body_pose": np.eye(21 * 3)[47].reshape(21, 3) * 1.2})
+
+
+def job(depth: bool = True, **more: object) -> RenderJob:
+    return RenderJob(cameras=PAIR, pose=REACHING, options=PictureOptions(depth=depth), **more)  # type: ignore[arg-type]
+
+
+@pytest.mark.gl
+def test_it_is_how_far_away_the_picture_is():
+    """At the points that the avatar covers: at most 3 cm off in the median, at the coarsest level."""
+    with Renderer(default_avatar(), size=SIZE, views=2) as renderer:
+        images, depths = renderer.render(PAIR, REACHING, depth=True)
+        grids = depth_grids(renderer, PAIR, REACHING)
+    rows, columns = (np.linspace(0, length - 1, SIDE).round().astype(int) for length in (SIZE[1], SIZE[0]))
+    for image, true, grid in zip(images, depths, grids, strict=True):
+        inside = image[..., 3] > 0.9 * image[..., 3].max()
+        at = np.ix_(rows, columns)
+        off = np.abs(grid.metres() - true[at])[inside[at]]
+        assert inside[at].sum() > 30
+        assert np.median(off) <= 0.03 and np.percentile(off, 95) <= 0.06, np.percentile(off, [50, 80, 95])
+
+
+@pytest.mark.gl
+def test_the_pictures_are_what_they_are_without_it():
+    """Bytes, levels and what was covered, also of the pictures after it; in a process of its own, too."""
+    make = partial(RendererBackend, default_avatar(), SIZE)
+    for backend in (make(), ProcessBackend(make, 512)):
+        backend.open()
+        try:
+            shown = []
+            for depth in (False, True, False, True):
+                rendered = backend.render(job(depth))
+                assert len(rendered.depth) == (2 if depth else 0)
+                assert ("depth" in rendered.timings) == depth
+                shown.append((rendered.images.tobytes(), rendered.levels, rendered.covered, rendered.coarsest))
+                if rendered.done is not None:
+                    rendered.done()
+            assert all(one == shown[0] for one in shown[1:])
+        finally:
+            backend.close()
+
+
+@pytest.mark.gl
+def test_a_target_of_8_bits_has_none():
+    backend = RendererBackend(default_avatar(), SIZE, config=RenderConfig(target="8", output="uint8"))
+    backend.open()
+    try:
+        assert backend.render(job()).depth == ()
+    finally:
+        backend.close()
+
+
+class Tall:
+    """A user twice as large as the avatar."""
+
+    def solve(self, request, now):
+        return Solved(Pose(np.zeros((55, 3))), request.cameras, scale=2.0)
+
+
+def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
+    """And nobody else gets a byte more."""
+    from glsplat.net.backend import AvatarInfo
+    from glsplat.net.codec.depth import grid_of
+
+    class Deep(fake_backend):
+        def render(self, request):
+            rendered = super().render(request)
+            grid = grid_of(np.full((SIDE, SIDE), 0.8))
+            return replace(rendered, depth=(grid,) * len(rendered.images)) if request.options.depth else rendered
+
+    async def main():
+        offered = (AvatarInfo(name="tall", solver=lambda height, span: Tall()),)
+        async with serve(Deep(), offered=offered) as server, aiohttp.ClientSession() as http:
+            async with http.ws_connect(server.url) as ws:
+                answers = []
+                head = {"tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}}
+                asked = [{}, {"depth": True}, {"depth": False}, {"depth": True, **head}, {"depth": 1}]
+                for number, more in enumerate(asked, 1):
+                    await ws.send_str(native(number, **{"ack": number - 1, **more}))
+                    answers.append((await asyncio.wait_for(ws.receive(), HANG)).data)
+                return answers
+
+    plain, deep, without, tall, refused = asyncio.run(main())
+    assert parse_reply(plain).depth == parse_reply(without).depth == ()
+    assert "depth" not in parse_reply(plain).info
+    assert len(parse_reply(deep).depth) == 2 and np.allclose(parse_reply(deep).depth[1].metres(), 1.25, atol=1e-4)
+    assert np.allclose(parse_reply(tall).depth[0].metres(), 2.5, atol=1e-4)
+    assert json.loads(refused)["error"]["code"] == "bad_field"
