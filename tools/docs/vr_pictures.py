@@ -32,20 +32,23 @@ QUALITY = 88  # JPEG
 PATIENCE = 240  # seconds for a picture
 LIT = ("day", "studio", "night")
 
-# view: the head, the left and the right wrist
+# view: the head, the left and the right wrist. Mirror and person stand where they were put when the head was at 0, so
+# that who steps forward afterwards sees them from nearer, and no panel before them
 DEVICE = {
     "mirror": (
-        pose([0, 1.68, 0], pitch=-16),
-        pose([-0.32, 0.95, -0.12], pitch=-60),
-        pose([0.34, 1.5, -0.22], pitch=65),
+        pose([0, 1.72, -0.45], pitch=-6),
+        pose([-0.27, 0.86, -0.45], pitch=-80),
+        pose([0.3, 1.42, -0.72], pitch=70),
     ),
     "facing": (
-        pose([0, 1.68, 0], pitch=-14),
-        pose([-0.32, 0.95, -0.12], pitch=-60),
-        pose([0.34, 1.5, -0.22], pitch=65),
+        pose([0, 1.72, -0.75], pitch=-8),
+        pose([-0.27, 0.86, -0.75], pitch=-80),
+        pose([0.3, 1.42, -1.02], pitch=70),
     ),
     "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25)),
 }
+ENTERED = pose([0, 1.72, 0])
+SETTLING = 5  # pictures until the body has followed its hands
 
 
 def save(folder: Path, name: str, image: Any) -> None:
@@ -59,16 +62,18 @@ def seen_in(browser: Any, address: str, view: str, **values: Any) -> dict[str, A
     init = settings(view=view, size=1024, quality=90, driver="rest", **values)
     with page_of(browser, address, init) as page:
         head, left, right = DEVICE[view]
-        steer(page, head=head, input="hands", hands=hands(left, right))
+        steer(page, head=ENTERED, input="hands", hands=hands(left, right))
         enter(page, run=False)
-        for _ in range(3):
+        fresh(page, PATIENCE)
+        steer(page, head=head)
+        for _ in range(SETTLING):
             fresh(page, PATIENCE)
         return see(page)
 
 
 def lit_in(browser: Any, address: str, place: str) -> np.ndarray:
     """The middle of the flat page, where the avatar stands in a place."""
-    init = settings(size=1024, quality=90, driver="rest", place=place)
+    init = settings(size=1024, quality=90, driver="motion:idle", place=place)
     with page_of(browser, address, init, (900, 800), xr=False) as page:
         page.until("window.glsplat.stats().shown > 3", PATIENCE)
         page.js("document.body.style.visibility = 'hidden'")
@@ -132,7 +137,7 @@ def main(folder: Path, names: list[str]) -> None:
             eyes = [seen_in(browser, served.page, "mirror", place=place)["right"] for place in ("studio", "night")]
             save(folder, "vr-places", np.hstack(eyes))
         if "page" in names:
-            init = settings(size=1024, driver="motion:wave-and-turn")
+            init = settings(size=1024, quality=90, driver="motion:idle")
             with page_of(browser, served.page, init, (1280, 800), xr=False) as page:
                 page.until("window.glsplat.stats().shown > 6", PATIENCE)
                 page.until("document.querySelector('#people img') !== null", PATIENCE)
