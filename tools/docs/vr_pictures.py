@@ -3,7 +3,8 @@ of docs/light.md the avatar in three places.
 
     python -m tools.docs.vr_pictures [docs/images [mirror facing own places page light photo]]
 
-The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta. Look at every picture.
+The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta, or
+their middle. Look at every picture.
 """
 
 from __future__ import annotations
@@ -32,22 +33,15 @@ QUALITY = 88  # JPEG
 PATIENCE = 240  # seconds for a picture
 LIT = ("day", "studio", "night")
 
-# view: the head, the left and the right wrist. Mirror and person stand where they were put when the head was at 0, so
-# that who steps forward afterwards sees them from nearer, and no panel before them
+# view: the head, the left and the right wrist, and the frusta, degrees of the left eye: None for the headset's own, else
+# the middle of what it shows, so that a face is more than a few pixels
+STANDING = pose([0, 1.735, 0], pitch=-6), pose([-0.25, 0.86, 0.0], pitch=-80), pose([0.3, 1.42, -0.22], pitch=70)
+MIDDLE = {"left": 30, "right": 24, "up": 20, "down": 34}
 DEVICE = {
-    "mirror": (
-        pose([0, 1.72, -0.45], pitch=-6),
-        pose([-0.27, 0.86, -0.45], pitch=-80),
-        pose([0.3, 1.42, -0.72], pitch=70),
-    ),
-    "facing": (
-        pose([0, 1.72, -0.75], pitch=-8),
-        pose([-0.27, 0.86, -0.75], pitch=-80),
-        pose([0.3, 1.42, -1.02], pitch=70),
-    ),
-    "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25)),
+    "mirror": (*STANDING, MIDDLE),
+    "facing": (*STANDING, MIDDLE),
+    "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25), None),
 }
-ENTERED = pose([0, 1.72, 0])
 SETTLING = 5  # pictures until the body has followed its hands
 
 
@@ -61,11 +55,9 @@ def seen_in(browser: Any, address: str, view: str, **values: Any) -> dict[str, A
     """What both eyes see once the body has followed its hands."""
     init = settings(view=view, size=1024, quality=90, driver="rest", **values)
     with page_of(browser, address, init) as page:
-        head, left, right = DEVICE[view]
-        steer(page, head=ENTERED, input="hands", hands=hands(left, right))
+        head, left, right, frusta = DEVICE[view]
+        steer(page, head=head, input="hands", hands=hands(left, right), **({"fov": frusta} if frusta else {}))
         enter(page, run=False)
-        fresh(page, PATIENCE)
-        steer(page, head=head)
         for _ in range(SETTLING):
             fresh(page, PATIENCE)
         return see(page)
