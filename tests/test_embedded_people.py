@@ -19,6 +19,7 @@ from glsplat.light.light import Light
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene
 from glsplat.skinning.expression import ARKIT
+from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
 
@@ -49,6 +50,59 @@ def test_lids_close_the_mouth_opens_and_eyes_turn_about_their_middles(name: str)
         ball = avatar.splats.means[strongest == joint] - avatar.skeleton.joints[joint]
         distance = np.linalg.norm(ball, axis=1)
         assert len(ball) > 300 and np.quantile(distance, 0.95) - np.quantile(distance, 0.05) < 0.0025
+
+
+Look = Callable[[str, float, int, float, dict[str, float]], Callable[..., np.ndarray]]
+
+
+@pytest.fixture
+def look(renderer_of: Callable[..., Renderer]) -> Look:
+    """Look at somebody's eyes from in front: metres away, pixels, degrees, expression -> what a box about an eye shows.
+
+    A box is (side, left, right, low, high): metres from the middle of that eye, [N, 3] of 255.
+    """
+
+    def seen(name: str, away: float, side: int, fov: float, expression: dict[str, float]) -> Callable[..., np.ndarray]:
+        avatar = person(name)
+        names, joints = avatar.skeleton.names, avatar.skeleton.joints
+        eyes = {side: joints[names.index(f"{side}_eye_smplhf")] + (0, 0, 0.012) for side in ("left", "right")}
+        middle = (eyes["left"] + eyes["right"]) / 2
+        view = Camera(look_at(middle + (0, 0, away), middle), pinhole(side, side, fov), side, side)
+        pose = Pose(np.zeros((len(names), 3)), expression=expression)
+        image = renderer_of(avatar, (side, side)).render([view], pose)[0][..., :3].astype(float)
+
+        def box(eye: str, left: float, right: float, low: float, high: float) -> np.ndarray:
+            corners = [eyes[eye] + (left, high, 0), eyes[eye] + (right, low, 0)]
+            at = [view.K @ (view.viewmat @ np.append(one, 1))[:3] for one in corners]
+            (x0, y0), (x1, y1) = ((one[:2] / one[2]).round().astype(int) for one in at)
+            return image[y0:y1, x0:x1].reshape(-1, 3)
+
+        return box
+
+    return seen
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("name", PEOPLE)
+def test_nobody_stares_from_two_metres(look: Look, name: str) -> None:
+    """As the page shows them first: whites do not shine out of the face, irises are darker than it."""
+    box = look(name, 2.0, 1024, 65.0, {})
+    for eye in ("left", "right"):
+        cheek = np.median(box(eye, -0.01, 0.01, -0.04, -0.03).mean(axis=1))
+        white = box(eye, -0.016, 0.016, -0.009, 0.007).mean(axis=1).max()
+        iris = box(eye, -0.004, 0.004, -0.005, 0.003).mean(axis=1).min()
+        assert white < 1.8 * cheek and iris < 0.6 * cheek
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("name", PEOPLE)
+def test_eyes_close_with_skin(look: Look, name: str) -> None:
+    box = look(name, 0.8, 512, 18.0, {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
+    for eye in ("left", "right"):
+        cheek = np.median(box(eye, -0.01, 0.01, -0.04, -0.03), axis=0)
+        lid = box(eye, -0.008, 0.008, -0.003, 0.006)
+        assert (lid.mean(axis=0) > 0.8 * cheek).all() and (lid.mean(axis=0) < 1.1 * cheek).all()
+        assert np.quantile(lid.mean(axis=1), 0.02) > 0.68 * cheek.mean()  # no pupil shows through
 
 
 @pytest.mark.gl

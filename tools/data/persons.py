@@ -36,6 +36,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.splats import normalised
 from tools.data.brows import raised_brows
+from tools.data.lids import blink_that_shuts, even_lids, with_blink
 from tools.data.touched import calmer, darker_palms, fair_ends, plain_sleeves, toned, without_dots
 
 Touch = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
@@ -48,6 +49,10 @@ LASHES, BROWS, STRANDS = 342, 360, 2_000
 """Splats of those, of the 40,000; strands take what the others leave."""
 RESTING = "still face"
 """Of a file's notes: the expression of MakeHuman's face that it has at rest."""
+BLINK = "blink"
+"""Of a file's notes: the share of the open body's blink that closes its lids."""
+EYES_OF = "eyes"
+"""Of a file's notes: how bright their whites are, and the colour of their irises."""
 _BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
@@ -64,6 +69,8 @@ class Recipe:
     rest: tuple[tuple[str, float], ...] = ()  # the face at rest, both sides by a name that has sides
     brows: tuple[float, float] = (0.0, 0.0)  # metres by which their inner and outer ends are raised
     lashes: float = 1.0  # how long
+    white: float = 1.0  # of eyes, how bright: beside a dark face the white of a fair one shines
+    lids: float = 0.85  # how far their colours become those of the skin around
 
     def resting(self) -> dict[str, float]:
         """The expression that is baked into the mesh: MakeHuman's faces look stern."""
@@ -80,12 +87,13 @@ class Recipe:
 PEOPLE = {
     "ben": Recipe(
         archive="char_c_registry.npz",
-        iris="brown",
+        iris="dark brown",
         source="hm08 body, male_casualsuit02, shoes01, short01, eyebrow001, young_darkskinned_male",
         touches=(("body", darker_palms), ("male_casualsuit02", plain_sleeves)),
         rest=(("mouthSmile", 0.42), ("browInnerUp", 0.4), ("cheekSquint", 0.15)),
-        brows=(0.0025, 0.001),
+        brows=(0.003, 0.002),
         lashes=0.75,
+        white=0.64,
     ),
     "anna": Recipe(
         archive="p13.npz",
@@ -96,6 +104,7 @@ PEOPLE = {
         rest=(("mouthSmile", 0.25), ("browInnerUp", 0.5), ("cheekSquint", 0.1)),
         brows=(0.0055, 0.0),
         lashes=0.9,
+        lids=0.0,
     ),
     "mei": Recipe(
         archive="p15.npz",
@@ -103,14 +112,15 @@ PEOPLE = {
         source="hm08 body, female_casualsuit01, male_casualsuit02, shoes01, short02, eyebrow006, "
         "old_lightskinned_female_diffuse2",
         touches=(("top", calmer), ("eyebrows", toned((128, 120, 112), 1.3))),
-        rest=(("mouthSmile", 0.25), ("browInnerUp", 0.2), ("cheekSquint", 0.1)),
+        rest=(("mouthSmile", 0.25), ("browInnerUp", 0.2), ("cheekSquint", 0.1), ("eyeWide", 0.25)),
         lashes=0.55,
+        lids=0.95,
     ),
 }
 
 
-def furnished(mesh: RiggedMesh, recipe: Recipe) -> RiggedMesh:
-    """The person with all that a face needs."""
+def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
+    """The person with all that a face needs; what share of the open body's blink closes its eyes."""
     parts = [recipe.touched(part) for part in mesh.parts if not part.name.endswith(recipe.left_out)]
     mesh = replace(mesh, parts=tuple(parts))
     same, count = matched(mesh), len(mesh.vertices)
@@ -118,14 +128,16 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> RiggedMesh:
     assert moving.morphs is not None
     still = Pose(np.zeros((len(mesh.skeleton), 3)), expression=recipe.resting())
     mesh = replace(mesh, vertices=mesh.vertices + moving.morphs.moved(still, count))
-    mesh = raised_brows(mesh, _part(mesh, "eyebrow"), *recipe.brows)
+    mesh = raised_brows(mesh, part_of(mesh, "eyebrow"), *recipe.brows)
     eyes = next(part.name for part in mesh.parts if "eyes" in part.name.split("/"))
-    mesh = with_eyeballs(mesh, eyes, recipe.iris)
+    mesh = with_eyeballs(mesh, eyes, recipe.iris, white=recipe.white)
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
-    return with_mouth(with_expressions(mesh, same), same)
+    mesh = with_mouth(with_expressions(mesh, same), same)
+    blink = blink_that_shuts(mesh, eyeballs(mesh, *EYES))
+    return even_lids(with_blink(mesh, blink), recipe.lids), blink
 
 
-def about(recipe: Recipe) -> dict[str, str]:
+def about(recipe: Recipe, blink: float) -> dict[str, str]:
     """What the file says of itself."""
     return {
         "source": f"MakeHuman system assets: {recipe.source}",
@@ -133,6 +145,8 @@ def about(recipe: Recipe) -> dict[str, str]:
         "consent": "synthetic person, no real likeness",
         "licence": LICENCE,
         RESTING: ", ".join(f"{name} {weight:g}" for name, weight in recipe.resting().items()),
+        EYES_OF: f"{recipe.white:g} {recipe.iris}",
+        BLINK: f"{blink:.4f}",
     }
 
 
@@ -167,17 +181,28 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
     return replace(avatar, splats=splats, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
 
 
-def made(mesh: RiggedMesh, splats: int, steps: int, lashes: float, show: Callable[[str, float], None]) -> Avatar:
+def made(mesh: RiggedMesh, splats: int, steps: int, recipe: Recipe, show: Callable[[str, float], None]) -> Avatar:
     """``splats`` splats fitted to the furnished person, with lashes, and strands on its hair."""
-    balls = eyeballs(mesh, *EYES)
-    hair, brows = (_part(mesh, name).name for name in ("hair", "eyebrow"))
     avatar = make_avatar(mesh, splats - STRANDS - BROWS - LASHES, config=SAMPLER, progress=show)
-    avatar = with_lashes(fitted_to_mesh(avatar, mesh, steps=steps, progress=show), mesh, balls, length=lashes)
-    avatar = with_brow_hairs(avatar, mesh, brows, BROWS)
-    return with_strands(avatar, mesh, hair, splats - len(avatar.splats))
+    avatar = trimmed(fitted_to_mesh(avatar, mesh, steps=steps, progress=show), mesh, recipe)
+    return with_strands(avatar, mesh, part_of(mesh, "hair").name, splats - len(avatar.splats))
 
 
-def _part(mesh: RiggedMesh, word: str) -> MeshPart:
+def trimmed(avatar: Avatar, mesh: RiggedMesh, recipe: Recipe) -> Avatar:
+    """The avatar with hairs on its brows, lashes, shadows under lids and lights in the eyes."""
+    avatar = with_brow_hairs(avatar, mesh, part_of(mesh, "eyebrow").name, BROWS)
+    return with_lashes(avatar, mesh, eyeballs(mesh, *EYES), length=recipe.lashes)
+
+
+def measures(avatar: Avatar) -> list[str]:
+    """A line for the cones and for each level: what they keep."""
+    kept = [(avatar.splats, "")] + [(one.content.splats, f", {one.psnr:.1f} dB up to {one.density:.0f} px/m")
+                                    for one in avatar.levels]  # fmt: skip
+    return [f"{len(splats)} splats{level}, {splats.cones_psnr} dB without what is hidden" for splats, level in kept]
+
+
+def part_of(mesh: RiggedMesh, word: str) -> MeshPart:
+    """The part whose name, or one of its path, begins so."""
     return next(part for part in mesh.parts if any(one.startswith(word) for one in part.name.split("/")))
 
 
@@ -192,15 +217,15 @@ def main() -> None:
     parser.add_argument("--level-steps", type=int, default=LEVEL_STEPS)
     options = parser.parse_args()
     recipe = PEOPLE[options.name]
-    mesh = furnished(read_person(options.person), recipe)
+    mesh, blink = furnished(read_person(options.person), recipe)
     with progress_bar() as show:
-        avatar = made(mesh, options.splats, options.steps, recipe.lashes, show)
+        avatar = made(mesh, options.splats, options.steps, recipe, show)
         if options.levels:
             avatar = with_cones(
                 with_levels(avatar, options.levels, steps=options.level_steps, progress=show), progress=show
             )
         avatar = with_surface(avatar, mesh)
-    save(small(replace(avatar, meta=about(recipe))), options.out)
+    save(small(replace(avatar, meta=about(recipe, blink))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
 

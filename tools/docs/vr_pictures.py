@@ -3,7 +3,8 @@ of docs/light.md the avatar in three places.
 
     python -m tools.docs.vr_pictures [docs/images [mirror facing own places page light photo]]
 
-The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta. Look at every picture.
+The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta, or
+their middle. Look at every picture.
 """
 
 from __future__ import annotations
@@ -32,20 +33,16 @@ QUALITY = 88  # JPEG
 PATIENCE = 240  # seconds for a picture
 LIT = ("day", "studio", "night")
 
-# view: the head, the left and the right wrist
+# view: the head, the left and the right wrist, and the frusta, degrees of the left eye: None for the headset's own, else
+# the middle of what it shows, so that a face is more than a few pixels
+STANDING = pose([0, 1.735, 0], pitch=-6), pose([-0.25, 0.86, 0.0], pitch=-80), pose([0.3, 1.42, -0.22], pitch=70)
+MIDDLE = {"left": 30, "right": 24, "up": 20, "down": 34}
 DEVICE = {
-    "mirror": (
-        pose([0, 1.68, 0], pitch=-16),
-        pose([-0.32, 0.95, -0.12], pitch=-60),
-        pose([0.34, 1.5, -0.22], pitch=65),
-    ),
-    "facing": (
-        pose([0, 1.68, 0], pitch=-14),
-        pose([-0.32, 0.95, -0.12], pitch=-60),
-        pose([0.34, 1.5, -0.22], pitch=65),
-    ),
-    "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25)),
+    "mirror": (*STANDING, MIDDLE),
+    "facing": (*STANDING, MIDDLE),
+    "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25), None),
 }
+SETTLING = 5  # pictures until the body has followed its hands
 
 
 def save(folder: Path, name: str, image: Any) -> None:
@@ -58,17 +55,17 @@ def seen_in(browser: Any, address: str, view: str, **values: Any) -> dict[str, A
     """What both eyes see once the body has followed its hands."""
     init = settings(view=view, size=1024, quality=90, driver="rest", **values)
     with page_of(browser, address, init) as page:
-        head, left, right = DEVICE[view]
-        steer(page, head=head, input="hands", hands=hands(left, right))
+        head, left, right, frusta = DEVICE[view]
+        steer(page, head=head, input="hands", hands=hands(left, right), **({"fov": frusta} if frusta else {}))
         enter(page, run=False)
-        for _ in range(3):
+        for _ in range(SETTLING):
             fresh(page, PATIENCE)
         return see(page)
 
 
 def lit_in(browser: Any, address: str, place: str) -> np.ndarray:
     """The middle of the flat page, where the avatar stands in a place."""
-    init = settings(size=1024, quality=90, driver="rest", place=place)
+    init = settings(size=1024, quality=90, driver="motion:idle", place=place)
     with page_of(browser, address, init, (900, 800), xr=False) as page:
         page.until("window.glsplat.stats().shown > 3", PATIENCE)
         page.js("document.body.style.visibility = 'hidden'")
@@ -132,7 +129,7 @@ def main(folder: Path, names: list[str]) -> None:
             eyes = [seen_in(browser, served.page, "mirror", place=place)["right"] for place in ("studio", "night")]
             save(folder, "vr-places", np.hstack(eyes))
         if "page" in names:
-            init = settings(size=1024, driver="motion:wave-and-turn")
+            init = settings(size=1024, quality=90, driver="motion:idle")
             with page_of(browser, served.page, init, (1280, 800), xr=False) as page:
                 page.until("window.glsplat.stats().shown > 6", PATIENCE)
                 page.until("document.querySelector('#people img') !== null", PATIENCE)

@@ -18,6 +18,7 @@ F64 = NDArray[np.float64]
 
 IRISES = {  # sRGB, of 255: about the pupil, and further out
     "brown": ((112, 68, 38), (66, 38, 22)),
+    "dark brown": ((70, 42, 26), (40, 24, 16)),
     "blue": ((128, 152, 166), (70, 106, 142)),
     "grey": ((146, 150, 148), (96, 106, 112)),
     "green": ((140, 124, 72), (84, 104, 70)),
@@ -59,8 +60,11 @@ def eyeballs(mesh: RiggedMesh, *parts: str) -> list[Eyeball]:
     return out
 
 
-def with_eyeballs(mesh: RiggedMesh, part: str, iris: str, seed: int = 0) -> RiggedMesh:
-    """The mesh with round eyeballs of the colour ``iris`` for ``part``, the eyes' joints in their middles."""
+def with_eyeballs(mesh: RiggedMesh, part: str, iris: str, seed: int = 0, *, white: float = 1.0) -> RiggedMesh:
+    """The mesh with round eyeballs of the colour ``iris`` for ``part``, the eyes' joints in their middles.
+
+    ``white`` says how bright their whites are, of those of a fair face.
+    """
     if iris not in IRISES:
         raise FormatError(f"an iris is one of {', '.join(IRISES)}, not {iris!r}")
     balls = eyeballs(mesh, part)
@@ -81,7 +85,7 @@ def with_eyeballs(mesh: RiggedMesh, part: str, iris: str, seed: int = 0) -> Rigg
         vertices.append(ball.centre + radius * out.reshape(-1, 3))
         bound.append(np.full((len(vertices[-1]), influences), index))
         weights.append(np.eye(1, influences).repeat(len(vertices[-1]), axis=0))
-        texture = eye_texture(iris, radius, seed + number)
+        texture = eye_texture(iris, radius, seed + number, white)
         parts.append(MeshPart(ball.joint, (faces + first).astype(np.int32), uv[faces], texture))
         first += len(vertices[-1])
     kept = tuple(one for one in mesh.parts if one.name != part)
@@ -95,7 +99,7 @@ def with_eyeballs(mesh: RiggedMesh, part: str, iris: str, seed: int = 0) -> Rigg
     )
 
 
-def eye_texture(iris: str, radius: float, seed: int = 0) -> NDArray[np.uint8]:
+def eye_texture(iris: str, radius: float, seed: int = 0, bright: float = 1.0) -> NDArray[np.uint8]:
     """[S, S, 4] a ball of ``radius`` metres by its angle around the gaze (u) and its angle from it (v, 1 ahead)."""
     rng = np.random.default_rng((seed, 52))
     polar = np.linspace(0, _WIDE, _SIDE)[:, None]
@@ -108,7 +112,7 @@ def eye_texture(iris: str, radius: float, seed: int = 0) -> NDArray[np.uint8]:
     colour = colour * (1 + 0.22 * fibres[..., None])
     colour = colour * (1 - 0.72 * _smooth(at, 0.80, 0.97))[..., None]  # the limbal ring
     white = _WHITE + (_EDGE - _WHITE) * _smooth(polar * np.ones_like(at), np.radians(38), np.radians(75))[..., None]
-    white = white * (1 - 0.30 * (1 - _smooth(at, 1.0, 1.14)))[..., None]
+    white = bright * white * (1 - 0.30 * (1 - _smooth(at, 1.0, 1.14)))[..., None]
     edge = _smooth(at, 0.97, 1.06)[..., None]
     colour = colour * (1 - edge) + white * edge
     colour = colour * _smooth(at, _PUPIL * 0.92, _PUPIL * 1.08)[..., None] + 6

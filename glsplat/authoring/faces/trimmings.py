@@ -18,7 +18,7 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["LASH", "VEIL", "lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
+__all__ = ["GLINT", "LASH", "STRAND", "VEIL", "lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -29,10 +29,11 @@ _LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
 _ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
 _LASHES, _LOWER = 34, 18  # of an upper and a lower lid
 _LONG, _SHORT, _THICK = 0.0085, 0.0045, 0.00011  # metres
-LASH, VEIL = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255
-"""Colours of lashes, and of the shadow under an upper lid."""
-_GLINT = np.radians((10.0, 13.0))  # to the person's left and up: where a window would be mirrored
-_STRAND = (0.0075, 0.00050, 0.00018)  # metres, standard deviations
+LASH, VEIL, GLINT = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255, np.ones(3)
+"""Colours of lashes, of the shadow under an upper lid, and of the light in an eye."""
+_MIRRORED = np.radians((10.0, 13.0))  # to the person's left and up: where a window would be mirrored
+STRAND = (0.0075, 0.00050, 0.00018)
+"""Standard deviations of a strand of hair, metres."""
 _BROW_HAIR, _BROWS = (0.0014, 0.00011, 0.00008), 0.35  # metres; alpha from which a texel has hair
 _TRIES = 20
 _RAYS = 512  # at a time
@@ -144,7 +145,7 @@ def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: 
     found = _strewn(mesh, part, count, rng, 0.8)
     if found is None:
         return avatar
-    size = np.array(_STRAND) * rng.uniform(0.6, 1.3, (len(found.rgb), 1))
+    size = np.array(STRAND) * rng.uniform(0.6, 1.3, (len(found.rgb), 1))
     tone = found.rgb * rng.uniform(0.65, 1.45, (len(found.rgb), 1)) + rng.uniform(0, 0.03, (len(found.rgb), 1))
     return _added(avatar, mesh, found.laid(found.along, size, tone, 0.8))
 
@@ -269,13 +270,13 @@ def _shadow(ball: Eyeball, edges: LidEdges) -> _Extra:
 
 def _glint(ball: Eyeball, edges: LidEdges) -> _Extra:
     """One bright spot before the iris, below the lid's edge."""
-    left, up = _GLINT
+    left, up = _MIRRORED
     up = min(float(up), float(edges.upper[len(edges.side) // 2]) - np.radians(5))
     way = _directions(np.array([left]), np.array([up]))
     axes = _frames(np.cross(np.array([[0.0, 1, 0]]), way), way)
     face = edges.upper_face[len(edges.side) // 2][None]
     scales = np.array([[0.00055, 0.00055, 0.00008]])
-    return _Extra(ball.centre + (ball.radius + 0.0004) * way, axes, scales, np.array([0.85]), np.ones((1, 3)), face)
+    return _Extra(ball.centre + (ball.radius + 0.0004) * way, axes, scales, np.array([0.85]), GLINT[None], face)
 
 
 def _going_out(shapes: Shapes, first: int, joints: Sequence[str]) -> Shapes:

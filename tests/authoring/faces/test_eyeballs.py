@@ -40,7 +40,7 @@ def test_the_ball_turns_about_its_middle_and_stays_where_it_is() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(FormatError, match="an iris is one of brown, blue, grey, green, not 'red'"):
+    with pytest.raises(FormatError, match="an iris is one of brown, dark brown, blue, grey, green, not 'red'"):
         with_eyeballs(person(), "eyes", "red")
     with pytest.raises(FormatError, match="left_eye_smplhf"):
         eyeballs(person(), "skin")

@@ -7,6 +7,7 @@ import { LOOKS } from './looks.js';
 
 const WHERE = [0, 1.2, 0]; // the breast of who stands there
 const NORMALS = 160; // at which it is looked up
+const EXPOSURE = 1.25; // with which grey by day is about as bright as it was made
 const GOLDEN = Math.PI * (3 - Math.sqrt(5));
 const known = new Map(); // by name
 
@@ -42,10 +43,9 @@ function worked(look) {
   return exposed({ ambient, sun: sun && { direction: sun.direction, color: sun.color } });
 }
 
-/** Halfway to where grey is as bright as it was made: eyes get used to a dark place, and not wholly. */
+/** As much brighter in every place: who stands on the terrace at night is darker than in the room by day, as its floor is. */
 function exposed({ ambient, sun }) {
-  const mean = (sum(ambient[0]) * FACTORS[0] + (sun ? sum(sun.color) / (4 * Math.PI) : 0)) / 3;
-  const by = (rgb) => rgb.map((v) => v / Math.sqrt(mean));
+  const by = (rgb) => rgb.map((v) => v * EXPOSURE);
   return { ambient: ambient.map(by), sun: sun && { ...sun, color: by(sun.color) } };
 }
 
