@@ -12,7 +12,7 @@ from typing import Any
 
 from aioquic.asyncio.protocol import QuicConnectionProtocol
 from aioquic.h3.connection import H3Connection
-from aioquic.h3.events import DatagramReceived, H3Event, HeadersReceived
+from aioquic.h3.events import DatagramReceived, DataReceived, H3Event, HeadersReceived
 from aioquic.quic.events import ConnectionTerminated, QuicEvent
 
 from glsplat.net.datagrams.congestion import PictureWindow
@@ -157,8 +157,8 @@ class DatagramPath(QuicConnectionProtocol):
             if frame_id is not None:
                 self._arrived(frame_id)
             self._user.answered(payload)
-        elif not isinstance(event, DatagramReceived):
-            self.end()  # there is nothing else to be sent here
+        elif not isinstance(event, DatagramReceived) and not (isinstance(event, DataReceived) and not event.stream_ended):
+            self.end()  # there is nothing else to be sent here, but for capsules, which Chromium greases with
 
     def _open(self, event: HeadersReceived) -> None:
         headers = dict(event.headers)
