@@ -9,6 +9,7 @@ timeouts in a row are lost, it falls to the least (RFC 9002, section 7.6).
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 
 from aioquic.quic.congestion.base import K_MINIMUM_WINDOW, QuicCongestionControl, register_congestion_control
@@ -22,6 +23,7 @@ _GAIN = 2.0
 _FEWEST = 32  # packets
 _FASTEST = 200e6  # bits a second
 _REMEMBERED = 2000.0  # packets of which the share that is lost is taken
+_GONE = 512  # lost packets that are remembered
 _BEFORE = 0.005, 200.0  # lost of so many packets, before anything is known
 
 
@@ -34,6 +36,7 @@ class PictureWindow(QuicCongestionControl):
         self.trip: float = 0.1  # seconds there and back, lately
         self._size = max_datagram_size
         self._outstanding: dict[int, None] = {}  # packets of pictures, oldest first
+        self._gone: deque[int] = deque(maxlen=_GONE)  # numbers of packets that were lost
         self._lost, self._sent = _BEFORE[0] * _BEFORE[1], _BEFORE[1]
 
     @property
@@ -50,6 +53,10 @@ class PictureWindow(QuicCongestionControl):
         """Whether it is known of that packet and all before whether they arrived."""
         return next(iter(self._outstanding), number + 1) > number
 
+    def lost_of(self, first: int, last: int) -> int:
+        """How many of those packets, both included, are known to be lost."""
+        return sum(first <= number <= last for number in self._gone)
+
     def on_packet_sent(self, *, packet: QuicSentPacket) -> None:
         """aioquic gave it to the socket."""
         self.bytes_in_flight += packet.sent_bytes
@@ -65,6 +72,7 @@ class PictureWindow(QuicCongestionControl):
         """Later ones arrived, these did not."""
         for packet in packets:
             self._end(packet)
+            self._gone.append(packet.packet_number)
             self._count(1.0)
 
     def on_packets_expired(self, *, packets: Iterable[QuicSentPacket]) -> None:

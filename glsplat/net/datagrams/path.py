@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from aioquic.asyncio.protocol import QuicConnectionProtocol
@@ -25,11 +26,23 @@ from glsplat.net.messages import MAX_BYTES
 __all__ = ["DatagramPath"]
 
 _HANDSHAKE = 5.0  # seconds from the first packet to an accepted session
-_GRACE = 0.05  # seconds that a client's word may come after QUIC's own acknowledgement
+_GRACE = 0.05  # seconds that a client's answer may come after QUIC's own acknowledgement
 _SILENT = 1.0  # seconds, and four round trips, for which nothing is heard of a picture: no path any more
 _LOST = 6  # pictures in a row
 _PACKETS, _BURST = 600.0, 2000.0  # a second, and at once, that a client may send, and one for each that it was sent
 _HEADERS = 60  # bytes of a datagram beside its piece: UDP, IP, QUIC, this protocol
+
+
+@dataclass(slots=True)
+class _UnderWay:
+    """A picture whose client has not answered."""
+
+    nonce: bytes
+    written: float  # seconds
+    first: int  # packet
+    parity: int
+    last: int = -1  # packet; -1: some wait to be sent
+    settled: float = 0.0  # when it was known of each packet whether it arrived
 
 
 class DatagramPath(QuicConnectionProtocol):
@@ -47,8 +60,7 @@ class DatagramPath(QuicConnectionProtocol):
         window = quic._loss._cc
         assert isinstance(window, PictureWindow)
         self._window = window
-        self._under_way: dict[int, tuple[float, int]] = {}  # by frame_id: when it was written, its last packet or -1
-        self._nonces: dict[bytes, int] = {}
+        self._under_way: dict[int, _UnderWay] = {}  # by frame_id, oldest first
         self._lost_in_a_row = 0
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
         self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
@@ -80,12 +92,12 @@ class DatagramPath(QuicConnectionProtocol):
         assert self._http is not None and self._session is not None
         message = nonce + picture
         pieces, groups = groups_of(len(message))
+        parity = parity_for(-(-pieces // groups), self.loss)
         self._quic._datagrams_pending.clear()
         self._window.allow(rate, round(len(message) * self.overhead(len(message))))
-        for packet in packets_of(frame_id, message, parity_for(-(-pieces // groups), self.loss)):
+        self._under_way[frame_id] = _UnderWay(nonce, self._loop.time(), self._window.newest + 1, parity)
+        for packet in packets_of(frame_id, message, parity):
             self._http.send_datagram(self._session, packet)
-        self._under_way[frame_id] = self._loop.time(), -1
-        self._nonces[nonce] = frame_id
         self.transmit()
         if self._check is None:
             self._look_later()
@@ -127,9 +139,9 @@ class DatagramPath(QuicConnectionProtocol):
         if sent > 0:
             self._received.charge(self._loop.time(), -sent)
         if not self._quic._datagrams_pending:
-            for frame_id, (written, last) in self._under_way.items():
-                if last < 0:
-                    self._under_way[frame_id] = written, self._window.newest
+            for one in self._under_way.values():
+                if one.last < 0:
+                    one.last = self._window.newest
 
     def quic_event_received(self, event: QuicEvent) -> None:
         """aioquic's hook."""
@@ -153,9 +165,10 @@ class DatagramPath(QuicConnectionProtocol):
                 if (request := self._requests.add(payload)) is not None:
                     self._user.heard(request[1])
                 return
-            frame_id = self._nonces.get(payload)
-            if frame_id is not None:
-                self._arrived(frame_id)
+            for frame_id, one in self._under_way.items():
+                if one.nonce == payload:
+                    self._arrived(frame_id)
+                    break
             self._user.answered(payload)
         elif not isinstance(event, DatagramReceived) and not (isinstance(event, DataReceived) and not event.stream_ended):
             self.end()  # there is nothing else to be sent here, but for capsules, which Chromium greases with
@@ -184,25 +197,28 @@ class DatagramPath(QuicConnectionProtocol):
         self._lost_in_a_row = 0
         for old in [old for old in self._under_way if old <= frame_id]:
             del self._under_way[old]
-        self._nonces = {nonce: of for nonce, of in self._nonces.items() if of > frame_id}
 
     def _look(self, now: float) -> None:
-        """At pictures of which all packets are known to have arrived or not, and that the client knows nothing of."""
-        for frame_id, (written, last) in list(self._under_way.items()):
-            if last < 0 or not self._window.settled(last):
-                if now - written > max(_SILENT, 4 * self._window.trip):
+        """At pictures of which all packets are known to have arrived or not."""
+        for frame_id, one in list(self._under_way.items()):
+            if self._user is None:
+                return
+            if one.last < 0 or not self._window.settled(one.last):
+                if now - one.written > max(_SILENT, 4 * self._window.trip):
                     self.end()
                 return
-            if now - written < self._window.trip + _GRACE:
-                return
-            del self._under_way[frame_id]
-            self._nonces = {nonce: of for nonce, of in self._nonces.items() if of != frame_id}
-            self._lost_in_a_row += 1
-            if self._user is not None:
+            if self._window.lost_of(one.first, one.last) > one.parity:
+                del self._under_way[frame_id]
                 self._user.lost(frame_id)
-            if self._lost_in_a_row >= _LOST:
-                self.end()
+                self._lost_in_a_row += 1
+                if self._lost_in_a_row >= _LOST:
+                    self.end()
+                continue
+            one.settled = one.settled or now
+            if now - one.settled < _GRACE:
                 return
+            self._arrived(frame_id)  # its browser has it, whatever keeps the answer
+            self._user.answered(one.nonce)
 
     def _look_later(self) -> None:
         def look() -> None:
@@ -219,7 +235,7 @@ class DatagramPath(QuicConnectionProtocol):
 
     def _forget(self) -> None:
         under_way, user = list(self._under_way), self._user
-        self._under_way, self._nonces, self._user = {}, {}, None
+        self._under_way, self._user = {}, None
         if user is not None:
             for frame_id in under_way:
                 user.lost(frame_id)

@@ -4,8 +4,10 @@
 
 import { Assembler, HEAD, NONCE, PICTURE, PING, piecesOf } from './pieces.js';
 
+const STALE = 200; // ms after which a datagram need not be sent any more
 const OPENS = 2000; // ms within which it has to be there
 const SILENT = 2000; // ms without a datagram, while there are requests
+const WAIT = 1; // datagrams that may wait to be sent when a request comes
 const QUEUE = 4096; // datagrams that may wait to be read
 
 export class Datagrams {
@@ -16,15 +18,16 @@ export class Datagrams {
   #number = 0;
   #heard = 0; // when
   #asked = 0; // requests since then
+  #waits = 0; // datagrams that the browser has not sent
 
   /** `onPicture(buffer)` gets what a binary message of the WebSocket is. */
   constructor(url, sha256, onPicture) {
     this.#run(url, sha256, onPicture).catch(() => {}).finally(() => this.close());
   }
 
-  /** Whether that text is sent this way. */
+  /** Whether that text is sent this way: it is not while the browser holds back what was sent before. */
   send(text) {
-    if (!this.open) return false;
+    if (!this.open || this.#waits > WAIT) return false;
     this.#asked++;
     for (const datagram of piecesOf(++this.#number, text)) this.#write(datagram);
     return true;
@@ -42,7 +45,9 @@ export class Datagrams {
   }
 
   #write(datagram) {
-    this.#writer?.write(datagram).catch(() => {});
+    this.#waits++;
+    const done = () => this.#waits--;
+    this.#writer.write(datagram).then(done, done);
   }
 
   async #run(url, sha256, onPicture) {
@@ -57,6 +62,7 @@ export class Datagrams {
     await transport.ready.finally(() => clearTimeout(late));
     const { datagrams } = transport;
     datagrams.incomingHighWaterMark = QUEUE;
+    datagrams.outgoingMaxAge = STALE;
     this.#writer = (datagrams.createWritable?.() ?? datagrams.writable).getWriter();
     const reader = datagrams.readable.getReader();
     const whole = new Assembler();
