@@ -89,7 +89,9 @@ class Conversation:
         finally:
             for task in reading:
                 task.cancel()
-            await asyncio.gather(*reading, return_exceptions=True)  # looked at, or asyncio logs it: the peer may be gone
+            await asyncio.gather(
+                *reading, return_exceptions=True
+            )  # looked at, or asyncio logs it: the peer may be gone
         if breached.done() and not self._ws.closed:
             await self._farewell(self.channel.session.broke(breached.result()))
         else:
@@ -162,6 +164,7 @@ class Conversation:
         async for message in way.messages():
             if not self._deaf() and await self._take(self._reading.offer(message, clock())):
                 return
+            await asyncio.sleep(0)  # others are heard in between
 
     async def _farewell(self, close: Close) -> None:
         """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""

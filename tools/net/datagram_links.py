@@ -2,8 +2,8 @@
 
     python -m tools.net.datagram_links --link 60,20,1 --link 150,5,3 --seconds 15
 
-Server, relay and client are processes of their own. The pictures are those of tools/net/real_link.py: drawn before, each
-shown after the 50 ms (at full size) of the simulation.
+Server, relay and client are processes of their own. The pictures are those of tools/net/real_link.py: drawn
+before, each shown after the 50 ms (at full size) of the simulation.
 """
 
 from __future__ import annotations
@@ -198,7 +198,10 @@ async def open_path(url: str, offer: dict[str, str], message: Any) -> Any:
                     self.transmit()
 
     configuration = QuicConfiguration(
-        alpn_protocols=H3_ALPN, is_client=True, verify_mode=ssl.CERT_NONE, max_datagram_frame_size=65536,
+        alpn_protocols=H3_ALPN,
+        is_client=True,
+        verify_mode=ssl.CERT_NONE,
+        max_datagram_frame_size=65536,
         congestion_control_algorithm=NAME,
     )
     manager = connect(parts.hostname or "", parts.port or 0, configuration=configuration, create_protocol=Path)
@@ -259,7 +262,8 @@ def stored(path: Path) -> Any:
 
 
 def main(links: Sequence[Link | None], seconds: float, pairs: Any) -> None:
-    print("| link | pictures by | shown/s | age, ms | 95 % | goal | kB | quality | by datagrams | server's CPU | lag 99 % |")
+    names = "link | pictures by | shown a second | age, ms | 95 % | goal | kB | quality x scale | so | cores | lag, ms"
+    print(f"| {names} |\n|---|---|" + "--:|" * 9)
     for simulated in links:
         for datagrams in (False, True):
             shown, (cpu, _, late, _, ways) = row(simulated, pairs, seconds, datagrams)

@@ -1,1 +1,1 @@
-"""Pictures by datagrams (WebTransport) beside the WebSocket; imported only where ``serve --webtransport`` asks for it."""
+"""Pictures by datagrams (WebTransport) beside the WebSocket: ``serve --webtransport``."""

@@ -38,7 +38,7 @@ _TIMES = [row.tobytes() for row in _PRODUCT]  # for bytes.translate, which is te
 
 
 def _factors(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """[R, C] factors of the pieces ``columns`` in the parity pieces ``rows``: 1 / (x + y), x = 255 - row, y = column."""
+    """[R, C] factors of ``columns`` (pieces) in ``rows`` (parity pieces): 1 / (x + y), x = 255 - row, y = column."""
     return _INVERSE[(255 - rows)[:, None] ^ columns[None, :]]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import socket
+import logging
 from collections import Counter
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -15,13 +15,14 @@ from aioquic.h3.connection import H3_ALPN
 from aioquic.quic.configuration import QuicConfiguration
 from cryptography.hazmat.primitives import hashes
 
-from glsplat.errors import GlsplatError
 from glsplat.net.datagrams.congestion import NAME
-from glsplat.net.datagrams.offers import Offers
+from glsplat.net.datagrams.offers import LASTS, Offers
 from glsplat.net.datagrams.path import DatagramPath
+from glsplat.net.datagrams.udp import UdpSocket, bind_udp
 from glsplat.net.datagrams.way import PathUser
 from glsplat.net.guard.certificate import passing_certificate
 from glsplat.net.guard.limits import address_key
+from glsplat.net.guard.notices import Notices
 
 __all__ = ["DatagramListener"]
 
@@ -29,7 +30,10 @@ _LASTS, _RENEWED = timedelta(days=12), timedelta(days=5)  # from now on; browser
 _IDLE = 30.0  # seconds without a packet
 _STREAM = 16 * 1024  # bytes of a client's stream: a CONNECT and its settings
 _EACH = 2  # connections of which nobody knows yet whose they are, for each client that is expected from an address
-_CID = 8
+_CID = 8  # bytes of a connection's own name
+
+for _name in ("quic", "http3"):  # aioquic's: a line for every connection, with words of the other end
+    logging.getLogger(_name).setLevel(logging.CRITICAL)
 
 
 class DatagramListener:
@@ -38,6 +42,7 @@ class DatagramListener:
     def __init__(self, clock: Callable[[], float]) -> None:
         self.refused = 0
         self._offers: Offers[PathUser] = Offers(clock)
+        self._notices = Notices(logging.getLogger("glsplat.net"), clock)
         self._configuration = QuicConfiguration(
             alpn_protocols=H3_ALPN,
             is_client=False,
@@ -45,46 +50,67 @@ class DatagramListener:
             idle_timeout=_IDLE,
             max_data=4 * _STREAM,
             max_stream_data=_STREAM,
-            max_datagram_frame_size=65536,
+            max_datagram_frame_size=65536,  # any: they are bounded by what a packet holds
             connection_id_length=_CID,
         )
         self._made = datetime.min.replace(tzinfo=UTC)
         self._sha256 = ""
         self._server: _Guarded | None = None
+        self._socket: UdpSocket | None = None
 
     async def open(self, host: str, port: int) -> None:
         """Listen. Raises GlsplatError (port in use)."""
         self._renew()
-        loop = asyncio.get_running_loop()
-        listening = _bind(host, port)
-        _, self._server = await loop.create_datagram_endpoint(
-            lambda: _Guarded(self._configuration, self._offers, self._admit), sock=listening
-        )
+        self._server = server = _Guarded(self._configuration, self._offers, self._admit, self._failed)
+        self._socket = UdpSocket(bind_udp(host, port), server.received, self._shut)
+        server.connection_made(self._socket)  # type: ignore[arg-type]  # of which it calls sendto and close
 
-    def offer(self, address: str, user: PathUser) -> dict[str, str]:
+    def offer(self, address: str, user: PathUser) -> dict[str, str] | None:
         """What a client is told: where it may connect once, and by what certificate it knows the server."""
+        if self._socket is None or self._socket.shut:
+            return None
         self._renew()
+        self._socket.listen()
+        asyncio.get_running_loop().call_later(2 * LASTS, self._look)
         return {"path": f"datagrams/{self._offers.make(address, user)}", "sha256": self._sha256}
 
     def withdraw(self, user: PathUser) -> None:
         """The client has left."""
         self._offers.withdraw(user)
+        self._look()
 
     async def close(self) -> None:
         """Close all connections and the port."""
-        if self._server is not None:
+        if self._server is not None and self._socket is not None:
             self._server.end()
-            self._server = None
+            self._socket.close()
+            self._server = self._socket = None
 
     def status(self) -> dict[str, int]:
         """Numbers for /stats."""
-        paths = [] if self._server is None else self._server.paths()
+        paths = set() if self._server is None else self._server.paths()
         return {"open": sum(path.accepted for path in paths), "refused": self.refused}
 
     def _admit(self, secret: str, address: str) -> PathUser | None:
         user = self._offers.take(secret, address)
-        self.refused += user is None
+        if user is None:
+            self.refused += 1
+            self._notices("secret", "a datagram connection without a secret of ours was refused")
         return user
+
+    def _look(self) -> None:
+        """Read nothing while nobody is there and nobody expected."""
+        if self._server is not None and self._socket is not None:
+            if not self._server.paths() and not self._offers.expected():
+                self._socket.rest()
+
+    def _shut(self) -> None:
+        self._notices("strays", "the UDP port is flooded: pictures go over WebSockets for a while")
+        assert self._server is not None
+        self._server.end()
+
+    def _failed(self, error: Exception) -> None:
+        self._notices("quic", f"a datagram connection failed in the server: {type(error).__name__}")
 
     def _renew(self) -> None:
         now = datetime.now(UTC)
@@ -104,33 +130,38 @@ class _Guarded(QuicServer):
         configuration: QuicConfiguration,
         offers: Offers[PathUser],
         admit: Callable[[str, str], PathUser | None],
+        failed: Callable[[Exception], None],
     ) -> None:
         super().__init__(configuration=configuration, create_protocol=self._path, retry=True)
-        self._offers, self._admit = offers, admit
+        self._offers, self._admit, self._failed = offers, admit, failed
         self._address = ""  # of the datagram in hand
 
-    def datagram_received(self, data: bytes | str, addr: Any) -> None:
-        """A UDP datagram: of a connection that there is, or of an address from which one is expected."""
-        assert isinstance(data, bytes)
-        if _destination(data) not in self._protocols:
+    def received(self, data: bytes, addr: Any) -> bool:
+        """A UDP datagram: of a connection that there is, or of an address from which one is expected; else False."""
+        path = self._protocols.get(_destination(data))
+        if path is None:
             self._address = address_key(addr[0])
-            waiting = Counter(path.address for path in self.paths() if not path.accepted)
-            expected = self._offers.expected()[self._address]
-            if waiting[self._address] >= _EACH * expected:
-                return
-        super().datagram_received(data, addr)
+            waiting = Counter(one.address for one in self.paths() if not one.accepted)
+            if waiting[self._address] >= _EACH * self._offers.expected()[self._address]:
+                return False
+        try:
+            self.datagram_received(data, addr)
+        except Exception as error:  # of aioquic's, at what somebody made up
+            self._failed(error)
+            if isinstance(path, DatagramPath):
+                path.end()
+        return path is not None
 
     def paths(self) -> set[DatagramPath]:
         """All connections."""
         return {path for path in self._protocols.values() if isinstance(path, DatagramPath)}
 
     def end(self) -> None:
-        """Close all, and the port."""
+        """Close all."""
         for path in self.paths():
             path.end()
+            path.forget_timers()
         self._protocols.clear()
-        if self._transport is not None:
-            self._transport.close()
 
     def _path(self, quic: Any, stream_handler: Any = None) -> DatagramPath:
         address = self._address
@@ -142,18 +173,3 @@ def _destination(data: bytes) -> bytes:
     if len(data) > 6 and data[0] & 0x80:
         return data[6 : 6 + data[5]]
     return data[1 : 1 + _CID]
-
-
-def _bind(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        listening.bind((host, port))
-    except OSError as error:
-        listening.close()
-        reason = error.strerror or str(error)
-        raise GlsplatError(
-            f"cannot listen on {host} UDP port {port} ({reason}); choose another --port, or leave --webtransport out"
-        ) from None
-    listening.setblocking(False)
-    return listening

@@ -41,8 +41,7 @@ def packets_of(frame_id: int, message: bytes, parity: int, kind: int = PICTURE) 
     padded = np.zeros((pieces, PIECE), np.uint8)
     padded.ravel()[: len(message)] = np.frombuffer(message, np.uint8)
     out = [
-        HEAD.pack(kind, parity, i, frame_id, len(message)) + message[i * PIECE : (i + 1) * PIECE]
-        for i in range(pieces)
+        HEAD.pack(kind, parity, i, frame_id, len(message)) + message[i * PIECE : (i + 1) * PIECE] for i in range(pieces)
     ]
     more = [parity_of(padded[group::groups], parity) for group in range(groups)] if parity else []
     for row in range(parity):

@@ -118,6 +118,11 @@ class DatagramPath(QuicConnectionProtocol):
         self.close()
         self._forget()
 
+    def forget_timers(self) -> None:
+        """Nothing is sent any more, not even what QUIC would say to a closed connection."""
+        if self._timer is not None:
+            self._timer.cancel()
+
     # ----------------------------------------------------------------------------------------------- of the connection
 
     def datagram_received(self, data: bytes | str, addr: Any) -> None:
@@ -170,8 +175,10 @@ class DatagramPath(QuicConnectionProtocol):
                     self._arrived(frame_id)
                     break
             self._user.answered(payload)
-        elif not isinstance(event, DatagramReceived) and not (isinstance(event, DataReceived) and not event.stream_ended):
-            self.end()  # there is nothing else to be sent here, but for capsules, which Chromium greases with
+        elif isinstance(event, DatagramReceived) or (isinstance(event, DataReceived) and not event.stream_ended):
+            return  # of no session, or a capsule: Chromium sends some that mean nothing (grease)
+        else:
+            self.end()  # it closes its session, or opens streams, for which there is no use here
 
     def _open(self, event: HeadersReceived) -> None:
         headers = dict(event.headers)
@@ -182,9 +189,7 @@ class DatagramPath(QuicConnectionProtocol):
             self.end()
             return
         assert self._http is not None
-        self._http.send_headers(
-            event.stream_id, [(b":status", b"200"), (b"sec-webtransport-http3-draft", b"draft02")]
-        )
+        self._http.send_headers(event.stream_id, [(b":status", b"200"), (b"sec-webtransport-http3-draft", b"draft02")])
         self._user, self._session = user, event.stream_id
         if self._check is not None:
             self._check.cancel()

@@ -22,6 +22,7 @@ __all__ = ["LONG", "PathUser", "SecondWay", "datagram_listener"]
 LONG = 0.008
 """Seconds there and back from which on it is worth it: what TCP waits for a lost packet. A machine's own are below."""
 _AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until it is offered again, times so much each time; how often
+_GOOD = 200  # pictures after which a way that ends was a good one
 _HEARD = 64  # messages that may wait
 
 
@@ -60,7 +61,7 @@ class SecondWay:
         self._clock, self._wake = clock, wake
         self._path: DatagramPath | None = None
         self._next, self._pause, self._tries = 0.0, _AGAIN, 0
-        self._sent = self._lost = 0
+        self._sent = self._lost = self._before = 0
         self._heard: deque[bytes] = deque()
         self._more = asyncio.Event()
 
@@ -71,8 +72,11 @@ class SecondWay:
             return None
         if link.link.base < LONG or now < self._next or self._tries >= _TRIES:
             return None
-        self._next, self._pause, self._tries = now + self._pause, self._pause * _LONGER, self._tries + 1
-        return self._listener.offer(self._address, self)
+        self._next = now + self._pause
+        offer = self._listener.offer(self._address, self)
+        if offer is not None:
+            self._pause, self._tries = self._pause * _LONGER, self._tries + 1
+        return offer
 
     def send(self, frame_id: int, picture: bytes) -> bool:
         """Whether the picture goes this way."""
@@ -109,7 +113,7 @@ class SecondWay:
         """As in PathUser."""
         if self._path is not None:
             self._path.end()
-        self._path = path
+        self._path, self._before = path, self._sent
 
     def answered(self, payload: bytes) -> None:
         """As in PathUser."""
@@ -140,6 +144,8 @@ class SecondWay:
     def closed(self) -> None:
         """As in PathUser."""
         self._path, self._session.overhead = None, 1.0
+        if self._sent - self._before > _GOOD:
+            self._pause, self._tries = _AGAIN, 0
 
 
 def datagram_listener(clock: Callable[[], float]) -> DatagramListener:
