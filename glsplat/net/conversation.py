@@ -89,9 +89,8 @@ class Conversation:
         finally:
             for task in reading:
                 task.cancel()
-            await asyncio.gather(
-                *reading, return_exceptions=True
-            )  # looked at, or asyncio logs it: the peer may be gone
+            # looked at, or asyncio logs it: the peer may be gone
+            await asyncio.gather(*reading, return_exceptions=True)
         if breached.done() and not self._ws.closed:
             await self._farewell(self.channel.session.broke(breached.result()))
         else:

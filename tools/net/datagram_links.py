@@ -10,17 +10,14 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import base64
 import json
 import multiprocessing
 import os
-import ssl
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import aiohttp
 import numpy as np
@@ -30,6 +27,7 @@ from glsplat.net.options import ServerConfig
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
+from tests.net.datagrams.client import open_path
 from tools.net.lossy_relay import relay
 
 __all__ = ["Shown", "main"]
@@ -155,72 +153,6 @@ async def watch(url: str, seconds: float, datagrams: bool) -> Shown:
         if second is not None and second.done():
             second.result().close()
     return out
-
-
-async def open_path(url: str, offer: dict[str, str], message: Any) -> Any:
-    """A WebTransport session by aioquic, as the page's worker has one by its browser."""
-    from aioquic.asyncio.client import connect
-    from aioquic.asyncio.protocol import QuicConnectionProtocol
-    from aioquic.h3.connection import H3_ALPN, H3Connection
-    from aioquic.h3.events import DatagramReceived, HeadersReceived
-    from aioquic.quic.configuration import QuicConfiguration
-    from cryptography.hazmat.primitives import hashes
-
-    from glsplat.net.datagrams.congestion import NAME
-    from glsplat.net.datagrams.packets import HEAD, NONCE, PING, REQUEST, Assembler, packets_of
-
-    parts = urlsplit(url)
-    opened: asyncio.Future[int] = asyncio.get_running_loop().create_future()
-
-    class Path(QuicConnectionProtocol):
-        def __init__(self, *args: Any, **kwargs: Any) -> None:
-            super().__init__(*args, **kwargs)
-            self.http = H3Connection(self._quic, enable_webtransport=True)
-            self.whole, self.number = Assembler(), 0
-
-        def ask(self, text: str) -> None:
-            self.number += 1
-            for packet in packets_of(self.number, text.encode(), 0, REQUEST):
-                self.http.send_datagram(opened.result(), packet)
-            self.transmit()
-
-        def quic_event_received(self, event: Any) -> None:
-            for one in self.http.handle_event(event):
-                if isinstance(one, HeadersReceived) and not opened.done():
-                    opened.set_result(one.stream_id)
-                elif isinstance(one, DatagramReceived):
-                    data = one.data
-                    if data[0] == PING:
-                        self.http.send_datagram(one.stream_id, data[HEAD.size :])
-                    elif (found := self.whole.add(data)) is not None:
-                        self.http.send_datagram(one.stream_id, found[1][:NONCE])
-                        message(found[1][NONCE:])
-                    self.transmit()
-
-    configuration = QuicConfiguration(
-        alpn_protocols=H3_ALPN,
-        is_client=True,
-        verify_mode=ssl.CERT_NONE,
-        max_datagram_frame_size=65536,
-        congestion_control_algorithm=NAME,
-    )
-    manager = connect(parts.hostname or "", parts.port or 0, configuration=configuration, create_protocol=Path)
-    path: Any = await manager.__aenter__()
-    path.manager = manager  # which would close it
-    peer = path._quic.tls._peer_certificate
-    assert base64.b64encode(peer.fingerprint(hashes.SHA256())).decode() == offer["sha256"]
-    stream = path._quic.get_next_available_stream_id()
-    authority = f"{parts.hostname}:{parts.port}".encode()
-    path.http.send_headers(
-        stream,
-        [
-            (b":method", b"CONNECT"), (b":protocol", b"webtransport"), (b":scheme", b"https"),
-            (b":authority", authority), (b":path", b"/" + offer["path"].encode()),
-        ],
-    )  # fmt: skip
-    path.transmit()
-    await asyncio.wait_for(opened, 5)
-    return path
 
 
 def row(simulated: Link | None, pairs: Any, seconds: float, datagrams: bool) -> tuple[Shown, Any]:

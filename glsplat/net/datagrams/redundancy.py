@@ -12,7 +12,7 @@ _MOST = 0.4  # parity pieces a piece: more than that is no link for pictures
 
 
 def parity_for(pieces: int, loss: float) -> int:
-    """The fewest parity pieces beside ``pieces`` with which all but ``_FAILS`` are whole; packets are lost one by one."""
+    """The fewest parity pieces beside ``pieces`` by which all but ``_FAILS`` are whole; packets are lost singly."""
     return _parity(pieces, round(min(loss, 0.5), 4))
 
 
