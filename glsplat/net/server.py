@@ -22,7 +22,8 @@ from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off, make_socket
-from glsplat.net.datagrams.way import SecondWay, datagram_listener
+from glsplat.net.datagrams.start import datagram_listener
+from glsplat.net.datagrams.way import SecondWay
 from glsplat.net.guard.access import is_loopback, server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.headers import set_headers

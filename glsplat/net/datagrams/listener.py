@@ -18,8 +18,8 @@ from cryptography.hazmat.primitives import hashes
 from glsplat.net.datagrams.congestion import NAME
 from glsplat.net.datagrams.offers import LASTS, Offers
 from glsplat.net.datagrams.path import DatagramPath
+from glsplat.net.datagrams.roles import PathUser
 from glsplat.net.datagrams.udp import UdpSocket, bind_udp
-from glsplat.net.datagrams.way import PathUser
 from glsplat.net.guard.certificate import passing_certificate
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices

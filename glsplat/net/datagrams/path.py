@@ -19,7 +19,7 @@ from aioquic.quic.events import ConnectionTerminated, QuicEvent
 from glsplat.net.datagrams.congestion import PictureWindow
 from glsplat.net.datagrams.packets import HEAD, LARGEST, NONCE, PING, REQUEST, Assembler, groups_of, packets_of
 from glsplat.net.datagrams.redundancy import parity_for
-from glsplat.net.datagrams.way import PathUser
+from glsplat.net.datagrams.roles import PathUser
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.messages import MAX_BYTES
 

@@ -8,16 +8,14 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from glsplat.errors import GlsplatError
+from glsplat.net.datagrams.roles import Host, Path
 
 if TYPE_CHECKING:
-    from glsplat.net.datagrams.listener import DatagramListener
-    from glsplat.net.datagrams.path import DatagramPath
     from glsplat.net.session import Session
 
-__all__ = ["LONG", "PathUser", "SecondWay", "datagram_listener"]
+__all__ = ["LONG", "SecondWay"]
 
 LONG = 0.008
 """Seconds there and back from which on it is worth it: what TCP waits for a lost packet. A machine's own are below."""
@@ -26,40 +24,16 @@ _GOOD = 200  # pictures after which a way that ends was a good one
 _HEARD = 64  # messages that may wait
 
 
-class PathUser(Protocol):
-    """What a path tells its client. All of it is called on the event loop, and is to return at once."""
-
-    def opened(self, path: DatagramPath) -> None:
-        """Pictures may be sent."""
-        ...
-
-    def answered(self, payload: bytes) -> None:
-        """A ping came back, or the nonce of a picture that is there."""
-        ...
-
-    def heard(self, message: bytes) -> None:
-        """A message of the client's: what else comes over the WebSocket."""
-        ...
-
-    def lost(self, frame_id: int) -> None:
-        """That picture will not arrive."""
-        ...
-
-    def closed(self) -> None:
-        """Nothing can be sent any more."""
-        ...
-
-
 class SecondWay:
     """``wake`` is called when a picture may be drawn that waited for another."""
 
     def __init__(
-        self, listener: DatagramListener, session: Session, address: str, clock: Callable[[], float],
+        self, listener: Host, session: Session, address: str, clock: Callable[[], float],
         wake: Callable[[], None],
     ) -> None:  # fmt: skip
         self._listener, self._session, self._address = listener, session, address
         self._clock, self._wake = clock, wake
-        self._path: DatagramPath | None = None
+        self._path: Path | None = None
         self._next, self._pause, self._tries = 0.0, _AGAIN, 0
         self._sent = self._lost = self._before = 0
         self._heard: deque[bytes] = deque()
@@ -109,7 +83,7 @@ class SecondWay:
 
     # ------------------------------------------------------------------------------------------------------- PathUser
 
-    def opened(self, path: DatagramPath) -> None:
+    def opened(self, path: Path) -> None:
         """As in PathUser."""
         if self._path is not None:
             self._path.end()
@@ -146,12 +120,3 @@ class SecondWay:
         self._path, self._session.overhead = None, 1.0
         if self._sent - self._before > _GOOD:
             self._pause, self._tries = _AGAIN, 0
-
-
-def datagram_listener(clock: Callable[[], float]) -> DatagramListener:
-    """What a server listens with. Raises GlsplatError where what it needs is not installed."""
-    try:
-        from glsplat.net.datagrams.listener import DatagramListener  # here: most servers have none
-    except ImportError:
-        raise GlsplatError("--webtransport needs aioquic: pip install 'glsplat[webtransport]'") from None
-    return DatagramListener(clock)

@@ -301,17 +301,18 @@ class TestStrangers:
         async def main() -> None:
             async with serve(config=CONFIG) as server, viewing(server) as viewer:
                 await until(lambda: viewer.offers)
-                opened = [asyncio.create_task(open_quic(server.url)) for _ in range(6)]
-                done, waiting = await asyncio.wait(opened, timeout=1.5)
-                for task in waiting:
-                    task.cancel()
-                await asyncio.gather(*opened, return_exceptions=True)
-                assert 1 <= len(done) <= 4  # two at once, and those two ended
                 listener = server._datagrams
                 assert listener is not None and listener._server is not None
-                await until(lambda: not listener._server.paths())
-                for task in done:
-                    assert task.result().ended.done()
+                inside = listener._server
+                opened = [asyncio.create_task(open_quic(server.url)) for _ in range(6)]
+                most = []
+                await until(lambda: most.append(len(inside.paths())) or most[-1] > 0)
+                await until(lambda: most.append(len(inside.paths())) or len(most) > 300)
+                for task in opened:
+                    task.cancel()
+                await asyncio.gather(*opened, return_exceptions=True)
+                assert 1 <= max(most) <= 2
+                await until(lambda: not inside.paths())
 
         asyncio.run(main())
 
