@@ -28,7 +28,7 @@ from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from tests.net.datagrams.client import open_path
-from tools.net.lossy_relay import relay
+from tools.net.lossy_relay import relay, roomy
 
 __all__ = ["Shown", "main"]
 
@@ -85,6 +85,12 @@ def relaying(simulated: Link, there: int, port: Any, stop: Any) -> None:
     asyncio.run(run())
 
 
+async def _opened(url: str, offer: dict[str, str], take: Any) -> Any:
+    path = await open_path(url, offer, take)
+    roomy(path._transport)
+    return path
+
+
 async def watch(url: str, seconds: float, datagrams: bool) -> Shown:
     """A client: asks at 72 Hz, shows the newest picture at its refresh."""
     out, refresh = Shown(), 1 / 72
@@ -99,7 +105,7 @@ async def watch(url: str, seconds: float, datagrams: bool) -> Shown:
             nonlocal newest, arrival, second
             reply, now = parse_reply(data), time.perf_counter()
             if (offer := reply.info.get("datagrams")) is not None and second is None:
-                second = asyncio.ensure_future(open_path(url, offer, lambda data: message(data, True)))
+                second = asyncio.ensure_future(_opened(url, offer, lambda data: message(data, True)))
             if reply.frame_id <= newest or reply.frame_id not in sent:
                 return
             newest = reply.frame_id

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import heapq
+import socket
 import time
 from collections.abc import Callable
 from itertools import count
@@ -20,9 +22,18 @@ from typing import Any
 
 from apps.replay.link import _QUEUE, Link, _Relay, link
 
-__all__ = ["DatagramRelay", "relay"]
+__all__ = ["DatagramRelay", "relay", "roomy"]
 
 _HEADERS = 28  # bytes of IP and UDP
+
+
+def roomy(transport: Any) -> None:
+    """Let the system keep more than a picture and a half, where it lets us: a process that waits loses none then."""
+    sock = transport.get_extra_info("socket")
+    for option in (33, socket.SO_RCVBUF):  # SO_RCVBUFFORCE, of Linux, for root
+        with contextlib.suppress(OSError):
+            sock.setsockopt(socket.SOL_SOCKET, option, 1 << 22)
+            return
 
 
 class _Pipe:
@@ -67,6 +78,7 @@ class DatagramRelay(asyncio.DatagramProtocol):
 
     def connection_made(self, transport: Any) -> None:
         self._transport = transport
+        roomy(transport)
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
         end = self._ends.get(addr)
@@ -78,6 +90,9 @@ class DatagramRelay(asyncio.DatagramProtocol):
         relay = self
 
         class Back(asyncio.DatagramProtocol):
+            def connection_made(self, transport: Any) -> None:
+                roomy(transport)
+
             def datagram_received(self, data: bytes, _: Any) -> None:
                 relay._down.put(len(data), lambda: relay._transport.sendto(data, addr))
 

@@ -77,7 +77,7 @@ class DatagramListener:
     def withdraw(self, user: PathUser) -> None:
         """The client has left."""
         self._offers.withdraw(user)
-        self._look()
+        asyncio.get_running_loop().call_later(LASTS, self._look)
 
     async def close(self) -> None:
         """Close all connections and the port."""

@@ -93,7 +93,11 @@ class DatagramPath(QuicConnectionProtocol):
         message = nonce + picture
         pieces, groups = groups_of(len(message))
         parity = parity_for(-(-pieces // groups), self.loss)
-        self._quic._datagrams_pending.clear()
+        if self._quic._datagrams_pending:
+            self._quic._datagrams_pending.clear()
+            for one in self._under_way.values():
+                if one.last < 0:
+                    one.last, one.parity = self._window.newest, -1  # lost, unless its client says otherwise
         self._window.allow(rate, round(len(message) * self.overhead(len(message))))
         self._under_way[frame_id] = _UnderWay(nonce, self._loop.time(), self._window.newest + 1, parity)
         for packet in packets_of(frame_id, message, parity):

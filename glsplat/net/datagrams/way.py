@@ -118,5 +118,6 @@ class SecondWay:
     def closed(self) -> None:
         """As in PathUser."""
         self._path, self._session.overhead = None, 1.0
+        self._listener.withdraw(self)
         if self._sent - self._before > _GOOD:
             self._pause, self._tries = _AGAIN, 0

@@ -19,6 +19,7 @@ pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not in
 from glsplat.errors import GlsplatError
 from glsplat.net.datagrams import path as paths
 from glsplat.net.datagrams import udp, way
+from glsplat.net.datagrams.congestion import PictureWindow
 from glsplat.net.datagrams.packets import HEAD, PICTURE, REQUEST
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server, ServerConfig
@@ -198,6 +199,31 @@ class TestFallingBack:
                 await viewer.more(20)
                 await until(lambda: ways(server)["open"] == 0)
                 assert [by for _, by in viewer.frames[-5:]] == [False] * 5
+
+        asyncio.run(main())
+
+    def test_a_way_that_lets_no_picture_through_is_left(
+        self, serve: Any, fake_backend: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """What is unsent when the next picture comes is left out: after six of them the WebSocket has them again."""
+        allow = PictureWindow.allow
+
+        def tight(self: PictureWindow, rate: float, nbytes: int) -> None:
+            allow(self, rate, nbytes)
+            self.congestion_window = 1300 if narrow else self.congestion_window
+
+        narrow: list[bool] = []
+        monkeypatch.setattr(PictureWindow, "allow", tight)
+
+        async def main() -> None:
+            async with serve(fake_backend(noise=True), CONFIG) as server, viewing(server) as viewer:
+                path = await viewer.open()
+                await viewer.more(3, by_datagrams=True)
+                path.keep = lambda datagram: datagram[0] != PICTURE
+                narrow.append(True)
+                await until(lambda: ways(server)["open"] == 0)
+                await viewer.more(10)
+                assert ways(server)["lost"] >= 6
 
         asyncio.run(main())
 
