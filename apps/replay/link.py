@@ -110,7 +110,7 @@ class _Relay:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._pipe(reader, there[1]))
                 group.create_task(self._pipe(there[0], writer))
-        except* ConnectionError:  # either end is gone: so is the other
+        except* OSError:  # either end is gone: so is the other
             pass
         finally:
             for end in (writer, there[1]):

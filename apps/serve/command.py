@@ -128,6 +128,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="clients that can decode it, as the page can, get video instead of JPEGs: far fewer bytes, more of a "
         "core; needs `pip install 'glsplat[video]'`",
     )
+    parser.add_argument(
+        "--webtransport",
+        action="store_true",
+        help="send pictures over links of 8 ms and more by datagrams to clients that can have them so, as the page in "
+        "Chromium can: a lost packet holds nothing back; listens to UDP at the number of --port, too; needs "
+        "`pip install 'glsplat[webtransport]'`",
+    )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="of the users whose tracking is sent")
     add_solver(parser)
     parser.add_argument(
@@ -184,6 +191,9 @@ def check(args: argparse.Namespace) -> None:
     if args.video and (args.workers is not None or args.study is not None):
         other = "--workers" if args.workers is not None else "--study"
         raise UsageError(f"--video is coded where one process draws, and not in a study: leave it or {other} out")
+    if args.webtransport and (args.fixed or args.study is not None):
+        other = "--fixed" if args.fixed else "--study"
+        raise UsageError(f"--webtransport sends what fits the link, and {other} the same to all: leave one out")
     if args.bitrate is not None and (args.fixed or args.study is not None):
         other = "--fixed" if args.fixed else "--study"
         raise UsageError(f"--bitrate fits pictures to a rate, and {other} none: leave one out")
@@ -231,6 +241,7 @@ def server_config(
         fps=args.fps,
         private=args.private,
         video=args.video,
+        webtransport=args.webtransport,
         fit=args.size is None and args.workers is None,
         rooms={room.name: room.seats for room in args.room},
     )

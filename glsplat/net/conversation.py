@@ -17,12 +17,13 @@ from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Request
-from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.poses.answers import Answers
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn
 
 if TYPE_CHECKING:
+    from glsplat.net.datagrams.way import SecondWay
     from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Conversation", "cut_off", "make_socket"]
@@ -52,6 +53,8 @@ class Conversation:
         self.channel = channel
         self._ws, self._request, self._render_loop, self._gate = ws, request, render_loop, gate
         self._answers, self._deaf, self._write_timeout = answers, deaf, write_timeout
+        assert channel.share is not None
+        self._reading = Reading(channel.share)
 
     @property
     def goodbye(self) -> bool:
@@ -67,6 +70,8 @@ class Conversation:
         finally:
             writer.cancel()
             await asyncio.gather(writer, return_exceptions=True)
+            if self.channel.way is not None:
+                self.channel.way.close()
 
     async def close(self, code: int, reason: str) -> None:
         """End it from the server's side."""
@@ -74,26 +79,31 @@ class Conversation:
 
     async def _converse(self, breached: asyncio.Future[Breach]) -> None:
         """Messages of one client until it leaves or is put out."""
-        reading = asyncio.create_task(self._read())
-        ends: list[asyncio.Future[Any]] = [reading, breached]
+        way = self.channel.way
+        reading = [asyncio.create_task(self._read())]
+        if way is not None:
+            reading.append(asyncio.create_task(self._read_datagrams(way)))
+        ends: list[asyncio.Future[Any]] = [*reading, breached]
         try:
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)  # looked at, or asyncio logs it: the peer may be gone
+            for task in reading:
+                task.cancel()
+            # looked at, or asyncio logs it: the peer may be gone
+            await asyncio.gather(*reading, return_exceptions=True)
         if breached.done() and not self._ws.closed:
             await self._farewell(self.channel.session.broke(breached.result()))
-        elif not reading.cancelled():
-            reading.result()
+        else:
+            for task in reading:
+                if not task.cancelled():
+                    task.result()
 
     async def _read(self) -> None:
         """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
-        assert self.channel.share is not None
-        reading = Reading(self.channel.share)
-        session, count = self.channel.session, 0
+        session, reading, count = self.channel.session, self._reading, 0
         while True:
             text: str | None = None
-            outcome: Request | Warn | Close | None = None
+            outcome: Warn | Close | None = None
             now = clock()
             try:
                 # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
@@ -120,25 +130,40 @@ class Conversation:
                         self._render_loop.wake(self.channel)
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
-            if text is not None:
-                now, worked = clock(), time.thread_time()
-                outcome = session.receive(text, now)
-                # waiting for other threads is not the client's fault, but the loop stands still meanwhile
-                reading.share.spend(time.thread_time() - worked, clock() - now)
-            session.counts.unread = reading.left_out
-            if isinstance(outcome, Warn):
-                await self._send(outcome.text)
-            elif isinstance(outcome, Close):
-                await self._farewell(outcome)
+            if await self._take(text, outcome):
                 return
-            elif text is not None:
-                if self.channel.tap is not None and outcome is not None:
-                    self.channel.tap.asked(outcome)
-                self._render_loop.received(self.channel, outcome)
-                self._answers.due(self.channel)
             count += 1
             if count % _TURN == 0:  # receive() does not give way while more has arrived
                 await asyncio.sleep(0)
+
+    async def _take(self, text: str | None, outcome: Warn | Close | None = None) -> bool:
+        """Read a message that has its turn, or tell what an ``outcome`` without one says; True: that is the end."""
+        session = self.channel.session
+        heard: Request | Warn | Close | None = outcome
+        if text is not None:
+            now, worked = clock(), time.thread_time()
+            heard = session.receive(text, now)
+            # waiting for other threads is not the client's fault, but the loop stands still meanwhile
+            self._reading.share.spend(time.thread_time() - worked, clock() - now)
+        session.counts.unread = self._reading.left_out
+        if isinstance(heard, Warn):
+            await self._send(heard.text)
+        elif isinstance(heard, Close):
+            await self._farewell(heard)
+            return True
+        elif text is not None:
+            if self.channel.tap is not None and heard is not None:
+                self.channel.tap.asked(heard)
+            self._render_loop.received(self.channel, heard)
+            self._answers.due(self.channel)
+        return False
+
+    async def _read_datagrams(self, way: SecondWay) -> None:
+        """The same of what comes by the second way."""
+        async for message in way.messages():
+            if not self._deaf() and await self._take(self._reading.offer(message, clock())):
+                return
+            await asyncio.sleep(0)  # others are heard in between
 
     async def _farewell(self, close: Close) -> None:
         """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
@@ -160,10 +185,11 @@ class Conversation:
                 packed = self._answers.pack(frame) if posed else await self._render_loop.pack(self.channel, frame)
                 if not isinstance(packed, str):
                     await self._ping()
-                for data in [packed] if isinstance(packed, str) else packed:
-                    await self._send(data)
-                if not (posed or isinstance(packed, str)):
-                    await self._ping(frame.request.frame_id)
+                if posed or isinstance(packed, str) or not self._sent_by_datagrams(frame, packed):
+                    for data in [packed] if isinstance(packed, str) else packed:
+                        await self._send(data)
+                    if not (posed or isinstance(packed, str)):
+                        await self._ping(frame.request.frame_id)
             except TimeoutError:
                 log.warning("client %d does not read its pictures; cut off", self.channel.number)
                 cut_off(self._request)
@@ -188,13 +214,19 @@ class Conversation:
                     await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))
                 return cut_off(self._request)
 
+    def _sent_by_datagrams(self, frame: Frame, packed: list[bytes]) -> bool:
+        if self.channel.way is None or len(packed) != 1:
+            return False
+        assert frame.request.frame_id is not None
+        return self.channel.way.send(frame.request.frame_id, packed[0])
+
     async def _ping(self, behind: int | None = None) -> None:
         """Measure the way there and back, where the client's link is looked at: before a picture or ``behind`` it."""
         link = self.channel.session.link
         if link is None or self._ws.closed:
             return
         ping = link.ping(clock()) if behind is None else link.follow(behind)
-        if ping is not None:
+        if ping is not None and not (behind is None and self.channel.way is not None and self.channel.way.ping(ping)):
             meter = connection_of(self._request).meter
             if meter is not None:
                 meter.expect_answer(clock())

@@ -228,6 +228,7 @@ class Message(msgspec.Struct):
     faces: list[Place] | None = None
     light: LightFields | str | None = None
     video: Video | None = None
+    datagrams: bool = False
 
 
 class LegacyMessage(msgspec.Struct):
@@ -238,7 +239,9 @@ class LegacyMessage(msgspec.Struct):
     smplx: PoseFields | None = None
 
 
-PICTURE = tuple("want eyes size quality crop alpha mirror hide box depth pose tracking faces light video".split())
+PICTURE = tuple(
+    "want eyes size quality crop alpha mirror hide box depth pose tracking faces light video datagrams".split()
+)
 """Fields that only a request has."""
 
 

@@ -108,6 +108,7 @@ class Request:
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
     poses: bool = False  # the client draws
+    datagrams: bool = False  # the client can have pictures by datagrams, too
     faces: tuple[Place, ...] = ()  # between the eyes of those whom a tracked avatar may look at, in its user's space
 
 
@@ -219,6 +220,7 @@ class Decoder:
                 video=video_of(m.video),
             ),
             eyes=tuple(range(len(cameras))),
+            datagrams=m.datagrams,
             faces=faces_of(m.faces, o.max_distance),
         )
 

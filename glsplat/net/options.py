@@ -59,6 +59,7 @@ class ServerConfig:
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
     private: bool = False  # what clients see is on no status page
     video: bool = False  # clients that ask for it get video instead of JPEGs (codec/video.py)
+    webtransport: bool = False  # pictures go by datagrams over long ways to clients that can have them so
     fit: bool = False  # offer pictures of the largest size that is drawn often enough here (pace/fitting.py)
 
 

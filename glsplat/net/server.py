@@ -22,6 +22,8 @@ from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off, make_socket
+from glsplat.net.datagrams.start import datagram_listener
+from glsplat.net.datagrams.way import SecondWay
 from glsplat.net.guard.access import is_loopback, server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.headers import set_headers
@@ -98,6 +100,7 @@ class Server:
         self._closing: set[asyncio.Task[None]] = set()
         self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, clock()
         self._runner: web.AppRunner | None = None
+        self._datagrams = datagram_listener(clock) if self.config.webtransport else None
 
     @cached_property
     def _rooms(self) -> Rooms:
@@ -118,10 +121,14 @@ class Server:
         self.port = listening.getsockname()[1]
         packing = asyncio.create_task(self._splat_files.prepare())  # meanwhile
         try:
+            if self._datagrams is not None:
+                await self._datagrams.open(self.config.access.host, self.port)
             await self.render_loop.start()
             await packing
         except BaseException:
             packing.cancel()
+            if self._datagrams is not None:
+                await self._datagrams.close()
             listening.close()
             raise
         app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
@@ -161,6 +168,8 @@ class Server:
         closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.gate.close()
+        if self._datagrams is not None:
+            await self._datagrams.close()
         for part in (self._history, self._uploads, self._lead):
             if part is not None:
                 await part.stop()
@@ -206,6 +215,7 @@ class Server:
             form, size = channel.session.last_form, channel.session.last_size
             room = None if channel.member is None else channel.member.room.name
             told = (None, None) if self._previews.private else (channel.shown.name, room)
+            status["datagrams"] = None if channel.way is None else channel.way.status()
             shown = dict(zip(("avatar", "room"), told, strict=True)) | {"picture": self._previews.shows(number)}
             clients.append({"id": number, "form": form, "size": f"{size[0]}x{size[1]}", **shown, **status})
             for name in totals:
@@ -222,6 +232,7 @@ class Server:
             "rebuilds": self.render_loop.rebuilds,
             "workers": None if isinstance(self.render_loop, LocalLoop) else self.render_loop.workers(),
             "uploads": None if self._uploads is None else self._uploads.counts(),
+            "datagrams": None if self._datagrams is None else self._datagrams.status(),
             "totals": totals,
             "stages": self.render_loop.stages.summary(),
             "rooms": self._rooms.status(clock()) if self.config.rooms else [],
@@ -333,6 +344,8 @@ class Server:
         channel.label, channel.notice = driven_by(asked.name) if asked.label else "", notice
         channel.tap = None if self._lead is None else self._lead.tap(number)
         channel.share = self._work.open(clock(), channel.address)
+        if self._datagrams is not None:
+            channel.way = SecondWay(self._datagrams, session, address, clock, partial(self.render_loop.wake, channel))
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, quota.samples
         self._channels[channel.number] = channel

@@ -97,6 +97,8 @@ class Session:
         watermark = self.config.watermark
         self.mark: Watermark | None = None if watermark is None else watermark.new_mark()
         self.link: LinkControl | None = None  # from the first message on that says when a picture arrived
+        self.datagrams: bool = False  # the client can have pictures by datagrams
+        self.overhead: float = 1.0  # bytes on the way for each of a picture
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
@@ -226,7 +228,7 @@ class Session:
         """
         assert request.frame_id is not None
         if self.link is not None and nbytes:
-            self.link.written(request.frame_id, nbytes, now)
+            self.link.written(request.frame_id, round(nbytes * self.overhead), now)
         self._newest_sent = max(self._newest_sent, request.frame_id)
         if request.ack is not None:  # a client that never acknowledges is held back by its socket alone
             self._unacked.append(request.frame_id)
@@ -238,6 +240,13 @@ class Session:
         self.counts.sent += 1
         self.counts.posed += request.poses
         self.counts.bytes_sent += nbytes
+
+    def lost(self, frame_id: int, now: float) -> None:
+        """That picture went out and will never arrive: nobody waits for its acknowledgement."""
+        if frame_id in self._unacked:
+            self._unacked.remove(frame_id)
+        if self.link is not None:
+            self.link.lost(frame_id, now)
 
     def failed(self, request: Request, code: str, message: str) -> str:
         """The picture of ``request`` cannot be drawn; returns the error text to send."""
@@ -291,7 +300,7 @@ class Session:
         arrival = request.arrival if self.config.adapt else None  # else nothing goes by it
         if (frame_id, arrival) != (request.frame_id, request.arrival):
             request = replace(request, frame_id=frame_id, arrival=arrival)
-        self._newest = frame_id
+        self._newest, self.datagrams = frame_id, request.datagrams
         self.last_form = request.form
         if request.cameras:
             self.last_size = (request.cameras[0].width, request.cameras[0].height)

@@ -56,7 +56,7 @@ class Drawn:
         pairs = self.pairs.get(side) or self.pairs[SIDE]
         time.sleep(draw_time(side / SIDE))
         images, box = pairs[next(self.numbers) % len(pairs)]
-        return Rendered(images, covered=box)
+        return Rendered(images[: len(job.cameras)], covered=box)
 
     def close(self) -> None: ...
 

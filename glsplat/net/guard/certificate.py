@@ -24,7 +24,7 @@ from glsplat.errors import GlsplatError
 from glsplat.io.files import open_regular, replace_file
 from glsplat.net.guard.kept import lock_of
 
-__all__ = ["CERTIFICATE", "KEY", "StoredCertificate", "holds", "kept_certificate"]
+__all__ = ["CERTIFICATE", "KEY", "StoredCertificate", "holds", "kept_certificate", "passing_certificate"]
 
 KEY, CERTIFICATE = "key-and-certificate.pem", "certificate.pem"
 """The names of the files in the folder."""
@@ -128,8 +128,22 @@ def _fault(certificate: x509.Certificate, held: Sequence[str], wanted: Sequence[
     return f"the one that was kept lacks {', '.join(missing)}" if missing else ""
 
 
+def passing_certificate(lasts: timedelta) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    """A certificate for those who are told its SHA-256, and its key; nothing of it is kept.
+
+    Browsers take such ones with keys on P-256 and for 14 days at most (WebTransport, W3C, "serverCertificateHashes").
+    """
+    return _signed(_ALWAYS, lasts)
+
+
 def _made(names: Sequence[str]) -> tuple[x509.Certificate, bytes]:
     """A new certificate, and it with its key as PEM."""
+    certificate, key = _signed(names, _LASTS)
+    private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    return certificate, private + certificate.public_bytes(Encoding.PEM)
+
+
+def _signed(names: Sequence[str], lasts: timedelta) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
     issuer = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "glsplat (signed by this server itself)")])
     alternatives = [x509.IPAddress(at) if (at := _address(name)) else x509.DNSName(name) for name in names]
@@ -143,7 +157,7 @@ def _made(names: Sequence[str]) -> tuple[x509.Certificate, bytes]:
         .public_key(public)
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _EARLY)
-        .not_valid_after(now + _LASTS)
+        .not_valid_after(now + lasts)
         .add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)  # it vouches for nobody else
         .add_extension(x509.KeyUsage(digital_signature=True, **usage), critical=True)
@@ -152,8 +166,7 @@ def _made(names: Sequence[str]) -> tuple[x509.Certificate, bytes]:
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(public), critical=False)
         .sign(key, hashes.SHA256())
     )
-    private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    return certificate, private + certificate.public_bytes(Encoding.PEM)
+    return certificate, key
 
 
 def _same(path: Path, data: bytes) -> bool:

@@ -25,6 +25,7 @@ from glsplat.net.session import Session
 
 if TYPE_CHECKING:
     from glsplat.net.codec.video import VideoStream
+    from glsplat.net.datagrams.way import SecondWay
     from glsplat.net.rooms.member import Member
 
 __all__ = ["ANYTHING", "ClientStream", "Frame", "Tap"]
@@ -111,6 +112,8 @@ class Frame:
             info["detail"] = self.detail.fields(self.levels)
         if encoded.video is not None:
             info["video"] = encoded.video
+        if channel.way is not None and (offer := channel.way.offer()) is not None:
+            info["datagrams"] = offer
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
         if self.job is not None and self.job.room is not None:
@@ -140,6 +143,7 @@ class ClientStream:
     tap: Tap | None = None  # what else hears of it
     video: VideoStream | None = None  # what codes its pictures where it asks for video; None: this server has none
     coding: Future[Encoded] | None = None  # the newest picture of it: the next is coded after that
+    way: SecondWay | None = None  # for its pictures; None: this server has none
     newest: Encoded | None = None  # what it was sent last, for the status page
 
     def __post_init__(self) -> None:

@@ -106,6 +106,11 @@ class LinkControl:
         if self.link.known and self.link.newest is not before:
             self._adjust(now)
 
+    def lost(self, number: int, now: float) -> None:
+        """A picture will never arrive: as a queue does, that says that too much is spent."""
+        self.link.forget(number)
+        self._cut(now)
+
     def ping(self, now: float) -> bytes | None:
         """What to send as a ping just before a picture; None: nothing now."""
         if now - self._pinged < (_OFTEN if self._pings < _PINGS else _RARE):
@@ -210,12 +215,15 @@ class LinkControl:
         passed = min(max(0.0, now - self._updated), 0.5)
         self._updated = now
         if link.standing > max(_QUEUE, _QUEUED * 8 * newest.nbytes / rate):
-            if now - self._cut_at > max(_PAUSE, 2 * link.base):
-                self._spend = _CUT * self.spend
-                self._cut_at = now
+            self._cut(now)
         else:
             self._spend = min(self._spend, USE * rate) + (_GENTLE if soon else _QUICK) * rate * passed
         self._spend = min(self._spend, USE * rate)
+
+    def _cut(self, now: float) -> None:
+        if self.link.known and now - self._cut_at > max(_PAUSE, 2 * self.link.base):
+            self._spend = _CUT * self.spend
+            self._cut_at = now
 
     def _choose(self, full: float, now: float) -> None:
         """The best rung whose bytes there are. What is too much is taken away at once, and comes back after a while."""

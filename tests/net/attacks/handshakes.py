@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import random
+import socket
 import threading
 
 from tests.net.attacks.requests import request
 from tests.net.attacks.sockets import (
+    CHEAP,
     Attack,
     Target,
     abort,
@@ -212,6 +214,17 @@ def broken_frames(target: Target, number: int, stop: threading.Event) -> None:
             i += 1
 
 
+def uninvited(target: Target, number: int, stop: threading.Event) -> None:
+    """Hellos of QUIC and garbage to the UDP port, as fast as they go."""
+    hello = b"\xc0\0\0\0\1\x08" + random.randbytes(8) + b"\0\0\x44\0" + random.randbytes(1182)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind((target.source, 0))
+        while not stop.wait(CHEAP):
+            for _ in range(100):
+                sock.sendto(hello, (target.host, target.port))
+                sock.sendto(random.randbytes(40), (target.host, target.port))
+
+
 HANDSHAKES: dict[str, Attack] = {
     "idle connections": again_and_again(idle),
     "clients that ask for nothing": again_and_again(idle_clients),
@@ -227,4 +240,5 @@ HANDSHAKES: dict[str, Attack] = {
     "status pages, unread": again_and_again(unread_pages),
     "a body without end": again_and_again(body),
     "broken frames": again_and_again(broken_frames),
+    "datagrams of strangers": again_and_again(uninvited),
 }

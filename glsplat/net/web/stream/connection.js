@@ -10,6 +10,7 @@ const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
 const MOST_BUFFERED = 128 * 1024; // bytes that may wait in the socket before requests are left out
 const LONGEST = 60_000; // ms that the server hears of
 const UNDECODED = 3; // key frames after which a browser that says that it decodes video is not believed
+const DATAGRAMS = typeof WebTransport === 'undefined' ? {} : { datagrams: true };
 const REMEMBERED = 2048; // requests whose replies may still come: 20 s at 90 Hz
 
 /**
@@ -93,7 +94,8 @@ export class Connection extends EventTarget {
     const frameId = ++this.sentId;
     this.#asked.set(frameId, { asked, sent: performance.now() });
     if (this.#asked.size > REMEMBERED) this.#asked.delete(this.#asked.keys().next().value);
-    this.#socket.send(JSON.stringify({ v: 1, frame_id: frameId, ...this.#acknowledging(), ...this.#watching(), ...request }));
+    const able = { ...this.#watching(), ...(this.#socket.openDatagrams && DATAGRAMS) };
+    this.#socket.send(JSON.stringify({ v: 1, frame_id: frameId, ...this.#acknowledging(), ...able, ...request }));
     return frameId;
   }
 
@@ -164,6 +166,7 @@ export class Connection extends EventTarget {
       };
       if (key) this.#lost = false;
     }
+    if (reply.info?.datagrams) this.#openDatagrams(reply.info.datagrams);
     this.#failures = 0; // not when it opens: a server may accept and drop at once
     this.received++;
     this.receivedId = this.#acknowledged = Math.max(this.#acknowledged, reply.id);
@@ -180,6 +183,13 @@ export class Connection extends EventTarget {
     if (!found) return;
     const detail = { reply, buffer: data, asked: found.asked, sent: found.sent, ms: now - found.sent };
     this.dispatchEvent(new CustomEvent('reply', { detail }));
+  }
+
+  /** What the server offers: the same host and port, by UDP. */
+  #openDatagrams({ path, sha256 }) {
+    const address = this.address(path);
+    address.protocol = 'https:';
+    this.#socket.openDatagrams?.(address, sha256);
   }
 
   async #closed(event, wasOpen) {

@@ -37,6 +37,11 @@ class WorkerSocket {
     this.#worker.postMessage({ text });
   }
 
+  /** Open a second way, over which pictures and requests go while it is there. */
+  openDatagrams(address, sha256) {
+    this.#worker.postMessage({ datagrams: { address: String(address), sha256 } });
+  }
+
   close(code) {
     if (this.readyState !== CLOSED) this.#worker.postMessage({ code });
   }
@@ -65,6 +70,7 @@ class WorkerSocket {
 /** In the worker: opens, sends and closes what it is told, and hands on what comes. */
 function serve() {
   let socket = null;
+  let second = null;
   let taken = 0;
   let timer = 0;
   const tell = () => {
@@ -72,7 +78,7 @@ function serve() {
     self.postMessage({ taken, waits: socket.bufferedAmount });
     if (socket.bufferedAmount) timer = setTimeout(tell, LOOK);
   };
-  self.onmessage = ({ data: { url, protocols, text, code } }) => {
+  self.onmessage = ({ data: { url, protocols, text, datagrams, code } }) => {
     if (url) {
       socket = new WebSocket(url, protocols);
       socket.binaryType = 'arraybuffer';
@@ -80,13 +86,21 @@ function serve() {
       socket.onmessage = ({ data }) => self.postMessage({ message: data }, data instanceof ArrayBuffer ? [data] : []);
       socket.onclose = ({ code, reason }) => {
         clearTimeout(timer);
+        second?.close();
         self.postMessage({ closed: { code, reason } });
       };
     } else if (text !== undefined) {
       taken += text.length;
-      if (socket.readyState === OPEN) socket.send(text);
+      if (socket.readyState === OPEN && !second?.send(text)) socket.send(text);
       tell();
+    } else if (datagrams) {
+      const hand = (message) => self.postMessage({ message }, [message]);
+      import('./datagrams.js').then(({ Datagrams }) => { // most pages never need it
+        second?.close();
+        second = new Datagrams(datagrams.address, datagrams.sha256, hand);
+      });
     } else {
+      second?.close();
       socket.close(code);
     }
   };

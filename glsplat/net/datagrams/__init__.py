@@ -1,0 +1,1 @@
+"""Pictures by datagrams (WebTransport) beside the WebSocket: ``serve --webtransport``."""

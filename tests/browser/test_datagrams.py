@@ -1,0 +1,99 @@
+"""WebTransport in Chromium: the page's pictures come by datagrams, what is lost is made up for, and it falls back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
+
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.datagrams import way
+from glsplat.net.datagrams.path import DatagramPath
+from glsplat.net.datagrams.udp import UdpSocket
+from glsplat.net.server import ServerConfig
+from glsplat.net.session import SessionConfig
+from tests.browser.conftest import OpenPage
+from tests.browser.stored import StoredPairs
+from tests.browser.vr import visit
+
+OFFERED = (AvatarInfo(name="stored", parts=frozenset({"head"})),)
+CONFIG = ServerConfig(port=0, session=SessionConfig(adapt=True), webtransport=True)
+REFUSED = [r"Failed to establish a connection to https://127\.0\.0\.1"]
+
+
+@pytest.fixture(autouse=True)
+def every_link_is_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The way there and back takes next to nothing here."""
+    monkeypatch.setattr(way, "LONG", 0.0)
+
+
+def opened(open_page: OpenPage, serve: Any, **options: Any) -> tuple[Any, Any]:
+    """(server, page); not by the name localhost, which has an address of IPv6, too."""
+    served = serve(StoredPairs(), CONFIG, offered=OFFERED)
+    address = f"http://127.0.0.1:{served.port}/vr"
+    page = visit(open_page, served, {"size": 512, "driver": "motion:walk"}, address=address, **options)
+    page.until("window.glsplat?.stats().shown > 2")
+    return served, page
+
+
+def ways(served: Any) -> dict[str, Any]:
+    clients = served.stats()["clients"]
+    return clients[0]["datagrams"] if clients else {"open": 0, "sent": 0, "lost": 0}
+
+
+def test_pictures_come_by_datagrams_and_lost_packets_are_made_up_for(
+    open_page: OpenPage, serve: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sendto, sent = UdpSocket.sendto, [0, 0]
+
+    def lossy(self: UdpSocket, data: bytes, addr: Any) -> None:
+        """Every 50th large packet is lost."""
+        sent[0] += len(data) > 1000
+        if len(data) > 1000 and sent[0] % 50 == 0:
+            sent[1] += 1
+            return
+        sendto(self, data, addr)
+
+    heard: list[bytes] = []
+    hear = way.SecondWay.heard
+    monkeypatch.setattr(way.SecondWay, "heard", lambda self, message: (heard.append(message), hear(self, message))[1])
+    monkeypatch.setattr(UdpSocket, "sendto", lossy)
+    served, page = opened(open_page, serve)
+    page.meanwhile(lambda: ways(served)["sent"] >= 40)
+    before = ways(served), page.stats()["shown"]
+    page.until(f"window.glsplat.stats().shown > {before[1] + 30}")
+    after = ways(served)
+    assert after["open"] == 1 and sent[1] >= 3 and after["loss"] > 0.004
+    assert after["lost"] - before[0]["lost"] <= 2 and after["sent"] - before[0]["sent"] >= 25
+    assert len(heard) >= 20 and all(message.startswith(b'{"v":1,') for message in heard)
+    assert page.stats()["reconnects"] == 0
+
+
+def test_a_way_that_ends_leaves_the_page_on_its_websocket(
+    open_page: OpenPage, serve: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths: list[DatagramPath] = []
+    open_way = way.SecondWay.opened
+    monkeypatch.setattr(way.SecondWay, "opened", lambda self, path: (paths.append(path), open_way(self, path))[1])
+    served, page = opened(open_page, serve)
+    page.meanwhile(lambda: ways(served)["sent"] >= 10)
+
+    async def end() -> None:
+        paths[0].end()
+
+    served.call(end())
+    shown = page.stats()["shown"]
+    page.until(f"window.glsplat.stats().shown > {shown + 10}")
+    assert ways(served)["open"] == 0 and page.stats()["reconnects"] == 0
+
+
+def test_where_udp_does_not_get_through_the_page_notices_nothing(
+    open_page: OpenPage, serve: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(UdpSocket, "listen", lambda self: None)
+    served, page = opened(open_page, serve, allow=REFUSED)
+    shown = page.stats()["shown"]
+    page.until(f"window.glsplat.stats().shown > {shown + 30}")
+    assert ways(served) == {"open": 0, "sent": 0, "lost": 0, "loss": 0.0} and page.stats()["reconnects"] == 0

@@ -1,0 +1,112 @@
+"""What needs no socket: secrets, the window, and a session that hears of lost pictures."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from glsplat.net.datagrams.offers import LASTS, Offers
+
+pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
+
+from glsplat.net.datagrams.congestion import PictureWindow
+from glsplat.net.messages import Decoder, Request
+from glsplat.net.pace.link_control import LinkControl
+from glsplat.net.session import Session, SessionConfig
+from tests.net.wire import native
+
+
+class TestOffers:
+    def opened(self) -> tuple[Offers[object], list[float]]:
+        now = [0.0]
+        return Offers(lambda: now[0]), now
+
+    def test_a_secret_is_for_one_use(self) -> None:
+        offers, _ = self.opened()
+        secret = offers.make("1.2.3.4", whose := object())
+        assert offers.take(secret, "1.2.3.4") is whose
+        assert offers.take(secret, "1.2.3.4") is None
+
+    def test_for_its_address_and_for_seconds(self) -> None:
+        offers, now = self.opened()
+        secret = offers.make("1.2.3.4", whose := object())
+        assert offers.take(secret, "1.2.3.5") is None and offers.take("", "1.2.3.4") is None
+        assert offers.expected() == {"1.2.3.4": 1}
+        now[0] = LASTS + 0.01
+        assert offers.take(secret, "1.2.3.4") is None and not offers.expected()
+        assert offers.take(offers.make("1.2.3.4", whose), "1.2.3.4") is whose
+
+    def test_a_client_has_one_and_takes_it_along(self) -> None:
+        offers, _ = self.opened()
+        whose = object()
+        first, second = offers.make("a", whose), offers.make("a", whose)
+        assert first != second and len(second) >= 32
+        assert offers.take(first, "a") is None and offers.expected() == {"a": 1}
+        offers.withdraw(whose)
+        assert offers.take(second, "a") is None
+
+
+def packet(number: int, nbytes: int = 1200) -> Any:
+    return SimpleNamespace(packet_number=number, sent_bytes=nbytes)
+
+
+class TestWindow:
+    def test_lost_packets_do_not_close_it(self) -> None:
+        window = PictureWindow(max_datagram_size=1200)
+        window.allow(20e6, 70_000)
+        before = window.congestion_window
+        for number in range(100):
+            window.on_packet_sent(packet=packet(number))
+        assert window.bytes_in_flight == 120_000 and not window.settled(99) and not window.settled(0)
+        for number in range(0, 100, 10):
+            window.on_packets_lost(now=1.0, packets=[packet(number)])
+        for number in range(100):
+            if number % 10:
+                window.on_packet_acked(now=1.0, packet=packet(number))
+        assert window.congestion_window == before and window.bytes_in_flight == 0
+        assert window.settled(99) and window.lost_of(0, 99) == 10 and window.lost_of(11, 19) == 0
+        assert 0.03 < window.loss < 0.1
+
+    def test_it_holds_what_the_link_does_and_a_picture(self) -> None:
+        window = PictureWindow(max_datagram_size=1200)
+        for _ in range(100):
+            window.on_rtt_measurement(now=0.0, rtt=0.06)
+        window.allow(20e6, 70_000)
+        assert 2 * 150_000 + 70_000 <= window.congestion_window <= 4 * 150_000 + 70_000
+        window.allow(float("inf"), 1)
+        assert window.congestion_window < 10e6
+        window.on_persistent_congestion()
+        assert window.congestion_window == 2 * 1200
+
+
+class TestLost:
+    def test_a_lost_picture_makes_room_and_says_that_too_much_is_spent(self) -> None:
+        session, now = Session(Decoder(), SessionConfig(adapt=True), now=0.0), 0.0
+        for number in range(1, 60):
+            now += 0.05
+            told = {"arrival": {"age": 60}, "ack": number - 1} if number > 1 else {"ack": 0}
+            assert isinstance(session.receive(native(number, **told), now), Request)
+            assert session.link is None or isinstance(session.link, LinkControl)
+            if session.link is not None:
+                session.link.ponged(session.link.ping(now) or b"", now + 0.02)
+            taken = session.next_request(now)
+            assert taken is not None
+            session.rung(taken[0], now)
+            session.sending(taken[0], 20_000, now)
+            session.sent(taken[0], 20_000)
+        link = session.link
+        assert link is not None and link.link.known
+        spend = link.spend
+        assert session.status()["unacknowledged"] == 1 and link.link.on_the_way == 1
+        session.lost(59, now + 0.1)
+        assert session.status()["unacknowledged"] == 0 and link.link.on_the_way == 0
+        assert link.spend < spend
+
+    def test_of_none_that_is_known_nothing_comes(self) -> None:
+        session = Session(Decoder(), SessionConfig(adapt=True), now=0.0)
+        session.lost(7, 0.0)
+        session.receive(native(1, arrival={"age": 60}), 0.1)
+        session.lost(2**32 - 1, 0.2)
+        assert session.link is not None and not session.link.link.known
