@@ -14,7 +14,6 @@ from glsplat.tracking import Tracker
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, standing
 from glsplat.tracking.learned.expected import FARTHEST, ExpectedError
-from glsplat.tracking.learned.feet import ASIDE, Feet
 from glsplat.tracking.learned.hints import FootHint
 from glsplat.tracking.learned.stance import NETWORK, Stance
 from glsplat.tracking.solve.body import ANKLES, HEAD, PELVIS, WRISTS, Body
@@ -73,57 +72,6 @@ def test_who_walks_squats_or_sits_has_the_feet_that_the_network_says(body: Body)
     # who sways on the spot stands all the same
     stance, hint = stood(body, lambda t: (0.03 * np.sin(6 * t), 0.0, 0.0), far, (0.15, 0.02, -0.1))
     assert stance.share > 0.6
-
-
-def test_feet_of_who_stays_do_not_sway_with_the_head(body: Body) -> None:
-    """A network that has the feet under the head wherever that sways: after seconds on one spot they hardly move."""
-    swing = 0.1
-
-    def reach_of(pace: float) -> tuple[Stance, float]:
-        """The way over which the left foot's goal goes from side to side at last, of a head that goes on as well."""
-        stance = Stance(body)
-        seen = []
-        for i in range(int(12 / DT)):
-            x, z = swing * float(np.sin(1.5 * i * DT)), pace * i * DT
-            hints = hints_at((0.15 + x, 0.02, z - 0.1), (-0.15 + x, 0.02, z - 0.1))
-            stance.update(
-                Targets((x, body.eye_height, z), (1.0, 0.0, 0.0, 0.0)),
-                hints,
-                feet_at((0.15 + x, 0.02, z - 0.1), (-0.15 + x, 0.02, z - 0.1)),
-                DT,
-            )
-            if i * DT > 7:
-                seen.append(hints[0].ball[0])
-        return stance, float(np.ptp(seen))
-
-    stance, reach = reach_of(0.0)
-    assert stance.stays > 0.8 and reach < 0.9 * swing
-    stance, walked = reach_of(0.5)
-    assert stance.stays == 0 and walked > 1.9 * swing
-
-
-def test_a_foot_that_stands_wrong_is_put_right_by_a_step(body: Body) -> None:
-    """Who stays takes a small step with one foot, then with the other; who rests takes none."""
-    x, high, z = body.joints[PELVIS]
-    pelvis = ((x, high - body.ground, z), (1.0, 0.0, 0.0, 0.0), 0.0, DT)
-    start, goal = ((0.12, 0.0, 0.0), (-0.12, 0.0, 0.0)), ((0.12, 0.0, 0.09), (-0.12, 0.0, 0.09))
-    for stays, off in ((True, 0.0), (False, 0.09)):
-        feet = Feet(body)
-        feet.update(hints_at(*start), *pelvis, rests=True, stays=stays)
-        lifts, planted, before = [0, 0], [True, True], [foot.ball for foot in feet.feet]
-        for _ in range(int(4 / DT)):
-            feet.update(hints_at(*goal), *pelvis, rests=True, stays=stays)
-            now = [foot.planted for foot in feet.feet]
-            assert any(now)  # one at a time
-            for i, foot in enumerate(feet.feet):
-                lifts[i] += planted[i] and not now[i]
-                if planted[i] and now[i]:
-                    np.testing.assert_allclose(foot.ball, before[i], atol=1e-9)  # no slide
-            planted, before = now, [foot.ball for foot in feet.feet]
-        assert lifts == ([1, 1] if stays else [0, 0])
-        for foot in feet.feet:
-            assert abs(foot.z.at - (0.09 - off)) < 0.01
-    assert 0.09 > ASIDE * feet.size
 
 
 def test_a_body_says_how_far_off_it_is(stage: Stage, skeleton: Skeleton) -> None:

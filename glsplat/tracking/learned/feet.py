@@ -38,8 +38,6 @@ STEP_UP = 0.2  # metres or more over the ground
 CLEAR = 0.045  # metres the ball is over the ground while it moves
 HELPS = 0.06  # metres or more by which a step must help a strained leg
 DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that does not reach it
-ASIDE, LONG = 0.06, 0.5  # metres, seconds: a foot that has been further off for longer is put right, and
-APART = 0.6  # seconds at least after the other one was set down
 RESTS, RESTED = (0.04, 0.3), 0.4  # metres, radians, seconds: who keeps the head as still as that takes no step
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 SOFT = 0.05  # of its length over which a leg becomes straight: knees of feet that follow a guess tremble more
@@ -97,7 +95,6 @@ class Feet:
         self._behind: Vec = (0.0, 0.0, 0.0)  # metres that feet have lately been behind their hints
         self._ahead: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
         self._bends: list[Vec | None] = [None, None]  # where knees are aside of the legs' middles, from the pelvis
-        self._off = [0.0, 0.0]  # seconds for which each foot has stood ASIDE of its goal
         self._calm = [0.0, 0.0]  # seconds for which each goal has been all but still
         self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
         self._least, self._most = [0.0, 0.0], [1.0, 1.0]  # each foot's standing, lately
@@ -112,7 +109,6 @@ class Feet:
         goals: Sequence[tuple[Vec, Quat] | None] = (None, None),  # ankles and feet that are tracked
         knees: Sequence[Vec | None] = (None, None),
         rests: bool = False,  # the head is still: a foot is lifted only where its leg does not reach
-        stays: bool = False,  # on the spot: a foot that has been off for long is put right, nevertheless
     ) -> list[tuple[Quat, Quat, Quat]]:
         """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right."""
         hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
@@ -142,8 +138,7 @@ class Feet:
             lift, drop = self._bounds(foot.index, hint.stands, dt)
             slow = hypot(hint.speed[0], hint.speed[2]) * hint.sure < SLOW
             self._calm[foot.index] = self._calm[foot.index] + dt if slow else 0.0
-            wrong = self._wrong(foot, hint, dt) and stays
-            if foot.planted and (wrong or self._leaves(foot, hint, leg, hip, pelvis, lift, rests)):
+            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis, lift, rests):
                 foot.planted, foot.left = False, 0.0
                 self._since[foot.index] = self._calm[foot.index] = 0.0
             if foot.planted:
@@ -174,13 +169,6 @@ class Feet:
         self._most[side] = most = max(stands, self._most[side] + (stands - self._most[side]) * k)
         low, high = [least + share * (most - least) for share in AMONG]
         return min(LIFT, low), min(DROP, high)
-
-    def _wrong(self, foot: Foot, hint: FootHint, dt: float) -> bool:
-        """Whether a foot has stood so far from its goal for so long that a step puts it right, after the other one."""
-        away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
-        self._off[foot.index] = self._off[foot.index] + dt if foot.planted and away > ASIDE else 0.0
-        other = self.feet[1 - foot.index]
-        return self._off[foot.index] > LONG and other.planted and self._since[other.index] > APART
 
     def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat, lift: float, rests: bool) -> bool:
         """Whether a planted foot should be lifted."""

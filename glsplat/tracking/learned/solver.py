@@ -48,7 +48,6 @@ PLAIN = 0.3  # of the pelvis that the analytic solver places
 BACK, FURTHER = 0.035, 0.2  # tangent of a lean back, and the share of what is beyond that is shown
 SHRINK = 0.6  # of what a body is said to be turned away from its head, that is shown without hands
 AHEAD, UNDER = 0.55, 0.85  # of a leg's length from below the hips to the balls of feet on a chair, and how surely
-STAYS = 0.5  # how surely somebody stays whose feet are put right by small steps
 SWING = 0.7  # radians at most that the torso swings about the neck to bring the pelvis where it should be
 
 
@@ -125,10 +124,7 @@ class LearnedSolver:
                 self._seated(hint, torso)
             yaw = swing_twist_y(torso.pelvis) or 0.0
             under = (torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
-            stays = not rests and (stands >= 1 or self.stance.stays > STAYS)
-            limbs = self.feet.update(
-                hint.feet, *under, (rests or stands >= 1) and place is None, stays and place is None
-            )
+            limbs = self.feet.update(hint.feet, *under, (rests or stands >= 1) and place is None)
         else:
             limbs = self.plain.stepped(targets, torso, dt)
         arms = reaching(self.arms, self.hands, targets, torso, dt)

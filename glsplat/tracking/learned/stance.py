@@ -20,18 +20,13 @@ NETWORK = 0.5  # of a standing foot's place that is the network's; the rest is t
 HOME = (0.17, 0.14)  # metres (likewise) that balls of standing feet are aside of and behind the eyes, in the median
 LATELY = 0.6  # seconds over which the head's place and the feet's places are a mean while somebody stands
 AT_ONCE = 0.02  # seconds likewise, while they do not
-STAY = 6.0  # seconds likewise, in addition, while they stay
-SPOT = 0.3  # metres (likewise) from its mean place that the head of somebody who stays has at most
-STAYED = (2.0, 3.0)  # seconds for which it has kept to that: before, nobody is said to stay, and after, they do
-CALM, CALMLY = 1.5, (0.4, 0.8)  # seconds of the mean of how surely somebody stands, which says likewise
 KNEE = 0.5  # of a foot's shift that its knee takes
 
 
 class Stance:
     """Where standing feet are, by three guesses of which none has seen them: between the network's and the middle one.
 
-    A lone wild guess is outvoted, and as feet that stand do not move, what is said of them lately is a mean: a long one
-    of who stays in one place for seconds, as the head sways over feet that do not.
+    A lone wild guess is outvoted, and as feet that stand do not move, what is said of them lately is a mean.
     """
 
     def __init__(self, body: Body) -> None:
@@ -44,16 +39,12 @@ class Stance:
     def reset(self) -> None:
         """Forget the past."""
         self.share: float = 1.0  # how surely somebody stands: 0 .. 1
-        self.stays: float = 0.0  # how surely they have done so for seconds without a step
         self._before: Vec | None = None
         self._velocity: Vec = (0.0, 0.0, 0.0)
         self._middle: Vec = (0.0, 0.0, 0.0)  # of the head over the ground
         self._yaw = 0.0  # of the head, likewise
         self._for = 0.0  # seconds since the beginning
         self._places: list[Vec] = []
-        self._spot: Vec | None = None  # that the head keeps to, a mean
-        self._kept = 0.0  # seconds for which it has
-        self._calm = 0.0  # how surely somebody has stood lately
 
     def update(self, targets: Targets, hints: Sequence[FootHint], plain: Sequence[Foot], dt: float) -> float:
         """Brings the hints to where feet stand, as far as somebody stands; how far that is."""
@@ -69,8 +60,7 @@ class Stance:
         low, high = TALL
         tall = clamp((eye[1] / self.eye_height - low) / (high - low), 0.0, 1.0)
         self.share = share = tall * clamp((MOVES - drift) / (MOVES - STANDS), 0.0, 1.0)
-        self.stays = tall * self._stayed(eye, dt)
-        k = 1 - exp(-dt / (AT_ONCE + LATELY * share + STAY * self.stays))
+        k = 1 - exp(-dt / (AT_ONCE + LATELY * share))
         self._middle = pull(self._middle, eye, max(k, least))
         self._yaw = wrap(self._yaw + wrap((self._yaw if seen is None else seen) - self._yaw) * max(k, least))
         places = [self._said(i, hint, foot) for i, (hint, foot) in enumerate(zip(hints, plain, strict=True))]
@@ -82,17 +72,6 @@ class Stance:
             hint.ball = add(hint.ball, (x, 0.0, z))
             hint.knee = add(hint.knee, (KNEE * x, 0.0, KNEE * z))
         return share
-
-    def _stayed(self, eye: Vec, dt: float) -> float:
-        """How surely the head has kept to one place, swaying at most: 0 .. 1."""
-        spot = self._spot or eye
-        self._kept = self._kept + dt if hypot(eye[0] - spot[0], eye[2] - spot[2]) < SPOT * self.unit else 0.0
-        self._spot = pull(spot, eye, max(1 - exp(-dt / STAY), dt / max(self._kept, dt)))
-        self._calm += (self.share - self._calm) * max(1 - exp(-dt / CALM), dt / self._for)
-        out = 1.0
-        for known, (none, all_of_it) in ((self._kept, STAYED), (self._calm, CALMLY)):
-            out *= clamp((known - none) / (all_of_it - none), 0.0, 1.0)
-        return out
 
     def _said(self, side: int, hint: FootHint, plain: Foot) -> Vec:
         """By all three, of now."""
