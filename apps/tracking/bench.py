@@ -1,4 +1,4 @@
-"""``glsplat tracking bench``: scores on whole motions against two baselines, and the table of docs/tracking.md."""
+"""``glsplat tracking bench``: scores on whole motions against baselines, and the table of docs/tracking.md."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BEGIN, END = "<!-- scores: begin -->", "<!-- scores: end -->"
 
 def add_bench(commands: Any) -> None:
     """The subcommand's options."""
-    command = commands.add_parser("bench", help="score motions against two baselines; writes the table")
+    command = commands.add_parser("bench", help="score motions against baselines; writes the table")
     command.add_argument("motions", nargs="*", metavar="MOTION", help="motion files or names (default: the embedded)")
     command.add_argument("--rates", default="30,72,90", help="samples a second, separated by commas")
     command.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")

@@ -1,6 +1,7 @@
 """Two baselines that a solver has to beat: the template glued to the head, and a naive inverse kinematics.
 
-Both are told more than a headset knows: the true body of the first frame. They give positions only.
+They give positions only. Both are told more than a headset knows, the true body of the first frame, unless they begin
+from the rest pose.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.tracking.derive import TrueMotion
-from glsplat.tracking.solve.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3
+from glsplat.tracking.solve.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3, Body
 
 __all__ = ["baseline"]
 
@@ -22,27 +23,31 @@ _LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
 _FINGERS = (range(25, 40), range(40, 55))
 
 
-def baseline(truth: TrueMotion, kind: Literal["glued", "naive"]) -> Array:
-    """Joint positions [T, 55, 3] estimated from the true head and wrists.
+def baseline(truth: TrueMotion, kind: Literal["glued", "naive"], rest: Body | None = None) -> Array:
+    """Joint positions [T, 55, 3], metres, world frame, estimated from the true head and wrists.
 
     glued: the body of the first frame, turned by a smoothed head yaw, hung on the head; wrists at the hands. naive: a
     yaw follower, a torso of fixed length under the head, two-bone arms with an elbow guessed from a straight wrist, and
-    feet that step with the pelvis.
+    feet that step with the pelvis. ``rest``: a body whose rest pose, standing under the head, takes the place of the
+    first frame, which no device sees.
     """
-    solver = _Naive(truth)
+    solver = _Naive(truth, rest)
     return np.stack([solver.frame(k, kind) for k in range(len(truth.times))])
 
 
 class _Naive:
-    def __init__(self, truth: TrueMotion) -> None:
+    def __init__(self, truth: TrueMotion, rest: Body | None) -> None:
         self.truth, self.dt = truth, float(truth.times[1] - truth.times[0])
-        first = truth.positions[0]
+        first, frames = truth.positions[0], truth.frames[0]
+        if rest is not None:
+            first, frames = rest.rest - [0.0, rest.ground, 0.0], np.broadcast_to(np.eye(3), frames.shape)
         across = first[1] - first[2]
         self.first, self.facing = first, _yaw(np.arctan2(-across[2], across[0]))
         self.template = (first - first[HEAD]) @ self.facing  # in the first frame's heading
-        self.head = truth.frames[0, HEAD]
+        self.head = frames[HEAD]
         self.neck = self.head.T @ (first[NECK] - first[HEAD])
-        self.elbow = [truth.frames[0, arm[3]].T @ (first[arm[2]] - first[arm[3]]) for arm in _ARMS]
+        self.wrists = [frames[arm[3]] for arm in _ARMS]
+        self.elbow = [wrist.T @ (first[arm[2]] - first[arm[3]]) for arm, wrist in zip(_ARMS, self.wrists, strict=True)]
         self.yaw = self._head_yaw(0)
         self.velocity = np.zeros(3)
         self.feet: list[Array] = []
@@ -67,9 +72,9 @@ class _Naive:
         out: Array = head + template @ facing.T
         if kind == "naive":
             self._body(k, out, head, facing)
-        for arm, fingers in zip(_ARMS, _FINGERS, strict=True):
+        for arm, fingers, wrist in zip(_ARMS, _FINGERS, self.wrists, strict=True):
             out[arm[3]] = truth.positions[k, arm[3]]
-            hand = truth.frames[k, arm[3]] @ truth.frames[0, arm[3]].T
+            hand = truth.frames[k, arm[3]] @ wrist.T
             out[fingers] = out[arm[3]] + (self.first[fingers] - self.first[arm[3]]) @ hand.T
         return out
 

@@ -1,4 +1,4 @@
-"""Head and hands of a true motion through the tracker and two baselines: scores and times of a clip."""
+"""Head and hands of a true motion through the tracker and the baselines: scores and times of a clip."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 __all__ = ["SOLVERS", "Row", "rows_of"]
 
-SOLVERS = ("glued", "naive", "analytic", "learned", "learned, head only")
+BASELINES = ("glued", "naive", "naive, untold")
+SOLVERS = (*BASELINES, "analytic", "learned", "learned, head only")
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,13 @@ def rows_of(
     sole = body.sole
     nan = float("nan")
     rows = []
-    for kind in SOLVERS[:2]:
-        shown = baseline(truth, kind)  # type: ignore[arg-type]
-        result = score(shown, truth.positions, rate, sole)
-        rows.append(Row(name, rate, kind, result, nan, windows(shown, truth.positions, rate)))
+    shown = (baseline(truth, "glued"), baseline(truth, "naive"), baseline(truth, "naive", body))
+    for kind, estimate in zip(BASELINES, shown, strict=True):
+        result = score(estimate, truth.positions, rate, sole)
+        rows.append(Row(name, rate, kind, result, nan, windows(estimate, truth.positions, rate)))
     samples = derive(skeleton, truth)
     network = network or embedded_network()
-    for name_of in SOLVERS[2:]:
+    for name_of in SOLVERS[len(BASELINES) :]:
         solver = AnalyticSolver(body) if name_of == "analytic" else LearnedSolver(body, network)
         tracker = Tracker(skeleton, config=config, head_only=name_of == SOLVERS[-1], solver=solver)
         rotations, trans, spent = np.empty_like(truth.rotations), np.empty_like(truth.trans), []

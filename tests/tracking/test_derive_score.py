@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,3 +94,19 @@ def test_baselines_know_head_and_hands(truth: TrueMotion, body: Body) -> None:
         np.testing.assert_allclose(estimate[:, 20:22], truth.positions[:, 20:22])
         np.testing.assert_allclose(estimate[:, 15], truth.positions[:, 15])
         np.testing.assert_allclose(estimate[0], truth.positions[0], atol=0.06)  # it was shown the first frame
+
+
+def test_a_baseline_that_is_not_shown_the_first_frame_begins_at_rest(truth: TrueMotion, body: Body) -> None:
+    """Its feet are where those of the rest pose are, under the true head; nothing but head and hands is copied."""
+    estimate = baseline(truth, "naive", body)
+    assert estimate.shape == truth.positions.shape and np.isfinite(estimate).all()
+    known = [15, 20, 21]
+    np.testing.assert_allclose(estimate[:, known], truth.positions[:, known])
+    told = baseline(truth, "naive")
+    off = [float(np.linalg.norm(shown[0] - truth.positions[0], axis=-1).mean()) for shown in (estimate, told)]
+    assert off[1] < 0.005 < off[0]
+    moved = truth.positions.copy()
+    moved[:, [joint for joint in range(22) if joint not in known]] += 0.5  # of the rest of the body it hears nothing
+    np.testing.assert_array_equal(baseline(replace(truth, positions=moved), "naive", body), estimate)
+    feet = estimate[0, [7, 8], 1]
+    np.testing.assert_allclose(feet, body.rest[[7, 8], 1] - body.ground, atol=1e-9)
