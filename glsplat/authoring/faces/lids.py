@@ -32,7 +32,7 @@ F64 = NDArray[np.float64]
 _SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=0)  # nothing hides a lid
 _SPLATS = FEWEST  # of a lid
 _MARGIN, _ABOVE = np.radians(5), 0.4  # about the opening, over which a lid's skin begins; above it that counts so much
-_BEHIND, _BEFORE = 0.0045, 0.0008  # metres from the lid's surface: at rest, deeper than what shows it, and shut
+_BEHIND, _BEFORE = 0.0045, 0.002  # metres from the lid's surface: at rest, deeper than what shows it, and shut
 _OFF = 1.04  # radii of the eye that they keep from its middle
 _LARGER = 1.35  # times as large as they lie, so that they leave no gaps
 _GROWS = 2.5  # times its size at rest that a splat grows by
