@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +18,10 @@ import scipy
 __all__ = ["abreast", "cores", "one_blas_thread"]
 
 _NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
+
+_lock = Lock()
+_inside: list[None] = []  # one of everybody who wants one thread
+_before: list[tuple[Callable[[int], Any], int]] = []  # how many threads there were before the first of them
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -48,15 +53,20 @@ def one_blas_thread() -> Iterator[None]:
     ones that is half of the time of a machine that is busy. For numpy and scipy of PyPI; nothing where they have
     another library.
     """
-    found = _openblas()
-    before = [get() for get, _ in found]
+    with _lock:
+        if not _before:
+            for get, put in _openblas():
+                _before.append((put, get()))
+                put(1)
+        _inside.append(None)
     try:
-        for _, put in found:
-            put(1)
         yield
     finally:
-        for (_, put), count in zip(found, before, strict=True):
-            put(count)
+        with _lock:
+            _inside.pop()
+            while not _inside and _before:
+                put, count = _before.pop()
+                put(count)
 
 
 @lru_cache(maxsize=1)

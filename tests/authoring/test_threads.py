@@ -35,6 +35,24 @@ def test_products_are_on_one_core_meanwhile_and_as_before_afterwards() -> None:
             put(count)
 
 
+def test_whoever_leaves_last_gives_the_threads_back() -> None:
+    blas = _openblas()
+    before = [get() for get, _ in blas]
+    first, second = one_blas_thread(), one_blas_thread()
+    try:
+        for _, put in blas:
+            put(2)
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert [get() for get, _ in blas] == [1] * len(blas)
+        second.__exit__(None, None, None)
+        assert [get() for get, _ in blas] == [2] * len(blas)
+    finally:
+        for (_, put), count in zip(blas, before, strict=True):
+            put(count)
+
+
 @pytest.mark.skipif(not _openblas(), reason="numpy has another library for products of matrices")
 def test_sums_do_not_hang_on_the_number_of_threads() -> None:
     rows = np.random.default_rng(3).normal(size=(2, 200_000))

@@ -50,7 +50,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "sheet":
         avatar, out = _avatar(options.names[0]), options.names[1]
-        jobs = [(name, 0.0, {name: 1.0}, (0.0, 0.0)) for name in ARKIT]
+        jobs = [(" + ".join(some), 0.0, dict.fromkeys(some, 1.0), (0.0, 0.0)) for some in map(_shown, ARKIT)]
         picture = _grid(_drawn(avatar, jobs, 288), 9)
     else:
         out = options.names[0]
@@ -58,6 +58,11 @@ def main() -> None:
         half = [[cv2.resize(one, (512, 512), interpolation=cv2.INTER_AREA) for one in row] for row in rows]
         picture = _grid([one for row in half for one in row], len(CLOSE))
     cv2.imwrite(out, picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 86])
+
+
+def _shown(name: str) -> tuple[str, ...]:
+    """The expression, and the one that it is meant with: ``mouthClose`` alone pulls closed lips over each other."""
+    return (name, "jawOpen") if name == "mouthClose" else (name,)
 
 
 def _avatar(name: str) -> Avatar:

@@ -126,8 +126,10 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
     own = own[near[same[own]]]
     there = _affine(body.vertices[same[own]], mesh.vertices[own])
     shade = (face.mouth[:, 2] - face.mouth[:, 2].min()) / np.ptp(face.mouth[:, 2])
-    column = np.where(face.tooth, 0.25, 0.75)[:, None]
-    uv = np.stack(np.broadcast_arrays(column, shade[face.faces]), axis=2)
+    below = face.lower[face.faces]
+    whole = below.all(axis=1) | ~below.any(axis=1)  # gums that join the jaws would be strings in an open mouth
+    column = np.where(face.tooth[whole], 0.25, 0.75)[:, None]
+    uv = np.stack(np.broadcast_arrays(column, shade[face.faces[whole]]), axis=2)
     names = mesh.skeleton.names
     head = names.index("head")
     jaw = names.index("jaw") if "jaw" in names else head
@@ -137,7 +139,7 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
         moved = np.flatnonzero(face.lower)
         offsets[name] = (moved, (face.mouth[moved] @ way[:, :3].T + way[:, 3] - face.mouth[moved]) @ there[:, :3].T)
     teeth = face.mouth @ there[:, :3].T + there[:, 3]
-    out = _joined(mesh, teeth, bound, "teeth", face.faces, uv, _enamel(), offsets)
+    out = _joined(mesh, teeth, bound, "teeth", face.faces[whole], uv, _enamel(), offsets)
     tongue = _tongue(body)
     if np.isin(tongue, same).any():
         return out

@@ -25,6 +25,7 @@ Indices = NDArray[np.intp]
 
 _SIDES = np.radians(np.linspace(-62, 62, 63))  # directions from the middle of the eye, to the sides ...
 _HEIGHTS = np.radians(np.linspace(-50, 50, 101))  # ... and up
+_HIGH = 25  # of those heights, from the middle: no opening begins beyond
 _LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
 _ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
 _LASHES, _LOWER = 34, 18  # of an upper and a lower lid
@@ -75,7 +76,7 @@ def lid_edges(mesh: RiggedMesh, ball: Eyeball) -> LidEdges:
         row = hit[index]
         middle = len(_HEIGHTS) // 2
         open_ = np.flatnonzero(row < 0)
-        if not len(open_):
+        if not len(open_) or np.abs(open_ - middle).min() > _HIGH:  # shut, or a gap above the lid
             continue
         start = int(open_[np.abs(open_ - middle).argmin()])
         low = high = start

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, tessellate
+from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.paint.shot import SurfacePoints
 from glsplat.authoring.surface import allot, face_densities, face_zones
 from glsplat.avatar import Avatar
@@ -29,9 +30,13 @@ class Scatter:
     points: SurfacePoints
     density: F64  # [M] of splats by area, relative, in its zone
     zones: tuple[tuple[slice, int, float], ...]  # the points of a zone, its splats, its area in square metres
+    faces: NDArray[np.intp]  # [M] triangles of the mesh
 
     def avatar(self, mesh: RiggedMesh, rgb: F64, busy: F64, rng: np.random.Generator) -> Avatar:
-        """Splats of colours [M, 3] in sRGB, denser where ``busy`` [M] is 1 than where it is 0."""
+        """Splats of colours [M, 3] in sRGB, denser where ``busy`` [M] is 1 than where it is 0.
+
+        With the mesh's expressions as its shapes, where it has some.
+        """
         count, influences = len(rgb), mesh.joints.shape[1]
         corners, weights = self.points.corners, self.points.weights
         shares = (weights[:, :, None] * mesh.weights[corners]).reshape(count, -1)
@@ -56,9 +61,11 @@ class Scatter:
                 layer=layer[corners[zone, 0]],
                 weights=skin[zone],
                 area=area,
+                faces=self.faces[zone],
             )
             cells.append(tessellate(cloud, splats, PHOTO_SAMPLER, rng))
-        return avatar_of(cells, mesh.skeleton, PHOTO_SAMPLER.opacity, mesh.meta)
+        made = avatar_of(cells, mesh.skeleton, PHOTO_SAMPLER.opacity, mesh.meta)
+        return with_shapes(made, mesh, np.concatenate([one.faces for one in cells if one.faces is not None]))
 
 
 def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
@@ -81,7 +88,7 @@ def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
         first += many
     face = np.concatenate(chosen)
     points = SurfacePoints(faces[face].astype(np.intp), np.concatenate(weights))
-    return Scatter(points, density[face], tuple(zones))
+    return Scatter(points, density[face], tuple(zones), face)
 
 
 def even_points(mesh: RiggedMesh, count: int) -> SurfacePoints:

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.faces.given import FACE_SPLATS, with_face
+from glsplat.authoring.faces.given import FACE_SPLATS, expressive, with_face
 from glsplat.authoring.fit.body import Body, open_body
 from glsplat.authoring.fit.details import fit_details
 from glsplat.authoring.fit.eyes import EyeLook, read_eyes
@@ -97,7 +97,7 @@ class Builtin:
         painter = painter_of(body, shots, strewn.points, looks)
         painted = painter.paint(strewn.points)
         options.progress("placing splats", 0.0)
-        avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
+        avatar = strewn.avatar(expressive(mesh) if face else mesh, painted.rgb, painted.busy, rng)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = sharp(avatar, mesh, painter.colours, shots, options)

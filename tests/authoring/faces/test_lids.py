@@ -1,4 +1,4 @@
-"""Blinks that end where lids meet, eyeballs that give way, and lids in the colours of the skin around."""
+"""Lids of people from photographs: folded away at rest, skin before the eye when it shuts."""
 
 from __future__ import annotations
 
@@ -8,91 +8,109 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
+from glsplat import reference
+from glsplat.authoring.faces.eyeballs import Eyeball, eyeballs
+from glsplat.authoring.faces.lids import with_lids
 from glsplat.authoring.faces.open_face import with_expressions
+from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.faces.trimmings import lid_edges
+from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
-from tests.authoring.faces.figures import EYES, person
-from tools.data.lids import BLINKS, blink_that_shuts, even_lids, lid_corners, with_blink
+from glsplat.splats import SH_C0, Splats
+from tests.authoring.faces.figures import avatar_on, person
 
 STILL = np.zeros((55, 3))
-SKIN, SHADE = (190, 140, 110), (120, 70, 50)
+SKIN = np.array([0.7, 0.5, 0.4])
 
 
 @lru_cache(maxsize=1)
-def seeing() -> RiggedMesh:
-    """Somebody with expressions and round eyeballs, whose skin is one colour but for darker lids."""
-    bare = person()
-    same = np.arange(len(bare.vertices))
-    mesh = with_eyeballs(bare, "eyes", "brown")
-    same = np.concatenate([same, np.full(len(mesh.vertices) - len(same), -1)])
-    mesh = with_expressions(mesh, same)
-    skin = next(one for one in mesh.parts if one.name == "skin")
-    texture = np.full((512, 512, 4), (*SKIN, 255), np.uint8)
-    lids = skin.uv[lid_corners(mesh)[skin.faces].all(axis=1)].reshape(-1, 2)
-    x, y = (lids * (511, -511) + (0, 511)).round().astype(int).T
-    for dx in range(-2, 3):
-        for dy in range(-2, 3):
-            texture[np.clip(y + dy, 0, 511), np.clip(x + dx, 0, 511), :3] = SHADE
-    return replace(mesh, parts=tuple(replace(one, texture=texture) if one is skin else one for one in mesh.parts))
+def expressive() -> RiggedMesh:
+    mesh = person()
+    return with_expressions(mesh, np.arange(len(mesh.vertices)))
 
 
-def shut(mesh: RiggedMesh) -> np.ndarray:
-    """[V, 3] the offsets of a blink of both eyes."""
-    assert mesh.morphs is not None
-    return mesh.morphs.moved(Pose(STILL, expression=dict.fromkeys(BLINKS, 1.0)), len(mesh.vertices))
+@lru_cache(maxsize=1)
+def painted() -> Avatar:
+    """Skin below the eyes' middle a little redder than above, dark brows, white eyes and what lies on lids blue."""
+    mesh = expressive()
+    avatar = with_shapes(avatar_on(mesh, 3000), mesh)
+    splats, means = avatar.splats, avatar.splats.means.astype(np.float64)
+    rgb = np.tile(SKIN, (len(means), 1))
+    for ball in eyeballs(mesh, "eyes"):
+        ways = means - ball.centre
+        far = np.linalg.norm(ways, axis=1)
+        rgb[(ways[:, 1] < 0) & (far < 0.05)] += (0.06, 0, 0)
+        rgb[(far < 0.05) & (ways[:, 1] > 0.02)] = (0.1, 0.05, 0.05)
+        side, up = np.degrees(np.arctan2(ways[:, 0], ways[:, 2])), np.degrees(np.arcsin(ways[:, 1] / far))
+        rgb[(far < 1.5 * ball.radius) & (np.abs(side) < 35) & (np.abs(up + 4) < 14)] = (0.1, 0.2, 0.9)
+    made = Splats.create(splats.means, splats.quats, splats.scales, splats.opacities, rgb=rgb)
+    return replace(avatar, splats=made)
 
 
-@pytest.mark.parametrize("wide", [1.0, 0.6])
-def test_lids_meet_and_go_no_farther_whatever_the_eye_is_like(wide: float) -> None:
-    """``wide``: the upper lid at rest is there already but for so much of its way."""
-    mesh = seeing()
-    mesh = replace(
-        mesh, vertices=mesh.vertices + np.where(lid_corners(mesh)[:, None], (1 - wide) * 0.5 * shut(mesh), 0)
+@lru_cache(maxsize=1)
+def lidded() -> Avatar:
+    return with_lids(painted(), expressive(), eyeballs(expressive(), "eyes"))
+
+
+def shut(much: float) -> reference.SkinnedSplats:
+    made = lidded()
+    assert made.shapes is not None
+    weights = made.shapes.weights({"eyeBlinkLeft": much, "eyeBlinkRight": much})
+    return reference.skin(
+        made.splats, made.skin, Pose(STILL).bones(made.skeleton), shapes=made.shapes, expression=weights
     )
-    balls = eyeballs(mesh, *EYES)
-    share = blink_that_shuts(mesh, balls)
-    blinking = with_blink(mesh, share)
-    moves = shut(blinking)[:, 1]
-    for ball in balls:
-        edges = lid_edges(mesh, ball)
-        middle = slice(len(edges.side) // 4, 3 * len(edges.side) // 4)
-        upper, lower = (moves[mesh.faces[face[middle]]].mean(axis=1) for face in (edges.upper_face, edges.lower_face))
-        left_open = (edges.upper_at - edges.lower_at)[middle, 1] + upper - lower
-        assert np.median(left_open) < 0.0005 and left_open.min() > -0.005  # metres
-    assert 0.2 < share <= 1
 
 
-def test_eyeballs_give_way_by_three_millimetres_and_nothing_else_changes() -> None:
-    mesh = seeing()
-    made = with_blink(mesh, 0.5)
-    ball = np.unique(np.concatenate([one.faces for one in mesh.parts if one.name in EYES]))
-    skin = np.setdiff1d(np.arange(len(mesh.vertices)), ball)
-    before, after = shut(mesh), shut(made)
-    assert np.allclose(after[skin], 0.5 * before[skin], atol=1e-7)
-    assert np.allclose(after[ball] - before[ball], (0, 0, -0.003), atol=1e-6)
-    smile = Pose(STILL, expression={"mouthSmileLeft": 1.0, "jawOpen": 0.5})
-    assert mesh.morphs is not None and made.morphs is not None and made.morphs.names == mesh.morphs.names
-    moved = [one.moved(smile, len(mesh.vertices)) for one in (mesh.morphs, made.morphs)]
-    assert np.array_equal(moved[0], moved[1])
+def opening(ball: Eyeball) -> np.ndarray:
+    """[N, 3] unit ways from the eye's middle within the opening of its lids."""
+    edges = lid_edges(expressive(), ball)
+    side, share = np.meshgrid(edges.side[3:-3:3], [0.1, 0.5, 0.9])
+    upper, lower = (np.interp(side, np.sort(edges.side), e[np.argsort(edges.side)]) for e in (edges.upper, edges.lower))
+    up = lower + share * (upper - lower)
+    return np.stack([np.cos(up) * np.sin(side), np.sin(up), np.cos(up) * np.cos(side)], axis=2).reshape(-1, 3)
 
 
-def test_dark_lids_become_skin_and_the_rest_stays() -> None:
-    mesh = seeing()
-    before = next(one for one in mesh.parts if one.name == "skin")
-    after = next(one for one in even_lids(mesh, 0.9, "skin").parts if one.name == "skin")
-    lids = lid_corners(mesh)[before.faces].all(axis=1)
-    middles = before.uv.mean(axis=1)
-    old, new = (255 * one.sample(middles)[:, :3] for one in (before, after))
-    darker = np.mean(np.subtract(SKIN, SHADE))
-    assert np.mean(SKIN - old[lids]) > 0.9 * darker and np.mean(SKIN - new[lids]) < 0.33 * darker  # soft at the edge
-    far = (
-        np.linalg.norm(
-            mesh.vertices[before.faces].mean(axis=1) - mesh.vertices[np.unique(before.faces[lids])].mean(0), axis=1
-        )
-        > 0.08
-    )
-    assert np.array_equal(old[far], new[far])
-    same = next(one for one in even_lids(mesh, 0.0, "skin").parts if one.name == "skin")
-    assert np.array_equal(same.texture, before.texture)
+@pytest.mark.parametrize("which", [0, 1])
+def test_an_eye_that_is_shut_is_covered_by_skin_and_an_open_one_is_not(which: int) -> None:
+    ball = eyeballs(expressive(), "eyes")[which]
+    count = len(painted().splats)
+    solid = lidded().splats.opacities[count:] > 0.7
+    ways = opening(ball)
+    nearest = []
+    for much in (0.0, 1.0):
+        posed = shut(much)
+        means, size = posed.means[count:][solid] - ball.centre, np.linalg.norm(posed.shapes[count:][solid], axis=1)
+        far = np.linalg.norm(means, axis=1)
+        assert far[far < 0.03].min() > ball.radius  # never in the eye
+        apart = np.linalg.norm(ways[:, None] * far[None, :, None] - means, axis=2)
+        nearest.append((apart / np.maximum(size.max(axis=1), 1e-9)).min(axis=1))
+    assert nearest[1].max() < 1.5  # standard deviations: something lies over every place
+    lower = nearest[0][: len(ways) * 2 // 3]  # just below an upper lid's edge its own skin may be
+    assert lower.min() > 1.5 and np.median(lower) > 5
+
+
+def test_a_lid_that_is_half_shut_is_before_the_eye() -> None:
+    count, half = len(painted().splats), shut(0.5).means
+    rest, whole = shut(0.0).means, shut(1.0).means
+    for ball in eyeballs(expressive(), "eyes"):
+        mine = np.flatnonzero(np.linalg.norm(whole[count:] - ball.centre, axis=1) < 0.03) + count
+        assert np.linalg.norm(half[mine] - ball.centre, axis=1).min() > ball.radius
+        assert (rest[mine, 1] - whole[mine, 1]).max() > 0.005
+
+
+def test_it_has_the_colour_of_the_skin_about_it_and_not_of_eyes_or_brows() -> None:
+    rgb = lidded().splats.sh[len(painted().splats) :, 0] * SH_C0 + 0.5
+    assert np.abs(rgb[:, 1:] - SKIN[1:]).max() < 0.03
+    assert rgb[:, 0].min() > 0.69 and rgb[:, 0].max() < 0.77
+
+
+def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
+    count = len(painted().splats)
+    for key in ("means", "quats", "scales", "opacities", "sh"):
+        assert np.array_equal(getattr(lidded().splats, key)[:count], getattr(painted().splats, key))
+    again = with_lids(painted(), expressive(), eyeballs(expressive(), "eyes"))
+    assert again.splats.means.tobytes() == lidded().splats.means.tobytes()
+    gone = replace(painted().splats, means=np.full_like(painted().splats.means, 50.0))
+    bare = with_lids(replace(painted(), splats=gone), expressive(), eyeballs(expressive(), "eyes"))
+    assert np.allclose(bare.splats.sh[count:, 0], 0, atol=1e-6)

@@ -160,11 +160,5 @@ def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat() -> No
         assert np.array_equal(getattr(made.splats, key)[:count], getattr(avatar.splats, key))
     assert made.shapes is not None and sorted(made.shapes.names) == sorted(ARKIT)
     assert set(np.unique(made.shapes.targets)) == set(range(52))
-    bones = Pose(STILL).bones(made.skeleton)
-    for side in ("Left", "Right"):  # the lids' own skin lies behind the eyes, and comes before them
-        weights = made.shapes.weights({f"eyeBlink{side}": 1.0})
-        posed = reference.skin(made.splats, made.skin, bones, shapes=made.shapes, expression=weights)
-        forward = posed.means[count:, 2] - made.splats.means[count:, 2]
-        assert 60 < (forward > 0.006).sum() <= 100
     again = with_face(avatar, mesh, len(avatar.splats) + FACE_SPLATS)
     assert again.splats.means.tobytes() == made.splats.means.tobytes()

@@ -1,0 +1,40 @@
+"""Splats strewn over a body whose face moves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glsplat.authoring.faces.open_face import with_expressions
+from glsplat.authoring.paint.scatter import scatter
+from glsplat.skinning.pose import Pose
+from glsplat.splats import SH_C0
+from tests.authoring.faces.figures import person
+
+
+def test_each_lip_s_splats_go_with_their_own_lip() -> None:
+    mesh = person()
+    face = with_expressions(mesh, np.arange(len(mesh.vertices)))
+    assert face.morphs is not None
+    opens = face.morphs.moved(Pose(np.zeros((55, 3)), expression={"jawOpen": 1.0}), len(mesh.vertices))
+    down = np.linalg.norm(opens, axis=1)
+    rng = np.random.default_rng(4)
+    strewn = scatter(face, 6000, rng)
+    moves = strewn.points.at(down[:, None])[:, 0]
+    rgb = np.tile([0.5, 0.5, 0.5], (len(moves), 1))
+    rgb[moves < 0.002] = (0, 0, 1)
+    rgb[moves > 0.012] = (1, 0, 0)
+    avatar = strewn.avatar(face, rgb, np.zeros(len(rgb)), np.random.default_rng(5))
+    assert avatar.shapes is not None and len(avatar.shapes.names) == 52
+    colour = avatar.splats.sh[:, 0] * SH_C0 + 0.5
+    shapes, moved = avatar.shapes, np.zeros(len(avatar.splats))
+    mine = shapes.targets == shapes.names.index("jawOpen")
+    moved[shapes.rows[mine]] = np.linalg.norm(shapes.metres[mine], axis=1)
+    upper, lower = colour[:, 2] - colour[:, 0] > 0.9, colour[:, 0] - colour[:, 2] > 0.9
+    assert lower.sum() > 60 and upper.sum() > 3000
+    assert moved[upper].max() < 0.006 and moved[lower].min() > 0.009
+
+
+def test_a_body_without_expressions_has_no_shapes() -> None:
+    strewn = scatter(person(), 500, np.random.default_rng(1))
+    grey = np.full((len(strewn.faces), 3), 0.5)
+    assert strewn.avatar(person(), grey, np.zeros(len(grey)), np.random.default_rng(2)).shapes is None
