@@ -45,7 +45,7 @@ class LocalLoop(RenderLoop):
         video: bool = False,
     ) -> None:
         super().__init__(clock, rate)
-        self._codecs = _codecs() if video else ()
+        self.codecs: tuple[str, ...] = _codecs() if video else ()
         self._backend = backend
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
@@ -55,18 +55,13 @@ class LocalLoop(RenderLoop):
         if isinstance(backend, Interruptible):
             backend.abandoned = self._abandoned
 
-    @property
-    def codecs(self) -> tuple[str, ...]:
-        """Those that this machine codes, where clients may have video."""
-        return self._codecs
-
     def open(self, *args: Any, **kwargs: Any) -> ClientStream:
         """A client, as elsewhere; here it may have video."""
         channel = super().open(*args, **kwargs)
-        if self._codecs:
+        if self.codecs:
             from glsplat.net.codec.video import CODECS, VideoStream  # here: most servers have none
 
-            channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self._codecs})
+            channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self.codecs})
         return channel
 
     def _ready(self, now: float, rests: list[float], channel: ClientStream) -> bool:

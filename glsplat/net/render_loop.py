@@ -65,11 +65,6 @@ class RenderLoop(ABC):
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._task: asyncio.Task[None] | None = None
 
-    @property
-    def codecs(self) -> tuple[str, ...]:
-        """Of video that clients may ask for."""
-        return ()
-
     @abstractmethod
     async def _open(self) -> str:
         """Start what draws; returns the driver string. Raises GlsplatError."""

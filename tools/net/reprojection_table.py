@@ -225,13 +225,9 @@ def ways(case: Case, view: View, size: tuple[int, int]) -> tuple[Image, NDArray[
     renderer.resize(*size)
     images, depths = renderer.render([camera], case.pose, depth=True)
     image, z = images[0].copy(), depths[0].copy()
-    found = {"plane": plane(case, view)}
-    selector = renderer.selector
     (grid,) = depth_grids(renderer, [camera], case.pose)
-    renderer.selector = selector
-    found["32 x 32"] = np.linspace(0, 1, grid.columns), np.linspace(0, 1, grid.rows), grid.metres()
-    found["a quarter"] = quarter(image, z)
-    return image, z, found
+    coarse = np.linspace(0, 1, grid.columns), np.linspace(0, 1, grid.rows), grid.metres()
+    return image, z, {"plane": plane(case, view), "32 x 32": coarse, "a quarter": quarter(image, z)}
 
 
 def off(case: Case, view: View, image: Image, z: NDArray[np.float32], points: Points, eye: F64) -> float:

@@ -75,12 +75,11 @@ class RendererBackend:
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
         from glsplat.gl.context import create_context  # here: the module can be imported without a driver
-        from glsplat.net.backends.depth import depth_grids
         from glsplat.net.backends.renderer_pool import RendererPool
         from glsplat.renderer import Renderer
 
         self._context = create_context(self._device)
-        self._mark, self._depth_grids = 0, depth_grids
+        self._mark = 0
         self._opened = time.monotonic()
         try:
             make = partial(Renderer, size=self._pixels, views=2, config=self._config, context=self._context)
@@ -127,8 +126,10 @@ class RendererBackend:
             stats, timings = renderer.stats, dict(renderer.timings)
             depth: tuple[DepthGrid, ...] = ()
             if request.options.depth:
+                from glsplat.net.backends.depth import depth_grids  # here: it needs a driver, as above
+
                 start = time.perf_counter()
-                depth = self._depth_grids(renderer, views, request.pose)
+                depth = depth_grids(renderer, views, request.pose)
                 timings["depth"] = (time.perf_counter() - start) * 1e3
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")

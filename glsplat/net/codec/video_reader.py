@@ -61,7 +61,7 @@ class VideoReader:
                 self._context.options = {"flags": "low_delay"}  # what goes in comes out
                 self._context.thread_count = 1
             (frame,) = self._context.decode(av.Packet(data))
-            whole = np.asarray(frame.to_ndarray(format="rgb24"))
+            whole = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
             parts = [[_part(whole, at, size) for at in said[k]] for k in ("eyes", "alpha") if k in said]
         except (av.error.FFmpegError, KeyError, TypeError, ValueError, StopIteration):
             self._context, self._next = None, 0

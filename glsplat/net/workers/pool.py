@@ -42,6 +42,9 @@ class WorkerPool:
     called, on a thread, when all have ended.
     """
 
+    codecs: tuple[str, ...] = ()
+    """Of video: workers code none."""
+
     def __init__(
         self,
         launchers: Sequence[WorkerLauncher],

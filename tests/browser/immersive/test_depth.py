@@ -131,4 +131,4 @@ def test_a_late_picture_looks_more_like_a_new_one(open_page: OpenPage, serve: An
         truth = see(page)
         found.append(np.mean([psnr(late[side][..., :3] / 255, truth[side][..., :3] / 255) for side in SIDES]))
     print(f"with depth {found[0]:.1f} dB, without {found[1]:.1f} dB")
-    assert found[0] >= found[1] + 2, found
+    assert found[0] >= found[1] + 1.5, found

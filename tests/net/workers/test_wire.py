@@ -11,6 +11,7 @@ import pytest
 
 from glsplat.errors import BudgetError, ContextError, FormatError, GlsplatError, PoseError
 from glsplat.net.backend import RenderJob
+from glsplat.net.codec.depth import grid_of
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.messages import PictureOptions
 from glsplat.net.workers import wire
@@ -116,7 +117,9 @@ def test_a_message_that_is_repeated_or_too_long_is_refused():
 
 def test_answers():
     drawn = Drawn(2, {"sort": 1.5}, (0, 1), False, 3, (0.0,) * 6)
-    assert wire.read_drawn(pack(Kind.DRAWN, 5, drawn)[wire.HEAD.size :]) == drawn
+    deep = Drawn(2, {}, (), True, 0, None, (grid_of(np.linspace(0.2, 3, 6).reshape(2, 3)),) * 2)
+    for one in (drawn, deep):
+        assert wire.read_drawn(pack(Kind.DRAWN, 5, one)[wire.HEAD.size :]) == one
     encoded = Encoded([b"left", b"right"], [(0, 16, 32, 48)] * 2, 1.25, [b"l", b"r"])
     assert wire.read_encoded(pack(Kind.ENCODED, 5, encoded)[wire.HEAD.size :]) == encoded
     assert pack(Kind.OPENED, 0, "llvmpipe")[wire.HEAD.size :] == b"llvmpipe"

@@ -36,7 +36,8 @@ export function parseReply(buffer) {
 /** The grids that lie behind the JSON, copied. */
 function grids({ grid: [columns, rows], inverse }, data) {
   const count = columns * rows;
-  if (!(columns > 1 && rows > 1 && count <= MOST && data.length === count * inverse.length)) throw new Error('no such depth');
+  const whole = Number.isInteger(columns) && Number.isInteger(rows) && columns > 1 && rows > 1 && count <= MOST;
+  if (!whole || data.length !== count * inverse.length) throw new Error('a reply whose depth does not fit together');
   return inverse.map(([low, high], i) => {
     const steps = data.subarray(i * count, (i + 1) * count);
     return { columns, rows, inverse: Float32Array.from(steps, (step) => low + ((high - low) / 255) * step) };
