@@ -16,7 +16,7 @@ from aioquic.h3.connection import H3Connection
 from aioquic.h3.events import DatagramReceived, DataReceived, H3Event, HeadersReceived
 from aioquic.quic.events import ConnectionTerminated, QuicEvent
 
-from glsplat.net.datagrams.congestion import PictureWindow
+from glsplat.net.datagrams.congestion import PicturePacer, PictureWindow
 from glsplat.net.datagrams.packets import HEAD, LARGEST, NONCE, PING, REQUEST, Assembler, groups_of, packets_of
 from glsplat.net.datagrams.redundancy import parity_for
 from glsplat.net.datagrams.roles import PathUser
@@ -60,6 +60,7 @@ class DatagramPath(QuicConnectionProtocol):
         window = quic._loss._cc
         assert isinstance(window, PictureWindow)
         self._window = window
+        quic._loss._pacer = PicturePacer(max_datagram_size=quic.configuration.max_datagram_size)
         self._under_way: dict[int, _UnderWay] = {}  # by frame_id, oldest first
         self._lost_in_a_row = 0
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
