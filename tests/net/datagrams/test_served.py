@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import socket
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -25,6 +26,7 @@ from glsplat.net.datagrams.packets import HEAD, PICTURE, REQUEST
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
+from tests.net.conftest import FakeBackend
 from tests.net.datagrams.client import open_path, open_quic
 from tests.net.wire import HANG, native, until
 from tests.net.workers.fakes import pool
@@ -299,6 +301,11 @@ class TestFallingBack:
                     await asyncio.gather(first.more(5, by_datagrams=True), second.more(5, by_datagrams=True))
 
         asyncio.run(main())
+
+    def test_without_what_it_needs_a_line_says_so(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "glsplat.net.datagrams.listener", None)
+        with pytest.raises(GlsplatError, match=r"pip install 'glsplat\[webtransport\]'"):
+            Server(FakeBackend(), CONFIG)
 
     def test_a_port_in_use_is_told_in_a_line(self) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
