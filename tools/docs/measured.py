@@ -24,7 +24,7 @@ from apps.demo import running_server
 from glsplat.evaluate.machine import machine
 from glsplat.io.files import replace_file
 from tests.conftest import SHARED_DATA
-from tools.net.link_tables import alone, busy, falling, shared, video
+from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
@@ -203,6 +203,11 @@ def links() -> Iterator[Table]:
         "Simulated as above; neither key frames nor how much less quality saves in a video is modelled."
     )
     yield "video", note, "\n".join(video())
+    note = (
+        "Pictures by datagrams (`serve --webtransport`) beside TCP. Simulated as above; headers and parity count\n"
+        "for datagrams, headers of TCP do not. Requests and answers are not lost in either."
+    )
+    yield "datagrams", note, "\n".join(datagrams())
 
 
 def ladder() -> Iterator[Table]:

@@ -57,8 +57,9 @@ def falling() -> Iterator[str]:
         # the clock begins with the warm-up
         link = Link(lambda now: then if start <= now - 5.0 < end else before, trip / 1e3)
         policies: dict[str, Policy] = {"before": Fixed(), "after": LinkControl(), "oracle": Oracle(link)}
+        policies["after, datagrams"] = LinkControl()
         for name, policy in policies.items():
-            outcome = play(link, [policy])[0]
+            outcome = play(link, [policy], datagrams="datagrams" in name)[0]
             late = [at for at, age in outcome.ages if age * 1e3 > goal(trip)]
             fallen = max((at - start for at in late if start <= at < end), default=0.0)
             back = max((at - end for at in late if at >= end), default=0.0)
@@ -118,6 +119,25 @@ def video() -> Iterator[str]:
         yield f"| {rate} | {trip} | {loss} % | {' | '.join(cells)} | {goal(trip):.0f} |"
 
 
+def datagrams() -> Iterator[str]:
+    """By datagrams, beside the same over TCP."""
+    names = "shown/s | age | 95 % | LPIPS"
+    yield f"| Mbit/s | ms | loss | {names} | {names} | goal, ms | met by |"
+    yield "|" + "--:|" * 12 + "---|"
+    for loss in LOSSES:
+        for rate in RATES[1:]:
+            for trip in TRIPS:
+                link = Link(lambda now, rate=rate: rate, trip / 1e3, loss / 100)  # type: ignore[misc]
+                cells, met = [], []
+                for name in ("TCP", "datagrams"):
+                    one = play(link, [LinkControl()], datagrams=name == "datagrams")[0]
+                    late, seen = one.age(0.95) * 1e3, median(one.losses)
+                    cells.append(f"{one.shown / one.seconds:.1f} | {one.age(0.5) * 1e3:.0f} | {late:.0f} | {seen:.3f}")
+                    met += [name] * (late <= goal(trip))
+                by = ", ".join(met) or "none"
+                yield f"| {rate} | {trip} | {loss} % | {' | '.join(cells)} | {goal(trip):.0f} | {by} |"
+
+
 if __name__ == "__main__":
-    for table in (alone, falling, shared, busy, video):
+    for table in (alone, falling, shared, busy, video, datagrams):
         print("\n".join(table()), end="\n\n", flush=True)

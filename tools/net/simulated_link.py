@@ -10,6 +10,9 @@ What is real is the server's control of a link (glsplat/net/pace). The rest is a
   three later ones of its picture arrived, else after two round trips; lost again, after 200 ms and the round trip.
   Whatever lies behind it waits (TCP delivers in order). TCP's own window is not modelled: with loss that would send
   less than the link takes.
+- By datagrams (glsplat/net/datagrams) a picture takes the bytes of its headers and parity more, waits for no other,
+  and is there once all but so many of its packets are as it has parity for; else it never comes, which the server hears
+  of a round trip later. Answers and requests are not lost in either model.
 - What receives for the client answers pings at once, also those right behind pictures. The client acknowledges at
   once, or every ``busy`` seconds, decodes in 4 ms and shows the newest picture at its next refresh.
 """
@@ -23,6 +26,8 @@ from itertools import count
 from random import Random
 from typing import Protocol
 
+from glsplat.net.datagrams.packets import PIECE
+from glsplat.net.datagrams.redundancy import parity_for
 from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
 
 __all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "draw_time", "play"]
@@ -33,6 +38,7 @@ FULL = 63_000  # bytes of a pair at full size and quality 80, whole
 QUALITY = 80
 PIXELS = 1024 * 1024
 PACKET = 1448  # bytes
+_HEADERS = 60  # bytes of a datagram beside its piece
 WINDOW = 2  # pictures under way where nothing adapts
 WARM_UP = 5.0
 
@@ -54,6 +60,7 @@ class Policy(Protocol):
     def follow(self, number: int) -> bytes: ...
     def written(self, number: int, nbytes: int, now: float) -> None: ...
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
+    def lost(self, number: int, now: float) -> None: ...
     def ping(self, now: float) -> bytes | None: ...
     def rest(self, now: float) -> float: ...
 
@@ -69,6 +76,8 @@ class Fixed:
     def written(self, number: int, nbytes: int, now: float) -> None: ...
 
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
+
+    def lost(self, number: int, now: float) -> None: ...
 
     def ping(self, now: float) -> bytes | None:
         return None
@@ -153,13 +162,14 @@ def play(
     starts: Sequence[float] = (),
     busy: float = 0.0,
     full: int = FULL,
+    datagrams: bool = False,
 ) -> list[Outcome]:
     """So many seconds after the warm-up, a client a policy, all behind one bottleneck.
 
     ``busy``: seconds between two moments at which the clients look at what arrived. ``full``: bytes of a pair at full
-    size and quality, as of a video.
+    size and quality, as of a video. ``datagrams``: not over TCP.
     """
-    return _Simulation(link, policies, seconds, seed, starts, busy, full).run()
+    return _Simulation(link, policies, seconds, seed, starts, busy, full, datagrams).run()
 
 
 class _Simulation:
@@ -172,7 +182,9 @@ class _Simulation:
         starts: Sequence[float],
         busy: float,
         full: int,
+        datagrams: bool,
     ) -> None:
+        self._datagrams = datagrams
         self._link, self._end, self._busy, self._full = link, WARM_UP + seconds, busy, full
         self._clients = [
             _Client(policy, getattr(policy, "window", 8), seed * 100 + i) for i, policy in enumerate(policies)
@@ -249,6 +261,10 @@ class _Simulation:
     def _write(self, client: _Client, number: int, asked: float, rung: Rung) -> None:
         now, trip = self._now, self._link.round_trip
         nbytes = round(self._full * rung.bits * (1 + 0.1 * client.chance.uniform(-1, 1)))
+        packets = -(-nbytes // PIECE)
+        parity = parity_for(packets, self._link.loss)
+        if self._datagrams:
+            nbytes += packets * _HEADERS + parity * (PIECE + _HEADERS)
         ping = client.policy.ping(now)
         if ping is not None:
             there = max(now, self._free) + trip
@@ -261,7 +277,19 @@ class _Simulation:
         own = self._free - begin
         if self._counts:
             client.outcome.most_waiting = max(client.outcome.most_waiting, (waiting + own) / own)
-        arrives = max(self._through(client, begin, nbytes), client.arrived)
+
+        def lost() -> None:
+            client.under_way.discard(number)
+            client.policy.lost(number, self._now)
+            self._draw(client)
+
+        if self._datagrams:
+            if sum(client.chance.random() < self._link.loss for _ in range(packets + parity)) > parity:
+                self._at(self._free + trip, lost)
+                return
+            arrives = self._free + trip / 2
+        else:
+            arrives = max(self._through(client, begin, nbytes), client.arrived)
         client.arrived = arrives
 
         def arrived() -> None:

@@ -14,9 +14,9 @@ from typing import Any
 from aioquic.asyncio.protocol import QuicConnectionProtocol
 from aioquic.h3.connection import H3Connection
 from aioquic.h3.events import DatagramReceived, DataReceived, H3Event, HeadersReceived
-from aioquic.quic.events import ConnectionTerminated, QuicEvent
+from aioquic.quic.events import ConnectionTerminated, QuicEvent, StreamDataReceived
 
-from glsplat.net.datagrams.congestion import PictureWindow
+from glsplat.net.datagrams.congestion import PicturePacer, PictureWindow
 from glsplat.net.datagrams.packets import HEAD, LARGEST, NONCE, PING, REQUEST, Assembler, groups_of, packets_of
 from glsplat.net.datagrams.redundancy import parity_for
 from glsplat.net.datagrams.roles import PathUser
@@ -30,6 +30,7 @@ _GRACE = 0.05  # seconds that a client's answer may come after QUIC's own acknow
 _SILENT = 1.0  # seconds, and four round trips, for which nothing is heard of a picture: no path any more
 _LOST = 6  # pictures in a row
 _PACKETS, _BURST = 600.0, 2000.0  # a second, and at once, that a client may send, and one for each that it was sent
+_STREAMED = 32 * 1024  # bytes of all streams together: settings, a CONNECT and what means nothing
 _HEADERS = 60  # bytes of a datagram beside its piece: UDP, IP, QUIC, this protocol
 
 
@@ -60,11 +61,13 @@ class DatagramPath(QuicConnectionProtocol):
         window = quic._loss._cc
         assert isinstance(window, PictureWindow)
         self._window = window
+        quic._loss._pacer = PicturePacer(max_datagram_size=quic.configuration.max_datagram_size)
         self._under_way: dict[int, _UnderWay] = {}  # by frame_id, oldest first
         self._lost_in_a_row = 0
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
         self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
         self._requests = Assembler(REQUEST, MAX_BYTES)
+        self._streamed = 0
         self._ended = False
 
     @property
@@ -160,6 +163,11 @@ class DatagramPath(QuicConnectionProtocol):
                 self._check.cancel()
             self._forget()
             return
+        if isinstance(event, StreamDataReceived):
+            self._streamed += len(event.data)
+            if self._streamed > _STREAMED:
+                self.end()
+                return
         if self._http is None:
             self._http = H3Connection(self._quic, enable_webtransport=True)
         for heard in self._http.handle_event(event):

@@ -19,7 +19,7 @@ def parity_for(pieces: int, loss: float) -> int:
 @lru_cache(4096)
 def _parity(pieces: int, loss: float) -> int:
     most = max(2, round(_MOST * pieces))
-    for parity in range(1, most):
+    for parity in range(most):
         mean = (pieces + parity) * loss  # Poisson, which says a little more than the binomial law
         term = left = exp(-mean)
         for lost in range(1, parity + 1):

@@ -65,11 +65,14 @@ def test_pictures_fit_links_unless_they_are_fixed():
     assert not serve.server_config(arguments("--study", "plan.toml")).session.adapt
     assert serve.server_config(arguments("--bitrate", 8)).session.bitrate == 8e6
     assert serve.server_config(arguments("--video")).video
+    assert serve.server_config(arguments("--webtransport")).webtransport and not config.webtransport
     for words, message in (
         (("--bitrate", 8, "--fixed"), "leave one out"),
         (("--bitrate", 8, "--study", "plan.toml"), "--study none: leave one out"),
         (("--bitrate", 0), "0.1 to 100000"),
         (("--video", "--workers", 2), "--workers out"),
+        (("--webtransport", "--fixed"), "--fixed the same to all: leave one out"),
+        (("--webtransport", "--study", "plan.toml"), "--study the same to all: leave one out"),
         (("--video", "--study", "plan.toml"), "--study out"),
     ):
         with pytest.raises(UsageError, match=message):

@@ -102,8 +102,11 @@ class TestRedundancy:
         lost = rng.binomial(pieces + parity, loss, 20_000)
         most = max(2, round(0.4 * pieces))
         assert (lost > parity).mean() < 0.005 or parity == most
-        assert 1 <= parity <= most and (parity < most or loss >= 0.03)
+        assert 0 <= parity <= most and (parity < most or loss >= 0.03)
         assert parity_for(pieces, loss / 4) <= parity
+
+    def test_where_nothing_is_lost_nothing_is_added(self) -> None:
+        assert parity_for(50, 0.0) == 0 and parity_for(8, 0.0003) == 0 and parity_for(56, 0.001) >= 1
 
     def test_a_link_that_loses_half_gets_no_more_than_two_fifths(self) -> None:
         assert parity_for(50, 0.5) == 20 and parity_for(1, 0.9) == 2
