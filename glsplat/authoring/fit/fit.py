@@ -206,8 +206,10 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     column, row = np.floor(rim.pixels).astype(int).T
     by_arm = layers(body)[rim.vertices] == TRUNK
     by_arm &= beside_arms(body, pixels, view.mask.shape, around)[row, column]
-    shown = view.mask & ~beside_arms(body, pixels, view.mask.shape, _ARM_EDGE * view.figure)
-    gaps[by_arm] = lengths_inside(shown, rim.pixels[by_arm], rim.normals[by_arm], reach)
+    gaps[by_arm] = np.nan
+    if moved is not None:  # before arms are in their place, sleeves would make somebody stout
+        shown = view.mask & ~beside_arms(body, pixels, view.mask.shape, _ARM_EDGE * view.figure)
+        gaps[by_arm] = lengths_inside(shown, rim.pixels[by_arm], rim.normals[by_arm], reach)
     found = np.isfinite(gaps)
     if moved is not None:  # the edge of a ball or a bag
         held = beside_arms(body, pixels, view.mask.shape, _HELD_REACH * view.figure, hands(body))[row, column]

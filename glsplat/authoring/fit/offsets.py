@@ -25,8 +25,6 @@ _SHY = 2e-3  # how much what no outline shows stays on the body
 
 _HAIR_SHY = 3e-4  # hair is about as thick behind as beside the face
 
-_CLOTH, _CLOTH_SHY = 0.012, 1e-3  # metres that a trunk's cloth lies off it where no outline shows it
-
 _EARS = 0.06  # metres of z in the zero pose, behind which the head's directions are smoothed
 _FACE = 0.08, 0.94  # metres of z and y in the zero pose: before the one and below the other a head is face
 _DOWN = -0.5  # cosine; a sole turns to the floor
@@ -68,12 +66,6 @@ def _hairy(body: Body) -> NDArray[np.bool_]:
     return np.asarray(head & body.skin & (body.vertices[:, 2] < _EARS))
 
 
-def _worn(body: Body) -> NDArray[np.bool_]:
-    """[V] chest, belly and hips."""
-    trunk = np.array([any(word in name for word in ("pelvis", "spine")) for name in JOINT_NAMES])
-    return np.asarray(trunk[body.part] & body.skin)
-
-
 def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64, start: F64 | None = None) -> F64:
     """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere.
 
@@ -86,8 +78,7 @@ def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights:
     np.add.at(pull, vertices, weights)
     np.add.at(target, vertices, weights * wanted.clip(least[vertices], most[vertices]))
     degree = np.asarray(body.neighbours.sum(axis=1)).ravel()
-    shy = np.where(_hairy(body), _HAIR_SHY, np.where(_worn(body), _CLOTH_SHY, _SHY))
-    target += np.where(_worn(body), _CLOTH_SHY * _CLOTH, 0.0)
+    shy = np.where(_hairy(body), _HAIR_SHY, _SHY)
     scale = pull + _STIFF * degree + shy
     matrix = diags(scale) - _STIFF * body.neighbours
     begin = np.zeros(len(target)) if start is None else start

