@@ -89,7 +89,8 @@ def close(avatar: Avatar, mesh: RiggedMesh) -> U8:
             bones = pose.bones(mesh.skeleton)[mesh.skeleton.names.index(joint)]
             target = bones[:3, :3] @ mesh.skeleton.joints[mesh.skeleton.names.index(joint)] + bones[:3, 3]
             view = Camera(look_at(target + beside, target), pinhole(*size, fov), *size, background=(GREY,) * 3)
-            tiles += [tile(drawer.render([view], pose)[0, ..., :3]) for drawer in (*pair, truth)]
+            drawers: list[Renderer | MeshRenderer] = [*pair, truth]
+            tiles += [tile(drawer.render([view], pose)[0, ..., :3]) for drawer in drawers]
     return np.concatenate([np.concatenate(tiles[i : i + 6], axis=1) for i in (0, 6)])
 
 
