@@ -8,6 +8,7 @@ The folders have the archives that tools/data/persons.py names. Look at every pi
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from pathlib import Path
 
 import cv2
@@ -77,19 +78,19 @@ def close(avatar: Avatar, mesh: RiggedMesh) -> U8:
     """Two rows of two views: plain, antialias, mesh."""
     size = (SIDE, SIDE)
     tiles = []
-    with MeshRenderer(mesh, size=size, config=MeshConfig(output="float32")) as truth:
+    with ExitStack() as opened:
+        truth = opened.enter_context(MeshRenderer(mesh, size=size, config=MeshConfig(output="float32")))
         pair = [
-            Renderer(avatar, size=size, config=RenderConfig(output="float32", antialias=one), context=truth.context)
-            for one in (False, True)
+            opened.enter_context(Renderer(avatar, size=size, config=config, context=truth.context))
+            for config in (RenderConfig(output="float32", antialias=one) for one in (False, True))
         ]
         for name, joint, beside, fov in CLOSE:
             pose = score_pose(name, mesh.skeleton)
             bones = pose.bones(mesh.skeleton)[mesh.skeleton.names.index(joint)]
             target = bones[:3, :3] @ mesh.skeleton.joints[mesh.skeleton.names.index(joint)] + bones[:3, 3]
             view = Camera(look_at(target + beside, target), pinhole(*size, fov), *size, background=(GREY,) * 3)
-            tiles += [tile(drawer.render([view], pose)[0, ..., :3]) for drawer in (*pair, truth)]
-        for renderer in pair:
-            renderer.close()
+            drawers: list[Renderer | MeshRenderer] = [*pair, truth]
+            tiles += [tile(drawer.render([view], pose)[0, ..., :3]) for drawer in drawers]
     return np.concatenate([np.concatenate(tiles[i : i + 6], axis=1) for i in (0, 6)])
 
 

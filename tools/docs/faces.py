@@ -1,7 +1,8 @@
-"""Draws docs/images/faces-*: the 52 shapes of an avatar on one sheet, and close-ups of faces.
+"""Draws docs/images/faces-*: the 52 shapes of an avatar on one sheet, close-ups of faces; light.jpg, people in lights.
 
 python -m tools.docs.faces sheet AVATAR OUT.jpg
 python -m tools.docs.faces close OUT.jpg AVATAR [AVATAR ...]
+python -m tools.docs.faces light OUT.jpg AVATAR [AVATAR ...]
 
 AVATAR is a file or the name of an embedded person. A close-up is drawn at 1024 x 1024 and put down at half of that.
 """
@@ -15,11 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat import Renderer
+from glsplat import Item, Renderer, Scene
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import embedded_file
+from glsplat.evaluate.avatar_poses import Rotations, pose_of
 from glsplat.formats.registry import load_splats
+from glsplat.light import Light
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 
@@ -43,15 +46,21 @@ CLOSE: Sequence[tuple[str, float, Mapping[str, float], tuple[float, float]]] = (
 )
 
 
+LIGHTS = (None, "studio", "left", "right", "evening")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("sheet", "close"))
+    parser.add_argument("what", choices=("sheet", "close", "light"))
     parser.add_argument("names", nargs="+")
     options = parser.parse_args()
     if options.what == "sheet":
         avatar, out = _avatar(options.names[0]), options.names[1]
         jobs = [(" + ".join(some), 0.0, dict.fromkeys(some, 1.0), (0.0, 0.0)) for some in map(_shown, ARKIT)]
         picture = _grid(_drawn(avatar, jobs, 288), 9)
+    elif options.what == "light":
+        out = options.names[0]
+        picture = _grid([one for name in options.names[1:] for one in _lit(_avatar(name))], len(LIGHTS))
     else:
         out = options.names[0]
         rows = [_drawn(_avatar(name), CLOSE, 1024, "") for name in options.names[1:]]
@@ -94,6 +103,23 @@ def _drawn(
             label = name if title is None else title
             cv2.putText(picture, label, (6, size - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
             out.append(picture)
+    return out
+
+
+def _lit(avatar: Avatar) -> list[U8]:
+    """Head and chest from a little aside, in each of LIGHTS."""
+    head = np.array(avatar.skeleton.joints[avatar.skeleton.names.index("head")], np.float64)
+    middle, (width, height) = head - (0, 0.09, 0), (600, 800)
+    view = look_at(middle + 1.5 * np.array([np.sin(0.3), 0.05, np.cos(0.3)]), middle)
+    camera = Camera(view, pinhole(width, height, 30.0), width, height, background=(0.18, 0.19, 0.2))
+    arms: Rotations = {"left_shoulder": (0, 0, -1.1)}
+    pose = pose_of(arms, avatar.skeleton)
+    out = []
+    for name in LIGHTS:
+        light = Light.preset(name) if name else None
+        with Renderer(Scene([Item(avatar, pose=pose)], light=light), size=(width, height)) as renderer:
+            seen = renderer.render([camera])[0][..., :3]
+        out.append(cv2.resize(seen, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
     return out
 
 

@@ -3,8 +3,8 @@ of docs/light.md the avatar in three places.
 
     python -m tools.docs.vr_pictures [docs/images [mirror facing own places page light photo]]
 
-The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta, or
-their middle. Look at every picture.
+The avatar is glsplat's own, the headset the fake one with a Quest 3's frusta, or the middle
+of them. Look at every picture.
 """
 
 from __future__ import annotations
@@ -33,14 +33,19 @@ QUALITY = 88  # JPEG
 PATIENCE = 240  # seconds for a picture
 LIT = ("day", "studio", "night")
 
-# view: the head, the left and the right wrist, and the frusta, degrees of the left eye: None for the headset's own, else
-# the middle of what it shows, so that a face is more than a few pixels
+# view: the head, the left and the right wrist, and the frusta, degrees of the left eye: None for the headset's own,
+# else the middle of what it shows, so that a face is more than a few pixels
 STANDING = pose([0, 1.735, 0], pitch=-6), pose([-0.25, 0.86, 0.0], pitch=-80), pose([0.3, 1.42, -0.22], pitch=70)
 MIDDLE = {"left": 30, "right": 24, "up": 20, "down": 34}
 DEVICE = {
     "mirror": (*STANDING, MIDDLE),
     "facing": (*STANDING, MIDDLE),
-    "own": (pose([0, 1.68, 0], pitch=-42), pose([-0.2, 1.2, -0.38], pitch=15), pose([0.22, 1.25, -0.4], pitch=25), None),
+    "own": (
+        pose([0, 1.68, 0], pitch=-42),
+        pose([-0.2, 1.2, -0.38], pitch=15),
+        pose([0.22, 1.25, -0.4], pitch=25),
+        None,
+    ),
 }
 SETTLING = 5  # pictures until the body has followed its hands
 
