@@ -12,7 +12,6 @@ import argparse
 import asyncio
 import json
 import multiprocessing
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -195,6 +194,7 @@ def stored(path: Path) -> Any:
     if path.exists():
         return np.load(path, allow_pickle=True)["pairs"][()]
     pairs = drawn().pairs
+    path.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(path, pairs=np.array(pairs, dtype=object))
     return pairs
 
@@ -223,6 +223,6 @@ if __name__ == "__main__":
     parser.add_argument("--link", type=link, action="append", default=[])
     parser.add_argument("--loopback", action="store_true")
     parser.add_argument("--seconds", type=float, default=15.0)
-    parser.add_argument("--pairs", type=Path, default=Path(f"/tmp/glsplat-pairs-{os.getuid()}.npz"))
+    parser.add_argument("--pairs", type=Path, default=Path("out") / "measured" / "pairs.npz")
     arguments = parser.parse_args()
     main([*([None] if arguments.loopback else []), *arguments.link], arguments.seconds, stored(arguments.pairs))

@@ -19,6 +19,7 @@ from cryptography.hazmat.primitives import hashes
 
 from glsplat.net.datagrams.congestion import NAME
 from glsplat.net.datagrams.packets import HEAD, NONCE, PING, REQUEST, Assembler, packets_of
+from tests.net.wire import HANG
 
 __all__ = ["ClientPath", "open_path"]
 
@@ -99,7 +100,7 @@ async def open_path(url: str, offer: dict[str, str], message: Callable[[bytes], 
     if message is not None:
         path.message = message
     path.connect_session(urlsplit(url).netloc, "/" + offer["path"])
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(HANG):
         await asyncio.wait([path.session, path.ended], return_when=asyncio.FIRST_COMPLETED)
     if path.ended.done():
         raise ConnectionError(f"the session was refused ({path.ended.result()})")
