@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -243,10 +243,13 @@ class Session:
 
     def lost(self, frame_id: int, now: float) -> None:
         """That picture went out and will never arrive: nobody waits for its acknowledgement."""
-        if frame_id in self._unacked:
-            self._unacked.remove(frame_id)
+        self.give_up((frame_id,))
         if self.link is not None:
             self.link.lost(frame_id, now)
+
+    def give_up(self, frame_ids: Collection[int]) -> None:
+        """Nobody waits for acknowledgements of those pictures any more."""
+        self._unacked = deque(one for one in self._unacked if one not in frame_ids)
 
     def failed(self, request: Request, code: str, message: str) -> str:
         """The picture of ``request`` cannot be drawn; returns the error text to send."""

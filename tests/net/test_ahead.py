@@ -71,15 +71,15 @@ def test_hands_are_nearer_to_where_they_are_when_seen() -> None:
 
 
 def test_a_trend_is_the_slope_and_asks_for_a_past() -> None:
-    trend, noise = Trend(), np.random.default_rng(3)
+    trend, noise = Trend(20.0), np.random.default_rng(3)
     assert trend.velocity() is None
-    for i in range(200):
-        trend.add((0.5 * i / RATE, noise.normal(0, 1e-4), -i / RATE), 1 / RATE)
+    for _ in range(200):
+        trend.add((0.5 / RATE, noise.normal(0, 1e-4), -1 / RATE), 1 / RATE)
     found = trend.velocity()
     assert found is not None and np.allclose(found, (0.5, 0.0, -1.0), atol=0.01)
-    slow = Trend()
-    for i in range(20):
-        slow.add((float(i), 0.0, 0.0), 0.2)  # five samples a second: no past that is short enough
+    slow = Trend(20.0)
+    for _ in range(20):
+        slow.add((1.0, 0.0, 0.0), 0.2)  # five samples a second: no past that is short enough
     assert slow.velocity() is None
 
 

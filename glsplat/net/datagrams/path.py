@@ -28,6 +28,7 @@ __all__ = ["DatagramPath"]
 _HANDSHAKE = 5.0  # seconds from the first packet to an accepted session
 _GRACE = 0.05  # seconds that a client's answer may come after QUIC's own acknowledgement
 _SILENT = 1.0  # seconds, and four round trips, for which nothing is heard of a picture: no path any more
+_UNANSWERED = 2.0  # seconds, and eight round trips, without an answer of a client to pictures that QUIC says it has
 _LOST = 6  # pictures in a row
 _PACKETS, _BURST = 600.0, 2000.0  # a second, and at once, that a client may send, and one for each that it was sent
 _STREAMED = 32 * 1024  # bytes of all streams together: settings, a CONNECT and what means nothing
@@ -64,6 +65,7 @@ class DatagramPath(QuicConnectionProtocol):
         quic._loss._pacer = PicturePacer(max_datagram_size=quic.configuration.max_datagram_size)
         self._under_way: dict[int, _UnderWay] = {}  # by frame_id, oldest first
         self._lost_in_a_row = 0
+        self._unanswered: float | None = None  # when the first picture went out that the client's answer is due to
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
         self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
         self._requests = Assembler(REQUEST, MAX_BYTES)
@@ -102,7 +104,9 @@ class DatagramPath(QuicConnectionProtocol):
                 if one.last < 0:
                     one.last, one.parity = self._window.newest, -1  # lost, unless its client says otherwise
         self._window.allow(rate, round(len(message) * self.overhead(len(message))))
-        self._under_way[frame_id] = _UnderWay(nonce, self._loop.time(), self._window.newest + 1, parity)
+        now = self._loop.time()
+        self._under_way[frame_id] = _UnderWay(nonce, now, self._window.newest + 1, parity)
+        self._unanswered = self._unanswered or now
         for packet in packets_of(frame_id, message, parity):
             self._http.send_datagram(self._session, packet)
         self.transmit()
@@ -182,6 +186,7 @@ class DatagramPath(QuicConnectionProtocol):
                 if (request := self._requests.add(payload)) is not None:
                     self._user.heard(request[1])
                 return
+            self._unanswered = None
             for frame_id, one in self._under_way.items():
                 if one.nonce == payload:
                     self._arrived(frame_id)
@@ -216,7 +221,10 @@ class DatagramPath(QuicConnectionProtocol):
             del self._under_way[old]
 
     def _look(self, now: float) -> None:
-        """At pictures of which all packets are known to have arrived or not."""
+        """At pictures of which all packets are known to have arrived or not, and at a client that says nothing."""
+        if self._unanswered is not None and now - self._unanswered > max(_UNANSWERED, 8 * self._window.trip):
+            self.end()  # a browser whose line of datagrams is full throws them away, and no picture is ever whole
+            return
         for frame_id, one in list(self._under_way.items()):
             if self._user is None:
                 return
@@ -241,7 +249,7 @@ class DatagramPath(QuicConnectionProtocol):
         def look() -> None:
             self._check = None
             self._look(self._loop.time())
-            if self._under_way and not self._ended:
+            if (self._under_way or self._unanswered is not None) and not self._ended:
                 self._look_later()
 
         self._check = self._loop.call_later(_GRACE, look)

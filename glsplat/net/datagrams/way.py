@@ -22,6 +22,7 @@ LONG = 0.008
 _AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until it is offered again, times so much each time; how often
 _GOOD = 200  # pictures after which a way that ends was a good one
 _HEARD = 64  # messages that may wait
+_WIDEST = 64  # more than a window is wide
 
 
 class SecondWay:
@@ -36,6 +37,7 @@ class SecondWay:
         self._path: Path | None = None
         self._next, self._pause, self._tries = 0.0, _AGAIN, 0
         self._sent = self._lost = self._before = 0
+        self._newest: deque[int] = deque(maxlen=_WIDEST)  # pictures that went this way
         self._heard: deque[bytes] = deque()
         self._more = asyncio.Event()
 
@@ -59,6 +61,7 @@ class SecondWay:
             return False
         self._session.overhead = path.overhead(len(picture))
         self._sent += 1
+        self._newest.append(frame_id)
         path.send(frame_id, link.follow(frame_id), picture, link.link.rate)
         return True
 
@@ -118,6 +121,8 @@ class SecondWay:
     def closed(self) -> None:
         """As in PathUser."""
         self._path, self._session.overhead = None, 1.0
+        self._session.give_up(self._newest)  # QUIC may have them acknowledged, and the client none
+        self._wake()
         self._listener.withdraw(self)
         if self._sent - self._before > _GOOD:
             self._pause, self._tries = _AGAIN, 0

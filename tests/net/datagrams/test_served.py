@@ -263,6 +263,23 @@ class TestFallingBack:
 
         asyncio.run(main())
 
+    def test_a_browser_that_throws_away_what_quic_says_it_has_is_left(
+        self, serve: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Its window is full of pictures that it never acknowledges; by the WebSocket it has the next at once."""
+
+        async def main() -> None:
+            async with serve(config=CONFIG) as server, viewing(server) as viewer:
+                path = await viewer.open()
+                await viewer.more(3, by_datagrams=True)
+                path.keep = lambda datagram: datagram[0] != PICTURE
+                monkeypatch.setattr(paths, "_UNANSWERED", 0.3)
+                await until(lambda: ways(server)["open"] == 0)
+                await viewer.more(10)
+                assert ways(server)["lost"] == 0 and server.stats()["clients"][0]["unacknowledged"] < 8
+
+        asyncio.run(main())
+
     def test_it_is_offered_anew_after_a_while(self, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(way, "_AGAIN", 0.2)
 
