@@ -7,6 +7,7 @@ holds it there.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,7 @@ _HANDSHAKE = 5.0  # seconds from the first packet to an accepted session
 _GRACE = 0.05  # seconds that a client's answer may come after QUIC's own acknowledgement
 _SILENT = 1.0  # seconds, and four round trips, for which nothing is heard of a picture: no path any more
 _UNANSWERED = 2.0  # seconds, and eight round trips, without an answer of a client to pictures that QUIC says it has
+_AWAITED = 64  # pictures, more than a window is wide
 _LOST = 6  # pictures in a row
 _PACKETS, _BURST = 600.0, 2000.0  # a second, and at once, that a client may send, and one for each that it was sent
 _STREAMED = 32 * 1024  # bytes of all streams together: settings, a CONNECT and what means nothing
@@ -65,7 +67,7 @@ class DatagramPath(QuicConnectionProtocol):
         quic._loss._pacer = PicturePacer(max_datagram_size=quic.configuration.max_datagram_size)
         self._under_way: dict[int, _UnderWay] = {}  # by frame_id, oldest first
         self._lost_in_a_row = 0
-        self._unanswered: float | None = None  # when the first picture went out that the client's answer is due to
+        self._awaited: deque[tuple[bytes, float]] = deque(maxlen=_AWAITED)  # of pictures a client has yet to answer
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
         self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
         self._requests = Assembler(REQUEST, MAX_BYTES)
@@ -106,7 +108,7 @@ class DatagramPath(QuicConnectionProtocol):
         self._window.allow(rate, round(len(message) * self.overhead(len(message))))
         now = self._loop.time()
         self._under_way[frame_id] = _UnderWay(nonce, now, self._window.newest + 1, parity)
-        self._unanswered = self._unanswered or now
+        self._awaited.append((nonce, now))
         for packet in packets_of(frame_id, message, parity):
             self._http.send_datagram(self._session, packet)
         self.transmit()
@@ -186,7 +188,9 @@ class DatagramPath(QuicConnectionProtocol):
                 if (request := self._requests.add(payload)) is not None:
                     self._user.heard(request[1])
                 return
-            self._unanswered = None
+            if any(nonce == payload for nonce, _ in self._awaited):
+                while self._awaited.popleft()[0] != payload:
+                    pass
             for frame_id, one in self._under_way.items():
                 if one.nonce == payload:
                     self._arrived(frame_id)
@@ -222,7 +226,7 @@ class DatagramPath(QuicConnectionProtocol):
 
     def _look(self, now: float) -> None:
         """At pictures of which all packets are known to have arrived or not, and at a client that says nothing."""
-        if self._unanswered is not None and now - self._unanswered > max(_UNANSWERED, 8 * self._window.trip):
+        if self._awaited and now - self._awaited[0][1] > max(_UNANSWERED, 8 * self._window.trip):
             self.end()  # a browser whose line of datagrams is full throws them away, and no picture is ever whole
             return
         for frame_id, one in list(self._under_way.items()):
@@ -249,7 +253,7 @@ class DatagramPath(QuicConnectionProtocol):
         def look() -> None:
             self._check = None
             self._look(self._loop.time())
-            if (self._under_way or self._unanswered is not None) and not self._ended:
+            if (self._under_way or self._awaited) and not self._ended:
                 self._look_later()
 
         self._check = self._loop.call_later(_GRACE, look)
