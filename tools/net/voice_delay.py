@@ -52,34 +52,34 @@ WATCH = """
     context.createMediaStreamSource(stream).connect(node);
     return stream;
   };
-  const send = WebSocket.prototype.send;
   let open = false;
   const at = new Map(); // when a request was sent, by its number
   seen.came = []; // [number, ms after it was sent, its server's times]
   const reading = import('/vr/stream/reply.js');
-  window.WebSocket = class extends WebSocket {
+  window.Worker = class extends Worker { // the page's socket is in one (stream/socket.js)
     constructor(...what) {
       super(...what);
-      this.addEventListener('message', ({ data }) => {
+      this.addEventListener('message', ({ data: { message } }) => {
         const now = performance.now();
-        if (typeof data === 'string' || new DataView(data).getUint8(8) === 0) return;
-        const copy = data.slice(0); // the page gives it away
+        if (!(message instanceof ArrayBuffer) || new DataView(message).getUint8(8) === 0) return;
+        const copy = message.slice(0); // the page gives it away
         reading.then(({ parseReply }) => {
           const { id, info } = parseReply(copy);
           seen.came.push([id, now, at.get(id), info.times]);
         });
       });
     }
-  };
-  WebSocket.prototype.send = function (data) {
-    const found = typeof data === 'string' && JSON.parse(data);
-    if (found?.frame_id) {
-      at.set(found.frame_id, performance.now());
-      const jaw = (found.pose ?? found.tracking)?.expression?.jawOpen ?? 0;
-      if (jaw > 0.06 && !open) seen.sent.push([performance.now(), found.frame_id]);
-      open = jaw > 0.03 && (open || jaw > 0.06);
+
+    postMessage(told, ...rest) {
+      const found = told?.text && JSON.parse(told.text);
+      if (found?.frame_id) {
+        at.set(found.frame_id, performance.now());
+        const jaw = (found.pose ?? found.tracking)?.expression?.jawOpen ?? 0;
+        if (jaw > 0.06 && !open) seen.sent.push([performance.now(), found.frame_id]);
+        open = jaw > 0.03 && (open || jaw > 0.06);
+      }
+      super.postMessage(told, ...rest);
     }
-    return send.call(this, data);
   };
   const look = (now) => {
     const id = window.glsplat?.stats().shownId ?? 0;
