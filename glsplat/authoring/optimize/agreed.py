@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.authoring.footprints import ALPHA_MAX
 from glsplat.authoring.optimize.compiled import compiled
-from glsplat.authoring.optimize.kernels import TILE, _edges, _exp, _read, _span
+from glsplat.authoring.optimize.kernels import TILE, _alpha, _edges, _read, _span
 
 __all__ = ["SUMS", "VALUES", "agreed"]
 
@@ -24,7 +24,7 @@ VALUES = 6
 SUMS = 8
 """Numbers an entry: five values seen and 1, each by how upright the surface is seen; pixels that count, and all."""
 
-_ZERO, _ONE, _HALF, _TWO = np.float32(0), np.float32(1), np.float32(0.5), np.float32(2)
+_ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _CAP = np.float32(ALPHA_MAX)
 _FACING = np.float32(0.5)  # of a pixel, at least, that shows what faces the camera: elsewhere one looks through
 
@@ -64,7 +64,7 @@ def agreed(
                     if before < least:
                         continue
                     dx = np.float32(x) + _HALF - u
-                    alpha = min(opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy)), _CAP)
+                    alpha = min(_alpha(opacity, a, b, c, dx, dy), _CAP)
                     weight = alpha * before
                     passes[y - top, x - left] = before - weight
                     total += weight
@@ -93,7 +93,7 @@ def agreed(
                     if before < least:
                         continue
                     dx = np.float32(x) + _HALF - u
-                    alpha = min(opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy)), _CAP)
+                    alpha = min(_alpha(opacity, a, b, c, dx, dy), _CAP)
                     weight = alpha * before
                     passes[y - top, x - left] = before - weight
                     s0 += weight * seen[y - top, x - left, 0]

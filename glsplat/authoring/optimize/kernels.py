@@ -183,6 +183,14 @@ def _read(record: F32, i: int) -> tuple[np.float32, ...]:
 
 
 @compiled
+def _alpha(
+    opacity: np.float32, a: np.float32, b: np.float32, c: np.float32, dx: np.float32, dy: np.float32
+) -> np.float32:
+    """Of a splat with that conic, so many pixels from its middle, before the cap."""
+    return opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy))
+
+
+@compiled
 def draw(
     tiles: I64,
     across: int,
@@ -209,7 +217,7 @@ def draw(
                     if before < least:
                         continue
                     dx = np.float32(x) + _HALF - u
-                    alpha = min(opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy)), _CAP)
+                    alpha = min(_alpha(opacity, a, b, c, dx, dy), _CAP)
                     weight = alpha * before
                     picture[y, x, 0] += weight * red
                     picture[y, x, 1] += weight * green
@@ -250,7 +258,7 @@ def backward(
                     if before < least:
                         continue
                     dx = np.float32(x) + _HALF - u
-                    raw = opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy))
+                    raw = _alpha(opacity, a, b, c, dx, dy)
                     alpha = min(raw, _CAP)
                     weight = alpha * before
                     by_weight = slope[y, x, 0] * red + slope[y, x, 1] * green + slope[y, x, 2] * blue + slope[y, x, 3]
