@@ -94,7 +94,7 @@ def photo() -> None:
 def room() -> None:
     """readme-room.jpg: three people of one room, as one of them sees them on the flat page."""
     config = ServerConfig(port=0, rooms={"lab": 3})
-    who = {"Ann": "anna", "Mei": "mei", "Ben": "default"}
+    who = {"Anna": "anna", "Mei": "mei", "Ben": "default"}
     others = {name: person(name) for name in ("anna", "mei")}
 
     def made(config: ServerConfig) -> Server:
@@ -104,7 +104,7 @@ def room() -> None:
     with Served(make=made, config=config) as served, chromium() as browser, ExitStack() as stack:
         for name, avatar in who.items():
             init = settings(size=768, room="lab", name=name, avatar=avatar, driver="motion:idle")
-            page = stack.enter_context(page_of(browser, served.page, init, (1280, 720), xr=False))
+            page = stack.enter_context(page_of(browser, served.page, init, (960, 600), xr=False))
         page.until("window.glsplat.stats().shown > 12", 240)
         shot = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
     write_jpeg("readme-room", np.asarray(shot))

@@ -36,7 +36,8 @@ LIT = ("day", "studio", "night")
 # view: the head, the left and the right wrist, and the frusta, degrees of the left eye: None for the headset's own,
 # else the middle of what it shows, so that a face is more than a few pixels
 STANDING = pose([0, 1.735, 0], pitch=-6), pose([-0.25, 0.86, 0.0], pitch=-80), pose([0.3, 1.42, -0.22], pitch=70)
-MIDDLE = {"left": 30, "right": 24, "up": 20, "down": 34}
+MIDDLE = {"left": 27, "right": 27, "up": 20, "down": 34}
+UPRIGHT = slice(230, 794)  # columns of those views: who stands there, without the menu beside
 DEVICE = {
     "mirror": (*STANDING, MIDDLE),
     "facing": (*STANDING, MIDDLE),
@@ -129,7 +130,8 @@ def main(folder: Path, names: list[str]) -> None:
         for view in DEVICE:
             if view in names:
                 seen = seen_in(browser, served.page, view)
-                save(folder, f"vr-{view}", np.hstack([seen["left"], seen["right"]]))
+                columns = slice(None) if DEVICE[view][3] is None else UPRIGHT
+                save(folder, f"vr-{view}", np.hstack([seen[eye][:, columns] for eye in ("left", "right")]))
         if "places" in names:
             eyes = [seen_in(browser, served.page, "mirror", place=place)["right"] for place in ("studio", "night")]
             save(folder, "vr-places", np.hstack(eyes))
