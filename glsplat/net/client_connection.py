@@ -163,7 +163,7 @@ class ClientConnection:
                     reply, at = parse_reply(message.data), time.perf_counter()
                     if self.video is not None and "video" in reply.info and reply.pictures:
                         coded = next(iter(reply.pictures.values()))
-                        how = coded, reply.info["video"], reply.info["size"]
+                        how = coded, reply.info["video"], reply.info.get("size")
                         reply = replace(reply, video=await asyncio.to_thread(self.video.eyes, *how))
                     await self._arrived(reply, at)
                 else:

@@ -32,6 +32,7 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 _TURN = 8  # messages of one client in a row before others are heard
+_HELD = 1.0  # seconds at most that a message waits for its turn
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _LOST = 1006  # RFC 6455, section 7.4.1: nobody said goodbye
 
@@ -161,7 +162,13 @@ class Conversation:
     async def _read_datagrams(self, way: SecondWay) -> None:
         """The same of what comes by the second way."""
         async for message in way.messages():
-            if not self._deaf() and await self._take(self._reading.offer(message, clock())):
+            if self._deaf():
+                continue
+            text = self._reading.offer(message, clock())
+            if text is None:  # its turn comes, unless a newer one takes its place
+                await asyncio.sleep(min(_HELD, self._reading.wait(clock())))
+                text = self._reading.take()
+            if await self._take(text):
                 return
             await asyncio.sleep(0)  # others are heard in between
 

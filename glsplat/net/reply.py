@@ -75,13 +75,11 @@ class Reply:
 
         Put them over a room as colour + (1 - alpha) * room. Raises ProtocolError where alpha was not asked for.
         """
-        if self.video:
-            greys = [eye[..., 3:] for eye in self.video]
-        else:
-            greys = [decode() for decode in self._decoders(self.alphas, "GRAY")] if self.alphas else []
-        if not greys or not greys[0].size:
-            raise ProtocolError(f"{self!r} has no alpha: ask for it with alpha=True", "bad_reply")
         images = self.images()
+        flat = any(eye.shape[2] < 4 for eye in self.video)
+        if flat or not (self.video or self.pictures.keys() <= self.alphas.keys()):
+            raise ProtocolError(f"{self!r} has no alpha: ask for it with alpha=True", "bad_reply")
+        greys = [eye[..., 3:] for eye in self.video] or [one() for one in self._decoders(self.alphas, "GRAY")]
         if self.info.get("alpha") == "straight":
             images = [_multiplied(image, grey) for image, grey in zip(images, greys, strict=True)]
         return [np.concatenate(pair, axis=2) for pair in zip(images, greys, strict=True)]

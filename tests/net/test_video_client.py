@@ -85,6 +85,8 @@ def test_after_a_loss_it_asks_for_a_key_frame(serve, fake_backend, cameras):
     assert first.images() and not lost.video
     with pytest.raises(ProtocolError, match="did not come"):
         lost.images()
+    with pytest.raises(ProtocolError, match="did not come"):
+        lost.rgba()
     assert found.info["video"]["key"] and abs(grey(found) - (found.frame_id % 200 + 50)) < 6
 
 
@@ -111,6 +113,9 @@ def coded(**more):
         {"eyes": [(-1, 0)]},
         {"eyes": 7},
         {"number": "x"},
+        {"number": float("inf")},
+        {"alpha": [(0, 0)]},
+        {"eyes": {}, "alpha": [(0, 64), (80, 64)]},
         {"codec": "av01.0"},
         {"codec": None},
         {"alpha": [(0, 64)], "eyes": [(0, 0)]},
@@ -120,6 +125,15 @@ def test_a_reply_that_lies_is_no_picture(more):
     reader = VideoReader()
     assert reader.eyes(*coded(**more)[0]) == () and reader.wish()["key"] is True
     assert len(reader.eyes(*coded()[0])) == 2 and "key" not in reader.wish()
+
+
+@pytest.mark.parametrize("missing", ["eyes", "number", "codec"])
+def test_a_reply_that_leaves_out_what_it_has_to_say_is_no_picture(missing):
+    reader = VideoReader()
+    data, said, size = coded()[0]
+    del said[missing]
+    assert reader.eyes(data, said, size) == () and reader.wish()["key"] is True
+    assert reader.eyes(data, said | {missing: None}, None) == ()
 
 
 def test_bytes_that_are_no_video():

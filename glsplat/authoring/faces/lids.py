@@ -150,7 +150,8 @@ def _skin_at(splats: Splats, places: F64, ball: Eyeball, edges: LidEdges) -> F64
     found, at = rgb[about], means[about]
     bright = found.sum(axis=1)
     usual = np.median(found[bright >= np.quantile(bright, 0.4)], axis=0)  # brows are darker
-    alike = np.linalg.norm(found - usual, axis=1) < _ALIKE
+    off = np.linalg.norm(found - usual, axis=1)
+    alike = off <= max(_ALIKE, off.min())
     found, at = found[alike], at[alike]
     away = ((places[:, None] - at) ** 2).sum(axis=2)
     away -= away.min(axis=1, keepdims=True)  # whoever is nearest counts, however far

@@ -45,7 +45,7 @@ class DepthGrid:
         first = grids[0]
         return {
             "grid": (first.columns, first.rows),
-            "inverse": [(round(grid.low, 6), round(grid.high, 6)) for grid in grids],
+            "inverse": [(float(f"{grid.low:.6g}"), float(f"{grid.high:.6g}")) for grid in grids],
         }
 
 

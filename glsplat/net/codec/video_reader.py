@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, cast
 
@@ -44,7 +44,7 @@ class VideoReader:
         """``video`` of the next request: what is decoded, and whether nothing is until a key frame comes."""
         return {"codecs": self._codecs} | ({} if self._next else {"key": True})
 
-    def eyes(self, data: bytes, said: Mapping[str, Any], size: Sequence[int]) -> tuple[Image, ...]:
+    def eyes(self, data: bytes, said: Mapping[str, Any], size: Any) -> tuple[Image, ...]:
         """The eyes' pictures [H, W, 3], with alpha [H, W, 4], of ``size`` (width, height), left first.
 
         ``said`` is what the reply says of its video. Nothing where it cannot be decoded: ``wish`` then asks for a key.
@@ -62,17 +62,18 @@ class VideoReader:
                 self._context.thread_count = 1
             (frame,) = self._context.decode(av.Packet(data))
             whole = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
-            parts = [[_part(whole, at, size) for at in said[k]] for k in ("eyes", "alpha") if k in said]
-        except (av.error.FFmpegError, KeyError, TypeError, ValueError, StopIteration):
+            eyes = [_part(whole, at, size) for at in said["eyes"]]
+            if "alpha" in said:
+                greys = [_part(whole, at, size)[..., :1] for at in said["alpha"]]
+                eyes = [np.dstack(pair) for pair in zip(eyes, greys, strict=True)]
+        except (av.error.FFmpegError, ArithmeticError, LookupError, TypeError, ValueError, StopIteration):
             self._context, self._next = None, 0
             return ()
         self._next = number + 1
-        if len(parts) == 1:
-            return tuple(parts[0])
-        return tuple(np.dstack([colour, alpha[..., :1]]) for colour, alpha in zip(*parts, strict=True))
+        return tuple(eyes)
 
 
-def _part(whole: Image, at: Sequence[int], size: Sequence[int]) -> Image:
+def _part(whole: Image, at: Any, size: Any) -> Image:
     (x, y), (width, height) = map(int, at), map(int, size)
     found = whole[y : y + height, x : x + width]
     if min(x, y) < 0 or found.shape[:2] != (height, width):

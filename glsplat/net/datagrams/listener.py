@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
-from collections import Counter
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -26,7 +25,10 @@ from glsplat.net.guard.notices import Notices
 
 __all__ = ["DatagramListener"]
 
-_LASTS, _RENEWED = timedelta(days=12), timedelta(days=5)  # from now on; browsers take 14 days, of which one lies behind
+_CERTIFIED, _RENEWED = (
+    timedelta(days=12),
+    timedelta(days=5),
+)  # browsers take 14 days, of which one lies behind
 _IDLE = 30.0  # seconds without a packet
 _STREAM = 16 * 1024  # bytes of a client's stream: a CONNECT and its settings
 _EACH = 2  # connections of which nobody knows yet whose they are, for each client that is expected from an address
@@ -101,7 +103,7 @@ class DatagramListener:
     def _look(self) -> None:
         """Read nothing while nobody is there and nobody expected."""
         if self._server is not None and self._socket is not None:
-            if not self._server.paths() and not self._offers.expected():
+            if not self._server.paths() and not self._offers.open():
                 self._socket.rest()
 
     def _shut(self) -> None:
@@ -116,14 +118,14 @@ class DatagramListener:
         now = datetime.now(UTC)
         if now - self._made < _RENEWED:
             return
-        certificate, key = passing_certificate(_LASTS)
+        certificate, key = passing_certificate(_CERTIFIED)
         self._configuration.certificate, self._configuration.private_key = certificate, key
         self._sha256 = base64.b64encode(certificate.fingerprint(hashes.SHA256())).decode()
         self._made = now
 
 
 class _Guarded(QuicServer):
-    """aioquic's server behind a look at who is expected: others cost it a look into a table."""
+    """aioquic's server behind a look at who is expected: others cost it a look at the open offers."""
 
     def __init__(
         self,
@@ -141,8 +143,8 @@ class _Guarded(QuicServer):
         path = self._protocols.get(_destination(data))
         if path is None:
             self._address = address_key(addr[0])
-            waiting = Counter(one.address for one in self.paths() if not one.accepted)
-            if waiting[self._address] >= _EACH * self._offers.expected()[self._address]:
+            most = _EACH * self._offers.expected(self._address)
+            if not most or sum(one.address == self._address and not one.accepted for one in self.paths()) >= most:
                 return False
         try:
             self.datagram_received(data, addr)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -50,10 +49,15 @@ class Offers(Generic[T]):
         """The client has left."""
         self._open = {secret: offer for secret, offer in self._open.items() if offer.whose is not whose}
 
-    def expected(self) -> Counter[str]:
-        """How many clients of each address may come now."""
+    def open(self) -> bool:
+        """Whether anybody may come now."""
         self._expire()
-        return Counter(offer.address for offer in self._open.values())
+        return bool(self._open)
+
+    def expected(self, address: str) -> int:
+        """How many clients of an address may come now."""
+        now = self._clock()
+        return sum(offer.address == address and offer.until > now for offer in self._open.values())
 
     def _expire(self) -> None:
         now = self._clock()

@@ -7,7 +7,6 @@ the whole; little endian. Pieces lie in groups, every group with parity of its o
 from __future__ import annotations
 
 import struct
-from collections import OrderedDict
 
 import numpy as np
 
@@ -92,7 +91,7 @@ class Assembler:
     def __init__(self, kind: int = PICTURE, largest: int = LARGEST) -> None:
         self.newest = -1
         self._kind, self._largest = kind, largest
-        self._unfinished: OrderedDict[int, _Unfinished] = OrderedDict()
+        self._unfinished: dict[int, _Unfinished] = {}
 
     def add(self, datagram: bytes) -> tuple[int, bytes] | None:
         """frame_id and message, where this datagram was the last that was needed."""

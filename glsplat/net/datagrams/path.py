@@ -7,7 +7,6 @@ holds it there.
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,7 @@ from aioquic.h3.events import DatagramReceived, DataReceived, H3Event, HeadersRe
 from aioquic.quic.events import ConnectionTerminated, QuicEvent, StreamDataReceived
 
 from glsplat.net.datagrams.congestion import PicturePacer, PictureWindow
-from glsplat.net.datagrams.packets import HEAD, LARGEST, NONCE, PING, REQUEST, Assembler, groups_of, packets_of
+from glsplat.net.datagrams.packets import HEAD, LARGEST, NONCE, PIECE, PING, REQUEST, Assembler, groups_of, packets_of
 from glsplat.net.datagrams.redundancy import parity_for
 from glsplat.net.datagrams.roles import PathUser
 from glsplat.net.guard.limits import Bucket
@@ -29,8 +28,8 @@ __all__ = ["DatagramPath"]
 _HANDSHAKE = 5.0  # seconds from the first packet to an accepted session
 _GRACE = 0.05  # seconds that a client's answer may come after QUIC's own acknowledgement
 _SILENT = 1.0  # seconds, and four round trips, for which nothing is heard of a picture: no path any more
-_UNANSWERED = 2.0  # seconds, and eight round trips, without an answer of a client to pictures that QUIC says it has
-_AWAITED = 64  # pictures, more than a window is wide
+_UNANSWERED = 2.0  # seconds, and eight round trips, without an answer of a client to a picture that QUIC says it has
+_SILENCES = 3  # such pictures in a row: no path any more
 _LOST = 6  # pictures in a row
 _PACKETS, _BURST = 600.0, 2000.0  # a second, and at once, that a client may send, and one for each that it was sent
 _STREAMED = 32 * 1024  # bytes of all streams together: settings, a CONNECT and what means nothing
@@ -67,7 +66,8 @@ class DatagramPath(QuicConnectionProtocol):
         quic._loss._pacer = PicturePacer(max_datagram_size=quic.configuration.max_datagram_size)
         self._under_way: dict[int, _UnderWay] = {}  # by frame_id, oldest first
         self._lost_in_a_row = 0
-        self._awaited: deque[tuple[bytes, float]] = deque(maxlen=_AWAITED)  # of pictures a client has yet to answer
+        self._awaited: dict[int, tuple[bytes, float]] = {}  # by frame_id: what QUIC alone says is there
+        self._silences = 0  # in a row
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
         self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
         self._requests = Assembler(REQUEST, MAX_BYTES)
@@ -88,7 +88,7 @@ class DatagramPath(QuicConnectionProtocol):
         """Bytes on the way for each byte of a picture of that size."""
         pieces, groups = groups_of(max(1, nbytes))
         each = -(-pieces // groups)
-        return (1 + parity_for(each, self.loss) / each) * (1 + _HEADERS / 1124)
+        return (1 + parity_for(each, self.loss) / each) * (1 + _HEADERS / PIECE)
 
     def takes(self, nbytes: int) -> bool:
         """Whether a picture of so many bytes can go this way now."""
@@ -108,7 +108,6 @@ class DatagramPath(QuicConnectionProtocol):
         self._window.allow(rate, round(len(message) * self.overhead(len(message))))
         now = self._loop.time()
         self._under_way[frame_id] = _UnderWay(nonce, now, self._window.newest + 1, parity)
-        self._awaited.append((nonce, now))
         for packet in packets_of(frame_id, message, parity):
             self._http.send_datagram(self._session, packet)
         self.transmit()
@@ -188,13 +187,12 @@ class DatagramPath(QuicConnectionProtocol):
                 if (request := self._requests.add(payload)) is not None:
                     self._user.heard(request[1])
                 return
-            if any(nonce == payload for nonce, _ in self._awaited):
-                while self._awaited.popleft()[0] != payload:
-                    pass
-            for frame_id, one in self._under_way.items():
-                if one.nonce == payload:
-                    self._arrived(frame_id)
-                    break
+            nonces = {one.nonce: frame_id for frame_id, one in self._under_way.items()}
+            nonces |= {nonce: frame_id for frame_id, (nonce, _) in self._awaited.items()}
+            if payload in nonces:
+                self._arrived(nonces[payload])
+                self._awaited = {other: one for other, one in self._awaited.items() if other > nonces[payload]}
+                self._silences = 0
             self._user.answered(payload)
         elif isinstance(event, DatagramReceived) or (isinstance(event, DataReceived) and not event.stream_ended):
             return  # of no session, or a capsule: Chromium sends some that mean nothing (grease)
@@ -225,10 +223,16 @@ class DatagramPath(QuicConnectionProtocol):
             del self._under_way[old]
 
     def _look(self, now: float) -> None:
-        """At pictures of which all packets are known to have arrived or not, and at a client that says nothing."""
-        if self._awaited and now - self._awaited[0][1] > max(_UNANSWERED, 8 * self._window.trip):
-            self.end()  # a browser whose line of datagrams is full throws them away, and no picture is ever whole
-            return
+        """At pictures of which all packets are known to have arrived or not, and at those that nobody answers."""
+        for frame_id, (_, since) in list(self._awaited.items()):
+            if self._user is None or now - since <= max(_UNANSWERED, 8 * self._window.trip):
+                break
+            del self._awaited[frame_id]
+            self._user.unanswered(frame_id)
+            self._silences += 1
+            if self._silences >= _SILENCES:  # a browser whose line of datagrams is full throws them away
+                self.end()
+                return
         for frame_id, one in list(self._under_way.items()):
             if self._user is None:
                 return
@@ -247,6 +251,7 @@ class DatagramPath(QuicConnectionProtocol):
             if now - one.settled < _GRACE:
                 return
             self._arrived(frame_id)  # its browser has it, whatever keeps the answer
+            self._awaited[frame_id] = one.nonce, now
             self._user.answered(one.nonce)
 
     def _look_later(self) -> None:

@@ -26,6 +26,10 @@ class PathUser(Protocol):
         """That picture will not arrive."""
         ...
 
+    def unanswered(self, frame_id: int) -> None:
+        """That picture did arrive, as QUIC has it, and its client has said nothing of it for long."""
+        ...
+
     def closed(self) -> None:
         """Nothing can be sent any more."""
         ...

@@ -11,8 +11,8 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
-from glsplat.errors import GlsplatError
 from glsplat.net.guard.limits import Bucket
+from glsplat.net.guard.listener import bind
 
 __all__ = ["UdpSocket", "bind_udp"]
 
@@ -94,15 +94,7 @@ class UdpSocket:
 
 def bind_udp(host: str, port: int) -> socket.socket:
     """A UDP socket. Raises GlsplatError (port in use, no such address)."""
-    listening = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-        listening.bind((host, port))
-    except OSError as error:
-        listening.close()
-        reason = error.strerror or str(error)
-        raise GlsplatError(
-            f"cannot listen on {host} UDP port {port} ({reason}); choose another --port, or leave --webtransport out"
-        ) from None
+    listening = bind(host, port, socket.SOCK_DGRAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
     listening.setblocking(False)
     return listening

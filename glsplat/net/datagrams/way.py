@@ -21,7 +21,7 @@ LONG = 0.008
 """Seconds there and back from which on it is worth it: what TCP waits for a lost packet. A machine's own are below."""
 _AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until it is offered again, times so much each time; how often
 _GOOD = 200  # pictures after which a way that ends was a good one
-_HEARD = 64  # messages that may wait
+_HEARD = 64  # messages that may wait, the newest
 _WIDEST = 64  # more than a window is wide
 
 
@@ -38,7 +38,7 @@ class SecondWay:
         self._next, self._pause, self._tries = 0.0, _AGAIN, 0
         self._sent = self._lost = self._before = 0
         self._newest: deque[int] = deque(maxlen=_WIDEST)  # pictures that went this way
-        self._heard: deque[bytes] = deque()
+        self._heard: deque[bytes] = deque(maxlen=_HEARD)
         self._more = asyncio.Event()
 
     def offer(self) -> dict[str, str] | None:
@@ -88,8 +88,6 @@ class SecondWay:
 
     def opened(self, path: Path) -> None:
         """As in PathUser."""
-        if self._path is not None:
-            self._path.end()
         self._path, self._before = path, self._sent
 
     def answered(self, payload: bytes) -> None:
@@ -100,9 +98,8 @@ class SecondWay:
 
     def heard(self, message: bytes) -> None:
         """As in PathUser."""
-        if len(self._heard) < _HEARD:
-            self._heard.append(message)
-            self._more.set()
+        self._heard.append(message)
+        self._more.set()
 
     async def messages(self) -> AsyncIterator[str]:
         """What the client sends this way, until it has left; what is no text is nothing."""
@@ -116,6 +113,11 @@ class SecondWay:
         """As in PathUser."""
         self._lost += 1
         self._session.lost(frame_id, self._clock())
+        self._wake()
+
+    def unanswered(self, frame_id: int) -> None:
+        """As in PathUser."""
+        self._session.give_up((frame_id,))
         self._wake()
 
     def closed(self) -> None:

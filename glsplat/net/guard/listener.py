@@ -171,17 +171,22 @@ class Listener:
         return room
 
 
-def bind(host: str, port: int) -> socket.socket:
-    """A listening socket. Raises GlsplatError (port in use, no such address)."""
+def bind(host: str, port: int, kind: int = socket.SOCK_STREAM) -> socket.socket:
+    """A listening socket, or one of datagrams. Raises GlsplatError (port in use, no such address)."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening = socket.socket(family, kind)
     try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if kind == socket.SOCK_STREAM:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((host, port))
-        listening.listen(_BACKLOG)
+        if kind == socket.SOCK_STREAM:
+            listening.listen(_BACKLOG)
     except (OSError, OverflowError) as error:
         listening.close()
         if getattr(error, "errno", None) == errno.EADDRINUSE:
+            if kind == socket.SOCK_DGRAM:
+                hint = "choose another with --port, or leave --webtransport out"
+                raise GlsplatError(f"UDP port {port} is in use; {hint}") from None
             raise GlsplatError(f"port {port} is in use; choose another with --port") from None
         reason = getattr(error, "strerror", None) or str(error)
         raise GlsplatError(f"cannot listen on {host} port {port} ({reason}); choose --host and --port") from None

@@ -67,3 +67,11 @@ def test_a_reply_brings_them_behind_its_json():
 def test_what_does_not_fit_is_refused(fields):
     with pytest.raises((KeyError, TypeError, ValueError)):
         read_grids(fields, bytes(12))
+
+
+def test_what_is_a_thousand_kilometres_away_is_read_again():
+    """Outliers of captures are that far; one that came back as nothing would end the client."""
+    far = grid_of(np.full((3, 4), 1e-7))
+    said = DepthGrid.fields((far,))
+    (again,) = read_grids(said, far.data)
+    assert again.metres() == pytest.approx(np.full((3, 4), 1e7), rel=1e-5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,8 @@ from glsplat.net.datagrams.offers import LASTS, Offers
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
 from glsplat.net.datagrams.congestion import PictureWindow
+from glsplat.net.datagrams.roles import PathUser
+from glsplat.net.datagrams.way import SecondWay
 from glsplat.net.messages import Decoder, Request
 from glsplat.net.pace.link_control import LinkControl
 from glsplat.net.session import Session, SessionConfig
@@ -33,9 +36,9 @@ class TestOffers:
         offers, now = self.opened()
         secret = offers.make("1.2.3.4", whose := object())
         assert offers.take(secret, "1.2.3.5") is None and offers.take("", "1.2.3.4") is None
-        assert offers.expected() == {"1.2.3.4": 1}
+        assert offers.expected("1.2.3.4") == 1 and not offers.expected("1.2.3.5") and offers.open()
         now[0] = LASTS + 0.01
-        assert offers.take(secret, "1.2.3.4") is None and not offers.expected()
+        assert offers.take(secret, "1.2.3.4") is None and not offers.expected("1.2.3.4") and not offers.open()
         assert offers.take(offers.make("1.2.3.4", whose), "1.2.3.4") is whose
 
     def test_a_client_has_one_and_takes_it_along(self) -> None:
@@ -43,7 +46,7 @@ class TestOffers:
         whose = object()
         first, second = offers.make("a", whose), offers.make("a", whose)
         assert first != second and len(second) >= 32
-        assert offers.take(first, "a") is None and offers.expected() == {"a": 1}
+        assert offers.take(first, "a") is None and offers.expected("a") == 1
         offers.withdraw(whose)
         assert offers.take(second, "a") is None
 
@@ -110,3 +113,27 @@ class TestLost:
         session.receive(native(1, arrival={"age": 60}), 0.1)
         session.lost(2**32 - 1, 0.2)
         assert session.link is not None and not session.link.link.known
+
+
+class TestHeard:
+    def test_of_too_many_requests_the_newest_are_kept(self) -> None:
+        async def main() -> list[str]:
+            session = Session(Decoder(), SessionConfig(adapt=True), now=0.0)
+            way = SecondWay(Nobody(), session, "a", lambda: 0.0, lambda: None)
+            for number in range(200):
+                way.heard(b"%d" % number)
+            messages = way.messages()
+            return [await anext(messages) for _ in range(3)]
+
+        first, second, third = map(int, asyncio.run(main()))
+        assert 100 < first == second - 1 == third - 2
+
+
+class Nobody:
+    """A host that lets nobody in."""
+
+    def offer(self, address: str, user: PathUser) -> dict[str, str] | None:
+        return None
+
+    def withdraw(self, user: PathUser) -> None:
+        pass

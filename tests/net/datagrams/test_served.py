@@ -191,6 +191,29 @@ class TestFallingBack:
 
         asyncio.run(main())
 
+    def test_an_answer_that_is_lost_before_a_pause_ends_nothing(
+        self, serve: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """One picture that only QUIC acknowledges: nobody waits for it, and the way stays for later."""
+        monkeypatch.setattr(paths, "_UNANSWERED", 0.2)
+
+        async def main() -> None:
+            async with serve(config=CONFIG) as server, viewing(server) as viewer:
+                path = await viewer.open()
+                await viewer.more(3, by_datagrams=True)
+                viewer.pause()
+                await asyncio.sleep(0.2)
+                path.keep = lambda datagram: datagram[0] != PICTURE
+                await viewer.once()
+                await until(lambda: server.stats()["clients"][0]["unacknowledged"] == 0)
+                await asyncio.sleep(0.4)
+                assert ways(server)["open"] == 1
+                path.keep = lambda datagram: True
+                viewer.go_on()
+                await viewer.more(5, by_datagrams=True)
+
+        asyncio.run(main())
+
     def test_it_is_offered_anew_after_a_while(self, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(way, "_AGAIN", 0.2)
 

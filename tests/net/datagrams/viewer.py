@@ -30,6 +30,8 @@ class Viewer:
         self.asks: dict[str, Any] = {}
         self.errors: list[str] = []
         self.path: Any = None
+        self._number, self._asks = 0, asyncio.Event()
+        self._asks.set()
         self._tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._ask())]
 
     def take(self, data: bytes, by_datagrams: bool) -> None:
@@ -67,14 +69,25 @@ class Viewer:
             else:
                 self.errors.append(str(message.data))
 
+    def pause(self) -> None:
+        """Ask for nothing until ``go_on``."""
+        self._asks.clear()
+
+    def go_on(self) -> None:
+        """Ask for one after the other."""
+        self._asks.set()
+
+    async def once(self) -> None:
+        """Ask for one picture."""
+        self._number += 1
+        told: dict[str, Any] = {"ack": self.newest}
+        told |= {"arrival": {"age": 20.0}} if self.newest else {}
+        told |= {"datagrams": True} if self.wants else {}
+        await self.ws.send_str(native(self._number, **told, **self.asks))
+
     async def _ask(self) -> None:
-        number = 0
-        while True:
-            number += 1
-            told: dict[str, Any] = {"ack": self.newest}
-            told |= {"arrival": {"age": 20.0}} if self.newest else {}
-            told |= {"datagrams": True} if self.wants else {}
-            await self.ws.send_str(native(number, **told, **self.asks))
+        while await self._asks.wait():
+            await self.once()
             await asyncio.sleep(0.01)
 
 

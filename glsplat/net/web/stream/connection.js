@@ -133,7 +133,6 @@ export class Connection extends EventTarget {
       this.#acknowledged = 0;
       this.#arrival = null;
       this.#lost = false;
-      this.#undecoded = 0;
       this.opened++;
       this.#become('open', '', '');
     };
@@ -163,6 +162,9 @@ export class Connection extends EventTarget {
       reply.lost = () => {
         this.#lost = true;
         if (key && ++this.#undecoded >= UNDECODED) this.#codecs = []; // JPEGs from now on
+      };
+      reply.decoded = () => {
+        this.#undecoded = 0;
       };
       if (key) this.#lost = false;
     }

@@ -80,8 +80,10 @@ export class Pictures {
     if (lost) {
       reply.lost?.();
     } else if (pictures?.length === 0) {
+      reply.decoded?.();
       this.dropped++;
     } else if (pictures) {
+      reply.decoded?.();
       this.open += pictures.flat().filter(Boolean).length;
       if (this.#ready) {
         this.dropped++;
