@@ -20,6 +20,7 @@ from glsplat.scene import is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
+from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Level, Splats
 from glsplat.views import box_of
 
@@ -218,8 +219,7 @@ def levels_said(levels: list[dict[str, Any]]) -> list[str]:
 
 def _rig(avatar: Avatar) -> dict[str, Any]:
     skeleton, skin = avatar.skeleton, avatar.skin
-    first = skin.weights.argmax(axis=1)[:, None]
-    strongest = np.bincount(np.take_along_axis(skin.joints, first, axis=1)[:, 0], minlength=len(skeleton))
+    strongest = np.bincount(strongest_joint(skin.joints, skin.weights), minlength=len(skeleton))
     with np.errstate(all="ignore"):
         offset = np.nan_to_num(skeleton.rest @ skeleton.inverse_bind - np.eye(4))
     return {

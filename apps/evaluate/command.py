@@ -6,7 +6,6 @@ import argparse
 import hashlib
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,6 +23,7 @@ from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, 
 from glsplat.evaluate.comparison.work import Result, Task, alone, finished
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.io.files import locked, replace_file
+from glsplat.io.machine import cores
 from glsplat.motion.kinds import split_choice
 from glsplat.motion.motion import embedded_motions
 
@@ -225,8 +225,7 @@ def _jobs(args: argparse.Namespace) -> int:
         if not 1 <= args.jobs <= 256:
             raise UsageError(f"--jobs needs 1 to 256 processes, not {args.jobs}")
         return int(args.jobs)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(cores, math.floor(_memory() / _WORKER)))
+    return max(1, min(cores(), math.floor(_memory() / _WORKER)))
 
 
 def _memory() -> float:

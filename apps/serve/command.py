@@ -191,12 +191,10 @@ def check(args: argparse.Namespace) -> None:
     if args.video and (args.workers is not None or args.study is not None):
         other = "--workers" if args.workers is not None else "--study"
         raise UsageError(f"--video is coded where one process draws, and not in a study: leave it or {other} out")
-    if args.webtransport and (args.fixed or args.study is not None):
-        other = "--fixed" if args.fixed else "--study"
-        raise UsageError(f"--webtransport sends what fits the link, and {other} the same to all: leave one out")
-    if args.bitrate is not None and (args.fixed or args.study is not None):
-        other = "--fixed" if args.fixed else "--study"
-        raise UsageError(f"--bitrate fits pictures to a rate, and {other} none: leave one out")
+    for given, fits in ((args.webtransport, "--webtransport"), (args.bitrate is not None, "--bitrate")):
+        if given and (args.fixed or args.study is not None):
+            other = "--fixed" if args.fixed else "--study"
+            raise UsageError(f"{fits} sends what fits the link, and {other} the same to all: leave one out")
     if not 0 <= args.ipd <= 0.2 or not 1 <= args.fov <= 170:
         raise UsageError("--ipd needs 0 to 0.2 m and --fov 1 to 170 degrees")
     if max(_pixels(args)) > args.max_size:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -15,7 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 import scipy
 
-__all__ = ["abreast", "cores", "one_blas_thread"]
+from glsplat.io.machine import cores
+
+__all__ = ["abreast", "one_blas_thread"]
 
 _NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
 
@@ -25,11 +26,6 @@ _before: list[tuple[Callable[[int], Any], int]] = []  # how many threads there w
 
 T = TypeVar("T")
 U = TypeVar("U")
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def abreast(work: Callable[[T], U], pieces: Iterable[T]) -> list[U]:

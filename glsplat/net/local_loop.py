@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
+from glsplat.io.machine import cores
 from glsplat.net.backend import Backend, Interruptible, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.fields import PictureOptions
@@ -27,7 +27,7 @@ __all__ = ["LocalLoop", "encode"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _GRACE = 0.5  # seconds the picture in hand gets when the server stops
-_CODERS = max(1, (os.cpu_count() or 1) // 2)  # threads that code video, which takes long: JPEGs do not wait for it
+_CODERS = max(1, cores() // 2)  # threads that code video, which takes long: JPEGs do not wait for it
 _CODED = _CODERS + 1  # pictures that are coded or wait for it, of all videos: each holds room that drawing needs
 
 

@@ -39,6 +39,7 @@ from glsplat.formats.registry import load_splats, save
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
+from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
 from tools.data.lids import BACK, BLINKS, lid_corners
 from tools.data.persons import (
@@ -157,12 +158,6 @@ def _with_lids(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
     return replace(avatar, splats=replace(avatar.splats, sh=sh))
 
 
-def _strongest(avatar: Avatar) -> NDArray[np.integer]:
-    """[N] the joint that moves each splat most."""
-    joints, weights = avatar.skin.joints, avatar.skin.weights
-    return np.take_along_axis(joints, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-
-
 def _sampled(part: MeshPart, face: NDArray[np.intp], weights: NDArray[np.float64]) -> NDArray[np.float32]:
     """[N, 3] coefficients of the part's colours at such places of its triangles."""
     colours = part.sample(np.einsum("nk,nkc->nc", weights, part.uv[face]))[:, :3]
@@ -214,7 +209,7 @@ def _blinking(avatar: Avatar, share: float) -> Avatar:
 def _on_ball(avatar: Avatar, eye: str) -> NDArray[np.bool_]:
     """[N] which splats are of that eyeball."""
     joint = avatar.skeleton.names.index(eye)
-    mine = _strongest(avatar) == joint
+    mine = strongest_joint(avatar.skin.joints, avatar.skin.weights) == joint
     away = np.linalg.norm(avatar.splats.means - avatar.skeleton.joints[joint], axis=1)
     return np.asarray(mine & (away < _BALL * np.median(away[mine])))
 

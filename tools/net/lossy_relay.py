@@ -100,7 +100,7 @@ class DatagramRelay(asyncio.DatagramProtocol):
         return (await loop.create_datagram_endpoint(Back, remote_addr=self._there))[0]
 
 
-async def relay(simulated: Link, there: int, port: int = 0, tcp_loss: bool = True) -> int:
+async def relay(simulated: Link, there: int, port: int = 0) -> int:
     """Begin; the port it listens on, TCP and UDP."""
     pipe = _Relay(simulated, "127.0.0.1", there)
     server = await asyncio.start_server(pipe.connected, "127.0.0.1", port, limit=4096)

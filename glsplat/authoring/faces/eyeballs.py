@@ -11,6 +11,7 @@ from glsplat.authoring.visibility import EYES
 from glsplat.errors import FormatError
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import strongest_joint
 
 __all__ = ["IRISES", "Eyeball", "eye_texture", "eyeballs", "with_eyeballs"]
 
@@ -48,7 +49,7 @@ def eyeballs(mesh: RiggedMesh, *parts: str) -> list[Eyeball]:
     names, out = mesh.skeleton.names, []
     every = [one.faces.reshape(-1) for one in mesh.parts if one.name in parts]
     used = np.unique(np.concatenate([np.empty(0, np.int32), *every]))
-    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    strongest = strongest_joint(mesh.joints, mesh.weights)
     for joint in EYES:
         mine = used[strongest[used] == names.index(joint)] if joint in names else used[:0]
         if len(mine) < 16:

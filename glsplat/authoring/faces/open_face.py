@@ -17,6 +17,7 @@ from glsplat.authoring.importers import nearest_on
 from glsplat.authoring.visibility import EYES
 from glsplat.errors import FormatError
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
+from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["OpenFace", "matched", "open_face", "with_expressions", "with_mouth"]
@@ -192,7 +193,7 @@ def _enamel() -> NDArray[np.uint8]:
 
 def _on_head(mesh: RiggedMesh, vertices: Indices) -> NDArray[np.bool_]:
     names = mesh.skeleton.names
-    strongest = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], axis=1)[vertices, 0]
+    strongest = strongest_joint(mesh.joints, mesh.weights)[vertices]
     held = [index for index, name in enumerate(names) if name in ("head", "jaw", "neck")]
     return np.isin(strongest, held)
 

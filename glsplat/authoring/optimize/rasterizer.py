@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from glsplat.authoring.optimize import kernels
 from glsplat.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
 from glsplat.authoring.posed import PosedSplats
-from glsplat.authoring.threads import cores
 from glsplat.camera import Camera
+from glsplat.io.machine import cores
 
 __all__ = ["Gradients", "Rasterizer"]
 

@@ -8,7 +8,6 @@ refreshes column by column besides (intra refresh).
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
+from glsplat.io.machine import cores
 from glsplat.net.codec.encode import Box, Encoded
 from glsplat.net.codec.straight import straightened
 
@@ -63,7 +63,7 @@ CODECS: dict[str, Coder] = {
 _AGAIN = 0.5  # seconds before a stream takes another form, or has another key frame that a client asks for
 _SHARE, _SAVED = 0.1, 1.0  # of a client's time that may go into other forms, in the long run; seconds at once
 _LEAST, _MOST = 32, 4096 * 2304  # pixels of a side, and of the coded picture
-_THREADS = max(1, min(2, (os.cpu_count() or 1) // 4))  # the renderer wants cores, too
+_THREADS = max(1, min(2, cores() // 4))  # the renderer wants cores, too
 _BLACK = 16, 128, 128  # of Y, U and V in limited range (ITU-R BT.601)
 _601, _709, _SRGB, _LIMITED = 6, 1, 13, 1  # matrix, primaries, transfer and range as FFmpeg numbers them
 

@@ -68,7 +68,7 @@ def test_pictures_fit_links_unless_they_are_fixed():
     assert serve.server_config(arguments("--webtransport")).webtransport and not config.webtransport
     for words, message in (
         (("--bitrate", 8, "--fixed"), "leave one out"),
-        (("--bitrate", 8, "--study", "plan.toml"), "--study none: leave one out"),
+        (("--bitrate", 8, "--study", "plan.toml"), "--study the same to all: leave one out"),
         (("--bitrate", 0), "0.1 to 100000"),
         (("--video", "--workers", 2), "--workers out"),
         (("--webtransport", "--fixed"), "--fixed the same to all: leave one out"),

@@ -71,8 +71,7 @@ export class Stage {
    * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
    * which `keeps` what was painted or, as in an immersive session, is cleared for each frame; `around`: the light of a
    * room that is not ours, or null; `asks` false where nothing new is to be asked for; `deep`: pictures are to know how
-   * far away is what they show. Returns the frame_id that was
-   * asked for, or 0.
+   * far away is what they show. Returns the frame_id that was asked for, or 0.
    */
   frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
     const light = this.#falling(where, around);
