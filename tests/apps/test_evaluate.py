@@ -132,7 +132,7 @@ def test_processes_as_memory_allows(monkeypatch, tmp_path) -> None:
     for text, wanted in (("max\n", 3), ("3300000000\n", 2), ("100\n", 1), ("", 3)):
         (tmp_path / "memory.max").write_text(text)
         monkeypatch.setattr(command, "_LIMITS", (str(tmp_path / "memory.max"), str(tmp_path / "none")))
-        monkeypatch.setattr(command.os, "sched_getaffinity", lambda pid: {0, 1, 2}, raising=False)
+        monkeypatch.setattr(command, "cores", lambda: 3)
         assert command._jobs(argparse.Namespace(jobs=None)) == wanted
 
 
