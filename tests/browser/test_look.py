@@ -85,6 +85,7 @@ def test_vr_stands_in_each_place_before_its_mirror(
     page = open_page(demo.page, init=settings(view="mirror", size=512, driver="rest", place=place))
     steer(page, head=pose([0, 1.65, 0], pitch=-14))
     enter(page, run=False)
+    page.until("(() => { fakeXR.step(); return window.glsplat.stats().place.triangles; })()")  # it is there by then
     fresh(page, 60)
     eyes = see(page)
     for side in ("left", "right"):
@@ -138,9 +139,8 @@ def test_the_status_page_shows_who_is_there(open_page: OpenPage, demo: Any, axe:
     page = open_page(f"{demo.origin}/", xr=None, size=(1280, 900))
     page.until("document.querySelectorAll('#pictures img').length > 0", 60)
     page.until("document.querySelectorAll('.curve polyline').length === 3", 60)
-    assert page.js("[...document.querySelectorAll('#people figcaption')].map((e) => e.textContent)") == [
-        "default", "another",
-    ]  # fmt: skip
+    page.until("document.querySelectorAll('#people figcaption').length > 0")  # their pictures are drawn first
+    assert page.page.locator("#people figcaption").all_text_contents() == ["default", "another"]
     assert "a second" in page.page.text_content("#clients th:nth-child(4)")
     assert violations(page.page, axe) == []
     assert all(address.startswith((demo.origin, "blob:", "data:")) for address in page.requests)

@@ -94,6 +94,7 @@ def test_a_picture_is_sent_watched_and_worn_and_the_avatar_deleted(
 ) -> None:
     served = taking()
     page = opened(open_page, served)
+    page.allowed.append("404 .*/thumbnails/photo-")  # asked for while it is deleted
     page.page.set_input_files("#photo-front", picture(f"hold {tmp_path / 'go on'}"))
     page.until("document.getElementById('photo-shown').naturalWidth === 320")
     assert page.page.is_visible("#photo-shown")

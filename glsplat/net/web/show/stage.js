@@ -236,6 +236,7 @@ export class Stage {
       reconnects: Math.max(0, connection.opened - 1),
       bitmaps: pictures.open,
       textures: painter.textures,
+      place: painter.place.counts,
       drawn: this.here.stats(),
       link: this.link,
       server: Object.fromEntries(
