@@ -15,7 +15,7 @@ from glsplat.passes.stats import union
 
 __all__ = ["draw_labels"]
 
-_LEAST, _SHARE = 11.0, 1 / 64  # pixels, and of the picture's height, that a label has at least, however far away it is
+_LEAST, _SHARE = 11.0, 1 / 40  # pixels, and of the picture's height, that a label has at least, however far away it is
 _ROWS = 40  # pixels of a label before it is projected
 _MARGIN = 10
 _WIDEST = 4096
