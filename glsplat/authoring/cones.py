@@ -27,6 +27,7 @@ from glsplat.authoring.visibility import probe_poses, sphere
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Splats
@@ -87,8 +88,7 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
         raise GlsplatError("visibility cones need at least one finite splat")
     rng = np.random.default_rng(_SEED)
     weight, way = _looked_at(scene, usable, rng, config, report)
-    axis = np.einsum("vn,vni->ni", weight, way).astype(np.float64)
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
+    axis = unit_vectors(np.einsum("vn,vni->ni", weight, way), 1e-30)
     cosine = np.einsum("vni,ni->vn", way, axis)
 
     smallest = _cut(weight, cosine, axis, _pictures(scene, usable, rng, config.choosing, config), config, report)
@@ -367,8 +367,7 @@ def _near_camera(posed: Splats, direction: F64, rng: np.random.Generator, size: 
 
 def _ways(posed: Splats, eye: F64) -> F64:
     """[N, 3] unit vectors from the splats to ``eye`` in the splats' own axes."""
-    way = eye - posed.means.astype(np.float64)
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
+    way = unit_vectors(eye - posed.means.astype(np.float64), 1e-30)
     return np.asarray(np.einsum("nij,ni->nj", axes_of(posed), way), np.float64)
 
 
