@@ -23,7 +23,7 @@ from glsplat.authoring.footprints import EPS2D, Footprints, footprints, transmit
 from glsplat.authoring.optimize.compiled import available
 from glsplat.authoring.posed import axes_of, drawable, placed, posed_splats
 from glsplat.authoring.refine import random_pose
-from glsplat.authoring.visibility import probe_poses, sphere
+from glsplat.authoring.visibility import probe_poses, sphere, sphere_around
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
@@ -341,8 +341,7 @@ def _posed(scene: Splats | Avatar, pose: Pose | None, usable: NDArray[np.bool_])
 def _far_camera(posed: Splats, direction: F64, size: int) -> Camera:
     """From so far that the way to the eye is nearly one direction; the sphere around all fills the picture."""
     points = posed.means.astype(np.float64)
-    centre = (points.max(axis=0) + points.min(axis=0)) / 2
-    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+    centre, radius = sphere_around(points)
     K = pinhole(size, size, _fov(_FAR))
     viewmat = look_at(centre + direction * _FAR * radius, centre)
     return Camera(viewmat, K, size, size, near=1e-3 * radius, far=1e3 * radius)
@@ -356,8 +355,7 @@ def _fov(far: float) -> float:
 def _near_camera(posed: Splats, direction: F64, rng: np.random.Generator, size: int) -> Camera:
     """From where somebody looks who goes around it; it fills the picture."""
     points = posed.means.astype(np.float64)
-    centre = (points.max(axis=0) + points.min(axis=0)) / 2
-    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+    centre, radius = sphere_around(points)
     viewmat = look_at(centre + direction * rng.uniform(*_NEAR) * radius, centre)
     seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     slope = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), 1e-6)
