@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +103,7 @@ def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.G
     return _gaussians(cloud, _nearest(sites, features), count, size, config)
 
 
-def weights_between(mesh: RiggedMesh, corners: NDArray[np.intp], share: NDArray[np.float64]) -> csr_array:
+def weights_between(mesh: RiggedMesh, corners: NDArray[Any], share: NDArray[np.float64]) -> csr_array:
     """[M, J] skinning weights of points that lie between vertices ``corners`` [M, 3], of each as much as ``share``."""
     count, influences = len(corners), mesh.joints.shape[1]
     values = (share[:, :, None] * mesh.weights[corners]).ravel()
