@@ -27,7 +27,7 @@ from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.speech.sound import Sound, read_wav
 from glsplat.speech.speaking import Speaking
-from glsplat.views import view_of, viewing_point
+from glsplat.views import orbited, view_of, viewing_point
 
 from .args import (
     add_detail,
@@ -297,10 +297,9 @@ def _view(args: argparse.Namespace, scene: SceneFile, angle: float = 0.0) -> lis
     eye, target = viewing_point(scene.scene, args.fov)
     eye = eye if args.eye is None else np.array(args.eye)
     target = target if args.target is None else np.array(args.target)
-    x, y, z = eye - target
-    turned = np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
     behind = (0.0, 0.0, 0.0) if args.alpha else args.background or scene.background
-    return view_of(target + turned, target, args.size, args.fov, args.ipd if args.stereo else None, behind)
+    ipd = args.ipd if args.stereo else None
+    return view_of(orbited(eye, target, angle), target, args.size, args.fov, ipd, behind)
 
 
 def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], count: int, sound: Sound | None) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen_mapping, instance, plain
 from glsplat.errors import FormatError, PoseError
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
@@ -197,4 +198,4 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> N
     for corner in range(3):
         for axis in range(3):
             normals[:, axis] += np.bincount(faces[:, corner], across[:, axis], len(vertices))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return unit_vectors(normals, 1e-30)

@@ -1,4 +1,4 @@
-"""Rotations in float64, once: quaternions (wxyz), matrices, axis-angle, spherical harmonics, flips of axes.
+"""Rotations and directions in float64, once: quaternions (wxyz), matrices, axis-angle, harmonics, flips of axes.
 
 The scalar quaternions of one tracked body are in tracking/solve/quat.py.
 """
@@ -28,6 +28,7 @@ __all__ = [
     "signed_axes",
     "slerp",
     "turn_between",
+    "unit_vectors",
     "vector_quaternions",
 ]
 
@@ -54,6 +55,12 @@ SH_FACTORS = np.array(
 """[16] of the polynomials of x, y, z that spherical harmonics are (``sh_basis``), with the signs of 3DGS (sh.glsl)."""
 
 _DIRECTIONS = 64
+
+
+def unit_vectors(vectors: ArrayLike, least: float = 1e-12) -> F64:
+    """[..., N] the same directions at length 1; what is shorter than ``least`` is divided by that: zero stays zero."""
+    v = np.asarray(vectors, np.float64)
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), least))
 
 
 def quaternion_matrices(quats: NDArray[np.floating]) -> F64:

@@ -12,7 +12,7 @@ from glsplat.rotations import FLIP_YZ
 from glsplat.scene import Item, Scene, SceneLike
 from glsplat.skinning.pose import Pose
 
-__all__ = ["box_of", "view_of", "viewing_point"]
+__all__ = ["box_of", "orbited", "view_of", "viewing_point"]
 
 
 def viewing_point(scene: SceneLike, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -24,6 +24,12 @@ def viewing_point(scene: SceneLike, fov: float) -> tuple[NDArray[np.float64], ND
     centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
     distance = half * 1.25 / np.tan(np.radians(fov) / 2) + float(high[2] - low[2]) / 2
     return centre + np.array([0, 0, distance]), centre
+
+
+def orbited(eye: NDArray[np.float64], target: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+    """[3] ``eye`` [3] once it has gone round the upright axis through ``target`` [3] by ``angle`` radians, +z to +x."""
+    x, y, z = eye - target
+    return target + np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
 
 
 def box_of(item: Item) -> NDArray[np.float64] | None:

@@ -20,6 +20,7 @@ from glsplat.rotations import (
     sh_basis,
     sh_rotations,
     slerp,
+    unit_vectors,
     vector_quaternions,
 )
 
@@ -114,3 +115,17 @@ def test_flips_are_their_own_inverses() -> None:
     for flip in (FLIP_X, FLIP_YZ, FLIP_Z):
         np.testing.assert_array_equal(flip @ flip, np.eye(4))
     assert np.linalg.det(FLIP_YZ) == 1 and np.linalg.det(FLIP_X) == -1 == np.linalg.det(FLIP_Z)
+
+
+class TestUnitVectors:
+    def test_of_any_shape_they_are_one_long_and_point_as_before(self, rng: np.random.Generator) -> None:
+        vectors = rng.normal(size=(4, 7, 3)) * 10.0 ** rng.uniform(-9, 9, (4, 7, 1))
+        units = unit_vectors(vectors)
+        np.testing.assert_allclose(np.sqrt((units**2).sum(-1)), 1, rtol=1e-14)
+        np.testing.assert_allclose(np.cross(units, vectors) / np.abs(vectors).max(-1, keepdims=True), 0, atol=1e-14)
+        assert ((units * vectors).sum(-1) > 0).all() and np.array_equal(unit_vectors(vectors[0, 0]), units[0, 0])
+
+    def test_nothing_has_no_direction(self) -> None:
+        assert not unit_vectors(np.zeros((2, 3))).any()
+        np.testing.assert_allclose(unit_vectors([0.0, 1e-13, 0.0]), [0, 0.1, 0])
+        np.testing.assert_allclose(unit_vectors([0.0, 1e-13, 0.0], least=1e-30), [0, 1, 0])

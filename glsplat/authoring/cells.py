@@ -8,7 +8,7 @@ from one rule.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +18,13 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.avatar import Avatar
-from glsplat.skinning.skeleton import Skeleton
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "tessellate"]
+__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "tessellate", "weights_between"]
 
 _USUAL = 6.0  # samples that a cell's expected size is worth where few were drawn
 
@@ -63,7 +64,7 @@ class Cloud:
     layer: NDArray[np.float64]  # [M] part number
     weights: csr_array  # [M, J]
     area: float  # m^2 of the surface it covers
-    faces: NDArray[np.intp] | None = None  # [M] triangle of the mesh; None where nobody asks
+    faces: NDArray[np.intp]  # [M] triangle of the mesh
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +76,7 @@ class Cells:
     scales: NDArray[np.float64]
     rgb: NDArray[np.float64]
     weights: NDArray[np.float64]  # [N, J]
-    faces: NDArray[np.intp] | None = None  # [N] triangle at the middle
+    faces: NDArray[np.intp]  # [N] triangle at the middle
 
 
 def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> Cells:
@@ -102,14 +103,24 @@ def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.G
     return _gaussians(cloud, _nearest(sites, features), count, size, config)
 
 
-def avatar_of(cells: Sequence[Cells], skeleton: Skeleton, opacity: float, meta: Mapping[str, Any]) -> Avatar:
-    """An avatar of all these cells, with the four strongest influences of each."""
+def weights_between(mesh: RiggedMesh, corners: NDArray[Any], share: NDArray[np.float64]) -> csr_array:
+    """[M, J] skinning weights of points that lie between vertices ``corners`` [M, 3], of each as much as ``share``."""
+    count, influences = len(corners), mesh.joints.shape[1]
+    values = (share[:, :, None] * mesh.weights[corners]).ravel()
+    rows = np.arange(count + 1) * 3 * influences
+    return csr_array((values, mesh.joints[corners].ravel(), rows), shape=(count, len(mesh.skeleton)))
+
+
+def avatar_of(cells: Sequence[Cells], mesh: RiggedMesh, opacity: float) -> Avatar:
+    """An avatar of all these cells on ``mesh``, with the four strongest influences of each, and its expressions."""
     means, quats, scales = (np.concatenate([getattr(c, key) for c in cells]) for key in ("means", "quats", "scales"))
     rgb = np.concatenate([c.rgb for c in cells])
     weights = np.concatenate([c.weights for c in cells])
-    skin = Skin.create(np.broadcast_to(np.arange(len(skeleton)), weights.shape), weights, len(skeleton))
+    joints = len(mesh.skeleton)
+    skin = Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints)
     splats = Splats.create(means, quats, scales, np.full(len(means), opacity), rgb=rgb, antialias=True)
-    return Avatar(splats, skeleton, skin, dict(meta))
+    avatar = Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))
+    return with_shapes(avatar, mesh, np.concatenate([c.faces for c in cells]))
 
 
 def _pick(weight: NDArray[np.float64], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -175,7 +186,7 @@ def _gaussians(
     weights = (rows @ cloud.weights).toarray()
     rgb = _cell_means(label, cloud.rgb, area, zero)
     quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
-    faces = None if cloud.faces is None else cloud.faces[_middles(label, np.linalg.norm(offset, axis=1), count)]
+    faces = cloud.faces[_middles(label, np.linalg.norm(offset, axis=1), count)]
     means = means - config.inset * normal
     return Cells(means, quats, scales, rgb, weights, faces)
 

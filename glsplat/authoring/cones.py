@@ -23,10 +23,11 @@ from glsplat.authoring.footprints import EPS2D, Footprints, footprints, transmit
 from glsplat.authoring.optimize.compiled import available
 from glsplat.authoring.posed import axes_of, drawable, placed, posed_splats
 from glsplat.authoring.refine import random_pose
-from glsplat.authoring.visibility import probe_poses, sphere
+from glsplat.authoring.visibility import probe_poses, sphere, sphere_around
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Splats
@@ -87,8 +88,7 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
         raise GlsplatError("visibility cones need at least one finite splat")
     rng = np.random.default_rng(_SEED)
     weight, way = _looked_at(scene, usable, rng, config, report)
-    axis = np.einsum("vn,vni->ni", weight, way).astype(np.float64)
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
+    axis = unit_vectors(np.einsum("vn,vni->ni", weight, way), 1e-30)
     cosine = np.einsum("vni,ni->vn", way, axis)
 
     smallest = _cut(weight, cosine, axis, _pictures(scene, usable, rng, config.choosing, config), config, report)
@@ -341,8 +341,7 @@ def _posed(scene: Splats | Avatar, pose: Pose | None, usable: NDArray[np.bool_])
 def _far_camera(posed: Splats, direction: F64, size: int) -> Camera:
     """From so far that the way to the eye is nearly one direction; the sphere around all fills the picture."""
     points = posed.means.astype(np.float64)
-    centre = (points.max(axis=0) + points.min(axis=0)) / 2
-    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+    centre, radius = sphere_around(points)
     K = pinhole(size, size, _fov(_FAR))
     viewmat = look_at(centre + direction * _FAR * radius, centre)
     return Camera(viewmat, K, size, size, near=1e-3 * radius, far=1e3 * radius)
@@ -356,8 +355,7 @@ def _fov(far: float) -> float:
 def _near_camera(posed: Splats, direction: F64, rng: np.random.Generator, size: int) -> Camera:
     """From where somebody looks who goes around it; it fills the picture."""
     points = posed.means.astype(np.float64)
-    centre = (points.max(axis=0) + points.min(axis=0)) / 2
-    radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+    centre, radius = sphere_around(points)
     viewmat = look_at(centre + direction * rng.uniform(*_NEAR) * radius, centre)
     seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     slope = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), 1e-6)
@@ -367,8 +365,7 @@ def _near_camera(posed: Splats, direction: F64, rng: np.random.Generator, size: 
 
 def _ways(posed: Splats, eye: F64) -> F64:
     """[N, 3] unit vectors from the splats to ``eye`` in the splats' own axes."""
-    way = eye - posed.means.astype(np.float64)
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
+    way = unit_vectors(eye - posed.means.astype(np.float64), 1e-30)
     return np.asarray(np.einsum("nij,ni->nj", axes_of(posed), way), np.float64)
 
 

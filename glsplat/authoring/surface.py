@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
-from glsplat.authoring.cells import Cells, Cloud, SamplerConfig, avatar_of, tessellate
-from glsplat.authoring.faces.shapes import unfolded, with_shapes
+from glsplat.authoring.cells import Cells, Cloud, SamplerConfig, avatar_of, tessellate, weights_between
+from glsplat.authoring.faces.shapes import unfolded
 from glsplat.authoring.visibility import EYES, HEAD, VisiblePart, seen_surface
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
@@ -57,10 +56,7 @@ def make_avatar(
     if not chosen:
         raise FormatError("the mesh shows nothing to put splats on: no area, or only texels of alpha below one half")
     report("placing splats", 1.0)
-    avatar = avatar_of(chosen, mesh.skeleton, config.opacity, mesh.meta)
-    if mesh.morphs is None:
-        return avatar
-    return with_shapes(avatar, mesh, np.concatenate([cells.faces for cells in chosen if cells.faces is not None]))
+    return avatar_of(chosen, mesh, config.opacity)
 
 
 def _sample_surface(
@@ -102,12 +98,6 @@ def _sample_surface(
         a[solid] for a in (points, which, bary, corners, rgba, part_of, normals, detail)
     )
     drawn = density[which]
-
-    m, k = len(points), mesh.joints.shape[1]
-    values = (bary[:, :, None] * mesh.weights[corners]).reshape(m, -1)
-    weights = csr_array(
-        (values.ravel(), mesh.joints[corners].reshape(-1), np.arange(m + 1) * 3 * k), shape=(m, len(mesh.skeleton))
-    )
     return Cloud(
         points=points,
         normals=normals,
@@ -115,7 +105,7 @@ def _sample_surface(
         share=1 / drawn,
         density=drawn * (1 + config.detail_boost * np.clip(detail / _BUSY, 0, 1)),
         layer=part_of.astype(np.float64),
-        weights=weights,
+        weights=weights_between(mesh, corners, bary),
         area=float(surface.area * solid.mean()),
         faces=original[solid],
     )

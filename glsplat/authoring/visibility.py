@@ -13,7 +13,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["EYES", "GAZE_LIDS", "HEAD", "VisiblePart", "probe_poses", "seen_surface", "sphere"]
+__all__ = ["EYES", "GAZE_LIDS", "HEAD", "VisiblePart", "probe_poses", "seen_surface", "sphere", "sphere_around"]
 
 EYES = ("left_eye_smplhf", "right_eye_smplhf")
 """Joints that turn the eyeballs."""
@@ -156,3 +156,9 @@ def sphere(count: int) -> NDArray[np.float64]:
     y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     r = np.sqrt(1 - y * y)
     return np.stack([r * np.cos(turn), y, r * np.sin(turn)], axis=1)
+
+
+def sphere_around(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Centre [3] of the box around points [N, 3], and the radius within which all of them lie; 1e-6 at least."""
+    centre = (points.max(axis=0) + points.min(axis=0)) / 2
+    return centre, max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)

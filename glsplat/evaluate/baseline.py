@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.rotations import unit_vectors
 from glsplat.tracking.derive import TrueMotion
 from glsplat.tracking.solve.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3, Body
 
@@ -92,7 +93,7 @@ class _Naive:
             hips[[0, 2]] += 0.35 * ((self.feet[0] + self.feet[1]) / 2 + facing @ (rest - ankles) - hips)[[0, 2]]
         hips[1] = self.first[PELVIS, 1] + min(drop, 0) * (0.5 if pitch > 0.5 else 0.85) + max(drop, 0)
         length = np.linalg.norm(template[NECK] - rest)
-        hips = neck - _unit(neck - hips) * length
+        hips = neck - unit_vectors(neck - hips) * length
         torso = _frame(facing[:, 0], neck - hips) @ _frame(np.array([1.0, 0, 0]), template[NECK] - rest).T
         for joint in (PELVIS, SPINE1, SPINE2, SPINE3):
             out[joint] = hips + torso @ (template[joint] - rest)
@@ -104,11 +105,13 @@ class _Naive:
             a, b = self._length(shoulder, elbow), self._length(elbow, wrist)
             reach = hand - out[shoulder]
             far = float(np.linalg.norm(reach))
-            out[shoulder] += _unit(reach) * min(max(far - 0.97 * (a + b), 0.0), 0.08)
+            out[shoulder] += unit_vectors(reach) * min(max(far - 0.97 * (a + b), 0.0), 0.08)
             guess = hand + truth.frames[k, wrist] @ self.elbow[side]
             middle = out[shoulder] + reach * a / (a + b)
             down = torso @ np.array([0.5 - side, -1, -0.5])
-            out[elbow], _ = _two_bone(out[shoulder], hand, a, b, 0.6 * _unit(guess - middle) + 0.4 * _unit(down))
+            out[elbow], _ = _two_bone(
+                out[shoulder], hand, a, b, 0.6 * unit_vectors(guess - middle) + 0.4 * unit_vectors(down)
+            )
         self._legs(out, hips, facing)
 
     def _legs(self, out: Array, hips: Array, facing: Array) -> None:
@@ -147,22 +150,17 @@ def _wrapped(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _unit(v: Array) -> Array:
-    out: Array = v / (np.linalg.norm(v) + 1e-9)
-    return out
-
-
 def _frame(across: Array, up: Array) -> Array:
     """[3, 3] with y along ``up`` and x as near to ``across`` as that allows."""
-    y = _unit(up)
-    z = _unit(np.cross(across, y))
+    y = unit_vectors(up)
+    z = unit_vectors(np.cross(across, y))
     return np.stack([np.cross(y, z), y, z], 1)
 
 
 def _two_bone(root: Array, end: Array, a: float, b: float, pole: Array) -> tuple[Array, Array]:
     """Middle joint and (reachable) end."""
-    line = _unit(end - root)
+    line = unit_vectors(end - root)
     far = float(np.clip(np.linalg.norm(end - root), abs(a - b) + 1e-3, (a + b) * 0.999))
     along = (a * a - b * b + far * far) / (2 * far)
-    side = _unit(pole - line * (pole @ line)) * np.sqrt(max(a * a - along * along, 0.0))
+    side = unit_vectors(pole - line * (pole @ line)) * np.sqrt(max(a * a - along * along, 0.0))
     return root + line * along + side, root + line * far

@@ -19,7 +19,7 @@ from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
 from glsplat.scene import Content, Scene, SceneLike, is_rigged
 from glsplat.skinning.pose import Pose
-from glsplat.views import view_of, viewing_point
+from glsplat.views import orbited, view_of, viewing_point
 
 __all__ = ["FOV", "STAGES", "WARM_UP", "Bench", "Binocular", "Series", "triangles_of"]
 
@@ -212,7 +212,4 @@ class Bench:
     def eyes(self, scene: SceneLike, pixels: tuple[int, int], frame: int) -> list[Camera]:
         """The pair of a head that orbits one degree a frame."""
         eye, target = viewing_point(scene, FOV)
-        x, y, z = eye - target
-        angle = np.radians(frame)
-        turned = np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
-        return view_of(target + turned, target, pixels, FOV, ipd=0.055)
+        return view_of(orbited(eye, target, np.radians(frame)), target, pixels, FOV, ipd=0.055)

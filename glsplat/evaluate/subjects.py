@@ -27,7 +27,7 @@ from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-from glsplat.views import view_of, viewing_point
+from glsplat.views import orbited, view_of, viewing_point
 
 __all__ = [
     "PERSON_SPLATS",
@@ -93,10 +93,7 @@ def pose_of_frame(skeleton: Skeleton, frame: int) -> Pose:
 def orbit(scene: Content, frame: int, size: int) -> list[Camera]:
     """The pair of a head that goes round the scene by a degree a frame, as ``glsplat bench`` has it."""
     eye, target = _viewing_point(scene)
-    x, y, z = eye - target
-    angle = np.radians(frame)
-    turned = np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
-    return view_of(target + turned, target, (size, size), FOV, ipd=0.055)
+    return view_of(orbited(eye, target, np.radians(frame)), target, (size, size), FOV, ipd=0.055)
 
 
 def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> list[Subject]:

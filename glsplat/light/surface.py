@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import frozen, own_whole, restored
 from glsplat.errors import FormatError
+from glsplat.rotations import unit_vectors
 
 __all__ = ["SHADE_ONE", "SHADE_STEPS", "Surface", "decoded_shades", "encoded_shades"]
 
@@ -84,9 +85,7 @@ class Surface:
     @property
     def units(self) -> F64:
         """[N, 3] the normals at unit length, zero where there is none."""
-        normals = np.maximum(self.normals.astype(np.float64), -127)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return np.asarray(normals / np.maximum(length, 1e-9))
+        return unit_vectors(np.maximum(self.normals.astype(np.float64), -127))
 
     @property
     def ao(self) -> F64:
@@ -110,8 +109,7 @@ class Surface:
     def turned(self, linear: F64) -> Surface:
         """With normals turned by [3, 3] or [N, 3, 3]: of a surface under a linear map, its inverse transpose."""
         turned = np.einsum("...ij,...j->...i", np.broadcast_to(linear, (len(self), 3, 3)), self.units)
-        turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
-        return Surface(Surface.of(turned, self.ao).normals, self.occlusion, self.shade)
+        return Surface(Surface.of(unit_vectors(turned), self.ao).normals, self.occlusion, self.shade)
 
     def in_axes(self, axes: F64) -> F64:
         """[N, 3] the normals in splats' own axes, the columns of [N, 3, 3]."""

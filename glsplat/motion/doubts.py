@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from glsplat.motion.fitted import leg_length
 from glsplat.motion.motion import Motion
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -105,7 +106,7 @@ def _middle(points: F64, part: str) -> F64:
 
 def _up(seen: _Seen) -> tuple[str, str]:
     hips, shoulders, ankles = (_middle(seen.at, part) for part in ("hip", "shoulder", "ankle"))
-    along = (_unit(shoulders - hips) + _unit(hips - ankles)).mean(axis=0) / 2
+    along = (unit_vectors(shoulders - hips) + unit_vectors(hips - ankles)).mean(axis=0) / 2
     axis = int(np.abs(along).argmax())
     sign = "-" if along[axis] < 0 else ""
     if axis != 1 and abs(along[axis]) > _STRAIGHT:
@@ -168,7 +169,7 @@ def _way(seen: _Seen) -> tuple[str, str]:
             how = "back to front" if abs(quarter) == 180 else "sideways"
             return f"they walk {how}, their feet slide", f"turn={abs(quarter) if abs(quarter) == 180 else quarter}"
         return "", ""  # feet that stand stay where they are, also of who walks backwards
-    faces = float((_unit(seen.ahead * (1, 0, 1))[walks] * goes[walks]).sum() / size[walks].sum())
+    faces = float((unit_vectors(seen.ahead * (1, 0, 1))[walks] * goes[walks]).sum() / size[walks].sum())
     against = faces < -_AGAINST and walks.mean() > _MOSTLY and gait.made.real < _GLIDES
     return ("they move backwards, and their feet do not", "turn=180") if against else ("", "")
 
@@ -186,7 +187,7 @@ def _gait(seen: _Seen) -> _Gait:
     body = seen.speed[:, 0]
     foot = seen.speed[np.arange(len(lower)), np.array(_FEET)[lower]] - body
     way, step = body[:, 2] + 1j * body[:, 0], foot[:, 2] + 1j * foot[:, 0]
-    trunk = _unit(_middle(seen.at, "shoulder") - _middle(seen.at, "hip"))[:, 1]
+    trunk = unit_vectors(_middle(seen.at, "shoulder") - _middle(seen.at, "hip"))[:, 1]
     walks = (np.abs(way) > _WALKS) & (seen.low < np.percentile(seen.low, 10) + _LOW) & (trunk > _UPRIGHT)
     if walks.sum() < _FEW:
         return _Gait(0j, False, False)
@@ -194,7 +195,3 @@ def _gait(seen: _Seen) -> _Gait:
     both = -np.vdot(way, step)
     alike = abs(both) / max(float(np.linalg.norm(way) * np.linalg.norm(step)), 1e-12)
     return _Gait(complex(both / np.vdot(way, way)), True, alike > _ALIKE)
-
-
-def _unit(vectors: F64) -> F64:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
 from glsplat.motion.clip import Clip
-from glsplat.rotations import nearest_rotations, rotation_between
+from glsplat.rotations import nearest_rotations, rotation_between, unit_vectors
 from glsplat.skinning.rigs.humanoid import upright
 from glsplat.skinning.rigs.match import RigMap, match_rig
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -110,9 +110,9 @@ def _straight(points: F64, found: RigMap) -> float:
     for side in _SIDES:
         hip, knee, shoulder, elbow = (at[f"{side}_{part}"] for part in ("hip", "knee", "shoulder", "elbow"))
         bones = [hip - knee, shoulder - hip] + ([knee - at[f"{side}_ankle"]] if f"{side}_ankle" in at else [])
-        marks += [_unit(bone) @ y for bone in bones]
+        marks += [unit_vectors(bone) @ y for bone in bones]
         if f"{side}_wrist" in at:
-            marks.append(_unit(elbow - shoulder) @ _unit(at[f"{side}_wrist"] - elbow))
+            marks.append(unit_vectors(elbow - shoulder) @ unit_vectors(at[f"{side}_wrist"] - elbow))
     return float(np.mean(np.maximum(marks, 0)))
 
 
@@ -123,7 +123,7 @@ def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
     """
     places = {name: clip.places[:, found.joints[name]] for name in found.joints}
     hips, knees, shoulders = ((places[f"left_{p}"] + places[f"right_{p}"]) / 2 for p in ("hip", "knee", "shoulder"))
-    body = np.mean(_unit(shoulders - hips) + _unit(hips - knees), axis=0) / 2
+    body = np.mean(unit_vectors(shoulders - hips) + unit_vectors(hips - knees), axis=0) / 2
     other = np.zeros(3)
     other[np.abs(body).argmax()] = np.sign(body[np.abs(body).argmax()])
     if body @ up > _ACROSS or body @ other < _ALONG:
@@ -170,7 +170,3 @@ def flat_soles(
     if size < _ALIKE or up[1] < _TILTED * size:
         return np.eye(3)
     return rotation_between([0.0, 1.0, 0.0], up)
-
-
-def _unit(vectors: F64) -> F64:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

@@ -200,8 +200,12 @@ class RenderLoop(ABC):
             assert request.frame_id is not None
             eyes = request.eyes if encoded.video is None else request.eyes[:1]
             depth = [grid.data for grid in frame.depth]
-            packed = pack_reply(request.frame_id, eyes, encoded.pictures, frame.info(encoded), encoded.alphas, depth)
-        session.sending(request, len(packed), self._clock())
+            info = frame.info(encoded)
+            if channel.way is not None and (offer := channel.way.offer()) is not None:
+                info["datagrams"] = offer
+            packed = pack_reply(request.frame_id, eyes, encoded.pictures, info, encoded.alphas, depth)
+        nbytes = len(packed) if channel.way is None else channel.way.on_the_way(len(packed))
+        session.sending(request, nbytes, self._clock())
         return [packed]
 
     async def _run(self) -> None:

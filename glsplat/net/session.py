@@ -98,7 +98,6 @@ class Session:
         self.mark: Watermark | None = None if watermark is None else watermark.new_mark()
         self.link: LinkControl | None = None  # from the first message on that says when a picture arrived
         self.datagrams: bool = False  # the client can have pictures by datagrams
-        self.overhead: float = 1.0  # bytes on the way for each of a picture
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
@@ -228,7 +227,7 @@ class Session:
         """
         assert request.frame_id is not None
         if self.link is not None and nbytes:
-            self.link.written(request.frame_id, round(nbytes * self.overhead), now)
+            self.link.written(request.frame_id, nbytes, now)
         self._newest_sent = max(self._newest_sent, request.frame_id)
         if request.ack is not None:  # a client that never acknowledges is held back by its socket alone
             self._unacked.append(request.frame_id)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from math import acos, exp, pi, sqrt
+from typing import Generic, TypeVar
 
 from glsplat.tracking.solve.quat import (
     IDENTITY,
@@ -33,6 +34,8 @@ from glsplat.tracking.solve.quat import (
 )
 
 __all__ = ["Device", "OneEuro", "PositionFilter", "RotationFilter"]
+
+Value = TypeVar("Value", bound=tuple[float, ...])
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,24 +97,43 @@ class Trend:
         return (x, y, z)
 
 
-class PositionFilter:
-    """One Euro on a point, with a limit on its speed."""
-
-    max_speed: float
-    setting: OneEuro
+class _Filter(Generic[Value]):
+    """One Euro with a limit on the speed, on what moves in three directions: what points and rotations share."""
 
     def __init__(self, setting: OneEuro, max_speed: float) -> None:
         self.setting, self.max_speed = setting, max_speed
-        self.first: Vec | None = None  # behind the first low pass
-        self.value: Vec | None = None
+        self.first: Value | None = None  # behind the first low pass
+        self.value: Value | None = None
         self.velocity: Vec = (0.0, 0.0, 0.0)
-        self.trend: Trend | None = None  # once something was predicted
-        self._raw: Vec | None = None
+        self.trend: Trend | None = None  # of all moves together, once something was predicted
+        self._raw: Value | None = None
 
     def reset(self) -> None:
         """Forget the past: the next value passes unchanged."""
         self.first = self.value = self.trend = self._raw = None
         self.velocity = (0.0, 0.0, 0.0)
+
+    def _share(self, x: float, y: float, z: float, dt: float) -> float:
+        """Of the way to its input that each low pass goes, once the velocity has taken up a move in dt seconds."""
+        setting = self.setting
+        a = 1 - exp(-2 * pi * setting.derivative_cutoff * dt)
+        rate = 1 / dt
+        vx, vy, vz = self.velocity
+        vx, vy, vz = vx + (x * rate - vx) * a, vy + (y * rate - vy) * a, vz + (z * rate - vz) * a
+        self.velocity = (vx, vy, vz)
+        return setting.share(sqrt(vx * vx + vy * vy + vz * vz), dt)
+
+    def _move(self, seconds: float, most: float) -> Vec:
+        """How it moves on in that time at its present velocity, by at most ``most``."""
+        self.trend = self.trend or Trend(self.max_speed)
+        vx, vy, vz = self.trend.velocity() or self.velocity
+        speed = sqrt(vx * vx + vy * vy + vz * vz)
+        k = seconds if speed * seconds <= most else most / speed
+        return (vx * k, vy * k, vz * k)
+
+
+class PositionFilter(_Filter[Vec]):
+    """One Euro on a point, with a limit on its speed."""
 
     def update(self, raw: Vec, dt: float) -> Vec:
         """The filtered point ``dt`` seconds after the last one."""
@@ -128,45 +150,18 @@ class PositionFilter:
         if far > most:
             k = most / far
             dx, dy, dz = dx * k, dy * k, dz * k
-        s = self.setting
-        a = 1 - exp(-2 * pi * s.derivative_cutoff * dt)
-        vx, vy, vz = self.velocity
-        rate = 1 / dt
-        vx, vy, vz = vx + (dx * rate - vx) * a, vy + (dy * rate - vy) * a, vz + (dz * rate - vz) * a
-        self.velocity = (vx, vy, vz)
-        k = s.share(sqrt(vx * vx + vy * vy + vz * vz), dt)
+        k = self._share(dx, dy, dz, dt)
         self.first = first = (last[0] + dx * k, last[1] + dy * k, last[2] + dz * k)
         self.value = value = first if k == 1 else pull(value, first, k)
         return value
 
     def ahead(self, seconds: float, most: float) -> Vec:
         """The value extrapolated at its present velocity, at most ``most`` metres."""
-        x, y, z = self.value or (0.0, 0.0, 0.0)
-        self.trend = self.trend or Trend(self.max_speed)
-        vx, vy, vz = self.trend.velocity() or self.velocity
-        speed = sqrt(vx * vx + vy * vy + vz * vz)
-        k = seconds if speed * seconds <= most else most / speed
-        return (x + vx * k, y + vy * k, z + vz * k)
+        return add(self.value or (0.0, 0.0, 0.0), self._move(seconds, most))
 
 
-class RotationFilter:
-    """One Euro on a unit quaternion, whichever its sign, with a limit on its speed."""
-
-    max_speed: float
-    setting: OneEuro
-
-    def __init__(self, setting: OneEuro, max_speed: float) -> None:
-        self.setting, self.max_speed = setting, max_speed
-        self.first: Quat | None = None  # behind the first low pass
-        self.value: Quat | None = None
-        self.velocity: Vec = (0.0, 0.0, 0.0)  # rad/s, world axes
-        self.trend: Trend | None = None  # of all small turns together, once something was predicted
-        self._raw: Quat | None = None
-
-    def reset(self) -> None:
-        """Forget the past: the next value passes unchanged."""
-        self.first = self.value = self.trend = self._raw = None
-        self.velocity = (0.0, 0.0, 0.0)
+class RotationFilter(_Filter[Quat]):
+    """One Euro on a unit quaternion, whichever its sign, with a limit on its speed; velocity in rad/s, world axes."""
 
     def update(self, raw: Quat, dt: float) -> Quat:
         """The filtered rotation ``dt`` seconds after the last one."""
@@ -191,13 +186,7 @@ class RotationFilter:
         most = self.max_speed * dt
         k = (min(angle, most) / n) if n > 1e-9 else 0.0
         x, y, z = x * k, y * k, z * k  # rotation vector of the allowed turn
-        s = self.setting
-        a = 1 - exp(-2 * pi * s.derivative_cutoff * dt)
-        rate = 1 / dt
-        vx, vy, vz = self.velocity
-        vx, vy, vz = vx + (x * rate - vx) * a, vy + (y * rate - vy) * a, vz + (z * rate - vz) * a
-        self.velocity = (vx, vy, vz)
-        share = s.share(sqrt(vx * vx + vy * vy + vz * vz), dt)
+        share = self._share(x, y, z, dt)
         k = (angle and min(angle, most) / angle) * share
         first = nlerp(last, raw, k) if angle < 0.5 else mul(to_quat(_scaled(x, y, z, k, angle, most)), last)
         self.first = first
@@ -206,11 +195,7 @@ class RotationFilter:
 
     def ahead(self, seconds: float, most: float) -> Quat:
         """The value turned on at its present angular velocity, by at most ``most`` radians."""
-        self.trend = self.trend or Trend(self.max_speed)
-        vx, vy, vz = self.trend.velocity() or self.velocity
-        speed = sqrt(vx * vx + vy * vy + vz * vz)
-        k = seconds if speed * seconds <= most else most / speed
-        return mul(to_quat((vx * k, vy * k, vz * k)), self.value or (1.0, 0.0, 0.0, 0.0))
+        return mul(to_quat(self._move(seconds, most)), self.value or IDENTITY)
 
 
 @dataclass(slots=True)

@@ -10,7 +10,7 @@ import pytest
 from glsplat.errors import FormatError
 from glsplat.study.session import Event
 from glsplat.study.store import Store
-from tests.study.test_serving import Client, run
+from tests.study.serving.client import Client, run
 
 
 def test_a_disk_that_was_full_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

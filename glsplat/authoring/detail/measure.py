@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.authoring.posed import posed_splats
-from glsplat.authoring.visibility import probe_poses, sphere
+from glsplat.authoring.visibility import probe_poses, sphere, sphere_around
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
@@ -229,8 +229,7 @@ def stations_of(scene: Splats | Avatar, config: MeasureConfig) -> list[Station]:
             raise GlsplatError("levels of detail need at least one finite splat that is not transparent")
         low, high = np.percentile(points, (0.5, 99.5), axis=0)  # a stray splat is not to shrink the rest
         points = points[((points >= low) & (points <= high)).all(axis=1)] if len(points) > 1000 else points
-        centre = (points.max(axis=0) + points.min(axis=0)) / 2
-        radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+        centre, radius = sphere_around(points)
         # other directions for each pose
         for direction in sphere(config.directions * len(poses))[number :: len(poses)]:
             viewmat = look_at(centre + direction * _FAR * radius, centre)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from glsplat.light.surface import Surface
+from glsplat.rotations import unit_vectors
 from glsplat.splats import Splats
 
 __all__ = ["surface_carried"]
@@ -24,7 +25,6 @@ def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> S
     k = int(np.clip(round(len(before) / max(len(after), 1)), 1, min(_AS_MANY, len(usable))))
     means = np.nan_to_num(after.means.astype(np.float64), posinf=0, neginf=0)
     near = usable[cKDTree(before.means[usable].astype(np.float64)).query(means, k)[1].reshape(len(means), k)]
-    normals = surface.units[near].sum(axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = unit_vectors(surface.units[near].sum(axis=1))
     shade = None if surface.shade is None else np.exp2(np.log2(surface.shades[near]).mean(axis=1))
     return Surface.of(normals, surface.ao[near].mean(axis=1), shade)

@@ -14,7 +14,7 @@ from glsplat.authoring.visibility import probe_poses
 from glsplat.avatar import Avatar
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh, vertex_normals
-from glsplat.rotations import signed_axes
+from glsplat.rotations import signed_axes, unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
@@ -44,8 +44,7 @@ class Nearest:
 
     def directions(self, values: F64) -> F64:
         """[N, 3] at unit length; zero where those of the corners cancel."""
-        mixed = self.at(values)
-        return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12))
+        return unit_vectors(self.at(values))
 
 
 def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:

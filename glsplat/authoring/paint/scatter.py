@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
-from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, tessellate
-from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, tessellate, weights_between
 from glsplat.authoring.paint.shot import SurfacePoints
 from glsplat.authoring.surface import allot, face_densities, face_zones
 from glsplat.avatar import Avatar
@@ -37,13 +35,8 @@ class Scatter:
 
         With the mesh's expressions as its shapes, where it has some.
         """
-        count, influences = len(rgb), mesh.joints.shape[1]
-        corners, weights = self.points.corners, self.points.weights
-        shares = (weights[:, :, None] * mesh.weights[corners]).reshape(count, -1)
-        skin = csr_array(
-            (shares.ravel(), mesh.joints[corners].reshape(-1), np.arange(count + 1) * 3 * influences),
-            shape=(count, len(mesh.skeleton)),
-        )
+        corners = self.points.corners
+        skin = weights_between(mesh, corners, self.points.weights)
         rest = self.points.at(mesh.vertices)
         normals = self.points.directions(vertex_normals(mesh.vertices, mesh.faces))
         layer = np.zeros(len(mesh.vertices))
@@ -64,8 +57,7 @@ class Scatter:
                 faces=self.faces[zone],
             )
             cells.append(tessellate(cloud, splats, PHOTO_SAMPLER, rng))
-        made = avatar_of(cells, mesh.skeleton, PHOTO_SAMPLER.opacity, mesh.meta)
-        return with_shapes(made, mesh, np.concatenate([one.faces for one in cells if one.faces is not None]))
+        return avatar_of(cells, mesh, PHOTO_SAMPLER.opacity)
 
 
 def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:

@@ -21,6 +21,7 @@ from glsplat.authoring.threads import abreast
 from glsplat.camera import Camera
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.pictures import to_linear
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -56,8 +57,7 @@ class SurfacePoints:
 
     def directions(self, values: F64) -> F64:
         """[M, 3] unit vectors between the vertices' [V, 3]."""
-        mixed = self.at(values)
-        return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12))
+        return unit_vectors(self.at(values))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -96,10 +96,12 @@ def check_capture(
     config = config or CaptureConfig()
     people = people_mask(picture)
     person = find_person(picture, people)
-    if person is None or not _is_somebody(picture, person, people, config):
-        # grey people in busy rooms: the first network sees nothing, or a piece of the room, the others may
-        person = _better(picture, person, find_person(picture, np.ones_like(people)), people, config)
-    if person is None or not _is_somebody(picture, person, people, config):
+    sure = person is not None and _is_somebody(picture, person, people, config)
+    if not sure:  # grey people in busy rooms: the first network sees nothing, or a piece of the room, the others may
+        other = find_person(picture, np.ones_like(people))
+        sure = other is not None and _is_somebody(picture, other, people, config)
+        person = other if sure or person is None else person
+    if person is None or not sure:
         nothing = np.zeros(picture.shape[:2], bool)
         return Capture((_instead(picture, person, people, config),), None, nothing)
     mask = person_mask(picture, person.body) if given is None else given
@@ -122,17 +124,6 @@ def check_capture(
         _mask(person, mask, given is not None) if small is None and not half else None,
     ]
     return Capture(tuple(finding for finding in found if finding is not None), person, mask)
-
-
-def _better(
-    picture: NDArray[np.uint8],
-    first: DetectedPerson | None,
-    other: DetectedPerson | None,
-    people: NDArray[np.float32],
-    config: CaptureConfig,
-) -> DetectedPerson | None:
-    """The ``other`` one where there is no ``first`` or the networks agree on the other."""
-    return other if first is None or (other and _is_somebody(picture, other, people, config)) else first
 
 
 def _instead(
@@ -173,9 +164,10 @@ def _faces(picture: NDArray[np.uint8], people: NDArray[np.float32], config: Capt
     for count in (2, 3):
         for start, end in pairwise(np.linspace(left, right, count + 1)):
             body = _faced(picture, start, end, config)
-            at = float("nan") if body is None else float(body.point("nose")[0]) / width
-            if all(abs(at - other) > config.apart for other in found) and body is not None:
-                found.append(at)
+            if body is not None:
+                at = float(body.point("nose")[0]) / width
+                if all(abs(at - other) > config.apart for other in found):
+                    found.append(at)
     return found
 
 

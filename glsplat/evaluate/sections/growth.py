@@ -24,7 +24,7 @@ from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from glsplat.skinning.skin import Skin
-from glsplat.views import view_of, viewing_point
+from glsplat.views import orbited, view_of, viewing_point
 
 __all__ = ["Grid", "fitted", "grid_of", "growth", "growth_cost", "resampled"]
 
@@ -207,14 +207,12 @@ def _grown(splats: int, pixels: int, views: int, device: str | None) -> int | No
 def _heads(scene: Avatar, pixels: int, views: int) -> Callable[[int], list[Camera]]:
     """One eye, or pairs of heads around the scene, that all go round by a degree a frame."""
     eye, target = viewing_point(scene, FOV)
-    x, y, z = eye - target
 
     def around(frame: int) -> list[Camera]:
         out: list[Camera] = []
         for head in range(max(1, views // 2)):
-            angle = np.radians(frame + HEADS_APART * head)
-            turned = np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
-            out += view_of(target + turned, target, (pixels, pixels), FOV, ipd=None if views == 1 else 0.055)
+            place = orbited(eye, target, np.radians(frame + HEADS_APART * head))
+            out += view_of(place, target, (pixels, pixels), FOV, ipd=None if views == 1 else 0.055)
         return out
 
     return around

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container, Index, item
 from glsplat.formats.gltf.nodes import Graph
-from glsplat.rotations import quaternion_matrices
+from glsplat.rotations import quaternion_matrices, unit_vectors
 
 __all__ = ["Animation", "Tracks", "animations_of", "names_of", "tracks_of"]
 
@@ -182,7 +182,7 @@ def _track(container: Container, sampler: _Sampler, path: str, what: str) -> _Tr
 
 def _slerp(first: F64, second: F64, part: F64) -> F64:
     """[T, 4] between unit quaternions [T, 4], the shorter way (glTF 2.0, appendix C.4)."""
-    a, b = (q / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-12) for q in (first, second))
+    a, b = unit_vectors(first), unit_vectors(second)
     cos = np.einsum("ti,ti->t", a, b)
     b = np.where(cos[:, None] < 0, -b, b)
     angle = np.arccos(np.clip(np.abs(cos), 0, 1))

@@ -11,7 +11,7 @@ from typing import Any
 
 from aioquic.asyncio.server import QuicServer
 from aioquic.h3.connection import H3_ALPN
-from aioquic.quic.configuration import QuicConfiguration
+from aioquic.quic.configuration import SMALLEST_MAX_DATAGRAM_SIZE, QuicConfiguration
 from cryptography.hazmat.primitives import hashes
 
 from glsplat.net.datagrams.congestion import NAME
@@ -31,8 +31,8 @@ _CERTIFIED, _RENEWED = (
 )  # browsers take 14 days, of which one lies behind
 _IDLE = 30.0  # seconds without a packet
 _STREAM = 16 * 1024  # bytes of a client's stream: a CONNECT and its settings
-_EACH = 2  # connections of which nobody knows yet whose they are, for each client that is expected from an address
 _CID = 8  # bytes of a connection's own name
+_LONG = 0x80  # of a packet's first byte: it has a long header
 
 for _name in ("quic", "http3"):  # aioquic's: a line for every connection, with words of the other end
     logging.getLogger(_name).setLevel(logging.CRITICAL)
@@ -125,7 +125,7 @@ class DatagramListener:
 
 
 class _Guarded(QuicServer):
-    """aioquic's server behind a look at who is expected: others cost it a look at the open offers."""
+    """aioquic's server behind a look at who is expected: others cost it that look, and are not answered."""
 
     def __init__(
         self,
@@ -139,12 +139,13 @@ class _Guarded(QuicServer):
         self._address = ""  # of the datagram in hand
 
     def received(self, data: bytes, addr: Any) -> bool:
-        """A UDP datagram: of a connection that there is, or of an address from which one is expected; else False."""
+        """A UDP datagram, whether of a connection that there is; another may open one where somebody is expected."""
         path = self._protocols.get(_destination(data))
         if path is None:
+            if len(data) < SMALLEST_MAX_DATAGRAM_SIZE or not data[0] & _LONG:  # no Initial packet (RFC 9000, 14.1)
+                return False
             self._address = address_key(addr[0])
-            most = _EACH * self._offers.expected(self._address)
-            if not most or sum(one.address == self._address and not one.accepted for one in self.paths()) >= most:
+            if not self._offers.knock(self._address):
                 return False
         try:
             self.datagram_received(data, addr)
@@ -167,11 +168,11 @@ class _Guarded(QuicServer):
 
     def _path(self, quic: Any, stream_handler: Any = None) -> DatagramPath:
         address = self._address
-        return DatagramPath(quic, stream_handler, admit=lambda secret: self._admit(secret, address), address=address)
+        return DatagramPath(quic, stream_handler, admit=lambda secret: self._admit(secret, address))
 
 
 def _destination(data: bytes) -> bytes:
     """The connection that a packet is for (RFC 9000, section 17)."""
-    if len(data) > 6 and data[0] & 0x80:
+    if len(data) > 6 and data[0] & _LONG:
         return data[6 : 6 + data[5]]
     return data[1 : 1 + _CID]

@@ -12,14 +12,17 @@ __all__ = ["LASTS", "Offers"]
 LASTS = 10.0
 """Seconds for which a secret is good."""
 
+_KNOCKS = 48  # packets of connections that are not there yet, for each offer: a client needs 2 to 4, and lost ones anew
+
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Offer(Generic[T]):
     address: str
     until: float
     whose: T
+    knocks: int = _KNOCKS
 
 
 class Offers(Generic[T]):
@@ -54,10 +57,17 @@ class Offers(Generic[T]):
         self._expire()
         return bool(self._open)
 
-    def expected(self, address: str) -> int:
-        """How many clients of an address may come now."""
+    def knock(self, address: str) -> bool:
+        """Whether a packet of an unknown connection from that address may be looked at: few are, for each offer.
+
+        Addresses are easily made up, and what a packet seems to be costs time to find out.
+        """
         now = self._clock()
-        return sum(offer.address == address and offer.until > now for offer in self._open.values())
+        for offer in self._open.values():
+            if offer.address == address and offer.until > now and offer.knocks > 0:
+                offer.knocks -= 1
+                return True
+        return False
 
     def _expire(self) -> None:
         now = self._clock()

@@ -86,11 +86,14 @@ class _Unfinished:
 
 
 class Assembler:
-    """Datagrams to messages: each is given once, and none that is older than the newest that was whole."""
+    """Datagrams to messages: each is given once, and none that is older than the newest that was whole.
 
-    def __init__(self, kind: int = PICTURE, largest: int = LARGEST) -> None:
+    Those that are longer than ``largest``, or have more than ``parity`` pieces of parity in a group, are none.
+    """
+
+    def __init__(self, kind: int = PICTURE, largest: int = LARGEST, parity: int = MOST - _GROUP) -> None:
         self.newest = -1
-        self._kind, self._largest = kind, largest
+        self._kind, self._largest, self._parity = kind, largest, parity
         self._unfinished: dict[int, _Unfinished] = {}
 
     def add(self, datagram: bytes) -> tuple[int, bytes] | None:
@@ -100,7 +103,7 @@ class Assembler:
         kind, parity, number, frame_id, nbytes = HEAD.unpack_from(datagram)
         if kind != self._kind or frame_id <= self.newest:
             return None
-        if not 0 < nbytes <= self._largest or parity > MOST - _GROUP:
+        if not 0 < nbytes <= self._largest or parity > self._parity:
             return None
         one = self._unfinished.get(frame_id)
         if one is None:

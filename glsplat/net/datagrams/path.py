@@ -7,6 +7,7 @@ holds it there.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +33,7 @@ _UNANSWERED = 2.0  # seconds, and eight round trips, without an answer of a clie
 _SILENCES = 3  # such pictures in a row: no path any more
 _LOST = 6  # pictures in a row
 _PACKETS, _BURST = 600.0, 2000.0  # a second, and at once, that a client may send, and one for each that it was sent
+_USUAL = 0.25e-3  # seconds that a packet takes; one of many small frames counts as several
 _STREAMED = 32 * 1024  # bytes of all streams together: settings, a CONNECT and what means nothing
 _HEADERS = 60  # bytes of a datagram beside its piece: UDP, IP, QUIC, this protocol
 
@@ -51,11 +53,8 @@ class _UnderWay:
 class DatagramPath(QuicConnectionProtocol):
     """``admit`` gives the user of a secret that a client named, or None. ``clock`` is the server's."""
 
-    def __init__(
-        self, quic: Any, stream_handler: Any = None, *, admit: Callable[[str], PathUser | None], address: str
-    ) -> None:
+    def __init__(self, quic: Any, stream_handler: Any = None, *, admit: Callable[[str], PathUser | None]) -> None:
         super().__init__(quic, stream_handler)
-        self.address: str = address  # its key
         self._admit = admit
         self._http: H3Connection | None = None
         self._user: PathUser | None = None
@@ -70,7 +69,7 @@ class DatagramPath(QuicConnectionProtocol):
         self._silences = 0  # in a row
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
         self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
-        self._requests = Assembler(REQUEST, MAX_BYTES)
+        self._requests = Assembler(REQUEST, MAX_BYTES, parity=0)  # to restore one takes longer than to draw for it
         self._streamed = 0
         self._ended = False
 
@@ -143,7 +142,9 @@ class DatagramPath(QuicConnectionProtocol):
         if self._ended:
             super().datagram_received(data, addr)
         elif self._received.take(now):
+            begun = time.thread_time()
             super().datagram_received(data, addr)
+            self._received.charge(now, max(0.0, (time.thread_time() - begun) / _USUAL - 1))
             self._look(now)
         else:
             self.end()

@@ -19,7 +19,8 @@ __all__ = ["UdpSocket", "bind_udp"]
 _BATCH = 64  # datagrams a turn of the loop
 _LARGEST = 2048  # bytes of one; QUIC's are below 1,500
 _BUFFER = 1 << 20  # bytes that the system keeps, if it lets us
-_STRAYS, _AT_ONCE = 300.0, 1500.0  # datagrams a second, and at once, that are for nobody, before it is shut ...
+_STALE = 4096  # datagrams that may wait there: more than a buffer of small ones
+_STRAYS, _AT_ONCE = 1000.0, 3000.0  # datagrams a second, and at once, that are for nobody, before it is shut ...
 _SHUT = 20.0  # ... for so many seconds
 
 
@@ -44,7 +45,7 @@ class UdpSocket:
         """Read from now on; what came before is thrown away."""
         if self._reads or self._closed or self.shut:
             return
-        for _ in range(_BATCH * 16):
+        for _ in range(_STALE):
             if self._next() is None:
                 break
         self._reads = True

@@ -54,12 +54,16 @@ class SecondWay:
             self._pause, self._tries = self._pause * _LONGER, self._tries + 1
         return offer
 
+    def on_the_way(self, nbytes: int) -> int:
+        """Bytes that a picture of so many takes of the link, whichever way it goes now."""
+        path = self._path
+        return nbytes if path is None or not path.takes(nbytes) else round(nbytes * path.overhead(nbytes))
+
     def send(self, frame_id: int, picture: bytes) -> bool:
         """Whether the picture goes this way."""
         path, link = self._path, self._session.link
         if path is None or link is None or not path.takes(len(picture)):
             return False
-        self._session.overhead = path.overhead(len(picture))
         self._sent += 1
         self._newest.append(frame_id)
         path.send(frame_id, link.follow(frame_id), picture, link.link.rate)
@@ -122,7 +126,7 @@ class SecondWay:
 
     def closed(self) -> None:
         """As in PathUser."""
-        self._path, self._session.overhead = None, 1.0
+        self._path = None
         self._session.give_up(self._newest)  # QUIC may have them acknowledged, and the client none
         self._wake()
         self._listener.withdraw(self)

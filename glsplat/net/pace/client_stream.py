@@ -112,8 +112,6 @@ class Frame:
             info["detail"] = self.detail.fields(self.levels)
         if encoded.video is not None:
             info["video"] = encoded.video
-        if channel.way is not None and (offer := channel.way.offer()) is not None:
-            info["datagrams"] = offer
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
         if self.job is not None and self.job.room is not None:

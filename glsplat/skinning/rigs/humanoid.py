@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glsplat.errors import PoseError
-from glsplat.rotations import nearest_rotations, rotation_between, rotation_matrices
+from glsplat.rotations import nearest_rotations, rotation_between, rotation_matrices, unit_vectors
 from glsplat.skinning.rigs.match import RigMap
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
@@ -191,7 +191,7 @@ def _turn_hand(turns: dict[str, F64], rest: Mapping[str, F64], body: Mapping[str
         return
     ours = np.array([body[name] - body[wrist] for name in knuckles])
     theirs = np.array([rest[name] - rest[wrist] for name in knuckles]) @ turns[elbow].T
-    ours, theirs = (rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12) for rows in (ours, theirs))
+    ours, theirs = unit_vectors(ours), unit_vectors(theirs)
     # knuckles lie in a plane: its normal is a fourth direction, without which the nearest rotation may mirror
     ours, theirs = (np.vstack([rows, _normal(rows)]) for rows in (ours, theirs))
     turn = nearest_rotations((ours.T @ theirs)[None])[0]

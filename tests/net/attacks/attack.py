@@ -19,11 +19,12 @@ from tests.net.attacks.handshakes import HANDSHAKES
 from tests.net.attacks.pictures import PICTURES
 from tests.net.attacks.requests import collapsed
 from tests.net.attacks.sockets import Attack, Target
+from tests.net.attacks.strangers import STRANGERS
 
 __all__ = ["ATTACKS", "EVERYTHING", "Attackers", "attackers"]
 
 ROOT = Path(__file__).resolve().parents[3]
-ATTACKS = {**FLOODS, **PICTURES, **HANDSHAKES}
+ATTACKS = {**FLOODS, **PICTURES, **HANDSHAKES, **STRANGERS}
 EVERYTHING = "all at once"
 
 

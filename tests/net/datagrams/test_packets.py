@@ -92,6 +92,14 @@ class TestAssembler:
         assert len(whole._unfinished) <= 8
         assert [one for one in map(whole.add, good) if one] == [(70_000, b"x" * 3000)]
 
+    def test_a_request_that_has_to_be_restored_is_none(self) -> None:
+        """It would take a server longer than to draw for it, of each client, ten times a second."""
+        message = Random(6).randbytes(60_000)
+        datagrams = packets_of(1, message, 60, REQUEST)
+        strict, usual = Assembler(REQUEST, 65_536, parity=0), Assembler(REQUEST, 65_536)
+        assert not any(strict.add(one) for one in datagrams)
+        assert any(usual.add(one) for one in datagrams[-60:])
+
 
 class TestRedundancy:
     @pytest.mark.parametrize("loss", [0.001, 0.01, 0.03, 0.1])

@@ -36,9 +36,9 @@ class TestOffers:
         offers, now = self.opened()
         secret = offers.make("1.2.3.4", whose := object())
         assert offers.take(secret, "1.2.3.5") is None and offers.take("", "1.2.3.4") is None
-        assert offers.expected("1.2.3.4") == 1 and not offers.expected("1.2.3.5") and offers.open()
+        assert offers.knock("1.2.3.4") and not offers.knock("1.2.3.5") and offers.open()
         now[0] = LASTS + 0.01
-        assert offers.take(secret, "1.2.3.4") is None and not offers.expected("1.2.3.4") and not offers.open()
+        assert offers.take(secret, "1.2.3.4") is None and not offers.knock("1.2.3.4") and not offers.open()
         assert offers.take(offers.make("1.2.3.4", whose), "1.2.3.4") is whose
 
     def test_a_client_has_one_and_takes_it_along(self) -> None:
@@ -46,9 +46,20 @@ class TestOffers:
         whose = object()
         first, second = offers.make("a", whose), offers.make("a", whose)
         assert first != second and len(second) >= 32
-        assert offers.take(first, "a") is None and offers.expected("a") == 1
+        assert offers.take(first, "a") is None and offers.knock("a")
         offers.withdraw(whose)
-        assert offers.take(second, "a") is None
+        assert offers.take(second, "a") is None and not offers.knock("a")
+
+    def test_few_packets_of_an_address_are_looked_at_for_each_offer(self) -> None:
+        offers, _ = self.opened()
+        one, other = object(), object()
+        offers.make("a", one)
+        most = sum(offers.knock("a") for _ in range(1000))
+        assert 8 <= most <= 64 and not offers.knock("a")
+        offers.make("b", other)
+        assert not offers.knock("a") and offers.knock("b")
+        offers.make("a", object())
+        assert sum(offers.knock("a") for _ in range(1000)) == most
 
 
 def packet(number: int, nbytes: int = 1200) -> Any:
@@ -113,6 +124,40 @@ class TestLost:
         session.receive(native(1, arrival={"age": 60}), 0.1)
         session.lost(2**32 - 1, 0.2)
         assert session.link is not None and not session.link.link.known
+
+
+class Way:
+    """A path that takes pictures of so many bytes at most."""
+
+    loss = 0.0
+
+    def __init__(self, largest: int) -> None:
+        self.largest = largest
+
+    def overhead(self, nbytes: int) -> float:
+        return 1.25
+
+    def takes(self, nbytes: int) -> bool:
+        return nbytes <= self.largest
+
+    def send(self, frame_id: int, nonce: bytes, picture: bytes, rate: float) -> None:
+        pass
+
+    def probe(self, payload: bytes) -> None:
+        pass
+
+    def end(self) -> None:
+        pass
+
+
+def test_what_a_picture_takes_of_the_link_is_known_before_it_goes() -> None:
+    """The first by datagrams counts with its parity, and the first after them without."""
+    way = SecondWay(Nobody(), Session(Decoder(), now=0.0), "a", lambda: 0.0, lambda: None)
+    assert way.on_the_way(1000) == 1000
+    way.opened(Way(5000))
+    assert way.on_the_way(1000) == 1250 and way.on_the_way(6000) == 6000
+    way.closed()
+    assert way.on_the_way(1000) == 1000
 
 
 class TestHeard:

@@ -15,6 +15,7 @@ from glsplat.authoring.fit.levenberg import least_squares
 from glsplat.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior
 from glsplat.authoring.fit.standing.arms import arm_mixture
 from glsplat.authoring.fit.view import View, apart
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["ASIDE", "metres_of", "misread", "stances_of"]
@@ -70,7 +71,7 @@ def stances_of(view: View, body: Body) -> tuple[PosePrior, ...]:
             for (name, _), wide in zip(HINGES.names, loose, strict=True)
         ]
     )
-    said = _unit(np.array([_at(metres, end) - _at(metres, start) for start, end in ARM_BONES]))
+    said = unit_vectors(np.array([_at(metres, end) - _at(metres, start) for start, end in ARM_BONES]))
     read = PosePrior("read", angles, about, turn, _TURN, _SHAPE, bones=said)
     usual = np.where(legs, angles, MEAN)
     return POSED, read, PosePrior("like others", usual, about, turn, _TURN, _SHAPE, angles, arm_mixture(), said)
@@ -100,14 +101,9 @@ def misread(world: F64, joints: F64) -> float:
 
     Mean distance between unit vectors along upper arms and forearms, 0 to 2; both in camera axes.
     """
-    said = _unit(np.array([_at(world, end) - _at(world, start) for start, end in ARM_BONES]))
+    said = unit_vectors(np.array([_at(world, end) - _at(world, start) for start, end in ARM_BONES]))
     starts, ends = ([JOINT_NAMES.index(bone[k]) for bone in ARM_BONES] for k in (0, 1))
-    return float(np.linalg.norm(said - _unit(joints[ends] - joints[starts]), axis=1).mean())
-
-
-def _unit(bones: F64) -> F64:
-    """[N, 3] the same directions, one long."""
-    return np.asarray(bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), 1e-6))
+    return float(np.linalg.norm(said - unit_vectors(joints[ends] - joints[starts]), axis=1).mean())
 
 
 def _plain(name: str) -> str:
@@ -119,7 +115,7 @@ def _read(metres: F64, view: View, body: Body) -> tuple[F64, float]:
     """[D] angles of arms and legs, and the turn, that point the bones as the network's ``metres`` [33, 3] do."""
     columns = np.array([k for k, (name, _) in enumerate(HINGES.names) if _plain(name) in _ARMS + _LEGS])
     bones = (*ARM_BONES, *_LEG_BONES, *_ACROSS)
-    said = _unit(np.array([_at(metres, end) - _at(metres, start) for start, end in bones]))
+    said = unit_vectors(np.array([_at(metres, end) - _at(metres, start) for start, end in bones]))
     ends = body.points_of_joints([name for bone in bones for name in bone])
     place = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
 

@@ -19,6 +19,21 @@ export class Board {
     this.ink = this.canvas.getContext('2d');
   }
 
+  /** Where a ray (origin, unit direction) meets a board so many metres wide: {x, y (pixels), distance, point}, or null. */
+  hit(origin, direction, metres) {
+    const m = this.transform;
+    if (!m) return null;
+    const normal = axis(m, 2);
+    const slope = dot(direction, normal);
+    if (slope > -1e-3) return null; // from behind, or along it
+    const distance = dot(subtract(place(m), origin), normal) / slope;
+    const point = origin.map((v, i) => v + distance * direction[i]);
+    const { width, height } = this.canvas;
+    const x = (dot(subtract(point, place(m)), axis(m, 0)) * width) / metres + width / 2;
+    const y = height / 2 - (dot(subtract(point, place(m)), axis(m, 1)) * width) / metres;
+    return distance < 0 || x < 0 || x > width || y < 0 || y > height ? null : { x, y, distance, point };
+  }
+
   /** Draw anew by `paint(ink, canvas)` if `key` says that something else is to be seen; {texture, transform, ...}. */
   label(painter, key, paint, width) {
     const { canvas } = this;
@@ -59,20 +74,9 @@ export class Panel {
 
   /** The row that a ray (origin, unit direction) meets, with the distance: {index, row, distance, point}, or null. */
   hit(origin, direction) {
-    const m = this.transform;
-    if (!m) return null;
-    const normal = axis(m, 2);
-    const slope = dot(direction, normal);
-    if (slope > -1e-3) return null; // from behind, or along it
-    const distance = dot(subtract(place(m), origin), normal) / slope;
-    const point = origin.map((v, i) => v + distance * direction[i]);
-    const { width, height } = this.#board.canvas;
-    const scale = width / this.width;
-    const x = dot(subtract(point, place(m)), axis(m, 0)) * scale + width / 2;
-    const y = height / 2 - dot(subtract(point, place(m)), axis(m, 1)) * scale;
-    const index = Math.floor((y - PIXELS.edge) / PIXELS.row);
-    if (distance < 0 || x < 0 || x > width || !this.rows[index]) return null;
-    return { index, row: this.rows[index], distance, point };
+    const met = this.#board.hit(origin, direction, this.width);
+    const index = met ? Math.floor((met.y - PIXELS.edge) / PIXELS.row) : -1;
+    return this.rows[index] ? { ...met, index, row: this.rows[index] } : null;
   }
 
   label(painter) {

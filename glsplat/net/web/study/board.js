@@ -1,7 +1,7 @@
 // The study's panel in VR: an instruction, a countdown, or one item of a questionnaire, pressed by a ray or a pinch.
 
 import { Board } from '../show/panel.js';
-import { axis, dot, multiply, place, subtract, translation } from '../space/matrix.js';
+import { multiply, place, translation } from '../space/matrix.js';
 
 const SIZE = { width: 1024, height: 640, edge: 40 };
 const METRES = 0.64; // wide
@@ -47,19 +47,11 @@ export class StudyBoard {
 
   /** The cell that a ray (origin, unit direction) meets: {index, row: {id}, distance, point}, or null. */
   hit(origin, direction) {
-    const m = this.transform;
-    if (!m) return null;
-    const normal = axis(m, 2);
-    const slope = dot(direction, normal);
-    if (slope > -1e-3) return null; // from behind, or along it
-    const distance = dot(subtract(place(m), origin), normal) / slope;
-    const point = origin.map((v, i) => v + distance * direction[i]);
-    const scale = SIZE.width / METRES;
-    const x = dot(subtract(point, place(m)), axis(m, 0)) * scale + SIZE.width / 2;
-    const y = SIZE.height / 2 - dot(subtract(point, place(m)), axis(m, 1)) * scale;
-    if (distance < 0 || x < 0 || x > SIZE.width || y < 0 || y > SIZE.height) return null;
+    const met = this.#board.hit(origin, direction, METRES);
+    if (!met) return null;
+    const { x, y } = met;
     const index = this.#content.cells.findIndex((c) => x >= c.x && x <= c.x + c.width && y >= c.y && y <= c.y + c.height);
-    return { index, row: index < 0 ? {} : this.#content.cells[index], distance, point };
+    return { ...met, index, row: index < 0 ? {} : this.#content.cells[index] };
   }
 
   /** Room coordinates of a cell's middle once it hangs in its place, for tests. */
