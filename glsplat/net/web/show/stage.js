@@ -31,6 +31,7 @@ export class Stage {
   #opened = performance.now();
   #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
   #painted = []; // what the canvas shows
+  #ask = () => 0; // as the last frame did
 
   /** `inWorker` false decodes on the page's thread, to compare. */
   constructor(gl, connection, settings, { inWorker = true } = {}) {
@@ -77,8 +78,9 @@ export class Stage {
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
-    let sent = 0;
-    if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
+    this.#ask = (drive, now) =>
+      here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
+    const sent = asks ? this.#ask(drive, now) : 0;
     this.advance(now);
     const look = this.settings.get('place');
     const bare = first || !this.painter.place.prepare(look);
@@ -92,7 +94,7 @@ export class Stage {
       this.drawn();
       return sent;
     }
-    const how = { room, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
+    const how = { room, keeps, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
       // the pair stays: it is what there is to see should it be back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
@@ -106,6 +108,11 @@ export class Stage {
       this.drawn();
     }
     return sent;
+  }
+
+  /** Ask as the last frame did, before the next: what moves the avatar has changed by itself. Returns the frame_id, or 0. */
+  askAgain(drive, now) {
+    return this.#ask(drive, now);
   }
 
   /**
