@@ -100,7 +100,7 @@ window.painted = (stereo, steps) => steps.map(([turn, look, blobs]) => {
     orbit.views(width, height, { stereo }).forEach((view, i) => painter.view(view, i, how));
     const bytes = new Uint8Array(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
-    if (gl !== kept.gl) gl.getExtension('WEBGL_lose_context').loseContext(); // a page has sixteen, the oldest goes first
+    if (gl !== kept.gl) gl.getExtension('WEBGL_lose_context').loseContext(); // a page has sixteen
     return bytes;
   });
   return [one.filter((value, i) => value !== other[i]).length, new Set(one).size, copied];

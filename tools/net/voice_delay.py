@@ -165,6 +165,9 @@ PARTS = (
 )
 
 
+HERE = ("heard, and sent", "drawn here, and shown with the next frame of the page")
+
+
 def measured(found: dict[str, Any]) -> tuple[list[float], list[list[float]]]:
     """Milliseconds that each sound's picture is behind it, and the parts of those of which all are known."""
     came = {number: (arrived, asked, times) for number, arrived, asked, times in found["came"]}
@@ -177,6 +180,7 @@ def measured(found: dict[str, Any]) -> tuple[list[float], list[list[float]]]:
             shows = next((t for t, _ in found["drawn"] if t >= begin), np.inf)
             if shows - begin < _LATEST:
                 behind.append(shows - begin)
+                parts.append([opens - begin, shows - opens])
             continue
         shows, number = next(((t, shown) for t, shown in found["shown"] if shown >= frame), (None, 0))
         if opens - begin > _LATEST or shows is None:
@@ -204,7 +208,7 @@ def tell(name: str, runs: list[dict[str, Any]]) -> float:
     print(f"{name}: {len(behind)} sounds, ms behind at 10, 50, 90 %: {spread}")
     by = stats[-1]["drawn"]["by"]
     print(f"drawn by {by}, {fps:.1f} pictures and {frames:.1f} frames of the page a second")
-    for what, values in zip(PARTS, zip(*parts, strict=True), strict=False):
+    for what, values in zip(HERE if by == "here" else PARTS, zip(*parts, strict=True), strict=False):
         print(f"{statistics.median(values):7.0f} ms  {what}")
     median = statistics.median(behind) if behind else np.nan
     print(f"median: {median:.0f} ms, {median * fps / 1000:.2f} pictures", flush=True)
@@ -230,7 +234,10 @@ def main() -> None:
             runs[tree].append(found)
             behind, _ = measured(found)
             load = os.getloadavg()[0]
-            print(f"turn {turn + 1}, {tree.name}: {statistics.median(behind or [np.nan]):.0f} ms; load {load:.1f}", flush=True)
+            print(
+                f"turn {turn + 1}, {tree.name}: {statistics.median(behind or [np.nan]):.0f} ms; load {load:.1f}",
+                flush=True,
+            )
     medians = [tell(tree.name, runs[tree]) for tree in trees]
     if len(medians) == 2:
         print(f"{medians[1] / medians[0]:.2f} of the time")

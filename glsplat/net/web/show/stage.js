@@ -99,6 +99,7 @@ export class Stage {
       // the pair stays: it is what there is to see should it be back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
       const inside = where.view === 'own' && this.canHide;
+      this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
       const names = this.names.labels(this.here.names(where), views[0].transform, this.painter);
@@ -261,14 +262,14 @@ export class Stage {
 
   #askPoses(views, where, drive, now) {
     const faces = drive.tracking ? { faces: [watcher(views, where)] } : {};
-    return this.connection.send({ ...drive, t: drive.t ?? now, want: 'pose', ...faces }, { scene: this.#scene });
+    return this.connection.send({ ...drive, t: drive.t ?? now, want: 'pose', ...faces }, { scene: this.#scene, said: saidBy(drive) });
   }
 
   #received({ reply, buffer, asked, sent, ms }) {
     this.info = reply.info;
     this.figures.reply(reply.info, ms);
     if (reply.bodies) {
-      this.here.arrived(reply, performance.now());
+      this.here.arrived(reply, asked.said, performance.now());
       this.shownId = reply.id;
       return;
     }
@@ -280,3 +281,6 @@ export class Stage {
 
 /** Those of a reply's room of whom it says where they stand, `at` [x, y, z]. */
 const standing = (room) => (Array.isArray(room?.people) ? room.people : []).filter(({ at }) => Array.isArray(at) && at.length === 3 && at.every(Number.isFinite));
+
+/** The expression that goes with what moves an avatar, or nothing. */
+const saidBy = ({ pose, tracking }) => (pose ?? tracking)?.expression;
