@@ -66,7 +66,7 @@ HURRY = """
 import { Hurry } from '/vr/voice/hurry.js';
 window.sides = (side, steps) => {
   const hurry = new Hurry();
-  return steps.map(([speaks, render, now]) => hurry.side(side, speaks, { render, encode: 10 }, now));
+  return steps.map(([speaks, render, now, seen]) => hurry.side(side, speaks, { render, encode: 10 }, now, seen));
 };
 """
 
@@ -76,7 +76,7 @@ def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_
     with flat_page(chromium, HURRY) as page:
         page.wait_for_function("window.sides !== undefined")
 
-        def sides(side: int, *steps: tuple[bool, float, float]) -> list[int]:
+        def sides(side: int, *steps: tuple[bool, float, float] | tuple[bool, float, float, float]) -> list[int]:
             found: list[int] = page.evaluate("([side, steps]) => sides(side, steps)", [side, [list(s) for s in steps]])
             return found
 
@@ -91,6 +91,12 @@ def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_
         ]
         assert sides(512, *some) == [384, 384, 288, 288, 288]  # no smaller than 256
         assert sides(512, *some, (False, quick, 6000), (False, quick, 7000))[-2:] == [288, 512]
+        # what is not seen goes first, and at once; no further where that is quick enough
+        unseen: list[tuple[bool, float, float, float]] = [(True, quick, t, 280) for t in (0.0, 16.0, 32.0, 2000.0)]
+        assert sides(512, *unseen) == [384, 288, 288, 288]
+        assert sides(512, *[(True, 20, t, seen) for _, _, t, seen in unseen]) == [512] * 4
+        assert sides(512, *[(False, slow, t, seen) for _, _, t, seen in unseen]) == [512] * 4
+        assert sides(512, *[(True, quick, t, 600) for _, _, t, _ in unseen]) == [512] * 4
 
 
 @pytest.fixture(scope="module")

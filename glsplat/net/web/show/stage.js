@@ -179,7 +179,7 @@ export class Stage {
   ask(views, where, drive, { alpha, light = null, deep = false, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
-    const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now);
+    const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now, this.framing.seen);
     const framed = this.framing.frame(views, where, sample, side, age, now);
     const request = {
       ...drive,
