@@ -146,9 +146,11 @@ def watched(address: str, here: bool, seconds: float, size: int) -> dict[str, An
         page.goto(address)
         page.wait_for_function("window.glsplat && glsplat.stats().shownId > 3", timeout=120_000)
         page.evaluate("document.querySelector('#voice-talk').click()")  # it is behind the drawer
+        before = page.evaluate("glsplat.stats().shown")
         page.wait_for_timeout(1000 * seconds)
         found: dict[str, Any] = page.evaluate("delays")
         found["stats"] = page.evaluate("glsplat.stats()")
+        found["rate"] = (found["stats"]["shown"] - before) / seconds
         browser.close()
     return found
 
@@ -203,10 +205,10 @@ def tell(name: str, runs: list[dict[str, Any]]) -> float:
         behind += some
         parts += more
     spread = np.percentile(behind, [10, 50, 90]).round().tolist() if behind else []
-    stats = [found["stats"] for found in runs]
-    fps, frames = (statistics.mean(one[what] for one in stats) for what in ("fps", "frameRate"))
+    fps = statistics.mean(found["rate"] for found in runs)
+    frames = statistics.mean(found["stats"]["frameRate"] for found in runs)
     print(f"{name}: {len(behind)} sounds, ms behind at 10, 50, 90 %: {spread}")
-    by = stats[-1]["drawn"]["by"]
+    by = runs[-1]["stats"]["drawn"]["by"]
     print(f"drawn by {by}, {fps:.1f} pictures and {frames:.1f} frames of the page a second")
     for what, values in zip(HERE if by == "here" else PARTS, zip(*parts, strict=True), strict=False):
         print(f"{statistics.median(values):7.0f} ms  {what}")
