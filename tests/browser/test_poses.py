@@ -13,6 +13,7 @@ from glsplat.errors import ProtocolError
 from glsplat.net.poses.body import HERE, pack_body, place_of
 from glsplat.net.reply import pack_poses, parse_reply
 from glsplat.rotations import slerp, vector_quaternions
+from glsplat.skinning.expression import ARKIT
 from tests.browser.flat_page import flat_page
 
 MAIN = """
@@ -158,6 +159,37 @@ def test_others_are_shown_between_their_samples_and_oneself_at_the_newest(page: 
     steps = np.diff(moments[:4]) / np.diff([5300, 5324.5, 5350, 5362])
     assert np.allclose(steps, 1 / 50, rtol=0.02)  # evenly, whatever the network did
     assert all(50 <= age <= 60 for _, age in ages[:4]) and ages[-1][1] > 3000
+
+
+def test_a_mouth_does_not_wait_as_the_rest_of_a_body_does(page: Any) -> None:
+    jaw, blink = ARKIT.index("jawOpen"), ARKIT.index("eyeBlinkLeft")
+    faces = [{}, {}, {}, {"jawOpen": 1.0, "eyeBlinkLeft": 1.0}, {"eyeBlinkLeft": 1.0}, {}]
+    sent = []
+    for i, face in enumerate(faces):
+        one = glsplat.Pose(np.zeros((55, 3)), (float(i), 0, 0), expression=face)
+        body = pack_body(one, SHA, HERE, at=900 + 100 * i, t=100 * i, key=2, frame_id=i + 1)
+        room = {"room": {"people": [{"key": 2, "you": False}]}} if i == 0 else {}
+        sent.append((reply(body, number=i + 1, now=901 + 100 * i, **room), 5000 + 100 * i))
+    found = page.evaluate(
+        """([sent, wanted]) => {
+          const people = new People();
+          return sent.flatMap(([text, came]) => {
+            people.arrived(parsePoses(bytes(text)), came);
+            return [came + 10, came + 90].map((now) => {
+              const [{ expression, root }] = plain(people.at(now));
+              return [root[0], ...wanted.map((i) => expression?.[i] ?? 0)];
+            });
+          });
+        }""",
+        [sent, [jaw, blink]],
+    )
+    jaws = [opened for _, opened, _ in found]
+    assert jaws == [0] * 6 + [1] * 2 + [0] * 4  # with the body that says so, both ways
+    late = [i / 2 - root for i, (root, _, _) in enumerate(found)][6:]
+    assert min(late) > 0.4  # samples: the rest is shown between two of them
+    assert [blinks for _, _, blinks in found][6:8] == pytest.approx(
+        [max(0.0, r - 2) for r, _, _ in found[6:8]], abs=0.01
+    )
 
 
 def test_who_left_is_forgotten_strangers_are_not_taken_in_and_memory_is_flat(page: Any) -> None:

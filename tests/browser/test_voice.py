@@ -5,11 +5,18 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
+from glsplat.consent.file import OnFile
+from glsplat.consent.policy import ConsentPolicy
+from glsplat.data import default_avatar
+from glsplat.net.backends.server import make_server
+from glsplat.net.options import ServerConfig
+from glsplat.skinning.expression import ARKIT
 from glsplat.speech.analysis import Analysis
 from glsplat.speech.mouth import Mouth
 from glsplat.speech.sound import Sound, wav_bytes
@@ -59,7 +66,7 @@ HURRY = """
 import { Hurry } from '/vr/voice/hurry.js';
 window.sides = (side, steps) => {
   const hurry = new Hurry();
-  return steps.map(([speaks, render, now]) => hurry.side(side, speaks, { render, encode: 10 }, now));
+  return steps.map(([speaks, render, now, seen]) => hurry.side(side, speaks, { render, encode: 10 }, now, seen));
 };
 """
 
@@ -69,7 +76,7 @@ def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_
     with flat_page(chromium, HURRY) as page:
         page.wait_for_function("window.sides !== undefined")
 
-        def sides(side: int, *steps: tuple[bool, float, float]) -> list[int]:
+        def sides(side: int, *steps: tuple[bool, float, float] | tuple[bool, float, float, float]) -> list[int]:
             found: list[int] = page.evaluate("([side, steps]) => sides(side, steps)", [side, [list(s) for s in steps]])
             return found
 
@@ -84,6 +91,12 @@ def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_
         ]
         assert sides(512, *some) == [384, 384, 288, 288, 288]  # no smaller than 256
         assert sides(512, *some, (False, quick, 6000), (False, quick, 7000))[-2:] == [288, 512]
+        # what is not seen goes first, and at once; no further where that is quick enough
+        unseen: list[tuple[bool, float, float, float]] = [(True, quick, t, 280) for t in (0.0, 16.0, 32.0, 2000.0)]
+        assert sides(512, *unseen) == [384, 288, 288, 288]
+        assert sides(512, *[(True, 20, t, seen) for _, _, t, seen in unseen]) == [512] * 4
+        assert sides(512, *[(False, slow, t, seen) for _, _, t, seen in unseen]) == [512] * 4
+        assert sides(512, *[(True, quick, t, 600) for _, _, t, _ in unseen]) == [512] * 4
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +123,107 @@ def opened(browser: Any, address: str) -> Opened:
     page = Opened(context.new_page())
     page.page.goto(address)
     return page
+
+
+# frames of the display a quarter of a second apart; of each request how many frames there were, and its jaw
+SLOW = """
+  window.frames = 0;
+  window.asked = [];
+  window.requestAnimationFrame = (then) => setTimeout(() => {
+    window.frames++;
+    then(performance.now());
+  }, 250);
+  window.cancelAnimationFrame = clearTimeout;
+  window.Worker = class extends Worker {
+    constructor(...what) {
+      super(...what);
+      this.addEventListener('message', (event) => {
+        if (window.deaf && event.data.message) event.stopImmediatePropagation();
+      });
+    }
+
+    postMessage(told, ...rest) {
+      const { frame_id: id, pose } = told?.text ? JSON.parse(told.text) : {};
+      if (id) window.asked.push([window.frames, pose?.expression?.jawOpen ?? 0]);
+      super.postMessage(told, ...rest);
+    }
+  };"""
+
+
+def slow_page(browser: Any, address: str, **values: Any) -> Opened:
+    context = browser.new_context(viewport={"width": 240, "height": 240}, bypass_csp=True)
+    context.add_init_script(settings(drawer=True, **values) + SLOW)
+    page = Opened(context.new_page())
+    page.page.goto(address)
+    page.until("window.glsplat?.stats().shown > 0")
+    page.page.evaluate("document.querySelector('#voice-talk').click()")
+    page.until("document.querySelector('#voice-state').textContent === 'Listening.'")
+    return page
+
+
+def test_a_mouth_that_moves_does_not_wait_for_the_next_frame(listening: Any, serve: Any) -> None:
+    page = slow_page(listening, serve(Markers(lambda job: {"red": (0, 1.5, 0)}), offered=offered).page)
+    page.js("window.asked.length = 0")
+    page.until("window.asked.some(([, jaw]) => jaw > 0.1) && window.asked.filter(([, jaw]) => jaw === 0).length > 4")
+    asked = page.js("window.asked")
+    between = [b for a, b in pairwise(asked) if a[0] == b[0]]
+    assert any(jaw > 0.1 for _, jaw in between), asked
+    calm = [frame for frame, jaw in asked if jaw == 0]  # who is silent asks with each frame
+    assert len(calm) <= 1.5 * len(set(calm)) + 2, asked
+    assert not page.faults
+
+
+def test_where_the_page_draws_ones_own_mouth_waits_for_no_answer(listening: Any, serve: Any) -> None:
+    policy = ConsentPolicy()
+    policy.add("default", [OnFile(nobody=True)])
+    served = serve(
+        config=ServerConfig(port=0),
+        make=lambda config: make_server(default_avatar(), config, own_process=False, consent=policy),
+    )
+    page = slow_page(listening, served.page, drawn="here", place="plain")
+    page.until("window.glsplat.stats().drawn.jaw > 0.1")
+    page.js("window.deaf = true")  # no answer comes from here on
+    page.until("window.glsplat.stats().drawn.jaw < 0.02")
+    page.until("window.glsplat.stats().drawn.jaw > 0.1")
+    assert page.stats()["drawn"]["by"] == "here" and not page.faults
+
+
+FACE = """
+import { OwnFace } from '/vr/voice/own-face.js';
+import { ARKIT } from '/vr/draw/crowd.js';
+window.faces = (steps) => {
+  const face = new OwnFace();
+  return steps.map(([now, answered, server]) => {
+    Object.assign(face, { now, answered });
+    const found = face.over(server && Float32Array.from(ARKIT, (name) => server[name] ?? 0));
+    return found && Object.fromEntries(ARKIT.map((name, i) => [name, found[i]]).filter(([, weight]) => weight));
+  });
+};
+"""
+
+
+def test_ones_own_face_is_what_is_said_now_over_what_the_server_adds(chromium: Any) -> None:
+    smiling = [0.0] * len(ARKIT)
+    smiling[ARKIT.index("mouthSmileLeft")] = 0.5
+    steps: list[tuple[Any, Any, Any, Any]] = [  # said now, said before, the server's answer to that, what is drawn
+        (None, None, None, None),
+        (None, None, {"eyeBlinkLeft": 1}, {"eyeBlinkLeft": 1}),
+        ({"jawOpen": 0.5}, {}, None, {"jawOpen": 0.5}),
+        (
+            {"jawOpen": 0.5},
+            {"jawOpen": 0.25},
+            {"jawOpen": 0.25, "eyeBlinkLeft": 1},
+            {"jawOpen": 0.5, "eyeBlinkLeft": 1},
+        ),
+        ({}, {"jawOpen": 0.25}, {"jawOpen": 0.25, "eyeBlinkLeft": 1}, {"eyeBlinkLeft": 1}),
+        ({}, {}, {"jawOpen": 0.25}, {"jawOpen": 0.25}),  # somebody else's: a tracked face
+        ({"jawOpen": 7, "nonsense": 1, "mouthFunnel": -2}, None, None, {"jawOpen": 1}),
+        (smiling, {"jawOpen": 0.25}, {"jawOpen": 0.25}, {"mouthSmileLeft": 0.5}),
+        ({}, {"jawOpen": 0.25}, {"jawOpen": 0.25}, None),
+    ]
+    with flat_page(chromium, FACE) as page:
+        page.wait_for_function("window.faces !== undefined")
+        assert page.evaluate("(steps) => faces(steps)", [list(step[:3]) for step in steps]) == [s[3] for s in steps]
 
 
 def words(page: Opened) -> str:

@@ -1,11 +1,14 @@
 """How far the picture of a mouth is behind the sound, in Chromium with a microphone that plays a file.
 
-    python -m tools.net.voice_delay             # pictures of the server's
-    python -m tools.net.voice_delay --here      # drawn by the page from poses
+    python -m tools.net.voice_delay                          # pictures of what `glsplat serve` draws
+    python -m tools.net.voice_delay --here                   # drawn by the page from poses
+    python -m tools.net.voice_delay --beside ../before --turns 4     # another checkout, in turns with this one
+    python -m tools.net.voice_delay -- --exact --fixed       # the server's options
 
 The microphone says "aa" for half a second, then nothing for a second, again and again. A listener of its own in the
 page, which hears nothing but how loud a piece of 128 samples is, notes when each begins; what is sent is looked at for
 a jaw that opens, and the page's own numbers for the picture of that request, or of a newer one that was drawn instead.
+Where the page draws by itself, it is the first frame that it draws with a jaw that opens.
 
 Told are also the parts of the way, and the whole in times of a picture (from one to the next): what is many pictures
 long waits in a queue, what is one or two and long in milliseconds waits for a slow renderer.
@@ -14,31 +17,37 @@ long waits in a queue, what is one or two and long in milliseconds waits for a s
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import statistics
+import subprocess
+import sys
 import tempfile
-import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from glsplat.data import default_avatar
-from glsplat.net.backends.server import make_server
-from glsplat.net.options import ServerConfig
 from glsplat.speech.sound import Sound, wav_bytes
 from tests import needs
 from tests.browser.conftest import _FLAGS
-from tests.browser.served import Served
 from tests.speech.sounds import vowels
+
+_HERE = Path(__file__).resolve().parents[2]
+_LATEST = 700.0  # ms after a sound in which its jaw opens, or it was not heard
 
 WATCH = """
 (() => {
-  const seen = (window.delays = { sounds: [], sent: [], shown: [] });
+  // [ms] of sounds; [ms, frame_id] of requests with a jaw that opens, of pictures decoded and on the screen;
+  // [frame_id, ms, ms it was sent, its server's times] of replies; [ms] of frames drawn here with a jaw that opens
+  const seen = (window.delays = { sounds: [], sent: [], came: [], decoded: [], shown: [], drawn: [] });
   const ask = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
   const code = `registerProcessor('loud', class extends AudioWorkletProcessor {
     process([[samples]]) {
       const loud = samples && samples.some((v) => Math.abs(v) > 0.02);
-      if (loud && currentTime - (this.last ?? -9) > 0.4) this.port.postMessage(0);
+      if (loud && currentTime - (this.last ?? -9) > 0.4) this.port.postMessage(Date.now());
       if (loud) this.last = currentTime;
       return true;
     }
@@ -48,21 +57,31 @@ WATCH = """
     const context = new AudioContext({ latencyHint: 'interactive' });
     await context.audioWorklet.addModule(URL.createObjectURL(new Blob([code], { type: 'text/javascript' })));
     const node = new AudioWorkletNode(context, 'loud', { numberOfOutputs: 0 });
-    node.port.onmessage = () => seen.sounds.push(performance.now());
+    node.port.onmessage = ({ data }) => seen.sounds.push(data - performance.timeOrigin);
     context.createMediaStreamSource(stream).connect(node);
     return stream;
   };
-  let open = false;
+  const opening = (then) => {
+    let open = false;
+    return (jaw) => {
+      if (jaw > 0.06 && !open) then();
+      open = jaw > 0.03 && (open || jaw > 0.06);
+    };
+  };
   const at = new Map(); // when a request was sent, by its number
-  seen.came = []; // [number, ms after it was sent, its server's times]
+  let newest = 0;
+  const asks = opening(() => seen.sent.push([performance.now(), newest]));
+  const draws = opening(() => seen.drawn.push([performance.now(), 0]));
   const reading = import('/vr/stream/reply.js');
-  window.Worker = class extends Worker { // the page's socket is in one (stream/socket.js)
+  const decoding = []; // numbers of the replies that are with the decoder
+  window.Worker = class extends Worker { // the page's socket is in one (stream/socket.js), its decoder in another
     constructor(...what) {
       super(...what);
-      this.addEventListener('message', ({ data: { message } }) => {
+      this.addEventListener('message', ({ data }) => {
         const now = performance.now();
-        if (!(message instanceof ArrayBuffer) || new DataView(message).getUint8(8) === 0) return;
-        const copy = message.slice(0); // the page gives it away
+        if (data.pictures && decoding.length) seen.decoded.push([now, decoding.shift()]);
+        if (!(data.message instanceof ArrayBuffer) || new DataView(data.message).getUint8(8) === 0) return;
+        const copy = data.message.slice(0); // the page gives it away
         reading.then(({ parseReply }) => {
           const { id, info } = parseReply(copy);
           seen.came.push([id, now, at.get(id), info.times]);
@@ -71,19 +90,20 @@ WATCH = """
     }
 
     postMessage(told, ...rest) {
+      if (told?.buffer && told.eyes) decoding.push(new DataView(told.buffer).getUint32(4, true));
       const found = told?.text && JSON.parse(told.text);
       if (found?.frame_id) {
-        at.set(found.frame_id, performance.now());
-        const jaw = (found.pose ?? found.tracking)?.expression?.jawOpen ?? 0;
-        if (jaw > 0.06 && !open) seen.sent.push([performance.now(), found.frame_id]);
-        open = jaw > 0.03 && (open || jaw > 0.06);
+        newest = found.frame_id;
+        at.set(newest, performance.now());
+        asks((found.pose ?? found.tracking)?.expression?.jawOpen ?? 0);
       }
       super.postMessage(told, ...rest);
     }
   };
-  const look = (now) => {
-    const id = window.glsplat?.stats().shownId ?? 0;
-    if (id !== seen.shown.at(-1)?.[1]) seen.shown.push([performance.now(), id]);
+  const look = () => {
+    const { shownId = 0, drawn = {} } = window.glsplat?.stats() ?? {};
+    if (shownId !== seen.shown.at(-1)?.[1]) seen.shown.push([performance.now(), shownId]);
+    if (drawn.jaw !== undefined) draws(drawn.jaw);
     requestAnimationFrame(look);
   };
   requestAnimationFrame(look);
@@ -91,14 +111,26 @@ WATCH = """
 """
 
 
-def measured(here: bool, seconds: float, size: int) -> dict[str, Any]:
-    """Milliseconds behind the beginning of each sound, of what was sent and of its picture."""
+@contextmanager
+def serving(tree: Path, options: Sequence[str]) -> Iterator[str]:
+    """The address of the page of a server of that checkout, in a process of its own."""
+    words = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", *options]
+    where: dict[str, Any] = {"cwd": tree, "env": os.environ | {"PYTHONPATH": str(tree)}}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, **where) as server:
+        try:
+            assert server.stdout is not None
+            yield json.loads(server.stdout.readline())["page"]
+        finally:
+            server.terminate()
+
+
+def watched(address: str, here: bool, seconds: float, size: int) -> dict[str, Any]:
+    """What the page was seen to do, and its figures."""
     from playwright.sync_api import sync_playwright
 
     rate = 48000
     said = np.concatenate([np.zeros(rate // 2), vowels(0.5, rate, each=9), np.zeros(rate // 2)]).astype(np.float32)
-    serving = Served(make=lambda config: make_server(default_avatar(), config), config=ServerConfig(port=0))
-    with tempfile.TemporaryDirectory() as folder, serving as served, sync_playwright() as play:
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         file = Path(folder) / "said.wav"
         file.write_bytes(wav_bytes(Sound(said, rate)))
         flags = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
@@ -111,62 +143,107 @@ def measured(here: bool, seconds: float, size: int) -> dict[str, Any]:
         kept = f'localStorage.setItem(\'glsplat.settings\', \'{{"size": 512, "drawn": "{drawn}"}}\')'
         context.add_init_script(kept)
         page = context.new_page()
-        page.goto(served.page)
+        page.goto(address)
         page.wait_for_function("window.glsplat && glsplat.stats().shownId > 3", timeout=120_000)
         page.evaluate("document.querySelector('#voice-talk').click()")  # it is behind the drawer
+        before = page.evaluate("glsplat.stats().shown")
         page.wait_for_timeout(1000 * seconds)
-        found = page.evaluate("delays")
-        stats = page.evaluate("glsplat.stats()")
+        found: dict[str, Any] = page.evaluate("delays")
+        found["stats"] = page.evaluate("glsplat.stats()")
+        found["rate"] = (found["stats"]["shown"] - before) / seconds
         browser.close()
-    sent, shown, parts = [], [], []
-    came = {number: (arrived, asked, times) for number, arrived, asked, times in found["came"]}
-    for begin in found["sounds"][1:]:
-        after = next(((t, frame) for t, frame in found["sent"] if t >= begin), None)
-        if after is None or after[0] - begin > 700:
-            continue
-        picture, number = next(((t, frame) for t, frame in found["shown"] if frame >= after[1]), (None, 0))
-        sent.append(after[0] - begin)
-        if picture is None:
-            continue
-        shown.append(picture - begin)
-        if number in came:
-            arrived, asked, times = came[number]
-            server = sum(times[name] for name in ("wait", "render", "encode"))
-            parts.append([
-                *(after[0] - begin, asked - after[0], times["wait"], times["render"], times["encode"]),
-                *(arrived - asked - server, picture - arrived),
-            ])  # fmt: skip
-    drawn_by = stats["drawn"]["by"]
-    return {"sent": sent, "shown": shown, "parts": parts, "stats": stats, "by": drawn_by}
+    return found
 
 
 PARTS = (
-    "heard, and sent with the next frame of the page",
+    "heard, and sent",
     "another picture is drawn: a newer request took its place",
     "waits at the server",
     "drawn",
     "encoded",
     "on the way, both",
-    "decoded, and shown with the next frame of the page",
+    "decoded",
+    "shown with the next frame of the page",
 )
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--here", action="store_true")
-    parser.add_argument("--seconds", type=float, default=40)
-    parser.add_argument("--size", type=int, default=512, help="of the window, pixels")
-    args = parser.parse_args()
-    began = time.monotonic()
-    result = measured(args.here, args.seconds, args.size)
-    for what in ("sent", "shown"):
-        values = result[what]
-        spread = np.percentile(values, [10, 50, 90]).round().tolist() if values else []
-        print(f"{what}: {len(values)} times, ms at 10, 50, 90 %: {spread}")
-    stats = result["stats"]
-    print(f"drawn by {result['by']}, {stats['fps']} pictures and {stats['frameRate']} frames of the page a second")
-    for what, values in zip(PARTS, zip(*result["parts"], strict=True), strict=False):
+HERE = ("heard, and sent", "drawn here, and shown with the next frame of the page")
+
+
+def measured(found: dict[str, Any]) -> tuple[list[float], list[list[float]]]:
+    """Milliseconds that each sound's picture is behind it, and the parts of those of which all are known."""
+    came = {number: (arrived, asked, times) for number, arrived, asked, times in found["came"]}
+    decoded = {number: t for t, number in found["decoded"]}
+    local = found["stats"]["drawn"]["by"] == "here" and found["drawn"]
+    behind, parts = [], []
+    for begin in found["sounds"][1:]:  # the first may have begun before anything listened
+        opens, frame = next(((t, frame) for t, frame in found["sent"] if t >= begin), (np.inf, 0))
+        if local:
+            shows = next((t for t, _ in found["drawn"] if t >= begin), np.inf)
+            if shows - begin < _LATEST:
+                behind.append(shows - begin)
+                parts.append([opens - begin, shows - opens])
+            continue
+        shows, number = next(((t, shown) for t, shown in found["shown"] if shown >= frame), (None, 0))
+        if opens - begin > _LATEST or shows is None:
+            continue
+        behind.append(shows - begin)
+        if number in came and number in decoded:
+            arrived, asked, times = came[number]
+            server = [times[name] for name in ("wait", "render", "encode")]
+            way = arrived - asked - sum(server)
+            ready = decoded[number]
+            parts.append([opens - begin, asked - opens, *server, way, ready - arrived, shows - ready])
+    return behind, parts
+
+
+def tell(name: str, runs: list[dict[str, Any]]) -> float:
+    """Print what all runs of a checkout came to; returns the median."""
+    behind, parts = [], []
+    for found in runs:
+        some, more = measured(found)
+        behind += some
+        parts += more
+    spread = np.percentile(behind, [10, 50, 90]).round().tolist() if behind else []
+    fps = statistics.mean(found["rate"] for found in runs)
+    frames = statistics.mean(found["stats"]["frameRate"] for found in runs)
+    print(f"{name}: {len(behind)} sounds, ms behind at 10, 50, 90 %: {spread}")
+    by = runs[-1]["stats"]["drawn"]["by"]
+    print(f"drawn by {by}, {fps:.1f} pictures and {frames:.1f} frames of the page a second")
+    for what, values in zip(HERE if by == "here" else PARTS, zip(*parts, strict=True), strict=False):
         print(f"{statistics.median(values):7.0f} ms  {what}")
-    if result["shown"]:
-        median = statistics.median(result["shown"])
-        print(f"median: {median:.0f} ms, {median * stats['fps'] / 1000:.2f} pictures; {time.monotonic() - began:.0f} s")
+    median = statistics.median(behind) if behind else np.nan
+    print(f"median: {median:.0f} ms, {median * fps / 1000:.2f} pictures", flush=True)
+    return float(median)
+
+
+def main() -> None:
+    """Runs in turns, then what they came to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--here", action="store_true")
+    parser.add_argument("--seconds", type=float, default=40, help="of each turn")
+    parser.add_argument("--size", type=int, default=512, help="of the window, pixels")
+    parser.add_argument("--beside", type=Path, help="another checkout, whose server and page take turns with these")
+    parser.add_argument("--turns", type=int, default=1, help="of each checkout")
+    parser.add_argument("options", nargs="*", help="of `glsplat serve`, behind --")
+    args = parser.parse_args()
+    trees = [_HERE] if args.beside is None else [args.beside.resolve(), _HERE]
+    runs: dict[Path, list[dict[str, Any]]] = {tree: [] for tree in trees}
+    for turn in range(args.turns):
+        for tree in trees if turn % 2 == 0 else trees[::-1]:
+            with serving(tree, args.options) as address:
+                found = watched(address, args.here, args.seconds, args.size)
+            runs[tree].append(found)
+            behind, _ = measured(found)
+            load = os.getloadavg()[0]
+            print(
+                f"turn {turn + 1}, {tree.name}: {statistics.median(behind or [np.nan]):.0f} ms; load {load:.1f}",
+                flush=True,
+            )
+    medians = [tell(tree.name, runs[tree]) for tree in trees]
+    if len(medians) == 2:
+        print(f"{medians[1] / medians[0]:.2f} of the time")
+
+
+if __name__ == "__main__":
+    main()

@@ -60,6 +60,7 @@ const orbit = new Orbit();
 const voice = addVoice(document.getElementById('controls'));
 stage.speaks = () => Object.keys(voice.weights() ?? {}).length > 0;
 const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
+voice.addEventListener('leap', () => viewer.askNow());
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
   record: () => toggleRecording(),

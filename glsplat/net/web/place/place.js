@@ -1,6 +1,7 @@
 // Draws a place: room, sky, the shadows of who stands in it, a mirror with its frame. Knows neither avatars nor sessions.
 
 import { multiply, place as placeOf } from '../space/matrix.js';
+import { Backdrop } from './backdrop.js';
 import { ATLAS, FACES, GRAIN, bake, baking, grain, shown } from './bake.js';
 import { LOOKS } from './looks.js';
 import { flatMesh, floorMesh, mirrorMesh, roomMesh, starMesh } from './mesh.js';
@@ -26,9 +27,11 @@ export class Place {
   #room;
   #stars;
   #passing; // of one frame
+  #backdrop;
 
   constructor(gl) {
     this.#gl = gl;
+    this.#backdrop = new Backdrop(gl);
     [this.#room, this.#stars, this.#passing] = [this.#buffer(), this.#buffer(), this.#buffer()];
   }
 
@@ -64,8 +67,15 @@ export class Place {
     return true;
   }
 
-  /** The room around an eye {transform, projection}; shadows `blobs` [x, z, radius, strength] lie on its floor. */
-  room({ transform, projection }, clip, blobs) {
+  /** The room around an eye {transform, projection, viewport}, `still` the view whose canvas it is, or null. */
+  room(eye, clip, still = null) {
+    if (still === null) return this.#paintRoom(eye, clip);
+    const { transform, projection, viewport } = eye;
+    const key = [this.#look, ...transform, ...projection, ...Object.values(viewport)];
+    this.#backdrop.draw(still, viewport, key, () => this.#paintRoom(eye, clip));
+  }
+
+  #paintRoom({ transform, projection }, clip) {
     const gl = this.#gl;
     gl.disable(gl.BLEND);
     gl.enable(gl.DEPTH_TEST);
@@ -79,14 +89,13 @@ export class Place {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
-    this.shadows(clip, blobs, this.#look.shadow);
   }
 
-  /** Shadows on any floor. */
-  shadows(clip, blobs, dark = IN_PASSTHROUGH) {
+  /** Shadows `blobs` [x, z, radius, strength] on the floor: the room's, or one that is not ours. */
+  shadows(clip, blobs, inRoom) {
     if (!blobs.length) return;
     const at = this.#begin('shadow');
-    this.#blobs(at, blobs, dark);
+    this.#blobs(at, blobs, inRoom ? this.#look.shadow : IN_PASSTHROUGH);
     this.#gl.uniformMatrix4fv(at.clip_from_room, false, clip);
     this.#fill(this.#passing, floorMesh(blobs));
     this.#draw(this.#passing);

@@ -1,6 +1,7 @@
 // Drawing on this device instead of showing the server's pictures: who stands where comes over the wire (stream/pose.js),
 // the avatars once (avatar/cache.js), and draw/ draws them for the eyes of this very frame.
 
+import { ARKIT } from '../draw/crowd.js';
 import { HERE } from '../draw/bones.js';
 import { Choice } from '../draw/choice.js';
 import { turned } from '../draw/light.js';
@@ -9,9 +10,13 @@ import { AvatarCache } from '../avatar/cache.js';
 import { fromJoints, partsOf } from '../place/shadow.js';
 import { IDENTITY, fromPose, invert, movePoint, multiply } from '../space/matrix.js';
 import { People } from '../stream/pose.js';
+import { OwnFace } from '../voice/own-face.js';
+
+const JAW = ARKIT.indexOf('jawOpen');
 
 export class Here {
   people = new People();
+  face = new OwnFace();
   cache;
   choice;
   #gl;
@@ -20,6 +25,7 @@ export class Here {
   #offer = null; // what the server hands out of the chosen avatar: {sha256, url, ...}, or null
   #handedOut = []; // hashes of all that it hands out
   #refused = ''; // why it does not tell poses
+  #jaw = 0; // how far one's own is open in the last picture
 
   constructor(gl, connection, settings) {
     [this.#gl, this.#connection] = [gl, connection];
@@ -49,8 +55,10 @@ export class Here {
     this.people.clear();
   }
 
-  arrived(parsed, now) {
+  /** A reply in poses; `said`: the expression that went with its request. */
+  arrived(parsed, said, now) {
     this.people.arrived(parsed, now);
+    if (parsed.bodies.some(({ you }) => you)) this.face.answered = said;
   }
 
   /** The server tells no poses of this avatar. */
@@ -82,11 +90,14 @@ export class Here {
     const bodies = this.people.at(now);
     const stands = this.people.room?.place ? fromPose(this.people.room.place) : IDENTITY;
     const shown = multiply(where.shown, invert(stands));
-    const people = bodies.map((body) => ({ ...body, avatar: this.cache.get(body.sha256, now), pose: body }));
+    const me = bodies.find(({ you }) => you);
+    const face = me ? this.face.over(me.expression) : null;
+    const faced = (body) => (body === me ? face : body.expression);
+    const people = bodies.map((body) => ({ ...body, expression: faced(body), avatar: this.cache.get(body.sha256, now), pose: body }));
     this.cache.keep(new Set([...bodies.map(({ sha256 }) => sha256), this.#offer?.sha256]));
     this.#own.people = people.filter(({ avatar, joints }) => avatar && joints.length === 4 * avatar.skeleton.count);
     if (!this.#own.people.length) return null;
-    const me = bodies.find(({ you }) => you);
+    this.#jaw = face?.[JAW] ?? 0;
     const falling = light ? turned(light, stands) : servers;
     this.#own.draw(views, framebuffer, shown, { glass: where.glass, headless: inside && me ? me.key : null, light: falling });
     return Math.max(...bodies.map(({ age }) => age));
@@ -117,7 +128,7 @@ export class Here {
   /** Figures for `stats()`. */
   stats() {
     const { here, reason } = this.choice;
-    return { by: here ? 'here' : 'server', reason, splats: this.#own?.drawn ?? 0, people: this.people.size, avatars: this.cache.size, layers: this.#own?.kind ?? '' };
+    return { by: here ? 'here' : 'server', reason, splats: this.#own?.drawn ?? 0, people: this.people.size, avatars: this.cache.size, layers: this.#own?.kind ?? '', jaw: here ? this.#jaw : 0 };
   }
 
   lost() {

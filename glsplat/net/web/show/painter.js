@@ -100,9 +100,10 @@ export class Painter {
   /**
    * One view {transform, projection, viewport}: index 0 or 1 of the pair. `room`: draw the place as well, else (in
    * passthrough) its mirror and shadows alone. `mirror`: {glass, normal}; `blobs`: shadows of place/shadow.js, which
-   * the mirror shows where there is one; `picture` false leaves the pair out.
+   * the mirror shows where there is one; `picture` false leaves the pair out; `keeps`: what is drawn into is the canvas,
+   * for an eye that mostly rests.
    */
-  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [], picture = true }) {
+  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [], picture = true, keeps = false }) {
     const gl = this.#gl;
     const { transform, projection, viewport: { x, y, width, height } } = eye;
     gl.viewport(x, y, width, height);
@@ -110,8 +111,8 @@ export class Painter {
     const placed = this.place.choose(look);
     if (placed) {
       const seen = mirror ? [] : blobs;
-      if (room) this.place.room(eye, clip, seen);
-      else this.place.shadows(clip, seen);
+      if (room) this.place.room(eye, clip, keeps ? index : null);
+      this.place.shadows(clip, seen, room);
       if (mirror) this.place.mirror(eye, clip, mirror, blobs, !room);
     } else {
       if (room) this.#drawFloor(clip, transform);

@@ -31,6 +31,7 @@ export class Stage {
   #opened = performance.now();
   #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
   #painted = []; // what the canvas shows
+  #ask = () => 0; // as the last frame did
 
   /** `inWorker` false decodes on the page's thread, to compare. */
   constructor(gl, connection, settings, { inWorker = true } = {}) {
@@ -77,8 +78,9 @@ export class Stage {
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
-    let sent = 0;
-    if (asks) sent = here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
+    this.#ask = (drive, now) =>
+      here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
+    const sent = asks ? this.#ask(drive, now) : 0;
     this.advance(now);
     const look = this.settings.get('place');
     const bare = first || !this.painter.place.prepare(look);
@@ -92,11 +94,12 @@ export class Stage {
       this.drawn();
       return sent;
     }
-    const how = { room, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
+    const how = { room, keeps, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
       // the pair stays: it is what there is to see should it be back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
       const inside = where.view === 'own' && this.canHide;
+      this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
       const names = this.names.labels(this.here.names(where), views[0].transform, this.painter);
@@ -106,6 +109,11 @@ export class Stage {
       this.drawn();
     }
     return sent;
+  }
+
+  /** Ask as the last frame did, before the next: what moves the avatar has changed by itself. Returns the frame_id, or 0. */
+  askAgain(drive, now) {
+    return this.#ask(drive, now);
   }
 
   /**
@@ -171,7 +179,7 @@ export class Stage {
   ask(views, where, drive, { alpha, light = null, deep = false, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
-    const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now);
+    const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now, this.framing.seen);
     const framed = this.framing.frame(views, where, sample, side, age, now);
     const request = {
       ...drive,
@@ -254,14 +262,14 @@ export class Stage {
 
   #askPoses(views, where, drive, now) {
     const faces = drive.tracking ? { faces: [watcher(views, where)] } : {};
-    return this.connection.send({ ...drive, t: drive.t ?? now, want: 'pose', ...faces }, { scene: this.#scene });
+    return this.connection.send({ ...drive, t: drive.t ?? now, want: 'pose', ...faces }, { scene: this.#scene, said: saidBy(drive) });
   }
 
   #received({ reply, buffer, asked, sent, ms }) {
     this.info = reply.info;
     this.figures.reply(reply.info, ms);
     if (reply.bodies) {
-      this.here.arrived(reply, performance.now());
+      this.here.arrived(reply, asked.said, performance.now());
       this.shownId = reply.id;
       return;
     }
@@ -273,3 +281,6 @@ export class Stage {
 
 /** Those of a reply's room of whom it says where they stand, `at` [x, y, z]. */
 const standing = (room) => (Array.isArray(room?.people) ? room.people : []).filter(({ at }) => Array.isArray(at) && at.length === 3 && at.every(Number.isFinite));
+
+/** The expression that goes with what moves an avatar, or nothing. */
+const saidBy = ({ pose, tracking }) => (pose ?? tracking)?.expression;

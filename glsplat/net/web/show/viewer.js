@@ -4,6 +4,7 @@ import { IDENTITY } from '../space/matrix.js';
 
 const DENSEST = 2; // canvas pixels a CSS pixel
 const KEEP = 1000; // ms between requests while nothing moves
+const APART = 8; // ms between two requests at least, where one does not wait for the next frame
 const RESTING = 1500; // ms between frames while others need the machine
 
 const HERE = Object.freeze({ view: 'viewer', shown: IDENTITY, mirror: false, glass: null });
@@ -76,6 +77,13 @@ export class Viewer {
       [this.#last, this.#asked] = [key, now];
     }
     if (this.#stage.shownId !== shown && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
+  }
+
+  /** Who speaks is not to wait for the next frame. What is tracked does: its filters want frames' times. */
+  askNow(now = performance.now()) {
+    if (!this.#handle || !this.ready() || this.rests() || now - this.#asked < APART) return;
+    const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
+    if (drive.pose && this.#stage.askAgain(drive, now)) this.#asked = now;
   }
 
   #fit() {

@@ -18,6 +18,7 @@ const COMPANY = 1.6; // metres to the plane on which a picture of a whole room i
 const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.7, 0.8]; // metres about where somebody stands, the words over their head, too
 
 export class Framing {
+  seen = Infinity; // side of a square with as many pixels as the display has for what was framed last
   furnished = false; // whether a room has more to see than people
   #people = []; // [x, y, z] of everybody in a room, as the server said it
   #box = null; // as the server said it
@@ -63,7 +64,8 @@ export class Framing {
     const frusta = where.whole && cut.every((frustum) => frustum === null) ? sights : cut;
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
-    const size = this.#size(whole, where.whole ? Math.min(side, ...whole.map((frustum, i) => shownSide(frustum, views[i]))) : side);
+    this.seen = Math.min(...whole.map((frustum, i) => shownSide(frustum, views[i])));
+    const size = this.#size(whole, where.whole ? Math.min(side, this.seen) : side);
     const eyes = views.map(({ transform }, i) => ({
       viewmat: viewmat(serverEye(where, transform)).map(rounded),
       K: intrinsics(whole[i], size).map(rounded),

@@ -3,6 +3,7 @@
 const MAGIC = 0x5256; // "VR", little endian
 const HEAD = 108; // bytes of a body before its rotations
 const SHAPES = 52; // of ARKit
+const MOUTH = [...Array.from({ length: 27 }, (_, i) => 14 + i), 51]; // of them jawForward to mouthUpperUpRight, tongueOut
 const SMALLEST = 1e-5; // of a scale
 const [YOU, EXPRESSION, TRANSLATIONS] = [1, 2, 4];
 const KEPT = 6; // samples of a person
@@ -141,7 +142,7 @@ class Clock {
   }
 }
 
-/** Everybody of whom bodies come. Others are shown between their last samples, oneself at the newest. */
+/** Everybody of whom bodies come. Others are shown between their last samples, their mouths and oneself at the newest. */
 export class People {
   room = null; // the newest `room` of a reply
   #people = new Map(); // by key: {samples: [{time, body}], clock, shown}
@@ -207,6 +208,7 @@ function shown(person, server) {
   const part = span > 0 ? Math.min(1, Math.max(0, (time - first.time) / span)) : 0;
   person.shown ??= blank(last.body);
   mix(person.shown, first.body, second.body, part);
+  speak(person.shown, last.body);
   const { key, you, frameId, at, t, opacity, sha256 } = last.body;
   const age = Math.max(0, server - first.time - span * part);
   return Object.assign(person.shown, { key, you, frameId, at, t, opacity, sha256, age });
@@ -224,6 +226,13 @@ const blank = ({ joints }) => ({
   root: new Float32Array(3),
   joints: new Float32Array(joints.length),
 });
+
+/** A mouth goes with a sound, which is heard as it comes: it is the newest known, whatever the body waits for. */
+function speak(out, { expression }) {
+  if (!expression && !out.expression) return;
+  out.expression ??= new Float32Array(SHAPES);
+  for (const i of MOUTH) out.expression[i] = expression?.[i] ?? 0;
+}
 
 const CALM = new Float32Array(SHAPES);
 

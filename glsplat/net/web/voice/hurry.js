@@ -1,6 +1,7 @@
 // Smaller pictures while somebody speaks, where the server is slow: a mouth that moves late is worse than one less sharp.
 
-const ENOUGH = 1000 / 15; // ms that a picture may take
+const SOON = 1000 / 30; // ms that a picture may take before it has no more pixels than are seen
+const ENOUGH = 1000 / 15; // ... before it has fewer
 const STEP = 0.75; // of a picture's side, at a time
 const LEAST = 256; // pixels of a side
 const PATIENCE = 400; // ms that a smaller picture has to show what it gains
@@ -11,10 +12,14 @@ export class Hurry {
   #spoke = -Infinity;
   #changed = -Infinity;
 
-  /** The side to ask for instead of `side`; `speaks` says whether a mouth moves, `times` {render, encode} of the last. */
-  side(side, speaks, { render = 0, encode = 0 } = {}, now) {
+  /**
+   * The side to ask for instead of `side`; `speaks` says whether a mouth moves, `times` {render, encode} of the last, `seen`
+   * which side would have as many pixels as the display has for it.
+   */
+  side(side, speaks, { render = 0, encode = 0 } = {}, now, seen = Infinity) {
     if (speaks) this.#spoke = now;
     if (now - this.#spoke > CALM) this.#share = 1;
+    else if (render + encode > SOON && side * this.#share * STEP >= seen) this.#share *= STEP;
     else if (render + encode > ENOUGH && now - this.#changed > Math.max(PATIENCE, 2 * (render + encode)) && side * this.#share * STEP >= LEAST) {
       this.#share *= STEP;
       this.#changed = now;

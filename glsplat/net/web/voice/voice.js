@@ -1,15 +1,20 @@
 // The user's voice moves the avatar's mouth: microphone, audio thread, and the weights that go with what is sent.
 
 const STALE = 300; // ms without word from the audio thread after which the mouth is at rest
+const LEAP = 0.05; // of a weight since they were last taken, that is not to wait
 const WANTED = { echoCancellation: true, noiseSuppression: true, autoGainControl: true, channelCount: 1 };
 
-/** Event 'change'. `state`: off, asking, on, muted, refused; `why` says in words what went wrong. */
+/**
+ * Events: 'change' (of `state`: off, asking, on, muted, refused; `why` says in words what went wrong), 'leap': the mouth
+ * moves so far that what shows it should not wait.
+ */
 export class Voice extends EventTarget {
   state = 'off';
   why = '';
   #stream = null;
   #context = null;
   #weights = {};
+  #taken = {}; // those that were sent last
   #least = 0; // of a weight that is sent
   #heard = 0;
   #round = 0; // what was begun before the last start or stop no longer counts
@@ -38,6 +43,7 @@ export class Voice extends EventTarget {
       listener.port.onmessage = ({ data }) => {
         this.#weights = data;
         this.#heard = performance.now();
+        if (this.state === 'on' && leaps(this.#taken, data)) this.dispatchEvent(new Event('leap'));
       };
       context.createMediaStreamSource(stream).connect(listener);
       await context.resume();
@@ -78,6 +84,7 @@ export class Voice extends EventTarget {
   /** A sample of tracking, or a pose, with the mouth of now; what it says of the face itself wins. */
   speaks(body) {
     const said = this.weights();
+    this.#taken = said ?? {};
     return said && !Array.isArray(body.expression) ? { ...body, expression: { ...said, ...body.expression } } : body;
   }
 
@@ -86,3 +93,5 @@ export class Voice extends EventTarget {
     this.dispatchEvent(new Event('change'));
   }
 }
+
+const leaps = (from, to) => Object.entries(to).some(([name, weight]) => Math.abs(weight - (from[name] ?? 0)) > LEAP);
