@@ -85,6 +85,13 @@ class Morphs:
             np.concatenate(offsets).astype(np.float32),
         )
 
+    def dense(self, name: str, count: int) -> NDArray[np.float64]:
+        """[count, 3] offsets of all vertices with the target ``name`` at weight 1."""
+        out, target = np.zeros((count, 3)), self.names.index(name)
+        part = slice(*self.starts[target : target + 2])
+        np.add.at(out, self.vertices[part], self.offsets[part].astype(np.float64))
+        return out
+
     def moved(self, pose: Pose, count: int) -> NDArray[np.float64]:
         """[count, 3] offsets of all vertices with the pose's expression, weights within 0 and 1."""
         out = np.zeros((count, 3))

@@ -26,6 +26,7 @@ from scipy.spatial import cKDTree
 from apps.avatar.writing import progress_bar
 from glsplat.authoring.cones import with_cones
 from glsplat.authoring.detail.make import with_levels
+from glsplat.authoring.faces.blinks import BACK, BLINKS
 from glsplat.authoring.faces.carry import carried
 from glsplat.authoring.faces.eyeballs import eye_texture
 from glsplat.authoring.faces.trimmings import GLINT, LASH, STRAND, VEIL, with_strands
@@ -41,7 +42,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
-from tools.data.lids import BACK, BLINKS, lid_corners
+from tools.data.lids import lid_corners
 from tools.data.persons import (
     AT_REST,
     BLINK,

@@ -19,8 +19,10 @@ from apps.avatar.writing import progress_bar
 from glsplat.authoring.cells import SamplerConfig
 from glsplat.authoring.cones import with_cones
 from glsplat.authoring.detail.make import with_levels
+from glsplat.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
 from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
 from glsplat.authoring.faces.open_face import matched, with_expressions, with_mouth
+from glsplat.authoring.faces.openings import openings
 from glsplat.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
 from glsplat.authoring.light.surfaces import with_surface
 from glsplat.authoring.optimize.mesh import fitted_to_mesh
@@ -36,7 +38,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.splats import normalised
 from tools.data.brows import raised_brows
-from tools.data.lids import blink_that_shuts, even_lids, with_blink
+from tools.data.lids import even_lids
 from tools.data.touched import calmer, darker_palms, fair_ends, plain_sleeves, toned, without_dots
 
 Touch = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
@@ -133,8 +135,8 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
     mesh = with_eyeballs(mesh, eyes, recipe.iris, white=recipe.white)
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
     mesh = with_mouth(with_expressions(mesh, same), same)
-    blink = blink_that_shuts(mesh, eyeballs(mesh, *EYES))
-    return even_lids(with_blink(mesh, blink), recipe.lids), blink
+    blink = blink_that_shuts(mesh, openings(mesh, eyeballs(mesh, *EYES)))
+    return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids), blink
 
 
 def about(recipe: Recipe, blink: float) -> dict[str, str]:
@@ -191,7 +193,7 @@ def made(mesh: RiggedMesh, splats: int, steps: int, recipe: Recipe, show: Callab
 def trimmed(avatar: Avatar, mesh: RiggedMesh, recipe: Recipe) -> Avatar:
     """The avatar with hairs on its brows, lashes, shadows under lids and lights in the eyes."""
     avatar = with_brow_hairs(avatar, mesh, part_of(mesh, "eyebrow").name, BROWS)
-    return with_lashes(avatar, mesh, eyeballs(mesh, *EYES), length=recipe.lashes)
+    return with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, *EYES)), length=recipe.lashes)
 
 
 def measures(avatar: Avatar) -> list[str]:

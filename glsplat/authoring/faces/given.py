@@ -2,54 +2,56 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from glsplat.authoring.cells import SamplerConfig
+from glsplat.authoring.faces.blinks import blink_of, blink_that_shuts, with_blink
 from glsplat.authoring.faces.eyeballs import eyeballs
 from glsplat.authoring.faces.lids import with_lids
-from glsplat.authoring.faces.open_face import with_expressions, with_mouth
-from glsplat.authoring.faces.shapes import with_shapes
-from glsplat.authoring.faces.trimmings import joined, with_lashes
+from glsplat.authoring.faces.mouth import with_teeth
+from glsplat.authoring.faces.open_face import with_expressions
+from glsplat.authoring.faces.openings import Opening, openings
+from glsplat.authoring.faces.trimmings import with_lashes
 from glsplat.authoring.fit.body import open_body
-from glsplat.authoring.surface import FEWEST, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["FACE_SPLATS", "expressive", "with_face"]
+__all__ = ["FACE_SPLATS", "MovingFace", "moving_face", "with_face"]
 
-FACE_SPLATS = 900
+FACE_SPLATS = 1_600
 """Splats that teeth, gums, lids and lashes take of those of an avatar."""
 
-_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=64)
-_LASHES = 0.45  # of opacities: what photographs show of lashes is there already
+_LASHES, _LONG = 0.45, 0.75  # of opacities and lengths: what photographs show of lashes is there already
 
 
-def expressive(mesh: RiggedMesh) -> RiggedMesh:
-    """The ``mesh``, whose first vertices are the open body's, with 52 shapes of ARKit."""
-    return mesh if mesh.morphs is not None else with_expressions(mesh, _same(mesh))
+class MovingFace(NamedTuple):
+    """What a face is made on."""
+
+    mesh: RiggedMesh  # with 52 shapes of ARKit
+    eyes: list[Opening]  # at rest
 
 
-def with_face(avatar: Avatar, mesh: RiggedMesh, total: int, seed: int = 0) -> Avatar:
-    """The avatar that was made on ``mesh``, whose first vertices are the open body's, with 52 shapes of ARKit.
+def moving_face(mesh: RiggedMesh) -> MovingFace:
+    """Of the ``mesh``, whose first vertices are the open body's, with parts called eyes, mouth and skin."""
+    moving = with_expressions(mesh, _same(mesh))
+    eyes = openings(mesh, eyeballs(mesh, "eyes"))
+    shares = {blink_of(eye.ball): blink_that_shuts(moving, [eye]) for eye in eyes}
+    return MovingFace(with_blink(moving, shares), eyes)
 
-    Its own are kept where it has them, which is better: a splat near the lips may ride the wrong one. Teeth and lashes
-    are added behind the lips and at the lids, ``total`` splats with them; the rest keeps its places and colours. The
-    mesh has parts called eyes, mouth and skin. Without levels and cones.
+
+def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0) -> Avatar:
+    """The avatar, which was made on ``face.mesh`` and has its shapes, with what its photograph does not show.
+
+    Lids, teeth and lashes are added, ``total`` splats with them; the rest keeps its places and colours. Without levels
+    and cones.
     """
-    face = expressive(mesh)
-    given = avatar if avatar.shapes is not None else with_shapes(replace(avatar, levels=()), face)
-    given = replace(given, splats=replace(given.splats, cones=None, cones_psnr=None), levels=())
-    balls = eyeballs(mesh, "eyes")
-    given = with_lids(given, face, balls, seed)
-    furnished = with_mouth(face, _same(mesh))
-    teeth = tuple(one for one in furnished.parts if one.name == "teeth")
-    given = with_lashes(given, face, balls, seed, strength=_LASHES, light=False)
-    left = max(total - len(given.splats), FEWEST)
-    return joined(given, make_avatar(replace(furnished, parts=teeth), left, seed, _SAMPLER))
+    given = with_lashes(avatar, face.mesh, face.eyes, seed, strength=_LASHES, length=_LONG, light=False)
+    given = with_lids(given, face.mesh, face.eyes, seed)
+    return with_teeth(given, face.mesh, _same(face.mesh), total - len(given.splats), seed)
 
 
-def _same(mesh: RiggedMesh) -> np.ndarray:
+def _same(mesh: RiggedMesh) -> NDArray[np.intp]:
     every = np.arange(len(mesh.vertices))
     return np.where(every < len(open_body().vertices), every, -1)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.arrays import frozen
+from glsplat.authoring.faces.enamel import painted
 from glsplat.authoring.fit.body import Body, open_body
 from glsplat.authoring.importers import nearest_on
 from glsplat.authoring.visibility import EYES
@@ -31,8 +32,7 @@ _LEAST = 4000  # vertices of the open body that a person shares with it, at leas
 _REACH = 0.03  # metres within which brows, lashes and hair follow the skin
 _STILL = 1e-5  # metres
 _ABOUT_MOUTH = ((-0.035, 0.775, 0.08), (0.035, 0.85, 0.175))  # a box of the open body, metres
-_TOOTH, _GUM = (226, 218, 198), (158, 84, 80)  # sRGB, of 255, where light falls on them
-_DEEP = 0.35  # share of that at the back
+_TONGUE, _DEEP = (158, 84, 80), 0.35  # sRGB, of 255, where light falls on it; share of that at the back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,11 +126,9 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
     own = np.flatnonzero(same >= 0)
     own = own[near[same[own]]]
     there = _affine(body.vertices[same[own]], mesh.vertices[own])
-    shade = (face.mouth[:, 2] - face.mouth[:, 2].min()) / np.ptp(face.mouth[:, 2])
     below = face.lower[face.faces]
     whole = below.all(axis=1) | ~below.any(axis=1)  # gums that join the jaws would be strings in an open mouth
-    column = np.where(face.tooth[whole], 0.25, 0.75)[:, None]
-    uv = np.stack(np.broadcast_arrays(column, shade[face.faces[whole]]), axis=2)
+    uv, enamel = painted(face.mouth, face.faces[whole], face.tooth[whole], face.lower)
     names = mesh.skeleton.names
     head = names.index("head")
     jaw = names.index("jaw") if "jaw" in names else head
@@ -140,7 +138,7 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
         moved = np.flatnonzero(face.lower)
         offsets[name] = (moved, (face.mouth[moved] @ way[:, :3].T + way[:, 3] - face.mouth[moved]) @ there[:, :3].T)
     teeth = face.mouth @ there[:, :3].T + there[:, 3]
-    out = _joined(mesh, teeth, bound, "teeth", face.faces[whole], uv, _enamel(), offsets)
+    out = _joined(mesh, teeth, bound, "teeth", face.faces[whole], uv, enamel, offsets)
     tongue = _tongue(body)
     if np.isin(tongue, same).any():
         return out
@@ -151,8 +149,8 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
         mine = np.isin(rows, tongue)
         moves[name] = (np.searchsorted(tongue, rows[mine]), values[mine] @ there[:, :3].T)
     back = (body.vertices[tongue, 2] - body.vertices[tongue, 2].min()) / np.ptp(body.vertices[tongue, 2])
-    coordinates = np.stack(np.broadcast_arrays(0.75, back[faces]), axis=2)
-    return _joined(out, at, np.full(len(tongue), jaw), "tongue", faces, coordinates, _enamel(), moves)
+    coordinates = np.stack(np.broadcast_arrays(0.5, back[faces]), axis=2)
+    return _joined(out, at, np.full(len(tongue), jaw), "tongue", faces, coordinates, _tongue_texture(), moves)
 
 
 def _joined(
@@ -184,11 +182,10 @@ def _joined(
     )
 
 
-def _enamel() -> NDArray[np.uint8]:
-    """[64, 4, 4] teeth in its left half and gums in its right, darker towards the back, which is below."""
-    light = np.linspace(1, _DEEP, 64)[:, None, None]
-    colours = np.array([_TOOTH, _TOOTH, _GUM, _GUM])[None]
-    return np.concatenate([np.rint(colours * light), np.full((64, 4, 1), 255)], axis=2).astype(np.uint8)
+def _tongue_texture() -> NDArray[np.uint8]:
+    """[64, 2, 4] a tongue, darker towards the back, which is below."""
+    light = np.linspace(1, _DEEP, 64)[:, None, None] * np.ones((1, 2, 1))
+    return np.concatenate([np.rint(_TONGUE * light), np.full((64, 2, 1), 255)], axis=2).astype(np.uint8)
 
 
 def _on_head(mesh: RiggedMesh, vertices: Indices) -> NDArray[np.bool_]:

@@ -49,7 +49,8 @@ def body_morphs(body: RiggedMesh, points: F64) -> Morphs | None:
     _, face, bary, distance = _ridden(body, points)
     corners, near = body.faces[face], distance < 2 * _REACH
     found = {}
-    for name, offsets in _dense(body.morphs, len(body.vertices)):
+    for name in body.morphs.names:
+        offsets = body.morphs.dense(name, len(body.vertices))
         moved = np.einsum("nk,nkc->nc", bary, offsets[corners]) * near[:, None]
         rows = np.flatnonzero(np.abs(moved).max(axis=1) > 1e-6)
         found[name] = [(rows, moved[rows])]
@@ -62,7 +63,8 @@ def unfolded(mesh: RiggedMesh) -> F64:
     if mesh.morphs is None:
         return out
     first = _areas(mesh.vertices[mesh.faces])
-    for _, offsets in _dense(mesh.morphs, len(mesh.vertices)):
+    for name in mesh.morphs.names:
+        offsets = mesh.morphs.dense(name, len(mesh.vertices))
         stirs: NDArray[np.bool_] = np.any(offsets != 0, axis=1)
         mine = np.flatnonzero(np.any(stirs[mesh.faces], axis=1))
         grown = _areas((mesh.vertices + offsets)[mesh.faces[mine]]) / np.maximum(first[mine], 1e-12)
@@ -84,7 +86,8 @@ def _shapes(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[np.
     order = long_axes(splats.scales)
     long_ones = np.take_along_axis(axes, order[:, None, :2], axis=2)  # [N, 3, 2]
     rows, targets, moves, bends = [], [], [], []
-    for target, (_, offsets) in enumerate(_dense(morphs, len(mesh.vertices))):
+    for target, name in enumerate(morphs.names):
+        offsets = morphs.dense(name, len(mesh.vertices))
         stirs: NDArray[np.bool_] = np.any(offsets != 0, axis=1)
         touched = np.flatnonzero(rides & np.any(stirs[corners], axis=1))
         own = corners[touched]
@@ -119,16 +122,6 @@ def _placed(mesh: RiggedMesh, points: F64, faces: NDArray[np.integer]) -> tuple[
     at = trimesh.triangles.closest_point(corners, points)
     bary = np.nan_to_num(trimesh.triangles.points_to_barycentric(corners, at))
     return at, faces.astype(np.intp), bary, np.linalg.norm(points - at, axis=1)
-
-
-def _dense(morphs: Morphs, count: int) -> list[tuple[str, F64]]:
-    out = []
-    for target, name in enumerate(morphs.names):
-        part = slice(*morphs.starts[target : target + 2])
-        offsets = np.zeros((count, 3))
-        np.add.at(offsets, morphs.vertices[part], morphs.offsets[part])
-        out.append((name, offsets))
-    return out
 
 
 def _deformed(before: F64, after: F64) -> F64:

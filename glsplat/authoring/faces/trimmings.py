@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.faces.eyeballs import Eyeball
+from glsplat.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
@@ -18,16 +19,23 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["GLINT", "LASH", "STRAND", "VEIL", "lid_edges", "with_brow_hairs", "with_lashes", "with_strands"]
+__all__ = [
+    "GLINT",
+    "LASH",
+    "STRAND",
+    "VEIL",
+    "Extra",
+    "added",
+    "frames",
+    "joined",
+    "with_brow_hairs",
+    "with_lashes",
+    "with_strands",
+]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_SIDES = np.radians(np.linspace(-62, 62, 63))  # directions from the middle of the eye, to the sides ...
-_HEIGHTS = np.radians(np.linspace(-50, 50, 101))  # ... and up
-_HIGH = 25  # of those heights, from the middle: no opening begins beyond
-_LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
-_ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
 _LASHES, _LOWER = 34, 18  # of an upper and a lower lid
 _LONG, _SHORT, _THICK = 0.0085, 0.0045, 0.00011  # metres
 LASH, VEIL, GLINT = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255, np.ones(3)
@@ -37,22 +45,11 @@ STRAND = (0.0075, 0.00050, 0.00018)
 """Standard deviations of a strand of hair, metres."""
 _BROW_HAIR, _BROWS = (0.0014, 0.00011, 0.00008), 0.35  # metres; alpha from which a texel has hair
 _TRIES = 20
-_RAYS = 512  # at a time
 
 
-class LidEdges(NamedTuple):
-    """Where lids end before an eyeball, K directions from nose to temple or the other way."""
+class Extra(NamedTuple):
+    """Splats that ride triangles of a mesh."""
 
-    side: F64  # [K] radians to the person's left
-    upper: F64  # [K] radians up
-    lower: F64  # [K]
-    upper_face: Indices  # [K] the mesh's triangle there
-    lower_face: Indices  # [K]
-    upper_at: F64  # [K, 3] metres
-    lower_at: F64  # [K, 3]
-
-
-class _Extra(NamedTuple):
     means: F64
     axes: F64  # [N, 3, 3] columns, the longest first
     scales: F64
@@ -61,45 +58,10 @@ class _Extra(NamedTuple):
     faces: Indices
 
 
-def lid_edges(mesh: RiggedMesh, ball: Eyeball) -> LidEdges:
-    """The opening between the lids, seen from the middle of the ball, at rest; what is shut at a side is left out."""
-    faces = mesh.faces
-    skin = ~np.isin(mesh.joints[faces[:, 0], 0], [mesh.skeleton.names.index(ball.joint)])
-    corners = mesh.vertices[faces]
-    near = (np.linalg.norm(corners - ball.centre, axis=2) < _ABOUT).all(axis=1) & skin
-    mine = np.flatnonzero(near)
-    side, up = np.meshgrid(_SIDES, _HEIGHTS, indexing="ij")
-    hit, distance = _hits(corners[mine] - ball.centre, _directions(side.ravel(), up.ravel()), 0.9 * ball.radius)
-    hit, distance = hit.reshape(side.shape), distance.reshape(side.shape)
-    found = []
-    for index in range(len(_SIDES)):
-        row = hit[index]
-        middle = len(_HEIGHTS) // 2
-        open_ = np.flatnonzero(row < 0)
-        if not len(open_) or np.abs(open_ - middle).min() > _HIGH:  # shut, or a gap above the lid
-            continue
-        start = int(open_[np.abs(open_ - middle).argmin()])
-        low = high = start
-        while low > 0 and row[low - 1] < 0:
-            low -= 1
-        while high < len(row) - 1 and row[high + 1] < 0:
-            high += 1
-        if low == 0 or high == len(row) - 1 or high - low < 3:
-            continue
-        if max(distance[index, high + 1], distance[index, low - 1]) > _LID * ball.radius:
-            continue  # the nose, or a brow
-        found.append((index, high + 1, low - 1))
-    k = np.array(found, np.intp).reshape(-1, 3)
-    ways = [_directions(_SIDES[k[:, 0]], _HEIGHTS[k[:, n]]) for n in (1, 2)]
-    at = [ball.centre + way * distance[k[:, 0], k[:, n]][:, None] for n, way in zip((1, 2), ways, strict=True)]
-    upper, lower = (mine[hit[k[:, 0], k[:, n]]] for n in (1, 2))
-    return LidEdges(_SIDES[k[:, 0]], _HEIGHTS[k[:, 1]], _HEIGHTS[k[:, 2]], upper, lower, at[0], at[1])
-
-
 def with_lashes(
     avatar: Avatar,
     mesh: RiggedMesh,
-    balls: Sequence[Eyeball],
+    eyes: Sequence[Opening],
     seed: int = 0,
     *,
     strength: float = 1.0,  # of lashes and shadows
@@ -113,10 +75,7 @@ def with_lashes(
     """
     rng = np.random.default_rng((seed, 7))
     parts, veils, glints, lit = [], [], [], []
-    for ball in balls:
-        edges = lid_edges(mesh, ball)
-        if len(edges.side) < 8:
-            continue
+    for ball, edges in eyes:
         parts += [_fringe(ball, edges, up, rng, length) for up in (True, False)]
         veils.append(_shadow(ball, edges))
         if light:
@@ -125,9 +84,9 @@ def with_lashes(
     if not parts:
         return avatar
     many = [*parts, *veils, *glints]
-    extra = _Extra(*(np.concatenate([getattr(one, key) for one in many]) for key in _Extra._fields))
+    extra = Extra(*(np.concatenate([getattr(one, key) for one in many]) for key in Extra._fields))
     extra = extra._replace(opacities=extra.opacities * strength)
-    made = _added(avatar, mesh, extra)
+    made = added(avatar, mesh, extra)
     if made.shapes is None:
         return made
     first = len(made.splats) - len(glints)
@@ -148,7 +107,7 @@ def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: 
         return avatar
     size = np.array(STRAND) * rng.uniform(0.6, 1.3, (len(found.rgb), 1))
     tone = found.rgb * rng.uniform(0.65, 1.45, (len(found.rgb), 1)) + rng.uniform(0, 0.03, (len(found.rgb), 1))
-    return _added(avatar, mesh, found.laid(found.along, size, tone, 0.8))
+    return added(avatar, mesh, found.laid(found.along, size, tone, 0.8))
 
 
 def with_brow_hairs(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
@@ -165,7 +124,7 @@ def with_brow_hairs(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, see
     way = np.concatenate([np.sign(found.means[:, :1]) * (0.25 + 0.75 * share), 1.0 - 1.25 * share, 0 * share], axis=1)
     way -= np.einsum("nc,nc->n", way, found.facing)[:, None] * found.facing
     size = np.array(_BROW_HAIR) * rng.uniform(0.7, 1.2, (count, 1))
-    return _added(avatar, mesh, found.laid(way, size, found.rgb * rng.uniform(0.7, 1.2, (count, 1)), 0.75))
+    return added(avatar, mesh, found.laid(way, size, found.rgb * rng.uniform(0.7, 1.2, (count, 1)), 0.75))
 
 
 class _Strewn(NamedTuple):
@@ -177,10 +136,10 @@ class _Strewn(NamedTuple):
     rgb: F64
     faces: Indices
 
-    def laid(self, ways: F64, scales: F64, rgb: F64, opacity: float) -> _Extra:
+    def laid(self, ways: F64, scales: F64, rgb: F64, opacity: float) -> Extra:
         """A splat a point, along ``ways``, just above the surface."""
-        axes, opacities = _frames(ways, self.facing), np.full(len(self.means), opacity)
-        return _Extra(self.means + self.facing * 0.0008, axes, scales, opacities, np.clip(rgb, 0, 1), self.faces)
+        axes, opacities = frames(ways, self.facing), np.full(len(self.means), opacity)
+        return Extra(self.means + self.facing * 0.0008, axes, scales, opacities, np.clip(rgb, 0, 1), self.faces)
 
 
 def _strewn(mesh: RiggedMesh, part: str, count: int, rng: np.random.Generator, solid: float) -> _Strewn | None:
@@ -221,7 +180,7 @@ def _strewn(mesh: RiggedMesh, part: str, count: int, rng: np.random.Generator, s
     return _Strewn(means, facing, along[which], rgb, (which + begin).astype(np.intp))
 
 
-def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator, long: float) -> _Extra:
+def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator, long: float) -> Extra:
     """Two splats a lash: the first half stands off, the second curls up (or down)."""
     count = _LASHES if upper else _LOWER
     at, face = (edges.upper_at, edges.upper_face) if upper else (edges.lower_at, edges.lower_face)
@@ -249,35 +208,35 @@ def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     scales = np.concatenate([np.tile(length, (2, 1)) * 0.17, np.full((2 * count, 2), _THICK)], axis=1)
     scales[count:, 1:] *= 0.7
     opacity = np.repeat([0.95, 0.8] if upper else [0.6, 0.4], count)
-    return _Extra(means, _frames(ways, across), scales, opacity, np.tile(LASH, (2 * count, 1)), np.tile(face[row], 2))
+    return Extra(means, frames(ways, across), scales, opacity, np.tile(LASH, (2 * count, 1)), np.tile(face[row], 2))
 
 
-def _shadow(ball: Eyeball, edges: LidEdges) -> _Extra:
+def _shadow(ball: Eyeball, edges: LidEdges) -> Extra:
     """Dark veils on the eyeball below the upper lid's edge, denser at the edge."""
     rows = np.arange(1, len(edges.side) - 1, 2)
     means, opacity, face, ways = [], [], [], []
     for below, strength in ((-1.0, 0.55), (3.0, 0.34), (7.0, 0.18)):
-        way = _directions(edges.side[rows], np.maximum(edges.upper[rows] - np.radians(below), edges.lower[rows]))
+        way = directions(edges.side[rows], np.maximum(edges.upper[rows] - np.radians(below), edges.lower[rows]))
         ways.append(way)
         means.append(ball.centre + (ball.radius + 0.0002) * way)
         opacity.append(np.full(len(rows), strength))
         face.append(edges.upper_face[rows])
     outward = np.concatenate(ways)
-    axes = _frames(np.cross(np.array([0.0, 1, 0]), outward), outward)
+    axes = frames(np.cross(np.array([0.0, 1, 0]), outward), outward)
     scales = np.tile([0.0011, 0.0007, 0.00008], (len(outward), 1))
     rgb = np.tile(VEIL, (len(outward), 1))
-    return _Extra(np.concatenate(means), axes, scales, np.concatenate(opacity), rgb, np.concatenate(face))
+    return Extra(np.concatenate(means), axes, scales, np.concatenate(opacity), rgb, np.concatenate(face))
 
 
-def _glint(ball: Eyeball, edges: LidEdges) -> _Extra:
+def _glint(ball: Eyeball, edges: LidEdges) -> Extra:
     """One bright spot before the iris, below the lid's edge."""
     left, up = _MIRRORED
     up = min(float(up), float(edges.upper[len(edges.side) // 2]) - np.radians(5))
-    way = _directions(np.array([left]), np.array([up]))
-    axes = _frames(np.cross(np.array([[0.0, 1, 0]]), way), way)
+    way = directions(np.array([left]), np.array([up]))
+    axes = frames(np.cross(np.array([[0.0, 1, 0]]), way), way)
     face = edges.upper_face[len(edges.side) // 2][None]
     scales = np.array([[0.00055, 0.00055, 0.00008]])
-    return _Extra(ball.centre + (ball.radius + 0.0004) * way, axes, scales, np.array([0.85]), GLINT[None], face)
+    return Extra(ball.centre + (ball.radius + 0.0004) * way, axes, scales, np.array([0.85]), GLINT[None], face)
 
 
 def _going_out(shapes: Shapes, first: int, joints: Sequence[str]) -> Shapes:
@@ -303,7 +262,7 @@ def _going_out(shapes: Shapes, first: int, joints: Sequence[str]) -> Shapes:
     )
 
 
-def _added(avatar: Avatar, mesh: RiggedMesh, extra: _Extra) -> Avatar:
+def added(avatar: Avatar, mesh: RiggedMesh, extra: Extra) -> Avatar:
     """The avatar and more splats, bound to the middles of triangles of ``mesh``."""
     own = avatar.splats
     quats = matrix_quaternions(extra.axes)
@@ -349,41 +308,12 @@ def joined(avatar: Avatar, other: Avatar) -> Avatar:
     return replace(avatar, splats=splats, skin=skin, shapes=shapes, levels=())
 
 
-def _directions(side: F64, up: F64) -> F64:
-    return np.stack([np.cos(up) * np.sin(side), np.sin(up), np.cos(up) * np.cos(side)], axis=1)
-
-
-def _frames(first: F64, third: F64) -> F64:
+def frames(first: F64, third: F64) -> F64:
     """[N, 3, 3] right-handed axes: along ``first``, the last nearest to ``third``."""
     one = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-30)
     two = np.cross(third, one)
     two /= np.maximum(np.linalg.norm(two, axis=1, keepdims=True), 1e-30)
     return np.stack([one, two, np.cross(one, two)], axis=2)
-
-
-def _hits(corners: F64, ways: F64, least: float) -> tuple[Indices, F64]:
-    """[N] the first triangle [F, 3, 3] beyond ``least`` that rays from the origin meet, -1 for none, and how far.
-
-    Moeller and Trumbore 1997.
-    """
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    lifted = np.cross(-corners[:, 0], first)
-    normal, aside = np.cross(second, first), np.cross(second, -corners[:, 0])
-    best: Indices = np.full(len(ways), -1, np.intp)
-    far: F64 = np.full(len(ways), np.inf)
-    if not len(corners):
-        return best, far
-    for begin in range(0, len(ways), _RAYS):
-        some = ways[begin : begin + _RAYS]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            size = some @ normal.T
-            u, v, t = some @ aside.T / size, some @ lifted.T / size, (second * lifted).sum(axis=1) / size
-            met = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > least)
-        t = np.where(met, t, np.inf)
-        nearest = t.argmin(axis=1)
-        far[begin : begin + _RAYS] = t[np.arange(len(some)), nearest]
-        best[begin : begin + _RAYS] = np.where(met.any(axis=1), nearest, -1)
-    return best, far
 
 
 def _flow(corners: F64, uv: F64) -> tuple[F64, F64, F64]:

@@ -7,10 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.faces.lining import mouth_lining
 from glsplat.authoring.fit.body import Body
 from glsplat.authoring.fit.eyes import EyeLook
 from glsplat.authoring.paint.eyes import eye_colours
 from glsplat.authoring.paint.shot import FittedPicture, SurfacePoints
+from glsplat.meshes import vertex_normals
+from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["with_inside"]
@@ -18,14 +21,48 @@ __all__ = ["with_inside"]
 F64 = NDArray[np.float64]
 
 _EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
-_MOUTH = (0.30, 0.12, 0.11)  # sRGB of its inside, which pictures of whole people do not show
+# sRGB, which pictures of whole people do not show: a tongue where light falls on it, the mouth's lining deep inside,
+# and lips where nobody sees any
+_TONGUE, _DEEP, _LIPS = (0.64, 0.34, 0.33), (0.10, 0.035, 0.035), (0.55, 0.30, 0.28)
+_BACK, _UNDER = 0.3, 0.55  # share of light at the back of the tongue, and below it
+_WITHIN = 0.014  # metres from the lips' rim, over which the lining becomes as dark as it is
+_SHADED = 0.8  # of the lips' light, at their rim
+_SEEN = 0.3  # trust in a vertex's colour above which it tells of lips
 
 
 def with_inside(body: Body, front: FittedPicture, looks: Mapping[str, EyeLook], points: SurfacePoints, rgb: F64) -> F64:
     """``rgb`` [M, 3] in sRGB with eyes as they look in the ``front``, and with the mouth's inside."""
-    rgb = rgb.copy()
-    rgb[(~body.skin & ~np.isin(body.part, _EYES))[points.corners[:, 0]]] = _MOUTH
+    rgb, lining, corners = rgb.copy(), mouth_lining(), points.corners
+    tongue = (~body.skin & ~np.isin(body.part, _EYES))[corners[:, 0]]
+    rgb[tongue] = _tongue(body, _of(points, tongue))
+    within = lining.inside[corners].all(axis=1)
+    deep = (_of(points, within).at(lining.depth[:, None]) / _WITHIN).clip(0, 1) ** 0.5
+    rgb[within] = _SHADED * _lips(front) * (1 - deep) + np.array(_DEEP) * deep
     if looks:
         eyes, colours = eye_colours(body, front, looks, points)
         rgb[eyes] = colours
     return rgb
+
+
+def _of(points: SurfacePoints, some: NDArray[np.bool_]) -> SurfacePoints:
+    return SurfacePoints(points.corners[some], points.weights[some])
+
+
+def _tongue(body: Body, points: SurfacePoints) -> F64:
+    """[M, 3] of points on the tongue: darker towards the back, and below."""
+    used = np.unique(points.corners)
+    ahead = points.at(body.vertices[:, 2:])
+    back, front = body.vertices[used, 2].min(initial=0), body.vertices[used, 2].max(initial=0)
+    up = points.directions(vertex_normals(body.vertices, body.faces))[:, 1:2]
+    light = _BACK + (1 - _BACK) * ((ahead - back) / max(front - back, 1e-9)) ** 1.5
+    return np.asarray(_TONGUE * light * (_UNDER + (1 - _UNDER) * (0.5 + 0.5 * up)))
+
+
+def _lips(front: FittedPicture) -> F64:
+    """[3] the colour of the lips that the picture shows: of their fairer half, since between them it is dark."""
+    seen = np.flatnonzero(mouth_lining().lips & (front.trust[: len(mouth_lining().lips)] > _SEEN))
+    if not len(seen):
+        return np.array(_LIPS)
+    shown = to_srgb(front.sample(front.view.pixels[seen], front.layer[seen]))
+    light = shown.sum(axis=1)
+    return np.asarray(np.median(shown[light >= np.median(light)], axis=0))

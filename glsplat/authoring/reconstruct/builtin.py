@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.faces.given import FACE_SPLATS, expressive, with_face
+from glsplat.authoring.faces.given import FACE_SPLATS, moving_face, with_face
 from glsplat.authoring.fit.body import Body, open_body
 from glsplat.authoring.fit.details import fit_details
 from glsplat.authoring.fit.eyes import EyeLook, read_eyes
@@ -92,19 +92,19 @@ class Builtin:
         """The avatar with all that led to it."""
         body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
         rng = np.random.default_rng(options.seed)
-        face = FACE_SPLATS if options.splats >= _FACED else 0
-        strewn = scatter(mesh, options.splats - face, rng)
+        face = moving_face(mesh) if options.splats >= _FACED else None
+        strewn = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
         painter = painter_of(body, shots, strewn.points, looks)
         painted = painter.paint(strewn.points)
         options.progress("placing splats", 0.0)
-        avatar = strewn.avatar(expressive(mesh) if face else mesh, painted.rgb, painted.busy, rng)
+        avatar = strewn.avatar(face.mesh if face else mesh, painted.rgb, painted.busy, rng)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = sharp(avatar, mesh, painter.colours, shots, options)
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
-            avatar = with_face(avatar, mesh, options.splats, options.seed)
+            avatar = with_face(avatar, face, options.splats, options.seed)
         if not options.keep_light:
             options.progress("finding the light", 0.0)
             avatar = with_captured_light(avatar, mesh, captured_light(mesh, shots, painter.light), photographed)

@@ -8,13 +8,14 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from glsplat.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
 from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
 from glsplat.authoring.faces.open_face import with_expressions
-from glsplat.authoring.faces.trimmings import lid_edges
+from glsplat.authoring.faces.openings import lid_edges, openings
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from tests.authoring.faces.figures import EYES, person
-from tools.data.lids import BLINKS, blink_that_shuts, even_lids, lid_corners, with_blink
+from tools.data.lids import even_lids, lid_corners
 
 STILL = np.zeros((55, 3))
 SKIN, SHADE = (190, 140, 110), (120, 70, 50)
@@ -52,8 +53,8 @@ def test_lids_meet_and_go_no_farther_whatever_the_eye_is_like(wide: float) -> No
         mesh, vertices=mesh.vertices + np.where(lid_corners(mesh)[:, None], (1 - wide) * 0.5 * shut(mesh), 0)
     )
     balls = eyeballs(mesh, *EYES)
-    share = blink_that_shuts(mesh, balls)
-    blinking = with_blink(mesh, share)
+    share = blink_that_shuts(mesh, openings(mesh, balls))
+    blinking = with_blink(mesh, dict.fromkeys(BLINKS, share))
     moves = shut(blinking)[:, 1]
     for ball in balls:
         edges = lid_edges(mesh, ball)
@@ -66,7 +67,7 @@ def test_lids_meet_and_go_no_farther_whatever_the_eye_is_like(wide: float) -> No
 
 def test_eyeballs_give_way_by_three_millimetres_and_nothing_else_changes() -> None:
     mesh = seeing()
-    made = with_blink(mesh, 0.5)
+    made = with_blink(mesh, dict.fromkeys(BLINKS, 0.5))
     ball = np.unique(np.concatenate([one.faces for one in mesh.parts if one.name in EYES]))
     skin = np.setdiff1d(np.arange(len(mesh.vertices)), ball)
     before, after = shut(mesh), shut(made)

@@ -10,10 +10,10 @@ import pytest
 
 from glsplat import reference
 from glsplat.authoring.faces.eyeballs import Eyeball, eyeballs
+from glsplat.authoring.faces.given import moving_face
 from glsplat.authoring.faces.lids import with_lids
-from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.shapes import with_shapes
-from glsplat.authoring.faces.trimmings import lid_edges
+from glsplat.authoring.faces.openings import Opening, lid_edges
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -26,8 +26,11 @@ SKIN = np.array([0.7, 0.5, 0.4])
 
 @lru_cache(maxsize=1)
 def expressive() -> RiggedMesh:
-    mesh = person()
-    return with_expressions(mesh, np.arange(len(mesh.vertices)))
+    return moving_face(person()).mesh
+
+
+def eyes() -> list[Opening]:
+    return moving_face(person()).eyes
 
 
 @lru_cache(maxsize=1)
@@ -50,7 +53,7 @@ def painted() -> Avatar:
 
 @lru_cache(maxsize=1)
 def lidded() -> Avatar:
-    return with_lids(painted(), expressive(), eyeballs(expressive(), "eyes"))
+    return with_lids(painted(), expressive(), eyes())
 
 
 def shut(much: float) -> reference.SkinnedSplats:
@@ -109,8 +112,8 @@ def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
     count = len(painted().splats)
     for key in ("means", "quats", "scales", "opacities", "sh"):
         assert np.array_equal(getattr(lidded().splats, key)[:count], getattr(painted().splats, key))
-    again = with_lids(painted(), expressive(), eyeballs(expressive(), "eyes"))
+    again = with_lids(painted(), expressive(), eyes())
     assert again.splats.means.tobytes() == lidded().splats.means.tobytes()
     gone = replace(painted().splats, means=np.full_like(painted().splats.means, 50.0))
-    bare = with_lids(replace(painted(), splats=gone), expressive(), eyeballs(expressive(), "eyes"))
+    bare = with_lids(replace(painted(), splats=gone), expressive(), eyes())
     assert np.allclose(bare.splats.sh[count:, 0], 0, atol=1e-6)

@@ -10,10 +10,11 @@ import numpy as np
 from glsplat import reference
 from glsplat.authoring.faces.carry import deformed
 from glsplat.authoring.faces.eyeballs import eyeballs
-from glsplat.authoring.faces.given import FACE_SPLATS, with_face
+from glsplat.authoring.faces.given import FACE_SPLATS, moving_face, with_face
 from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.shapes import with_shapes
-from glsplat.authoring.faces.trimmings import VEIL, lid_edges, with_brow_hairs, with_lashes, with_strands
+from glsplat.authoring.faces.openings import lid_edges, openings
+from glsplat.authoring.faces.trimmings import VEIL, with_brow_hairs, with_lashes, with_strands
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.expression import ARKIT
@@ -47,7 +48,7 @@ def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
 def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     mesh = expressive()
     avatar = smiling()
-    made = with_lashes(avatar, mesh, eyeballs(mesh, "eyes"))
+    made = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")))
     count = len(avatar.splats)
     assert len(made.splats) - count > 200 and made.shapes is not None and avatar.shapes is not None
     assert np.array_equal(made.splats.means[:count], avatar.splats.means)
@@ -58,7 +59,7 @@ def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     lashes, lights = moved[count:-2], moved[-2:]
     assert np.quantile(lashes[:, 1], 0.2) < -0.004
     assert (lights[:, 2] < -0.007).all() and np.abs(lights[:, :2]).max() < 1e-4
-    quiet = with_lashes(avatar, mesh, eyeballs(mesh, "eyes"), strength=0.5, light=False)
+    quiet = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")), strength=0.5, light=False)
     assert len(quiet.splats) == len(made.splats) - 2
     assert np.allclose(quiet.splats.opacities[count:], 0.5 * made.splats.opacities[count:-2], atol=1e-6)
 
@@ -143,22 +144,8 @@ def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
 def test_veils_go_with_the_lids_without_stretching() -> None:
     mesh = expressive()
     avatar = smiling()
-    shapes = with_lashes(avatar, mesh, eyeballs(mesh, "eyes")).shapes
-    made = with_lashes(avatar, mesh, eyeballs(mesh, "eyes")).splats
+    shapes = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes"))).shapes
+    made = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes"))).splats
     veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - VEIL).max(axis=1) < 1e-3
     assert shapes is not None and veils.sum() > 60
     assert not shapes.bends[veils[shapes.rows]].any() and np.abs(shapes.metres[veils[shapes.rows]]).max() > 0.004
-
-
-def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat() -> None:
-    mesh = person()
-    avatar = avatar_on(mesh)
-    made = with_face(avatar, mesh, len(avatar.splats) + FACE_SPLATS)
-    count = len(avatar.splats)
-    assert len(made.splats) == count + FACE_SPLATS
-    for key in ("means", "quats", "scales", "opacities", "sh"):
-        assert np.array_equal(getattr(made.splats, key)[:count], getattr(avatar.splats, key))
-    assert made.shapes is not None and sorted(made.shapes.names) == sorted(ARKIT)
-    assert set(np.unique(made.shapes.targets)) == set(range(52))
-    again = with_face(avatar, mesh, len(avatar.splats) + FACE_SPLATS)
-    assert again.splats.means.tobytes() == made.splats.means.tobytes()
