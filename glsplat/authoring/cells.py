@@ -8,7 +8,7 @@ from one rule.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "tessellate"]
+__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "begun", "tessellate"]
 
 _USUAL = 6.0  # samples that a cell's expected size is worth where few were drawn
 
@@ -80,6 +80,11 @@ class Cells:
 
 def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> Cells:
     """``count`` cells of the cloud and the Gaussian of each."""
+    return begun(cloud, count, config, rng)()
+
+
+def begun(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> Callable[[], Cells]:
+    """What makes the cells of ``tessellate``, perhaps on another core; what is left to chance is drawn before."""
     weight = cloud.share * cloud.density
     size = np.sqrt(cloud.area / count * np.average(cloud.density, weights=cloud.share) / cloud.density)
     features = np.concatenate(
@@ -95,11 +100,16 @@ def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.G
     thin = _pick(weight * cloud.density, min(count * config.candidates, len(features)), rng)
     some = features[thin]
     count = min(count, len(some))
-    sites = some[np.sort(rng.choice(len(some), count, replace=False))]
-    for _ in range(config.rounds):
-        label = _nearest(sites, some)
-        sites = _cell_means(label, some, np.ones(len(some)), sites)
-    return _gaussians(cloud, _nearest(sites, features), count, size, config)
+    first = some[np.sort(rng.choice(len(some), count, replace=False))]
+
+    def settled() -> Cells:
+        sites = first
+        for _ in range(config.rounds):
+            label = _nearest(sites, some)
+            sites = _cell_means(label, some, np.ones(len(some)), sites)
+        return _gaussians(cloud, _nearest(sites, features), count, size, config)
+
+    return settled
 
 
 def avatar_of(cells: Sequence[Cells], skeleton: Skeleton, opacity: float, meta: Mapping[str, Any]) -> Avatar:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.cells import SamplerConfig
 from glsplat.authoring.faces.eyeballs import Eyeball
-from glsplat.authoring.faces.trimmings import LidEdges, joined, lid_edges
+from glsplat.authoring.faces.trimmings import LidEdges, joined
 from glsplat.authoring.importers import nearest_on
 from glsplat.authoring.surface import FEWEST, make_avatar
 from glsplat.avatar import Avatar
@@ -25,7 +26,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["with_lids"]
+__all__ = ["ShutLid", "shut_lids", "with_lids"]
 
 F64 = NDArray[np.float64]
 
@@ -46,28 +47,45 @@ _ALIKE = 0.15  # of 1, from the middle colour of that: what differs more is a br
 _SPREAD = 0.006  # metres, standard deviation, over which colours of skin are mixed
 
 
-def with_lids(avatar: Avatar, face: RiggedMesh, balls: Sequence[Eyeball], seed: int = 0) -> Avatar:
-    """The avatar, which was made on ``face`` and has its expressions, with two lids that close.
+class ShutLid(NamedTuple):
+    """An upper lid before it has colours."""
 
-    An eye that is shut, or has no lids, gets none. Other splats keep their places; on lids they stretch less.
+    splats: Avatar  # white ones, at rest
+    there: F64  # [N, 3] where they lie when it is shut
+    ball: Eyeball
+    edges: LidEdges
+
+
+def shut_lids(face: RiggedMesh, openings: Sequence[tuple[Eyeball, LidEdges]], seed: int = 0) -> list[ShutLid]:
+    """The lids of a ``face`` that has expressions; none of an eye that is shut, or has no lids."""
+    found = [_lid(face, ball, edges, seed) for ball, edges in openings if len(edges.side) >= _FEWEST]
+    return [lid for lid in found if lid is not None]
+
+
+def with_lids(avatar: Avatar, lids: Sequence[ShutLid]) -> Avatar:
+    """The avatar, which was made on the lids' mesh and has its expressions, with ``lids`` that close.
+
+    They are of the skin's colour. Other splats keep their places; on lids they stretch less.
     """
     shapes = avatar.shapes
-    assert shapes is not None and face.morphs is not None
+    assert shapes is not None
     blinks = [index for index, name in enumerate(shapes.names) if name.startswith("eyeBlink")]
     blinking = np.isin(shapes.targets, blinks) & (np.linalg.norm(shapes.metres, axis=1) > _STIRRED)
     on_lids = np.isin(shapes.rows, shapes.rows[blinking])[:, None, None]
     most = np.where(on_lids, _BENT, _TAUT)
     bends = np.clip(shapes.bends, -most, most).astype(shapes.bends.dtype)
     out = replace(avatar, shapes=replace(shapes, bends=bends))
-    for ball in balls:
-        edges = lid_edges(face, ball)
-        if len(edges.side) >= _FEWEST:
-            lid = _lid(avatar, face, ball, edges, seed)
-            out = out if lid is None else joined(out, lid)
+    for lid in lids:
+        white = lid.splats.splats
+        rgb = _skin_at(avatar.splats, lid.there, lid.ball, lid.edges)
+        skin = Splats.create(
+            white.means, white.quats, white.scales, white.opacities, rgb=rgb, antialias=avatar.splats.antialias
+        )
+        out = joined(out, replace(lid.splats, splats=skin))
     return out
 
 
-def _lid(avatar: Avatar, face: RiggedMesh, ball: Eyeball, edges: LidEdges, seed: int) -> Avatar | None:
+def _lid(face: RiggedMesh, ball: Eyeball, edges: LidEdges, seed: int) -> ShutLid | None:
     """The lid before ``ball``, which has ``edges`` at rest; None where nothing comes before it."""
     assert face.morphs is not None
     blink = "eyeBlinkLeft" if ball.joint.startswith("left") else "eyeBlinkRight"
@@ -113,9 +131,8 @@ def _lid(avatar: Avatar, face: RiggedMesh, ball: Eyeball, edges: LidEdges, seed:
     scales[:] = 0.3 * small.min(axis=1, keepdims=True)
     np.put_along_axis(scales, order, small, axis=1)
     solid = splats.opacities * (1 - _beyond(there - ball.centre, edges) / _MARGIN).clip(0, 1)
-    rgb = _skin_at(avatar.splats, there, ball, edges)
-    made = Splats.create(folded, splats.quats, scales, solid, rgb=rgb, antialias=avatar.splats.antialias)
-    return replace(lid, splats=made, shapes=whole)
+    white = Splats.create(folded, splats.quats, scales, solid, rgb=np.ones((len(there), 3)))
+    return ShutLid(replace(lid, splats=white, shapes=whole), there, ball, edges)
 
 
 def _moved(face: RiggedMesh, name: str) -> F64:

@@ -105,6 +105,7 @@ def with_lashes(
     strength: float = 1.0,  # of lashes and shadows
     length: float = 1.0,  # of lashes
     light: bool = True,  # in the eyes; photographs have their own
+    openings: Sequence[LidEdges] | None = None,  # of the balls, where they are known
 ) -> Avatar:
     """The avatar, made of ``mesh``, with lashes on its lids, shadows under the upper ones and a light in its eyes.
 
@@ -113,8 +114,7 @@ def with_lashes(
     """
     rng = np.random.default_rng((seed, 7))
     parts, veils, glints, lit = [], [], [], []
-    for ball in balls:
-        edges = lid_edges(mesh, ball)
+    for ball, edges in zip(balls, openings or [lid_edges(mesh, ball) for ball in balls], strict=True):
         if len(edges.side) < 8:
             continue
         parts += [_fringe(ball, edges, up, rng, length) for up in (True, False)]

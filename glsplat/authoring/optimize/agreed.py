@@ -51,7 +51,11 @@ def agreed(
         left, top, right, bottom = _edges(tile, across, width, height)
         first, last = start[tile], start[tile + 1]
         seen[:], passes[:] = _ZERO, _ONE
+        clear = (right - left + 1) * (bottom - top + 1)  # pixels that something passes to
         for entry in range(first, last):
+            if not clear:
+                sums[entry, 7] = _ZERO
+                continue
             i = splat[entry]
             u, v, a, b, c, opacity, q, _, _, _ = _read(record, i)
             n0, n1, n2, n3, n4, n5 = values[i, 0], values[i, 1], values[i, 2], values[i, 3], values[i, 4], values[i, 5]
@@ -67,6 +71,7 @@ def agreed(
                     alpha = min(_alpha(opacity, a, b, c, dx, dy), _CAP)
                     weight = alpha * before
                     passes[y - top, x - left] = before - weight
+                    clear -= before - weight < least
                     total += weight
                     seen[y - top, x - left, 0] += weight * n0
                     seen[y - top, x - left, 1] += weight * n1

@@ -45,7 +45,8 @@ class Rasterizer:
 
     def __init__(self, count: int, threads: int | None = None, least: float = 1e-4) -> None:
         self._least = np.float32(least)
-        self._pool = ThreadPoolExecutor(threads or cores(), "glsplat-fit")
+        threads = threads or cores()
+        self._pool = ThreadPoolExecutor(threads, "glsplat-fit") if threads > 1 else None  # else on the caller's own
         self._record, self._box = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
         self._to_pixels, self._axes = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
         self._slope, self._totals = np.zeros((count, 3)), np.zeros((count, SUMS))
@@ -120,5 +121,5 @@ class Rasterizer:
         return self.backward(nothing, nothing[:, :, 0]).weight.copy()
 
     def _each(self, parts: list[Any], work: Callable[[Any], None]) -> None:
-        for _ in self._pool.map(work, parts):  # which raises what a thread raised
+        for _ in map(work, parts) if self._pool is None else self._pool.map(work, parts):  # raises what a thread raised
             pass

@@ -7,12 +7,18 @@ shows takes the mean of that; what nobody sees keeps its own, and teeth are most
 
 from __future__ import annotations
 
+from queue import SimpleQueue
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.optimize.compiled import available
 from glsplat.authoring.posed import PosedSplats
+from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.io.machine import cores
 
 __all__ = ["as_seen"]
 
@@ -28,6 +34,14 @@ _GRAZING = 0.22  # square of the cosine under which a splat is seen at most from
 _LEAST = 1e-3  # of a pixel: what less passes to is not seen
 
 
+class _Look(NamedTuple):
+    """A picture that is looked at: splats in a pose, the camera, and which of the avatar's splats these are."""
+
+    splats: PosedSplats
+    camera: Camera
+    some: NDArray[np.intp]
+
+
 def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> tuple[F64, F64, F64]:
     """Unit normals [N, 3], occlusion [N] and shade [N], 1 if not given, of the avatar's splats as pictures mix them.
 
@@ -40,23 +54,35 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
     from glsplat.authoring.optimize.pictures import looks_at
     from glsplat.authoring.optimize.rasterizer import Rasterizer
 
-    antialias, drawing = avatar.splats.antialias, Rasterizer(len(avatar.splats), least=_LEAST)
-    looks = [(splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras]
-    shown: list[NDArray[np.intp] | slice] = [slice(None)] * len(looks)  # after the first round, what is not hidden
+    antialias, desks = avatar.splats.antialias, SimpleQueue[Rasterizer]()
+    for _ in range(cores()):
+        desks.put(Rasterizer(len(avatar.splats), 1, _LEAST))
+    every = np.arange(len(avatar.splats))
+    looks = [_Look(splats, camera, every) for splats, cameras in looks_at(avatar) for camera in cameras]
     values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
+
+    def gathered(look: _Look) -> tuple[NDArray[np.intp], F64]:
+        """Which of the look's splats its picture shows, and their sums."""
+        splats, camera, own = look.splats, look.camera, values[look.some]
+        eye, towards = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3], -camera.viewmat[2, :3]
+        facing = np.einsum("nc,nc->n", eye - splats.means, own[:, :3]) > 0
+        mixed = (np.column_stack([own, np.ones(len(own))]) * facing[:, None]).astype(np.float32)
+        drawing = desks.get()
+        try:
+            drawing.place(splats, camera, antialias)
+            sums = drawing.gathered(agreed, SUMS, mixed, towards.astype(np.float32))
+        finally:
+            desks.put(drawing)
+        shown = np.flatnonzero(sums[:, 7])
+        return shown, sums[shown]
+
     for _ in range(_ROUNDS):
         sums = np.zeros((len(values), SUMS))
-        for index, (splats, camera) in enumerate(looks):
-            some = shown[index]
-            splats, own = PosedSplats(*(part[some] for part in splats)), values[some]
-            eye, towards = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3], -camera.viewmat[2, :3]
-            facing = np.einsum("nc,nc->n", eye - splats.means, own[:, :3]) > 0
-            mixed = np.column_stack([own, np.ones(len(own))]) * facing[:, None]
-            drawing.place(splats, camera, antialias)
-            found = drawing.gathered(agreed, SUMS, mixed.astype(np.float32), towards.astype(np.float32))
-            sums[some] += found
-            if isinstance(some, slice):
-                shown[index] = np.flatnonzero(found[:, 7])
+        for index, (shown, found) in enumerate(abreast(gathered, looks)):
+            splats, camera, some = looks[index]
+            sums[some[shown]] += found
+            if len(shown) < len(some):  # after the first round, without what is hidden
+                looks[index] = _Look(PosedSplats(*(part[shown] for part in splats)), camera, some[shown])
         weight, whole = sums[:, 5:6] + _OWN, sums[:, 6:7]
         total = values * _OWN + sums[:, :5]
         mean = total / weight

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, tessellate
+from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, begun
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.paint.shot import SurfacePoints
 from glsplat.authoring.surface import allot, face_densities, face_zones
+from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh, vertex_normals
 
@@ -49,7 +50,7 @@ class Scatter:
         layer = np.zeros(len(mesh.vertices))
         for index, part in enumerate(mesh.parts):
             layer[part.faces] = index
-        cells = []
+        begin = []
         for zone, splats, area in self.zones:
             denser = self.density[zone] * (1 + PHOTO_SAMPLER.detail_boost * busy[zone])
             cloud = Cloud(
@@ -63,7 +64,8 @@ class Scatter:
                 area=area,
                 faces=self.faces[zone],
             )
-            cells.append(tessellate(cloud, splats, PHOTO_SAMPLER, rng))
+            begin.append(begun(cloud, splats, PHOTO_SAMPLER, rng))
+        cells = abreast(lambda settled: settled(), begin)
         made = avatar_of(cells, mesh.skeleton, PHOTO_SAMPLER.opacity, mesh.meta)
         return with_shapes(made, mesh, np.concatenate([one.faces for one in cells if one.faces is not None]))
 

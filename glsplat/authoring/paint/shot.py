@@ -49,6 +49,10 @@ class SurfacePoints:
     corners: NDArray[np.intp]  # [M, 3] vertices
     weights: F64  # [M, 3] barycentric
 
+    def take(self, some: NDArray[np.intp] | slice) -> SurfacePoints:
+        """N of the points."""
+        return SurfacePoints(self.corners[some], self.weights[some])
+
     def at(self, values: F64) -> F64:
         """[M, C] what a value [V, C] of the vertices is there."""
         rows = np.arange(len(self.corners) + 1) * 3

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.faces.given import FACE_SPLATS, expressive, with_face
+from glsplat.authoring.faces.given import FACE_SPLATS, features_of, with_face
 from glsplat.authoring.fit.body import Body, open_body
 from glsplat.authoring.fit.details import fit_details
 from glsplat.authoring.fit.eyes import EyeLook, read_eyes
@@ -29,6 +29,7 @@ from glsplat.authoring.paint.unseen.hair import with_hair
 from glsplat.authoring.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.authoring.reconstruct.sharp import sharp
 from glsplat.authoring.texture import baked
+from glsplat.authoring.threads import aside
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.meshes import RiggedMesh
@@ -93,21 +94,23 @@ class Builtin:
         body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
         rng = np.random.default_rng(options.seed)
         face = FACE_SPLATS if options.splats >= _FACED else 0
+        features = aside(lambda: features_of(mesh, options.seed)) if face else None
         strewn = scatter(mesh, options.splats - face, rng)
         painter = painter_of(body, shots, strewn.points, looks)
+        captured = None if options.keep_light else aside(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(strewn.points)
         options.progress("placing splats", 0.0)
-        avatar = strewn.avatar(expressive(mesh) if face else mesh, painted.rgb, painted.busy, rng)
+        avatar = strewn.avatar(mesh if features is None else features().face, painted.rgb, painted.busy, rng)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = sharp(avatar, mesh, painter.colours, shots, options)
         photographed = len(avatar.splats)
-        if face:
+        if features is not None:
             options.progress("giving it a face", 0.0)
-            avatar = with_face(avatar, mesh, options.splats, options.seed)
-        if not options.keep_light:
+            avatar = with_face(avatar, mesh, options.splats, options.seed, features())
+        if captured is not None:
             options.progress("finding the light", 0.0)
-            avatar = with_captured_light(avatar, mesh, captured_light(mesh, shots, painter.light), photographed)
+            avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
 

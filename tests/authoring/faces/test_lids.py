@@ -10,7 +10,7 @@ import pytest
 
 from glsplat import reference
 from glsplat.authoring.faces.eyeballs import Eyeball, eyeballs
-from glsplat.authoring.faces.lids import with_lids
+from glsplat.authoring.faces.lids import ShutLid, shut_lids, with_lids
 from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.faces.trimmings import lid_edges
@@ -48,9 +48,14 @@ def painted() -> Avatar:
     return replace(avatar, splats=made)
 
 
+def lids() -> list[ShutLid]:
+    balls = eyeballs(expressive(), "eyes")
+    return shut_lids(expressive(), [(ball, lid_edges(expressive(), ball)) for ball in balls])
+
+
 @lru_cache(maxsize=1)
 def lidded() -> Avatar:
-    return with_lids(painted(), expressive(), eyeballs(expressive(), "eyes"))
+    return with_lids(painted(), lids())
 
 
 def shut(much: float) -> reference.SkinnedSplats:
@@ -109,8 +114,8 @@ def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
     count = len(painted().splats)
     for key in ("means", "quats", "scales", "opacities", "sh"):
         assert np.array_equal(getattr(lidded().splats, key)[:count], getattr(painted().splats, key))
-    again = with_lids(painted(), expressive(), eyeballs(expressive(), "eyes"))
+    again = with_lids(painted(), lids())
     assert again.splats.means.tobytes() == lidded().splats.means.tobytes()
     gone = replace(painted().splats, means=np.full_like(painted().splats.means, 50.0))
-    bare = with_lids(replace(painted(), splats=gone), expressive(), eyeballs(expressive(), "eyes"))
+    bare = with_lids(replace(painted(), splats=gone), lids())
     assert np.allclose(bare.splats.sh[count:, 0], 0, atol=1e-6)
