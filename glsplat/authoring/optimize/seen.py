@@ -8,7 +8,7 @@ shows takes the mean of that; what nobody sees keeps its own, and teeth are most
 from __future__ import annotations
 
 from queue import SimpleQueue
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.io.machine import cores
+
+if TYPE_CHECKING:
+    from glsplat.authoring.optimize.agreed import Shares
 
 __all__ = ["as_seen"]
 
@@ -35,11 +38,13 @@ _LEAST = 1e-3  # of a pixel: what less passes to is not seen
 
 
 class _Look(NamedTuple):
-    """A picture that is looked at: splats in a pose, the camera, and which of the avatar's splats these are."""
+    """A picture that is looked at, of M of the avatar's splats: those that it shows."""
 
-    splats: PosedSplats
-    camera: Camera
-    some: NDArray[np.intp]
+    some: NDArray[np.intp]  # [M]
+    shares: Shares  # of these
+    pixels: int
+    ways: F64  # [M, 3] metres from a splat to the camera
+    towards: F64  # [3] unit, to the camera
 
 
 def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> tuple[F64, F64, F64]:
@@ -54,35 +59,37 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
     from glsplat.authoring.optimize.pictures import looks_at
     from glsplat.authoring.optimize.rasterizer import Rasterizer
 
-    antialias, desks = avatar.splats.antialias, SimpleQueue[Rasterizer]()
+    desks = SimpleQueue[Rasterizer]()
     for _ in range(cores()):
         desks.put(Rasterizer(len(avatar.splats), 1, _LEAST))
-    every = np.arange(len(avatar.splats))
-    looks = [_Look(splats, camera, every) for splats, cameras in looks_at(avatar) for camera in cameras]
-    values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
 
-    def gathered(look: _Look) -> tuple[NDArray[np.intp], F64]:
-        """Which of the look's splats its picture shows, and their sums."""
-        splats, camera, own = look.splats, look.camera, values[look.some]
-        eye, towards = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3], -camera.viewmat[2, :3]
-        facing = np.einsum("nc,nc->n", eye - splats.means, own[:, :3]) > 0
-        mixed = (np.column_stack([own, np.ones(len(own))]) * facing[:, None]).astype(np.float32)
+    def looked(asked: tuple[PosedSplats, Camera]) -> _Look:
+        splats, camera = asked
         drawing = desks.get()
         try:
-            drawing.place(splats, camera, antialias)
-            sums = drawing.gathered(agreed, SUMS, mixed, towards.astype(np.float32))
+            drawing.place(splats, camera, avatar.splats.antialias)
+            found = drawing.shares()
         finally:
             desks.put(drawing)
-        shown = np.flatnonzero(sums[:, 7])
-        return shown, sums[shown]
+        some, own = np.unique(found.splat, return_inverse=True)
+        eye = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
+        shares = found._replace(splat=own.astype(np.int32))
+        return _Look(some, shares, camera.width * camera.height, eye - splats.means[some], -camera.viewmat[2, :3])
 
+    def sums_of(look: _Look) -> F64:
+        own = values[look.some]
+        facing = np.einsum("nc,nc->n", look.ways, own[:, :3]) > 0
+        mixed = np.column_stack([own, np.ones(len(own))]) * facing[:, None]
+        found = np.empty((len(own), SUMS))
+        agreed(*look.shares, look.pixels, mixed.astype(np.float32), look.towards.astype(np.float32), found)
+        return found
+
+    looks = abreast(looked, [(splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras])
+    values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
     for _ in range(_ROUNDS):
         sums = np.zeros((len(values), SUMS))
-        for index, (shown, found) in enumerate(abreast(gathered, looks)):
-            splats, camera, some = looks[index]
-            sums[some[shown]] += found
-            if len(shown) < len(some):  # after the first round, without what is hidden
-                looks[index] = _Look(PosedSplats(*(part[shown] for part in splats)), camera, some[shown])
+        for look, found in zip(looks, abreast(sums_of, looks), strict=True):
+            sums[look.some] += found
         weight, whole = sums[:, 5:6] + _OWN, sums[:, 6:7]
         total = values * _OWN + sums[:, :5]
         mean = total / weight
