@@ -61,9 +61,10 @@ class Cloud:
     share: NDArray[np.float64]  # [M] surface a point stands for, relative
     density: NDArray[np.float64]  # [M] wanted splats by area, relative
     layer: NDArray[np.float64]  # [M] part number
-    weights: csr_array  # [M, J]
+    weights: csr_array  # [M, J]; of the corners of triangles [M, V] where ``skin`` has their joints
     area: float  # m^2 of the surface it covers
     faces: NDArray[np.intp] | None = None  # [M] triangle of the mesh; None where nobody asks
+    skin: csr_array | None = None  # [V, J]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,8 +153,10 @@ def _gaussians(
     means = _cell_means(label, points, area, zero)
     mean_normal = _cell_means(label, normals, area, zero)
     offset = points - means[label]
-    outer = (offset[:, :, None] * offset[:, None, :]).reshape(-1, 9)
-    cov = _cell_means(label, outer, area, np.zeros((count, 9))).reshape(-1, 3, 3)
+    cov = np.empty((count, 3, 3))
+    for row in range(3):
+        products = offset[:, row, None] * offset[:, row:]
+        cov[:, row, row:] = cov[:, row:, row] = _cell_means(label, products, area, zero[:, row:])
 
     # frame: mean normal, then the principal axes of the cell in the tangent plane
     strength = np.linalg.norm(mean_normal, axis=1, keepdims=True)
@@ -182,7 +185,8 @@ def _gaussians(
     scales[:, 2] = np.clip(np.sqrt(np.maximum(across, 0)), config.thickness, 0.3 * scales[:, :2].min(axis=1))
 
     rows = csr_array((area, (label, np.arange(len(label)))), shape=(count, len(label)))
-    weights = (rows @ cloud.weights).toarray()
+    weights = rows @ cloud.weights
+    weights = (weights if cloud.skin is None else weights @ cloud.skin).toarray()
     rgb = _cell_means(label, cloud.rgb, area, zero)
     quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
     faces = None if cloud.faces is None else cloud.faces[_middles(label, np.linalg.norm(offset, axis=1), count)]

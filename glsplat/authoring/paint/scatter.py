@@ -38,11 +38,9 @@ class Scatter:
 
         With the mesh's expressions as its shapes, where it has some.
         """
-        count, influences = len(rgb), mesh.joints.shape[1]
-        corners, weights = self.points.corners, self.points.weights
-        shares = (weights[:, :, None] * mesh.weights[corners]).reshape(count, -1)
+        corners, (count, influences) = self.points.corners, mesh.joints.shape
         skin = csr_array(
-            (shares.ravel(), mesh.joints[corners].reshape(-1), np.arange(count + 1) * 3 * influences),
+            (mesh.weights.ravel(), mesh.joints.ravel(), np.arange(count + 1) * influences),
             shape=(count, len(mesh.skeleton)),
         )
         rest = self.points.at(mesh.vertices)
@@ -60,9 +58,10 @@ class Scatter:
                 share=1 / self.density[zone],
                 density=denser,
                 layer=layer[corners[zone, 0]],
-                weights=skin[zone],
+                weights=self.points.take(zone).matrix(count),
                 area=area,
                 faces=self.faces[zone],
+                skin=skin,
             )
             begin.append(begun(cloud, splats, PHOTO_SAMPLER, rng))
         cells = abreast(lambda settled: settled(), begin)

@@ -55,8 +55,12 @@ class SurfacePoints:
 
     def at(self, values: F64) -> F64:
         """[M, C] what a value [V, C] of the vertices is there."""
+        return self.matrix(len(values)) @ values
+
+    def matrix(self, count: int) -> csr_array:
+        """[M, V] the weights, of ``count`` vertices."""
         rows = np.arange(len(self.corners) + 1) * 3
-        return csr_array((self.weights.ravel(), self.corners.ravel(), rows), (len(rows) - 1, len(values))) @ values
+        return csr_array((self.weights.ravel(), self.corners.ravel(), rows), (len(rows) - 1, count))
 
     def directions(self, values: F64) -> F64:
         """[M, 3] unit vectors between the vertices' [V, 3]."""
