@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from glsplat.authoring.cones import with_cones
 from glsplat.authoring.optimize.compiled import MISSING, available
 from glsplat.authoring.reconstruct.builtin import MeshReconstructor
 from glsplat.authoring.reconstruct.photos import (
@@ -30,7 +29,7 @@ from ..args import natural, positive
 from ..farming import add_ray
 from ..output import save_png
 from ..usage import UsageError
-from . import photo_folder, photo_sheet
+from . import photo_folder
 from .mine import sign_mine
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
@@ -154,7 +153,11 @@ def _one(args: argparse.Namespace) -> int:
         if isinstance(done, MeshReconstruction):
             code = write_mesh(done.mesh, args, began, _facts(done), _guessed(done.mesh.meta))
         else:
-            avatar = with_cones(done.avatar, progress=show) if args.cones else done.avatar
+            avatar = done.avatar
+            if args.cones:
+                from glsplat.authoring.cones import with_cones  # and OpenGL with it, which nothing else here needs
+
+                avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
     if args.mine:
         sign_mine(args.out)
@@ -255,6 +258,8 @@ def _sheet(
 ) -> None:
     """Draw what there is, where it was asked for."""
     if args.debug is not None:
+        from . import photo_sheet
+
         result = done.mesh if isinstance(done, MeshReconstruction) else None if done is None else done.avatar
         drawn = photo_sheet.draw(shots, result, None if done is None else done.made)
         save_png(args.debug / "photo.png", drawn)

@@ -8,7 +8,7 @@ from one rule.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "tessellate", "weights_between"]
+__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "begun", "tessellate", "weights_between"]
 
 _USUAL = 6.0  # samples that a cell's expected size is worth where few were drawn
 
@@ -62,9 +62,10 @@ class Cloud:
     share: NDArray[np.float64]  # [M] surface a point stands for, relative
     density: NDArray[np.float64]  # [M] wanted splats by area, relative
     layer: NDArray[np.float64]  # [M] part number
-    weights: csr_array  # [M, J]
+    weights: csr_array  # [M, J]; of the corners of triangles [M, V] where ``skin`` has their joints
     area: float  # m^2 of the surface it covers
     faces: NDArray[np.intp]  # [M] triangle of the mesh
+    skin: csr_array | None = None  # [V, J]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +82,11 @@ class Cells:
 
 def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> Cells:
     """``count`` cells of the cloud and the Gaussian of each."""
+    return begun(cloud, count, config, rng)()
+
+
+def begun(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Generator) -> Callable[[], Cells]:
+    """What makes the cells of ``tessellate``, perhaps on another core; what is left to chance is drawn before."""
     weight = cloud.share * cloud.density
     size = np.sqrt(cloud.area / count * np.average(cloud.density, weights=cloud.share) / cloud.density)
     features = np.concatenate(
@@ -96,11 +102,16 @@ def tessellate(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.G
     thin = _pick(weight * cloud.density, min(count * config.candidates, len(features)), rng)
     some = features[thin]
     count = min(count, len(some))
-    sites = some[np.sort(rng.choice(len(some), count, replace=False))]
-    for _ in range(config.rounds):
-        label = _nearest(sites, some)
-        sites = _cell_means(label, some, np.ones(len(some)), sites)
-    return _gaussians(cloud, _nearest(sites, features), count, size, config)
+    first = some[np.sort(rng.choice(len(some), count, replace=False))]
+
+    def settled() -> Cells:
+        sites = first
+        for _ in range(config.rounds):
+            label = _nearest(sites, some)
+            sites = _cell_means(label, some, np.ones(len(some)), sites)
+        return _gaussians(cloud, _nearest(sites, features), count, size, config)
+
+    return settled
 
 
 def weights_between(mesh: RiggedMesh, corners: NDArray[Any], share: NDArray[np.float64]) -> csr_array:
@@ -153,8 +164,10 @@ def _gaussians(
     means = _cell_means(label, points, area, zero)
     mean_normal = _cell_means(label, normals, area, zero)
     offset = points - means[label]
-    outer = (offset[:, :, None] * offset[:, None, :]).reshape(-1, 9)
-    cov = _cell_means(label, outer, area, np.zeros((count, 9))).reshape(-1, 3, 3)
+    cov = np.empty((count, 3, 3))
+    for row in range(3):
+        products = offset[:, row, None] * offset[:, row:]
+        cov[:, row, row:] = cov[:, row:, row] = _cell_means(label, products, area, zero[:, row:])
 
     # frame: mean normal, then the principal axes of the cell in the tangent plane
     strength = np.linalg.norm(mean_normal, axis=1, keepdims=True)
@@ -183,7 +196,8 @@ def _gaussians(
     scales[:, 2] = np.clip(np.sqrt(np.maximum(across, 0)), config.thickness, 0.3 * scales[:, :2].min(axis=1))
 
     rows = csr_array((area, (label, np.arange(len(label)))), shape=(count, len(label)))
-    weights = (rows @ cloud.weights).toarray()
+    weights = rows @ cloud.weights
+    weights = (weights if cloud.skin is None else weights @ cloud.skin).toarray()
     rgb = _cell_means(label, cloud.rgb, area, zero)
     quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
     faces = cloud.faces[_middles(label, np.linalg.norm(offset, axis=1), count)]

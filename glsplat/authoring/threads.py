@@ -16,7 +16,7 @@ import scipy
 
 from glsplat.io.machine import cores
 
-__all__ = ["abreast", "one_blas_thread"]
+__all__ = ["abreast", "aside", "one_blas_thread"]
 
 _NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
 
@@ -39,6 +39,20 @@ def abreast(work: Callable[[T], U], pieces: Iterable[T]) -> list[U]:
     """
     with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(work, pieces))
+
+
+def aside(work: Callable[[], T]) -> Callable[[], T]:
+    """Begin ``work`` on another thread; what comes back waits for its result, or raises what it raised.
+
+    >>> from glsplat.authoring.threads import aside
+    >>> found = aside(lambda: 6 * 7)
+    >>> found()
+    42
+    """
+    pool = ThreadPoolExecutor(1, "glsplat-aside")
+    begun = pool.submit(work)
+    pool.shutdown(wait=False)
+    return begun.result
 
 
 @contextmanager

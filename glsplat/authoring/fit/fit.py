@@ -28,6 +28,7 @@ from glsplat.authoring.fit.standing.doubt import doubts_of, unseen
 from glsplat.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, hands, hidden_arms, layers
 from glsplat.authoring.fit.standing.stances import ASIDE, metres_of, misread, stances_of
 from glsplat.authoring.fit.view import View, apart
+from glsplat.authoring.threads import abreast
 from glsplat.errors import FormatError
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -122,7 +123,7 @@ def fit_body(views: Sequence[View], height: float | None = None, body: Body | No
     if height is not None and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
         raise FormatError(f"a height needs metres from {_HEIGHTS[0]} to {_HEIGHTS[1]}, not {height:g}")
     body = body or open_body()
-    fits = [_begun_with(stance, views, height, body) for stance in stances_of(views[0], body)]
+    fits = abreast(lambda stance: _begun_with(stance, views, height, body), stances_of(views[0], body))
     fit = min(fits, key=lambda fitted: fitted[1])[0]
     missing = [line for seen, view in zip(fit.views, views, strict=True) if (line := unseen(seen.doubts, view.side))]
     return replace(fit, problem="; ".join([fit.problem] * bool(fit.problem) + missing))

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.threads import aside
+
 from .face import Face, find_face, shows_face
 from .hand import Hand, find_hand
 from .person import LANDMARKS, DetectedBody, find_body
@@ -47,8 +49,8 @@ def find_person(picture: NDArray[np.uint8], people: NDArray[np.float32] | None =
     mirrored = body.point("left_shoulder")[0] < body.point("right_shoulder")[0]
     if mirrored and shows_face(picture, body) > _SURE:
         body = swapped(body)  # hair over the face, and the body network takes the person for one seen from behind
-    face = find_face(picture, body)
-    return DetectedPerson(body, face, find_hand(picture, body, "left"), find_hand(picture, body, "right"))
+    hands = aside(lambda: [find_hand(picture, body, side) for side in ("left", "right")])
+    return DetectedPerson(body, find_face(picture, body), *hands())
 
 
 def swapped(body: DetectedBody) -> DetectedBody:

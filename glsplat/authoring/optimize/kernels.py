@@ -206,7 +206,10 @@ def draw(
     height, width = passes.shape
     for tile in tiles:
         left, top, right, bottom = _edges(tile, across, width, height)
+        clear = (right - left + 1) * (bottom - top + 1)  # pixels that something passes to
         for entry in range(start[tile], start[tile + 1]):
+            if not clear:
+                break
             i = splat[entry]
             u, v, a, b, c, opacity, q, red, green, blue = _read(record, i)
             for y in range(max(box[i, 2], top), min(box[i, 3], bottom) + 1):
@@ -224,6 +227,7 @@ def draw(
                     picture[y, x, 2] += weight * blue
                     picture[y, x, 3] += weight
                     passes[y, x] = before - weight
+                    clear -= before - weight < least
 
 
 @compiled
@@ -246,7 +250,11 @@ def backward(
     zero = np.float32(0)
     for tile in tiles:
         left, top, right, bottom = _edges(tile, across, width, height)
+        clear = (right - left + 1) * (bottom - top + 1)
         for entry in range(start[tile], start[tile + 1]):
+            if not clear:
+                sums[entry] = zero
+                continue
             i = splat[entry]
             u, v, a, b, c, opacity, q, red, green, blue = _read(record, i)
             sx = sy = sxx = sxy = syy = total = by_red = by_green = by_blue = seen = wrong = zero
@@ -265,6 +273,7 @@ def backward(
                     rest = behind[y, x] - weight * by_weight
                     behind[y, x] = rest
                     passes[y, x] = before - weight
+                    clear -= before - weight < least
                     by_red += weight * slope[y, x, 0]
                     by_green += weight * slope[y, x, 1]
                     by_blue += weight * slope[y, x, 2]

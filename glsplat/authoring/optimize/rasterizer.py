@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.optimize import kernels
+from glsplat.authoring.optimize.agreed import Shares, shared
 from glsplat.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
 from glsplat.authoring.posed import PosedSplats
 from glsplat.camera import Camera
@@ -45,7 +46,8 @@ class Rasterizer:
 
     def __init__(self, count: int, threads: int | None = None, least: float = 1e-4) -> None:
         self._least = np.float32(least)
-        self._pool = ThreadPoolExecutor(threads or cores(), "glsplat-fit")
+        threads = threads or cores()
+        self._pool = ThreadPoolExecutor(threads, "glsplat-fit") if threads > 1 else None  # else on the caller's own
         self._record, self._box = np.zeros((count, RECORD), np.float32), np.zeros((count, 4), np.int32)
         self._to_pixels, self._axes = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
         self._slope, self._totals = np.zeros((count, 3)), np.zeros((count, SUMS))
@@ -53,7 +55,7 @@ class Rasterizer:
         self._sums = np.zeros((0, SUMS), np.float32)
 
     def place(self, splats: PosedSplats, camera: Camera, antialias: bool) -> None:
-        """Find where the splats, ``count`` or fewer, are in the camera's picture, before ``gathered``."""
+        """Find where the splats, ``count`` or fewer, are in the camera's picture, before ``shares``."""
         width, height, many = camera.width, camera.height, len(splats.means)
         self._ranges = list(pairwise(np.linspace(0, many, _PARTS + 1).astype(int).tolist()))
         K = camera.K
@@ -69,6 +71,7 @@ class Rasterizer:
         shown = np.flatnonzero(self._record[:many, 5] > 0)
         order = shown[np.argsort(self._record[shown, 7], kind="stable")]
         across, down = -(-width // TILE), -(-height // TILE)
+        self._order = order
         start, splat = kernels.list_entries(order, self._box, across, down)
         each = np.diff(start)
         tiles = np.argsort(-each, kind="stable")
@@ -102,17 +105,14 @@ class Rasterizer:
         out = self.out
         return Gradients(out[:, :3], out[:, 3:6], out[:, 6:9], out[:, 9], out[:, 10:13], out[:, 13], out[:, 14])
 
-    def gathered(self, kernel: Callable[..., None], columns: int, *given: F32) -> F64:
-        """[N, columns] what ``kernel`` sums up over the picture, for all N splats that ``place`` was called with.
-
-        It is called with some tiles, the entries as ``kernels.draw`` takes them, height and width of the picture, how
-        much has to pass, [E, columns] sums of the E entries that it writes, and what is ``given``.
-        """
-        sums = np.empty((len(self._entries[2]), columns), np.float32)
-        totals = np.empty((self._ranges[-1][1], columns))
-        self._each(self._work, lambda tiles: kernel(tiles, *self._entries, self._size, self._least, sums, *given))
-        kernels.add_up(self._entries[2], sums, totals)
-        return totals
+    def shares(self) -> Shares:
+        """How much of which pixel the splats that ``place`` was called with make; of those that make some."""
+        across, start, splat, record, box = self._entries
+        room = int((box[self._order, 1::2] - box[self._order, ::2] + 1).prod(axis=1, dtype=np.int64).sum())
+        first, pixel, weight = np.empty(len(splat) + 1, np.int64), np.empty(room, np.int32), np.empty(room, np.float32)
+        shared(across, start, splat, record, box, self._size, self._least, first, pixel, weight)
+        some, count = np.diff(first) > 0, first[-1]
+        return Shares(splat[some], np.append(first[:-1][some], count), pixel[:count].copy(), weight[:count].copy())
 
     def weights(self) -> F64:
         """[N] how much of the last picture each splat makes, in pixels."""
@@ -120,5 +120,5 @@ class Rasterizer:
         return self.backward(nothing, nothing[:, :, 0]).weight.copy()
 
     def _each(self, parts: list[Any], work: Callable[[Any], None]) -> None:
-        for _ in self._pool.map(work, parts):  # which raises what a thread raised
+        for _ in map(work, parts) if self._pool is None else self._pool.map(work, parts):  # raises what a thread raised
             pass

@@ -7,12 +7,21 @@ shows takes the mean of that; what nobody sees keeps its own, and teeth are most
 
 from __future__ import annotations
 
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.optimize.compiled import available
 from glsplat.authoring.posed import PosedSplats
+from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.io.machine import cores
+
+if TYPE_CHECKING:
+    from glsplat.authoring.optimize.agreed import Shares
 
 __all__ = ["as_seen"]
 
@@ -28,6 +37,16 @@ _GRAZING = 0.22  # square of the cosine under which a splat is seen at most from
 _LEAST = 1e-3  # of a pixel: what less passes to is not seen
 
 
+class _Look(NamedTuple):
+    """A picture that is looked at, of M of the avatar's splats: those that it shows."""
+
+    some: NDArray[np.intp]  # [M]
+    shares: Shares  # of these
+    pixels: int
+    ways: F64  # [M, 3] metres from a splat to the camera
+    towards: F64  # [3] unit, to the camera
+
+
 def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> tuple[F64, F64, F64]:
     """Unit normals [N, 3], occlusion [N] and shade [N], 1 if not given, of the avatar's splats as pictures mix them.
 
@@ -40,23 +59,37 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
     from glsplat.authoring.optimize.pictures import looks_at
     from glsplat.authoring.optimize.rasterizer import Rasterizer
 
-    antialias, drawing = avatar.splats.antialias, Rasterizer(len(avatar.splats), least=_LEAST)
-    looks = [(splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras]
-    shown: list[NDArray[np.intp] | slice] = [slice(None)] * len(looks)  # after the first round, what is not hidden
+    desks = SimpleQueue[Rasterizer]()
+    for _ in range(cores()):
+        desks.put(Rasterizer(len(avatar.splats), 1, _LEAST))
+
+    def looked(asked: tuple[PosedSplats, Camera]) -> _Look:
+        splats, camera = asked
+        drawing = desks.get()
+        try:
+            drawing.place(splats, camera, avatar.splats.antialias)
+            found = drawing.shares()
+        finally:
+            desks.put(drawing)
+        some, own = np.unique(found.splat, return_inverse=True)
+        eye = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
+        shares = found._replace(splat=own.astype(np.int32))
+        return _Look(some, shares, camera.width * camera.height, eye - splats.means[some], -camera.viewmat[2, :3])
+
+    def sums_of(look: _Look) -> F64:
+        own = values[look.some]
+        facing = np.einsum("nc,nc->n", look.ways, own[:, :3]) > 0
+        mixed = np.column_stack([own, np.ones(len(own))]) * facing[:, None]
+        found = np.empty((len(own), SUMS))
+        agreed(*look.shares, look.pixels, mixed.astype(np.float32), look.towards.astype(np.float32), found)
+        return found
+
+    looks = abreast(looked, [(splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras])
     values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
     for _ in range(_ROUNDS):
         sums = np.zeros((len(values), SUMS))
-        for index, (splats, camera) in enumerate(looks):
-            some = shown[index]
-            splats, own = PosedSplats(*(part[some] for part in splats)), values[some]
-            eye, towards = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3], -camera.viewmat[2, :3]
-            facing = np.einsum("nc,nc->n", eye - splats.means, own[:, :3]) > 0
-            mixed = np.column_stack([own, np.ones(len(own))]) * facing[:, None]
-            drawing.place(splats, camera, antialias)
-            found = drawing.gathered(agreed, SUMS, mixed.astype(np.float32), towards.astype(np.float32))
-            sums[some] += found
-            if isinstance(some, slice):
-                shown[index] = np.flatnonzero(found[:, 7])
+        for look, found in zip(looks, abreast(sums_of, looks), strict=True):
+            sums[look.some] += found
         weight, whole = sums[:, 5:6] + _OWN, sums[:, 6:7]
         total = values * _OWN + sums[:, :5]
         mean = total / weight

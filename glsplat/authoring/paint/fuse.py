@@ -55,7 +55,7 @@ class Fusion:
             mine = np.flatnonzero(share[:, index] > _FEW)
             if not len(mine):
                 continue
-            some = SurfacePoints(points.corners[mine], points.weights[mine])
+            some = points.take(mine)
             pixels = shot.project(some.at(shot.view.vertices))
             weight = share[mine, index]
             total[mine] += weight

@@ -63,7 +63,7 @@ class BackOfHead:
         colour = values[:, 2:]
         if self.strands is not None:
             some = np.flatnonzero((values[:, 0] > 0) & (values[:, 1] > 0))
-            part = SurfacePoints(points.corners[some], points.weights[some])
+            part = points.take(some)
             colour[some] *= (1 + values[some, 1] * (self.strands.at(part.at(self.rest)) - 1))[:, None]
         return values[:, 0].clip(0, 1), colour
 

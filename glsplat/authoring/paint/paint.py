@@ -21,6 +21,7 @@ from glsplat.authoring.paint.twins import Front, Twins, find_twins
 from glsplat.authoring.paint.unseen.cloth import Cloth, cloth_of
 from glsplat.authoring.paint.unseen.ground import Ground
 from glsplat.authoring.paint.unseen.sleeves import cut_sleeves
+from glsplat.authoring.threads import abreast
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -31,6 +32,7 @@ F64 = NDArray[np.float64]
 _NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
 _GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
 _DIGITS = 6  # of a colour; see sharpen.py
+_BLOCK = 1 << 15  # points that one core paints together
 _LENT = 0.003  # what one half of the body says of the other, where nobody looks
 _FORGETS = 3e-4  # how soon cloth that nobody looks at is as it is elsewhere at that height
 _ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
@@ -63,16 +65,23 @@ class Painter:
 
     def paint(self, points: SurfacePoints) -> Paint:
         """What is known and guessed of the points; what is seen squarely is not guessed."""
+        starts = range(0, max(len(points.corners), 1), _BLOCK)
+        blocks = [points.take(slice(first, first + _BLOCK)) for first in starts]
+        parts = abreast(self._painted, blocks)
+        return Paint(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def _painted(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
+        """As ``Paint`` has it, of points that are looked at together."""
         sights, ground, shade = self._looked(points)
         seen, colour = _mixed(sights)
         busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
         doubt = np.flatnonzero(seen < 1)
-        part = SurfacePoints(points.corners[doubt], points.weights[doubt])
+        part = points.take(doubt)
         guess, there = self._guess(part, ground.at(doubt), shade[doubt])
         busy[doubt] = np.maximum(busy[doubt], _GUESSED * there * (1 - seen[doubt]))
         colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
         rgb = with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour))
-        return Paint(np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS))
+        return np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS)
 
     def colours(self, points: SurfacePoints) -> F64:
         """``paint(points).rgb``."""
@@ -120,7 +129,7 @@ class Painter:
     def _cut(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
         """[K, 3] linear colours of ``some`` points of sleeves, as the trunk's cloth has them."""
         assert self.sleeves is not None
-        front, part = self.shots[0], SurfacePoints(points.corners[some], points.weights[some])
+        front, part = self.shots[0], points.take(some)
         lit = self.light.shade(part.directions(self.sleeves.directions(front.normals)))
         cloth = front.sample(part.at(self.sleeves.at(front.view.pixels)))
         return np.asarray((shade[some] / lit).clip(*_SHADE)[:, None] * cloth)

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, tessellate, weights_between
+from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, begun
 from glsplat.authoring.paint.shot import SurfacePoints
 from glsplat.authoring.surface import allot, face_densities, face_zones
+from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh, vertex_normals
 
@@ -35,14 +37,17 @@ class Scatter:
 
         With the mesh's expressions as its shapes, where it has some.
         """
-        corners = self.points.corners
-        skin = weights_between(mesh, corners, self.points.weights)
+        corners, (count, influences) = self.points.corners, mesh.joints.shape
+        skin = csr_array(
+            (mesh.weights.ravel(), mesh.joints.ravel(), np.arange(count + 1) * influences),
+            shape=(count, len(mesh.skeleton)),
+        )
         rest = self.points.at(mesh.vertices)
         normals = self.points.directions(vertex_normals(mesh.vertices, mesh.faces))
         layer = np.zeros(len(mesh.vertices))
         for index, part in enumerate(mesh.parts):
             layer[part.faces] = index
-        cells = []
+        begin = []
         for zone, splats, area in self.zones:
             denser = self.density[zone] * (1 + PHOTO_SAMPLER.detail_boost * busy[zone])
             cloud = Cloud(
@@ -52,12 +57,13 @@ class Scatter:
                 share=1 / self.density[zone],
                 density=denser,
                 layer=layer[corners[zone, 0]],
-                weights=skin[zone],
+                weights=self.points.take(zone).matrix(count),
                 area=area,
                 faces=self.faces[zone],
+                skin=skin,
             )
-            cells.append(tessellate(cloud, splats, PHOTO_SAMPLER, rng))
-        return avatar_of(cells, mesh, PHOTO_SAMPLER.opacity)
+            begin.append(begun(cloud, splats, PHOTO_SAMPLER, rng))
+        return avatar_of(abreast(lambda settled: settled(), begin), mesh, PHOTO_SAMPLER.opacity)
 
 
 def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:

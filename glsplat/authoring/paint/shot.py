@@ -50,10 +50,18 @@ class SurfacePoints:
     corners: NDArray[np.intp]  # [M, 3] vertices
     weights: F64  # [M, 3] barycentric
 
+    def take(self, some: NDArray[np.intp] | slice) -> SurfacePoints:
+        """N of the points."""
+        return SurfacePoints(self.corners[some], self.weights[some])
+
     def at(self, values: F64) -> F64:
         """[M, C] what a value [V, C] of the vertices is there."""
+        return self.matrix(len(values)) @ values
+
+    def matrix(self, count: int) -> csr_array:
+        """[M, V] the weights, of ``count`` vertices."""
         rows = np.arange(len(self.corners) + 1) * 3
-        return csr_array((self.weights.ravel(), self.corners.ravel(), rows), (len(rows) - 1, len(values))) @ values
+        return csr_array((self.weights.ravel(), self.corners.ravel(), rows), (len(rows) - 1, count))
 
     def directions(self, values: F64) -> F64:
         """[M, 3] unit vectors between the vertices' [V, 3]."""

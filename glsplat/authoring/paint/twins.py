@@ -47,7 +47,9 @@ class Twins:
         for twins, cloth in ((self.points, ~striped), (self.straight, striped)):
             for twin, much in zip(twins, (share, 1 - share), strict=True):
                 some = np.flatnonzero(cloth & (much[:, 0] > 0))  # few are between the halves
-                part = SurfacePoints(points.corners[some], points.weights[some])
+                if not len(some):
+                    continue
+                part = points.take(some)
                 mixed[some] += much[some] * _half(shot, part, twin, twins is self.straight)
         length = np.maximum(np.linalg.norm(mixed[:, 3:6], axis=1, keepdims=True), 1e-9)
         return Sighted(mixed[:, :3], mixed[:, 3:6] / length, mixed[:, 6], mixed[:, 7], mixed[:, 8])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.networks.face import shows_face
 from glsplat.authoring.networks.people import DetectedPerson, find_person
 from glsplat.authoring.networks.person import DetectedBody, body_in, bounds, people_mask, whole
+from glsplat.authoring.threads import aside
 
 from .finding import Finding, note
 from .mask import person_mask
@@ -104,8 +105,9 @@ def check_capture(
     if person is None or not sure:
         nothing = np.zeros(picture.shape[:2], bool)
         return Capture((_instead(picture, person, people, config),), None, nothing)
-    mask = person_mask(picture, person.body) if given is None else given
+    outline = aside(lambda: person_mask(picture, person.body) if given is None else given)
     several = _several(picture, person, people, config)
+    mask = outline()
     cut = cut_off(person, mask, view, config.posture)
     half = cut is not None and cut.refusal
     down = None if half else lying(person, config.posture)

@@ -29,6 +29,7 @@ from glsplat.authoring.paint.unseen.hair import with_hair
 from glsplat.authoring.reconstruct.reconstructor import Mask, Options, Picture
 from glsplat.authoring.reconstruct.sharp import sharp
 from glsplat.authoring.texture import baked
+from glsplat.authoring.threads import aside
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.meshes import RiggedMesh
@@ -92,22 +93,23 @@ class Builtin:
         """The avatar with all that led to it."""
         body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
         rng = np.random.default_rng(options.seed)
-        face = moving_face(mesh) if options.splats >= _FACED else None
+        face = aside(lambda: moving_face(mesh)) if options.splats >= _FACED else None
         strewn = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
         painter = painter_of(body, shots, strewn.points, looks)
+        captured = None if options.keep_light else aside(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(strewn.points)
         options.progress("placing splats", 0.0)
-        avatar = strewn.avatar(face.mesh if face else mesh, painted.rgb, painted.busy, rng)
+        avatar = strewn.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = sharp(avatar, mesh, painter.colours, shots, options)
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
-            avatar = with_face(avatar, face, options.splats, options.seed)
-        if not options.keep_light:
+            avatar = with_face(avatar, face(), options.splats, options.seed)
+        if captured is not None:
             options.progress("finding the light", 0.0)
-            avatar = with_captured_light(avatar, mesh, captured_light(mesh, shots, painter.light), photographed)
+            avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.authoring.paint.shot import SurfacePoints
 from glsplat.authoring.texture.texels import texels_of
+from glsplat.authoring.threads import abreast
 from glsplat.errors import FormatError
 from glsplat.meshes import MeshPart, RiggedMesh
 
@@ -55,10 +56,12 @@ def _baked(part: MeshPart, uv: F64, size: tuple[int, int], colours: Colours) -> 
     texels = texels_of(uv, width, height)
     texture = np.zeros((height * width, 3), np.uint8)
     corners = part.faces.astype(np.intp)
-    for first in range(0, len(texels.index), _CHUNK):
-        some = slice(first, first + _CHUNK)
+
+    def coloured(some: slice) -> None:
         rgb = colours(SurfacePoints(corners[texels.face[some]], texels.weights[some]))
         texture[texels.index[some]] = np.rint(np.clip(rgb, 0, 1) * 255)
+
+    abreast(coloured, [slice(first, first + _CHUNK) for first in range(0, len(texels.index), _CHUNK)])
     painted = np.zeros(height * width, np.uint8)
     painted[texels.index] = 1
     whole = _carried_on(texture.reshape(height, width, 3), painted.reshape(height, width))

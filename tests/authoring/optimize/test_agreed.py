@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from glsplat.authoring.optimize.agreed import SUMS, agreed
 from glsplat.authoring.optimize.rasterizer import Rasterizer
@@ -38,8 +37,17 @@ def twin(splats: PosedSplats, values: np.ndarray, towards: np.ndarray) -> tuple[
     return np.column_stack([*sums])[:, :7], whole
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_sums_are_those_of_pictures_of_the_values(threads: int) -> None:
+def sums(splats: PosedSplats, values: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[N, SUMS], and [N] how much of the picture each splat makes."""
+    count = len(values)
+    drawing = Rasterizer(count + 100)
+    drawing.place(splats, VIEW, True)
+    shares, found = drawing.shares(), np.empty((count, SUMS))
+    agreed(*shares, VIEW.width * VIEW.height, values.astype(np.float32), towards.astype(np.float32), found)
+    return found, np.bincount(np.repeat(shares.splat, np.diff(shares.first)), shares.weight, count)
+
+
+def test_sums_are_those_of_pictures_of_the_values() -> None:
     splats = placed(cloud(400))
     rng = np.random.default_rng(5)
     values = rng.normal(size=(400, 6))
@@ -47,22 +55,28 @@ def test_sums_are_those_of_pictures_of_the_values(threads: int) -> None:
     values[:, 5] = 1
     values[::3] = 0  # these face away
     towards = -VIEW.viewmat[2, :3]
-    drawing = Rasterizer(500, threads=threads)
-    drawing.place(splats, VIEW, True)
-    found = drawing.gathered(agreed, SUMS, values.astype(np.float32), towards.astype(np.float32))
-    wanted, weights = twin(splats, values, towards)
+    found, weights = sums(splats, values, towards)
+    wanted, whole = twin(splats, values, towards)
     assert found.shape == (400, SUMS)
     assert np.abs(wanted[:, 6]).max() > 3 and np.abs(wanted[:, 0]).max() > 0.5
-    assert np.allclose(found[:, :7], wanted, rtol=2e-3, atol=2e-3)
-    assert np.allclose(found[:, 7], weights, rtol=1e-4, atol=1e-4)
-    alone = Rasterizer(400, threads=1)
-    alone.place(splats, VIEW, True)
-    assert np.array_equal(found, alone.gathered(agreed, SUMS, values.astype(np.float32), towards.astype(np.float32)))
+    assert np.allclose(found, wanted, rtol=2e-3, atol=2e-3)
+    assert np.allclose(weights, whole, rtol=1e-4, atol=1e-4)
+
+
+def test_shares_make_the_picture_and_end_where_too_little_passes() -> None:
+    splats = placed(cloud(400))
+    counts = []
+    for least in (0.4, 1e-4):
+        drawing = Rasterizer(400, least=least)
+        drawing.place(splats, VIEW, True)
+        shares = drawing.shares()
+        picture = np.bincount(shares.pixel, shares.weight, VIEW.width * VIEW.height).reshape(VIEW.height, VIEW.width)
+        assert 0.6 < picture.max() < 1 and (np.diff(shares.first) > 0).all()
+        assert np.allclose(picture, drawing.draw(splats, VIEW, True)[:, :, 3], atol=1e-5)
+        counts.append(len(shares.pixel))
+    assert counts[0] < counts[1] == shares.first[-1]
 
 
 def test_what_nothing_shows_counts_nothing() -> None:
-    splats = placed(cloud(50))
-    drawing = Rasterizer(50, threads=1)
-    drawing.place(splats, VIEW, True)
-    found = drawing.gathered(agreed, SUMS, np.zeros((50, 6), np.float32), np.array([0, 0, 1], np.float32))
-    assert (found[:, :7] == 0).all() and found[:, 7].max() > 0.1
+    found, weights = sums(placed(cloud(50)), np.zeros((50, 6)), np.array([0.0, 0, 1]))
+    assert (found == 0).all() and weights.max() > 0.1

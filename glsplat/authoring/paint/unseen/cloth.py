@@ -151,7 +151,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     region = _regions(body)
     some = np.flatnonzero(sight.trust > _SURE)
     some = some[:: max(1, len(some) // _MOST)]
-    part = SurfacePoints(points.corners[some], points.weights[some])
+    part = points.take(some)
     where, trust = part.at(rest), sight.trust[some]
     look = np.sqrt(np.maximum(sight.linear[some] / shade[some, None], 0))
     mine = region[part.corners[:, 0]]
