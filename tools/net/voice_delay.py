@@ -235,11 +235,8 @@ def main() -> None:
                 found = watched(address, args.here, args.seconds, args.size)
             runs[tree].append(found)
             behind, _ = measured(found)
-            load = os.getloadavg()[0]
-            print(
-                f"turn {turn + 1}, {tree.name}: {statistics.median(behind or [np.nan]):.0f} ms; load {load:.1f}",
-                flush=True,
-            )
+            said = f"{statistics.median(behind or [np.nan]):.0f} ms, {found['rate']:.1f} pictures a second"
+            print(f"turn {turn + 1}, {tree.name}: {said}; load {os.getloadavg()[0]:.1f}", flush=True)
     medians = [tell(tree.name, runs[tree]) for tree in trees]
     if len(medians) == 2:
         print(f"{medians[1] / medians[0]:.2f} of the time")
