@@ -84,7 +84,7 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
             found = drawing.shares()
         finally:
             desks.put(drawing)
-        some, own = np.unique(found.splat, return_inverse=True)
+        some, own = np.unique(found.splat.astype(np.intp), return_inverse=True)
         eye = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
         shares = found._replace(splat=own.astype(np.int32))
         return _Look(some, shares, camera.width * camera.height, eye - splats.means[some], -camera.viewmat[2, :3])
