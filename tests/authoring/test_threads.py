@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from threading import Event
 
 import numpy as np
 import pytest
 
-from glsplat.authoring.threads import _openblas, abreast, one_blas_thread
+from glsplat.authoring.threads import _openblas, abreast, aside, one_blas_thread
 
 
 def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
@@ -18,6 +19,22 @@ def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
     assert abreast(slower_first, [0, 1, 2, 3]) == [0, 10, 20, 30]
     with pytest.raises(ZeroDivisionError):
         abreast(lambda n: 1 // n, [1, 0])
+
+
+def test_what_is_done_aside_is_waited_for_and_its_errors_come_through() -> None:
+    begun, going_on = Event(), Event()
+
+    def work() -> str:
+        begun.set()
+        assert going_on.wait(10)
+        return "done"
+
+    result = aside(work)
+    assert begun.wait(10)  # before anybody asks for the result
+    going_on.set()
+    assert result() == "done" == result()
+    with pytest.raises(ZeroDivisionError):
+        aside(lambda: 1 // 0)()
 
 
 def test_products_are_on_one_core_meanwhile_and_as_before_afterwards() -> None:

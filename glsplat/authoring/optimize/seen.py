@@ -17,13 +17,13 @@ from glsplat.authoring.optimize.compiled import available
 from glsplat.authoring.posed import PosedSplats
 from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera
+from glsplat.camera import Camera, look_at, pinhole
 from glsplat.io.machine import cores
 
 if TYPE_CHECKING:
     from glsplat.authoring.optimize.agreed import Shares
 
-__all__ = ["as_seen"]
+__all__ = ["as_seen", "ready"]
 
 F64 = NDArray[np.float64]
 
@@ -35,6 +35,19 @@ _NEAR, _FAR = (
 )  # of a unit, or an octave: how far from the mean a splat's own may be; from there on it is the mean
 _GRAZING = 0.22  # square of the cosine under which a splat is seen at most from aside; from twice that it is seen well
 _LEAST = 1e-3  # of a pixel: what less passes to is not seen
+
+
+def ready() -> None:
+    """Load the machine code of ``as_seen``, which takes a second the first time: for a core that has nothing to do."""
+    if not available():
+        return
+    from glsplat.authoring.optimize.agreed import SUMS, VALUES, agreed
+    from glsplat.authoring.optimize.rasterizer import Rasterizer
+
+    drawing, way = Rasterizer(1, 1), np.zeros(3, np.float32)
+    one = PosedSplats(np.zeros((1, 3)), np.eye(3)[None], np.ones((1, 3)), np.ones(1), np.zeros((1, 3)))
+    drawing.place(one, Camera(look_at((0, 0, 3), (0, 0, 0)), pinhole(8, 8), 8, 8), True)
+    agreed(*drawing.shares(), 64, np.zeros((1, VALUES), np.float32), way, np.zeros((1, SUMS)))
 
 
 class _Look(NamedTuple):
@@ -71,7 +84,7 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
             found = drawing.shares()
         finally:
             desks.put(drawing)
-        some, own = np.unique(found.splat, return_inverse=True)
+        some, own = np.unique(found.splat.astype(np.intp), return_inverse=True)
         eye = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
         shares = found._replace(splat=own.astype(np.int32))
         return _Look(some, shares, camera.width * camera.height, eye - splats.means[some], -camera.viewmat[2, :3])

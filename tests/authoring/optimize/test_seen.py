@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glsplat.authoring.optimize.seen import as_seen
+from glsplat.authoring.optimize.agreed import agreed, shared
+from glsplat.authoring.optimize.kernels import list_entries, project
+from glsplat.authoring.optimize.seen import as_seen, ready
 from glsplat.avatar import Avatar
 from glsplat.rotations import matrix_quaternions
 from glsplat.skinning.skeleton import Skeleton
@@ -72,3 +74,24 @@ def test_without_numba_all_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     without_numba(monkeypatch)
     same, opened, shade = as_seen(avatar, normals, occlusion)
     assert same is normals and opened is occlusion and (shade == 1).all()
+
+
+def test_the_same_bytes_come_of_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    avatar, _, normals, occlusion = cheek()
+    found = set()
+    for count in (1, 2, 3):
+        monkeypatch.setattr("glsplat.authoring.optimize.seen.cores", lambda count=count: count)
+        monkeypatch.setattr("glsplat.authoring.threads.cores", lambda count=count: count)
+        found.add(b"".join(part.tobytes() for part in as_seen(avatar, normals, occlusion)))
+    assert len(found) == 1
+
+
+def test_loading_beforehand_loads_all_that_looking_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    ready()
+    kernels = project, list_entries, shared, agreed
+    before = [len(kernel.signatures) for kernel in kernels]
+    avatar, _, normals, occlusion = cheek()
+    as_seen(avatar, normals, occlusion)
+    assert before == [len(kernel.signatures) for kernel in kernels] and min(before) >= 1
+    without_numba(monkeypatch)
+    ready()

@@ -104,7 +104,7 @@ def _grain(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
     inside = (mirrored[0] >= 0) & (mirrored[0] < height_) & (mirrored[1] >= 0) & (mirrored[1] < width)
     at = mirrored[0].clip(0, height_ - 1), mirrored[1].clip(0, width - 1)
     weight = known.astype(np.float32)
-    light = picture.mean(axis=2)
+    light = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / 3
     reach = max(_GRAIN * height, 1.0)
     around = cv2.GaussianBlur(light * weight, (0, 0), reach) / np.maximum(cv2.GaussianBlur(weight, (0, 0), reach), 1e-4)
     grain = np.clip((light[at] + 0.01) / (around[at] + 0.01), 0.7, 1.4)

@@ -56,10 +56,13 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, trus
 
 def _other(away: F64, trust: F64) -> float:
     """Share of a part's samples [N] that are not of its usual colour; 0 where that is another thing's."""
-    usual = np.median(away, axis=0)  # the light's, which falls off to a side
+    low, high = (len(away) - 1) // 2, len(away) // 2
+    middle = np.partition(away, (low, high), axis=0)
+    usual = (middle[low] + middle[high]) / 2  # the median: the light's, which falls off to a side
     if np.linalg.norm(usual) > _ALIKE:
         return 0.0
-    return float(np.average(np.linalg.norm(away - usual, axis=1) > _UNLIKE, weights=trust))
+    off = away - usual
+    return float(trust[np.einsum("nc,nc->n", off, off) > _UNLIKE**2].sum() / trust.sum())
 
 
 def _parts(starts: NDArray[np.intp], across: F64) -> NDArray[np.intp]:
