@@ -58,6 +58,8 @@ class Rendered:
     posed: int = 0  # people who were skinned anew for it
     box: tuple[float, ...] | None = None
     """Where the one avatar is, if the job asks for it: x, y, z lowest, then highest, metres in the cameras' world."""
+    feet: tuple[float, ...] | None = None
+    """And where it touches the ground: x, y, z of left ankle, left ball, right ankle, right ball. None: it has none."""
     depth: tuple[DepthGrid, ...] = ()  # one an image, if the job asks for it
 
 

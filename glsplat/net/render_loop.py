@@ -382,8 +382,11 @@ class RenderLoop(ABC):
         self._adaptive_quality.drawn(frame.channel.number, now - start, rendered.coarsest, now, frame.smaller)
         if len(rendered.images) != len(frame.request.eyes):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
-        if rendered.box is not None:
-            frame.box = [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(rendered.box)]
+        frame.places = {
+            name: [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(places)]
+            for name, places in (("box", rendered.box), ("feet", rendered.feet))
+            if places is not None
+        }
         frame.depth = tuple(grid.scaled(scale) for grid in rendered.depth)
         if frame.channel.member is not None:
             frame.channel.member.room.posed(rendered.posed)

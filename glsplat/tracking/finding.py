@@ -71,6 +71,8 @@ class Finder:
         up, facing = rotate(head, (0.0, 1.0, 0.0))[1], yaw_quat(-(swing_twist_y(head) or 0.0))
         hands = [rotate(facing, sub(hand, eye)) for hand in hands]
         eye = levelled(eye, head)
+        if self._before is None and up > UPRIGHT:
+            self._begins(eye[1] / POSTURE)
         before, self._before = self._before or eye, eye
         moved = sub(eye, before)
         rate = 1 / max(dt, 1e-4)
@@ -96,6 +98,11 @@ class Finder:
         step = (self._stage - self.scale) * k
         self.scale += clamp(step, -FASTEST * self.scale * dt, FASTEST * self.scale * dt)
         return self.scale
+
+    def _begins(self, height: float) -> None:
+        """Nobody is taller than they are: who begins with higher eyes would stand on tiptoe until a size is found."""
+        least = min(height / self.body.eye_height, LARGEST)
+        self.scale = self._stage = self.goal = max(self.scale, least)
 
     def _estimate(self) -> float:
         """The scale that this session so far suggests; the last one where it says too little."""

@@ -105,18 +105,21 @@ def test_the_shadow_goes_where_the_avatar_goes(open_page: OpenPage, demo: Any) -
     """Of the module that says where: under the body, with it, fainter the higher it is."""
     page = open_page(demo.page, xr=None)
     blobs = page.js("""async () => {
-      const {fromBox, fromJoints} = await import('/vr/place/shadow.js');
+      const {fromBox, fromFeet, fromJoints} = await import('/vr/place/shadow.js');
       const I = [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1];
       const moved = [...I.slice(0, 12), 2, 0, -1, 1];
       const box = [-0.4, 0, -0.2, 0.4, 1.8, 0.2];
       return {here: fromBox(box, I), there: fromBox(box, moved), up: fromBox(box.map((v, i) => v + (i % 3 === 1)), I),
-        foot: fromJoints([[0.3, 0.08, 0.1]])};
+        foot: fromJoints([[0.3, 0.08, 0.1]]),
+        feet: fromFeet([-0.2, 0.1, 0.2, -0.2, 0, 0, 0.1, 0.1, 0.3, 0.1, 0, 0.1], moved)};
     }""")
     for here, there, up in zip(blobs["here"], blobs["there"], blobs["up"], strict=True):
         assert np.allclose(np.subtract(there[:2], here[:2]), (2, -1)) and there[2:] == here[2:]
         assert up[3] < 0.5 * here[3] and up[2] > here[2]
     ((x, z, radius, strength),) = blobs["foot"]
     assert (x, z) == (0.3, 0.1) and 0.05 < radius < 0.2 and strength > 0.4
+    under = [[-0.2, 0.2], [-0.2, 0.0], [0.1, 0.3], [0.1, 0.1], [-0.05, 0.15]]  # each joint, and the middle of all
+    assert np.allclose([one[:2] for one in blobs["feet"]], np.add(under, (2, -1)))
 
 
 def test_the_first_picture_comes_before_much_is_loaded(open_page: OpenPage, demo: Any) -> None:

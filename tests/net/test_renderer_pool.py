@@ -151,8 +151,13 @@ def test_where_the_avatar_is(own_process: bool) -> None:
         return out
 
     try:
-        assert rendered().box is None
+        assert rendered().box is None and rendered().feet is None
         for pose in (None, BENT):
+            bones, names = (pose or Pose.zero()).bones(PERSON.skeleton), PERSON.skeleton.names
+            stands = [names.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("ankle", "foot")]
+            at = [bones[j, :3, :3] @ PERSON.skeleton.joints[j] + bones[j, :3, 3] for j in stands]
+            feet = np.reshape(rendered(pose=pose, box=True).feet, (4, 3))
+            assert np.abs(feet - (np.array(at) @ transform[:3, :3].T + transform[:3, 3])).max() < 1e-5
             posed = reference.skin(PERSON.splats, PERSON.skin, (pose or Pose.zero()).bones(PERSON.skeleton))
             means = posed.means @ transform[:3, :3].T + transform[:3, 3]
             box = np.reshape(rendered(pose=pose, box=True).box, (2, 3))
@@ -213,7 +218,8 @@ def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
             await server.stop()
 
     plain, posed, mirrored, tracked = asyncio.run(main())
-    assert plain.box is None and "box" not in plain.info
+    assert plain.box is None and not {"box", "feet"} & plain.info.keys()
+    assert np.reshape(tracked.info["feet"], (4, 3))[:, 1].min() > -0.25  # above the user's floor
     means = reference.skin(PERSON.splats, PERSON.skin, BENT.bones(PERSON.skeleton)).means
     assert np.abs(posed.box - [means.min(axis=0), means.max(axis=0)]).max() < 0.12
     assert (posed.box == mirrored.box).all() and np.linalg.det(

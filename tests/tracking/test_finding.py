@@ -14,6 +14,7 @@ from glsplat.tracking.calibration import found_size
 from glsplat.tracking.finding import POSTURE, Finder
 from glsplat.tracking.solve.body import FEET, TURNS_AT, Body
 from glsplat.tracking.solve.quat import rotate, sub, to_quat
+from glsplat.tracking.solvers import SolverName
 from tests.tracking.moves import Stage, Track, seconds
 from tools.data.sizes import found, persons
 
@@ -87,6 +88,26 @@ def test_a_tracker_finds_it_and_forgets_it_for_the_next_user(skeleton: Skeleton,
     assert tracker.calibration == Calibration(automatic=True)
     tracker.update(stage.sample(0.0, head=(0.0, height, 0.1)))
     assert tracker.calibration.scale == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("solver", ["learned", "analytic"])
+def test_who_is_taller_does_not_begin_on_tiptoe(skeleton: Skeleton, stage: Stage, solver: SolverName) -> None:
+    tracker = Tracker(skeleton, Calibration(automatic=True), solver=solver)
+    height = 1.04 * stage.body.eye_height  # that the avatar reaches on its toes alone
+    ankles = [skeleton.names.index(f"{side}_ankle") for side in ("left", "right")]
+    for t in seconds(2.0, 1 / RATE):
+        bones = tracker.update(stage.sample(t, head=(0.0, height, 0.1))).bones(skeleton)[ankles]
+        places = np.einsum("nij,nj->ni", bones[:, :3, :3], skeleton.joints[ankles]) + bones[:, :3, 3]
+        assert (places[:, 1] < skeleton.joints[ankles, 1] + 0.025).all()
+
+
+def test_who_once_looked_too_tall_is_not_kept_so(body: Body) -> None:
+    finder = Finder(body, 1.0)
+    scale = finder.update((0.0, 1.3 * body.eye_height, 0.0), (1.0, 0.0, 0.0, 0.0), [], 1 / RATE)  # a headset held up
+    assert scale > 1.3
+    for _ in range(6 * RATE):
+        scale = finder.update((0.0, POSTURE * body.eye_height, 0.0), (1.0, 0.0, 0.0, 0.0), [], 1 / RATE)
+    assert scale == pytest.approx(1.0, abs=0.02)
 
 
 def test_an_explicit_calibration_wins_and_its_file_keeps_what_is_found(

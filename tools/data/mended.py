@@ -7,7 +7,8 @@ python -m tools.data.mended AVATAR.glb PERSON.npz NAME OUT.glb [--touched top ..
 - Irises and whites as those of eyeballs.py, the skin of lids as lids.py has it.
 - What the face at rest lacks of the recipe's, and blinks that end where lids meet: by the splats' own shapes.
 - Brows of hairs, lashes, veils and lights of trimmings.py, instead of those that it has.
-- The surface, for light, and cones.
+- Corners of the mouth and teeth without dots of other colours (their splats are hardly seen by a fit).
+- The body fitted from above and below, too (around.py), so that nothing shows through; the surface, and cones.
 
 Levels are made anew, of as many splats as those that it has or as are asked for: so what is mended is in them, too.
 """
@@ -42,6 +43,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
+from tools.data.around import fitted_around
 from tools.data.lids import lid_corners
 from tools.data.persons import (
     AT_REST,
@@ -66,6 +68,9 @@ _EXACT = 0.002  # of 1: the colours of what trimmings.py adds, which no fit has 
 _LIKE, _ALIKE = 0.14, 0.4  # of 1, from the line between the dark and the bright colours of the part, which is nearest
 _DIM = 0.03  # of 1; of darker colours no ratio is taken
 _BROW, _DARK, _NEEDLE = 0.005, 0.6, 5.0  # metres about brows; of the skin's light; how much longer than wide
+CORNERS = ("mouthDimpleLeft", "mouthDimpleRight")
+_CORNER, _NEIGHBOURS = 0.015, 7  # metres about what these move most; splats whose middle colour is taken
+_LIP, _ENAMEL, _TOOTH = 0.48, 1.06, 0.001  # of red: green or blue of a lip at least, green of a tooth at most; metres
 _SKIN, _OFF = 0.004, 0.3  # metres from a lid, and of 1 from its colour: what is farther is a brow or lies behind
 
 
@@ -84,7 +89,7 @@ def mended(avatar: Avatar, mesh: RiggedMesh, recipe: Recipe, touched: Sequence[s
     avatar = _with_eyes(avatar, made, avatar.meta.get(EYES_OF, f"1 {recipe.iris.split()[-1]}"))
     if recipe.lids:
         avatar = _with_lids(avatar, made)
-    avatar = trimmed(_without_brows(avatar, made), made, recipe)
+    avatar = _with_mouth(trimmed(_without_brows(avatar, made), made, recipe), made)
     return replace(_as_many(avatar, count, made), meta=dict(avatar.meta) | noted), made
 
 
@@ -156,6 +161,25 @@ def _with_lids(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
     ball = np.any([_on_ball(avatar, eye) for eye in EYES], axis=0)
     mine = (distance < _SKIN) & alike & ~ball[near]
     sh[near[mine], 0] = colours[mine]
+    return replace(avatar, splats=replace(avatar.splats, sh=sh))
+
+
+def _with_mouth(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
+    """Corners of the mouth and teeth in their own colours: what a fit hardly sees, is bright red there or green."""
+    assert mesh.morphs is not None
+    means, sh, teeth = avatar.splats.means.astype(np.float64), np.array(avatar.splats.sh), part_of(mesh, "teeth")
+    red, green, blue = (sh[:, 0] * SH_C0 + 0.5).T
+    dots = np.maximum(green, blue) < _LIP * red
+    for name in CORNERS:
+        shape = Pose(np.zeros((len(mesh.skeleton), 3)), expression={name: 1.0})
+        corner = mesh.vertices[np.linalg.norm(mesh.morphs.moved(shape, len(mesh.vertices)), axis=1).argmax()]
+        near = np.linalg.norm(means - corner, axis=1) < _CORNER
+        mine, lip = np.flatnonzero(near & dots), np.flatnonzero(near & ~dots)
+        sh[mine] = np.median(sh[lip[cKDTree(means[lip]).query(means[mine], k=_NEIGHBOURS)[1]]], axis=1)
+    near = np.flatnonzero(cKDTree(mesh.vertices[teeth.faces].mean(axis=1)).query(means)[0] < _SKIN)
+    _, distance, face, weights = nearest_on(mesh.vertices, teeth.faces, means[near])
+    odd = (distance < _TOOTH) & (green > _ENAMEL * red)[near]
+    sh[near[odd], 0] = _sampled(teeth, face, weights)[odd]
     return replace(avatar, splats=replace(avatar.splats, sh=sh))
 
 
@@ -250,6 +274,7 @@ def main() -> None:
     levels = [len(one.content.splats) for one in found.levels] if options.levels is None else options.levels
     avatar, mesh = mended(found, read_person(options.person), PEOPLE[options.name], options.touched)
     with progress_bar() as show:
+        avatar = fitted_around(avatar, mesh, show)
         if levels:
             avatar = with_levels(avatar, levels, steps=LEVEL_STEPS, progress=show)
         avatar = with_surface(with_cones(avatar, progress=show), mesh)

@@ -37,6 +37,7 @@ from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.splats import normalised
+from tools.data.around import fitted_around
 from tools.data.brows import raised_brows
 from tools.data.lids import even_lids
 from tools.data.touched import calmer, darker_palms, fair_ends, plain_sleeves, toned, without_dots
@@ -222,11 +223,10 @@ def main() -> None:
     mesh, blink = furnished(read_person(options.person), recipe)
     with progress_bar() as show:
         avatar = made(mesh, options.splats, options.steps, recipe, show)
+        avatar = fitted_around(avatar, mesh, show)
         if options.levels:
-            avatar = with_cones(
-                with_levels(avatar, options.levels, steps=options.level_steps, progress=show), progress=show
-            )
-        avatar = with_surface(avatar, mesh)
+            avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
+        avatar = with_surface(with_cones(avatar, progress=show), mesh)
     save(small(replace(avatar, meta=about(recipe, blink))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 

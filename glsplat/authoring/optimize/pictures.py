@@ -63,7 +63,6 @@ _LIDS, _LIPS = ("eyeBlinkLeft", "eyeBlinkRight"), ("mouthFunnel", "mouthPucker")
 _REGIONS = {"lids": _LIDS, "lips": _LIPS}
 _STIRRED = 0.001  # metres; what an expression moves less is not its region
 _LEAST = 1e-3  # tangent of half an angle of view: a hand of one splat has no extent
-_LEVELS = (-12, 8, 30)  # degrees from which bodies are looked at, in turn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +74,8 @@ class ViewConfig:
     each: int = 2  # pictures of a pose
     size: int = 768  # pixels a side of a whole body
     close: int = 384  # of a head, a hand or a foot, and of a face with an expression
+    up: tuple[float, ...] = (-12, 8, 30)  # degrees from which bodies in the zero pose are looked at, in turn
+    spread: float = 15.0  # degrees that those of other poses scatter
 
 
 _LOOKS = ViewConfig(body=12, poses=0, size=384, close=192)
@@ -228,7 +229,9 @@ def _eight_bits(picture: NDArray[np.floating]) -> U8:
 def _views(subject: _Subject, rng: np.random.Generator, config: ViewConfig) -> Iterator[TargetView]:
     names, points, strongest, posed_points, regions = subject
     for k in range(config.body):
-        yield TargetView(_camera(points, 360 * k / config.body, _LEVELS[k % 3], config.size, 3.0), points, None)
+        yield TargetView(
+            _camera(points, 360 * k / config.body, config.up[k % len(config.up)], config.size, 3.0), points, None
+        )
     for wanted, sides in _CLOSE_UPS:
         some = points[np.array([name.startswith(wanted) for name in names])[strongest]]
         for around, up in sides if len(some) else ():
@@ -240,7 +243,7 @@ def _views(subject: _Subject, rng: np.random.Generator, config: ViewConfig) -> I
         posed = np.asarray(posed_points(pose), np.float64)
         for j in range(config.each):
             turned = 360 * (k / config.poses + j / config.each) + rng.uniform(-15, 15)
-            yield TargetView(_camera(posed, turned, float(rng.normal(5, 15)), config.size, 3.0), posed, pose)
+            yield TargetView(_camera(posed, turned, float(rng.normal(5, config.spread)), config.size, 3.0), posed, pose)
 
 
 def _faces(subject: _Subject, config: ViewConfig) -> Iterator[TargetView]:

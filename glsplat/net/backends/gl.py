@@ -151,6 +151,7 @@ class RendererBackend:
             coarsest=stats.coarsest,
             posed=stats.posed,
             box=one.box(request),
+            feet=one.feet(request),
             depth=depth,
         )
 

@@ -30,6 +30,8 @@ __all__ = ["KEPT", "RendererPool", "SceneRenderer"]
 KEPT = 4
 """Renderers at most: the default avatar with and without its head, and two others."""
 
+FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
+
 _KEPT_BYTES = 2**29  # of the GPU's memory, by those that are not in use
 
 Key = tuple[str, tuple[str, ...] | None]
@@ -84,9 +86,7 @@ class SceneRenderer:
         if self._extent is None:
             self._extent = _extent(avatar)
         posed = checked_pose(item.pose if pose is None else pose, len(avatar.skeleton), "avatar")
-        bones = item.transform[:3, :3] @ posed.bones(avatar.skeleton)
-        bones[:, :, 3] += item.transform[:3, 3]
-        box = self._extent.box(bones)
+        box = self._extent.box(_standing(item.transform, posed.bones(avatar.skeleton)))
         if box is None:
             return None
         weights = avatar.weights(posed) if isinstance(avatar, Avatar) else None
@@ -94,6 +94,22 @@ class SceneRenderer:
             size = float(np.cbrt(np.linalg.det(item.transform[:3, :3])))
             box = box + size * avatar.shapes.farthest(weights) * np.array([[-1.0], [1.0]])
         return tuple(box.ravel().tolist())
+
+    def feet(self, request: RenderJob) -> tuple[float, ...] | None:
+        """x, y, z, metres, of what the one avatar stands on (FEET); None without them, or where not asked for."""
+        item = self._item
+        if item is None or not request.options.box:
+            return None
+        assert is_rigged(item.content)
+        skeleton = item.content.skeleton
+        if not set(FEET) <= set(skeleton.names):
+            return None
+        joints = [skeleton.names.index(name) for name in FEET]
+        posed = checked_pose(item.pose if request.pose is None else request.pose, len(skeleton), "avatar")
+        bones = _standing(item.transform, posed.bones(skeleton))[joints]
+        return tuple(
+            (np.einsum("nij,nj->ni", bones[:, :, :3], skeleton.joints[joints]) + bones[:, :, 3]).ravel().tolist()
+        )
 
     def release(self) -> None:
         """Delete what draws it."""
@@ -171,6 +187,13 @@ def _without(item: Item | None, parts: tuple[str, ...]) -> Item:
     for part in parts:
         avatar = avatar.without(part)
     return Item(avatar, pose=item.pose, transform=item.transform, name=item.name)
+
+
+def _standing(transform: NDArray[np.float64], bones: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[J, 3, 4] bones in the scene."""
+    placed: NDArray[np.float64] = transform[:3, :3] @ bones
+    placed[:, :, 3] += transform[:3, 3]
+    return placed
 
 
 def _extent(figure: Rigged) -> Extent:

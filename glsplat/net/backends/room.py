@@ -126,6 +126,8 @@ class RoomRenderer:
     def box(self, job: RenderJob) -> None:
         """Nothing: there are several."""
 
+    feet = box
+
     def release(self) -> None:
         """Delete what draws it."""
         self.renderer.release()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
@@ -64,7 +64,8 @@ class Frame:
     error: tuple[str, str] = ("", "")  # code and message in that case
     notes: tuple[str, ...] | None = None  # of the tracking solver
     drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
-    box: list[float] | None = None  # of the avatar in the client's room, where it was asked for
+    places: Mapping[str, list[float]] = field(default_factory=dict)
+    """"box" and "feet" of the avatar in the client's room, where they were asked for."""
     depth: tuple[DepthGrid, ...] = ()  # of its eyes, in the client's metres, where it was asked for
     ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
     detail: Detail = FULL  # less than was asked for, where a rate is held
@@ -104,8 +105,7 @@ class Frame:
             info["drawn"] = drawn
         if channel.shown.still and request.pose is not None:
             info["still"] = channel.shown.still
-        if self.box is not None:
-            info["box"] = self.box
+        info |= self.places
         if self.depth:
             info["depth"] = DepthGrid.fields(self.depth)
         if any(self.levels) or self.detail != FULL:

@@ -204,6 +204,7 @@ class RemoteLoop(RenderLoop):
             coarsest=said.coarsest,
             posed=said.posed,
             box=said.box,
+            feet=said.feet,
             depth=said.depth,
         )
         self._note(frame, rendered, start, scale, floor)

@@ -90,6 +90,7 @@ class Drawn(msgspec.Struct, array_like=True, frozen=True):
     posed: int
     box: tuple[float, ...] | None
     depth: tuple[DepthGrid, ...] = ()
+    feet: tuple[float, ...] | None = None
 
 
 class Failed(msgspec.Struct, array_like=True, frozen=True):

@@ -97,8 +97,8 @@ class _Worker:
             self._send(pack(Kind.FAILED, number, failure_of(error, text)))
             return
         timings = {name: float(ms) for name, ms in rendered.timings.items()}
-        levels, box = tuple(map(int, rendered.levels)), rendered.box
-        drawn = Drawn(len(rendered.images), timings, levels, rendered.coarsest, rendered.posed, box, rendered.depth)
+        levels, said = tuple(map(int, rendered.levels)), (rendered.box, rendered.depth, rendered.feet)
+        drawn = Drawn(len(rendered.images), timings, levels, rendered.coarsest, rendered.posed, *said)
         self._send(pack(Kind.DRAWN, number, drawn))
         self._encode_threads.submit(self._encode, number, rendered, job)
 

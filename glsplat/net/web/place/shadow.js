@@ -24,6 +24,16 @@ export function below([x, , z, qx, qy, qz, qw]) {
   return [x + (BACK * across) / length, z + (BACK * along) / length];
 }
 
+/**
+ * Of who stands on `feet` [x, y, z of left ankle, left ball, right ankle, right ball], moved by `shown`: of each, and a
+ * wide one of the body between them.
+ */
+export function fromFeet(feet, shown) {
+  const points = [0, 3, 6, 9].map((i) => movePoint(shown, feet.slice(i, i + 3)));
+  const [x, y, z] = [0, 1, 2].map((k) => points.reduce((sum, point) => sum + point[k] / 4, 0));
+  return [...fromJoints(points), blob(x, Math.max(y, 0) + 0.25, z, 0.3, 0.55)];
+}
+
 /** Of a box [x0, y0, z0, x1, y1, z1] alone, moved by `shown`; `root`: [x, z] where the body's middle is known. */
 export function fromBox(box, shown, root = null) {
   const [x, z] = root ?? [(box[0] + box[3]) / 2, (box[2] + box[5]) / 2];

@@ -3,7 +3,7 @@
 import { onWire, turned } from '../draw/light.js';
 import { lightOf } from '../place/light.js';
 import { LOOKS } from '../place/looks.js';
-import { below, fromBox, fromPlaces } from '../place/shadow.js';
+import { below, fromBox, fromFeet, fromPlaces } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
 import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
@@ -139,8 +139,9 @@ export class Stage {
     if (this.settings.get('place') === 'plain') return [];
     const shown = where.glass ? IDENTITY : where.shown; // a mirror shows the floor under its user
     if (here && this.here.people.size) return this.here.shadows(shown, now);
-    const { box, room } = this.painter.hasPair ? this.info : {};
+    const { box, feet, room } = this.painter.hasPair ? this.info : {};
     if (room) return fromPlaces(standing(room), shown);
+    if (feet) return fromFeet(feet, shown);
     const trans = pose?.trans;
     const root = trans ? [trans[0], trans[2]] : tracking?.head ? below(tracking.head) : null;
     return box ? fromBox(box, shown, root) : [];
