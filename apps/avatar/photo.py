@@ -132,7 +132,7 @@ def _one(args: argparse.Namespace) -> int:
         maker = named(args.using)  # a name that nobody knows is said before the pictures are looked at
         if mesh and not isinstance(maker, MeshReconstructor):
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
-        if not mesh:
+        if not mesh and args.using == "builtin":
             aside(ready)  # while networks read the pictures
         shots = _shots(args, show)
         done: Reconstruction | MeshReconstruction | None = None

@@ -21,7 +21,7 @@ from glsplat.authoring.paint.twins import Front, Twins, find_twins
 from glsplat.authoring.paint.unseen.cloth import Cloth, cloth_of
 from glsplat.authoring.paint.unseen.ground import Ground
 from glsplat.authoring.paint.unseen.sleeves import cut_sleeves
-from glsplat.authoring.threads import abreast
+from glsplat.authoring.threads import abreast, aside
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -143,15 +143,16 @@ def painter_of(
     Light and cloth are found on ``points``, which should lie evenly over the surface.
     """
     front = shots[0]
+    seen_from_afar = aside(lambda: Front(front.mesh))
     sight = front.look(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
     cloth = cloth_of(body, front, points, sight, light.shade(normals))
-    plain, seen = _smooth_colours(body, shots, light, cloth), Front(front.mesh)
+    head = aside(lambda: back_of_head(body, front, light, cloth.nape))
+    plain, seen = _smooth_colours(body, shots, light, cloth), seen_from_afar()
     twins, span = find_twins(front.mesh, trunk_of(body), seen), cloth.patterned
     sleeves = None if span is None else cut_sleeves(front.mesh, seen, span)
-    head = back_of_head(body, front, light, cloth.nape)
-    return Painter(body, shots, looks or {}, light, cloth, plain, twins, head, sleeves, _aside(body, front))
+    return Painter(body, shots, looks or {}, light, cloth, plain, twins, head(), sleeves, _aside(body, front))
 
 
 def _aside(body: Body, shot: FittedPicture) -> F64:

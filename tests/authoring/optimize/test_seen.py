@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -88,7 +90,7 @@ def test_the_same_bytes_come_of_any_number_of_cores(monkeypatch: pytest.MonkeyPa
 
 def test_loading_beforehand_loads_all_that_looking_needs(monkeypatch: pytest.MonkeyPatch) -> None:
     ready()
-    kernels = project, list_entries, shared, agreed
+    kernels: tuple[Any, ...] = project, list_entries, shared, agreed
     before = [len(kernel.signatures) for kernel in kernels]
     avatar, _, normals, occlusion = cheek()
     as_seen(avatar, normals, occlusion)

@@ -78,6 +78,22 @@ def test_colours_alone_are_those_of_the_whole_paint() -> None:
         assert np.abs(painter.colours(few) - painted.rgb[some]).max(initial=0) < 1e-5
 
 
+def test_blocks_on_any_number_of_cores_are_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = photographed("front")
+    points = some_points(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    whole, found = painter.paint(points), set()
+    monkeypatch.setattr("glsplat.authoring.paint.paint._BLOCK", len(points.corners) // 3 - 7)
+    for count in (1, 3):
+        monkeypatch.setattr("glsplat.authoring.threads.cores", lambda count=count: count)
+        parts = painter.paint(points)
+        for name in ("rgb", "seen", "busy"):
+            assert np.allclose(getattr(parts, name), getattr(whole, name), atol=2e-6)
+        found.add(parts.rgb.tobytes() + parts.seen.tobytes() + parts.busy.tobytes())
+    assert len(found) == 1
+    assert painter.paint(points.take(slice(0, 0))).rgb.shape == (0, 3)
+
+
 def test_no_third_colour_shows_between_head_neck_and_back() -> None:
     scene = photographed("front")
     points = even_points(scene.mesh, 40_000)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.paint.scatter import scatter
@@ -32,6 +33,19 @@ def test_each_lip_s_splats_go_with_their_own_lip() -> None:
     upper, lower = colour[:, 2] - colour[:, 0] > 0.9, colour[:, 0] - colour[:, 2] > 0.9
     assert lower.sum() > 60 and upper.sum() > 3000
     assert moved[upper].max() < 0.006 and moved[lower].min() > 0.009
+
+
+def test_any_number_of_cores_gives_the_same_splats(monkeypatch: pytest.MonkeyPatch) -> None:
+    strewn, found = scatter(person(), 900, np.random.default_rng(3)), set()
+    rgb = np.random.default_rng(6).random((len(strewn.faces), 3))
+    for count in (1, 3):
+        monkeypatch.setattr("glsplat.authoring.threads.cores", lambda count=count: count)
+        avatar = strewn.avatar(person(), rgb, rgb[:, 0], np.random.default_rng(2))
+        made = avatar.splats
+        arrays = made.means, made.quats, made.scales, made.sh, avatar.skin.joints, avatar.skin.weights
+        found.add(b"".join(one.tobytes() for one in arrays))
+    assert len(found) == 1
+    assert np.allclose(avatar.skin.weights.sum(axis=1), 1, atol=1e-5)
 
 
 def test_a_body_without_expressions_has_no_shapes() -> None:

@@ -20,6 +20,7 @@ from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
 from glsplat.authoring.paint.unseen.ground import BARE, Ground
 from glsplat.authoring.paint.unseen.pattern import goes_around
 from glsplat.authoring.paint.unseen.rows import ALIKE, FEWEST, STEP, TOLERANCE, Rows, most_of, rows_of, steady
+from glsplat.authoring.threads import abreast
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Cloth", "cloth_of"]
@@ -165,8 +166,9 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     skin = _bright(look[face]) if face.sum() > 2 * FEWEST else None
     shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
     armpit = float(shoulder.mean()) - _ARMPIT
-    rows: list[Rows | None] = []
-    for number, (_, axis, other) in enumerate(_REGIONS):
+
+    def row_of(number: int) -> Rows | None:
+        _, axis, other = _REGIONS[number]
         own = region == number
         along = np.abs(rest[own, 0]) if axis == 0 else rest[own, 1]
         weight = trust * ((mine == number) + _LENT * (mine == (-1 if other is None else other)))
@@ -189,7 +191,9 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
             if number != _TRUNK and skin is not None:  # knees and elbows are no pattern
                 pattern &= np.linalg.norm(these.colour - skin, axis=1) > (BARE if number in _SLEEVES else _LIKE_SKIN)
             these = replace(these, pattern=pattern)
-        rows.append(these)
+        return these
+
+    rows = abreast(row_of, range(len(_REGIONS)))
     for left, right in _PAIRS:  # both sleeves, or both legs of trousers, are of the same cloth
         one, other_one = rows[left], rows[right]
         if one is not None and other_one is not None:
