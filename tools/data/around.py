@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def fitted_around(
     made = fitted(bare, still, 1, fit, progress)
     head = np.array([name.startswith(HEAD) for name in avatar.skeleton.names])
     kept = head[strongest_joint(avatar.skin.joints, avatar.skin.weights)]
-    splats = {}
+    splats: dict[str, Any] = {}
     for name in ("means", "quats", "scales", "opacities", "sh"):
         values = np.array(getattr(made.splats, name))
         values[kept] = getattr(bare.splats, name)[kept]

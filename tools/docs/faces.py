@@ -70,8 +70,8 @@ def main() -> None:
 
 
 def _shown(name: str) -> tuple[str, ...]:
-    """The expression, and the one that it is meant with: ``mouthClose`` alone pulls closed lips over each other."""
-    return (name, "jawOpen") if name == "mouthClose" else (name,)
+    """The expression, and the one that it is meant with: alone they pull closed lips over each other, or go through."""
+    return (name, "jawOpen") if name in ("mouthClose", "tongueOut") else (name,)
 
 
 def _avatar(name: str) -> Avatar:

@@ -43,7 +43,7 @@ def lid_colours(splats: Splats, places: F64, ball: Eyeball, edges: LidEdges) -> 
         return np.full((len(places), 3), 0.5) * shaded
     found, at, close = rgb[about], ways[about], np.exp(-beyond[about] / _NEAR)
     light = found.mean(axis=1)
-    hue = np.median(found[light >= np.quantile(light, _USUAL)], axis=0)  # lids have one
+    hue = np.median(found[light >= np.quantile(light, _USUAL)], axis=0).clip(1e-3)  # lids have one
     off = np.linalg.norm(found - hue, axis=1)
     alike = off <= max(_ALIKE, off.min())
     at, light, close = at[alike], light[alike], close[alike]

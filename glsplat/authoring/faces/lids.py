@@ -38,7 +38,10 @@ _SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=0)  # nothing
 _SPLATS = 240  # of a lid
 _SOLID, _MARGIN = np.radians(7), np.radians(14)  # beyond the opening, up to which a lid is solid, and where it ends
 _BEHIND, _BEFORE, _GONE = 0.0045, 0.0012, 0.003  # metres from the lid's surface: at rest, shut, and what it covers
-_AWAY, _RIM = 0.10, np.radians(8)  # radians by which they are folded away from the opening at its edges, and over how many less
+_AWAY, _RIM = (
+    0.10,
+    np.radians(8),
+)  # radians by which they are folded away from the opening at its edges, and over how many less
 _OFF = 0.82  # radii of the eye that they keep from its middle: where a ball comes through lids it hides them
 _LARGER = 1.7  # times as large as they lie, so that they leave no gaps
 _GROWS = 2.5  # times its size at rest that a splat grows by
@@ -129,7 +132,8 @@ def _lid(avatar: Avatar, face: RiggedMesh, ball: Eyeball, edges: LidEdges, seed:
     scales = lid.splats.scales * np.where(np.arange(len(lid.splats)) < count, _LARGER, 1)[:, None]
     quats, smooth = lid.splats.quats, avatar.splats.antialias
     splats = Splats.create(lid.splats.means, quats, scales, solid, rgb=rgb, antialias=smooth)
-    before = np.where(np.arange(len(splats)) < count, _BEFORE, _FORE)[:, None]
+    ends = np.linspace(-1, 1, len(line.means)) ** 2  # at the corners lashes lie close
+    before = np.concatenate([np.full(count, _BEFORE), _FORE + ends * (_BEFORE - _FORE)])[:, None]
     where = np.concatenate([bary, along])[:, :, None], np.concatenate([mine[which], edge])
     return _folded(replace(lid, splats=splats), face, Opening(ball, edges), where, before)
 
@@ -147,7 +151,7 @@ def _line(ball: Eyeball, places: F64, edges: LidEdges) -> Extra:
     long = _ALONG * np.linalg.norm(step, axis=1)
     scales = np.stack([long, _THIN * (1 - 0.5 * middle), np.full(len(places), 0.3 * _THIN)], axis=1)
     colours = np.tile(LASH, (len(places), 1))
-    solid = _LASHED * (1 - 0.6 * middle**2)
+    solid = _LASHED * (1 - 0.85 * middle**2)
     return Extra(ball.centre + smooth, frames(step, smooth), scales, solid, colours, edges.upper_face)
 
 

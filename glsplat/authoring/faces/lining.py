@@ -1,4 +1,4 @@
-"""The lining of the open body's mouth, which its skin goes on into: where it begins, and how deep it is."""
+"""The lining of the open body's mouth, which its skin goes on into: where it begins, and how deep it goes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Lining:
     """Of the open body's V vertices."""
 
     inside: NDArray[np.bool_]  # [V] of the lining, its rim too
-    depth: F64  # [V] metres from the rim, straight; 0 elsewhere
+    far: F64  # [V] metres from the rim, straight
     lips: NDArray[np.bool_]  # [V] of what is seen of the lips
     upper: Indices  # [K] of the rim, from the person's right to their left
     lower: Indices
@@ -42,7 +42,9 @@ def mouth_lining() -> Lining:
     body = open_body()
     places, corner = np.unique(np.rint(body.uv.reshape(-1, 2) * 1e5), axis=0, return_inverse=True)
     ends = corner.reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2)
-    island = connected_components(coo_array((np.ones(len(ends)), ends.T), (len(places), len(places))), directed=False)[1]
+    island = connected_components(coo_array((np.ones(len(ends)), ends.T), (len(places), len(places))), directed=False)[
+        1
+    ]
     of = island[corner.reshape(-1, 3)[:, 0]]
     within = np.array([_middle_distance(body.vertices[body.faces[of == one]]) for one in range(of.max() + 1)])
     skin = np.array([body.skin[body.faces[of == one]].all() for one in range(of.max() + 1)])
@@ -56,7 +58,7 @@ def mouth_lining() -> Lining:
     rows = [rim[which][np.argsort(body.vertices[rim[which], 0])] for which in (~low, low)]
     return Lining(
         inside=frozen(inside),
-        depth=frozen(np.where(inside, far, 0)),
+        far=frozen(far),
         lips=frozen(~inside & body.skin & (far < _LIPS)),
         upper=frozen(rows[0]),
         lower=frozen(rows[1]),

@@ -11,9 +11,12 @@ from glsplat.authoring.cells import SamplerConfig
 from glsplat.authoring.faces.lining import mouth_lining
 from glsplat.authoring.faces.open_face import with_mouth
 from glsplat.authoring.faces.trimmings import Extra, added, joined
+from glsplat.authoring.fit.body import open_body
+from glsplat.authoring.importers import nearest_on
 from glsplat.authoring.surface import FEWEST, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
+from glsplat.splats import SH_C0
 
 __all__ = ["with_teeth"]
 
@@ -25,6 +28,9 @@ _SHADE = np.array((30, 10, 9)) / 255
 # metres from the rim of a lip, inwards, and how dark it is there: the upper lip shades more, as light comes from above
 _UPPER, _LOWER = ((0.0000, 0.40), (0.0016, 0.18)), ((0.0000, 0.30), (0.0016, 0.12))
 _BEHIND = 0.0030  # metres of the rim that shade lies; teeth are twice as deep
+_ABOUT, _APART = 0.02, 0.0015  # metres about the rims, and by which the lining is nearer than the skin outside
+_WITHIN = 0.014  # metres from the rim, over which the lining becomes as dark as it is
+_RIM, _DEEP = (0.55, 0.28, 0.27), (0.12, 0.045, 0.045)  # sRGB that it has at most, there and deep inside
 _SOFT = (0.0020, 0.0010, 0.0001)  # metres, standard deviations of a patch of shade
 
 
@@ -33,7 +39,7 @@ def with_teeth(avatar: Avatar, mesh: RiggedMesh, same: NDArray[np.intp], count: 
 
     ``same`` [V] as of ``open_face.matched``: the open body's vertices, which are the mesh's first, are themselves.
     """
-    shaded = _shaded(avatar, mesh)
+    shaded = _shaded(_darkened(avatar, mesh), mesh)
     left = max(count - (len(shaded.splats) - len(avatar.splats)), FEWEST)
     furnished = with_mouth(mesh, same)
     teeth = next(one for one in furnished.parts if one.name == "teeth")
@@ -43,6 +49,29 @@ def with_teeth(avatar: Avatar, mesh: RiggedMesh, same: NDArray[np.intp], count: 
     seen = ahead & (teeth.uv[:, :, 1].max(axis=1) < 1)  # no roots
     teeth = replace(teeth, faces=teeth.faces[seen], uv=teeth.uv[seen])
     return joined(shaded, make_avatar(replace(furnished, parts=(teeth,)), left, seed, _SAMPLER))
+
+
+def _darkened(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
+    """The avatar whose splats on the mouth's lining are no lighter than it is: a fit paints with what nobody sees."""
+    lining, splats = mouth_lining(), avatar.splats
+    rims = np.concatenate([lining.upper, lining.lower])
+    low, high = mesh.vertices[rims].min(axis=0) - _ABOUT, mesh.vertices[rims].max(axis=0) + _ABOUT
+    near = np.flatnonzero(splats.finite() & np.all((splats.means > low) & (splats.means < high), axis=1))
+    box = np.all((mesh.vertices > low - _ABOUT) & (mesh.vertices < high + _ABOUT), axis=1)
+    faces = mesh.faces[box[mesh.faces].all(axis=1) & (mesh.faces < len(lining.inside)).all(axis=1)]
+    within = np.all(lining.inside[faces], axis=1)
+    outside = faces[np.all(open_body().skin[faces], axis=1) & ~within]
+    if not len(near) or not within.any() or not len(outside):
+        return avatar
+    places = splats.means[near].astype(np.float64)
+    _, distance, which, bary = nearest_on(mesh.vertices, faces, places)
+    apart = nearest_on(mesh.vertices, outside, places)[1]
+    mine = within[which] & (apart > distance + _APART)
+    deep = ((bary[mine] * lining.far[faces[which[mine]]]).sum(axis=1, keepdims=True) / _WITHIN).clip(0, 1) ** 0.5
+    most = np.array(_RIM) * (1 - deep) + np.array(_DEEP) * deep
+    sh = splats.sh.copy()
+    sh[near[mine], 0] = np.minimum(sh[near[mine], 0], (most - 0.5) / SH_C0)
+    return replace(avatar, splats=replace(splats, sh=sh))
 
 
 def _shaded(avatar: Avatar, mesh: RiggedMesh) -> Avatar:

@@ -27,6 +27,10 @@ _TONGUE, _DEEP, _LIPS = (0.64, 0.34, 0.33), (0.10, 0.035, 0.035), (0.55, 0.30, 0
 _BACK, _UNDER = 0.3, 0.55  # share of light at the back of the tongue, and below it
 _WITHIN = 0.014  # metres from the lips' rim, over which the lining becomes as dark as it is
 _SHADED = 0.8  # of the lips' light, at their rim
+_TURNED, _AHEAD = (
+    0.005,
+    0.7,
+)  # metres from the rim, over which lips turn in; of a normal: what looks ahead so far is seen
 _SEEN = 0.3  # trust in a vertex's colour above which it tells of lips
 
 
@@ -35,13 +39,22 @@ def with_inside(body: Body, front: FittedPicture, looks: Mapping[str, EyeLook], 
     rgb, lining, corners = rgb.copy(), mouth_lining(), points.corners
     tongue = (~body.skin & ~np.isin(body.part, _EYES))[corners[:, 0]]
     rgb[tongue] = _tongue(body, _of(points, tongue))
-    within = lining.inside[corners].all(axis=1)
-    deep = (_of(points, within).at(lining.depth[:, None]) / _WITHIN).clip(0, 1) ** 0.5
-    rgb[within] = _SHADED * _lips(front) * (1 - deep) + np.array(_DEEP) * deep
+    within = np.all(lining.inside[corners], axis=1)
+    lips, turned = _lips(front), np.all(lining.far[corners] < 2 * _TURNED, axis=1) & ~within & ~tongue
+    deep = (_of(points, within).at(lining.far[:, None]) / _WITHIN).clip(0, 1) ** 0.5
+    rgb[within] = _SHADED * lips * (1 - deep) + np.array(_DEEP) * deep
+    rgb[turned] += _inwards(body, _of(points, turned)) * (lips - rgb[turned])
     if looks:
         eyes, colours = eye_colours(body, front, looks, points)
         rgb[eyes] = colours
     return rgb
+
+
+def _inwards(body: Body, points: SurfacePoints) -> F64:
+    """[M, 1] by how much points about a mouth that is shut are of lips that meet, which no picture shows."""
+    ahead = points.directions(vertex_normals(body.vertices, body.faces))[:, 2:]
+    close = 1 - points.at(mouth_lining().far[:, None]) / _TURNED
+    return np.asarray(close.clip(0, 1) ** 0.5 * ((_AHEAD - ahead) / _AHEAD).clip(0, 1) ** 0.5)
 
 
 def _of(points: SurfacePoints, some: NDArray[np.bool_]) -> SurfacePoints:

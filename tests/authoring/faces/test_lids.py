@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from glsplat import reference
+from glsplat.authoring.faces.blinks import BACK, BLINKS
 from glsplat.authoring.faces.eyeballs import Eyeball, eyeballs
-from glsplat.authoring.faces.given import moving_face
+from glsplat.authoring.faces.given import MovingFace, moving_face
+from glsplat.authoring.faces.lid_colours import lid_colours
 from glsplat.authoring.faces.lids import with_lids
-from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.openings import Opening, lid_edges
+from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -25,12 +28,16 @@ SKIN = np.array([0.7, 0.5, 0.4])
 
 
 @lru_cache(maxsize=1)
+def face() -> MovingFace:
+    return moving_face(person())
+
+
 def expressive() -> RiggedMesh:
-    return moving_face(person()).mesh
+    return face().mesh
 
 
 def eyes() -> list[Opening]:
-    return moving_face(person()).eyes
+    return face().eyes
 
 
 @lru_cache(maxsize=1)
@@ -76,7 +83,7 @@ def opening(ball: Eyeball) -> np.ndarray:
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_an_eye_that_is_shut_is_covered_by_skin_and_an_open_one_is_not(which: int) -> None:
-    ball = eyeballs(expressive(), "eyes")[which]
+    ball = eyes()[which].ball
     count = len(painted().splats)
     solid = lidded().splats.opacities[count:] > 0.7
     ways = opening(ball)
@@ -85,27 +92,76 @@ def test_an_eye_that_is_shut_is_covered_by_skin_and_an_open_one_is_not(which: in
         posed = shut(much)
         means, size = posed.means[count:][solid] - ball.centre, np.linalg.norm(posed.shapes[count:][solid], axis=1)
         far = np.linalg.norm(means, axis=1)
-        assert far[far < 0.03].min() > ball.radius  # never in the eye
-        apart = np.linalg.norm(ways[:, None] * far[None, :, None] - means, axis=2)
-        nearest.append((apart / np.maximum(size.max(axis=1), 1e-9)).min(axis=1))
+        before = far > ball.radius if not much else np.ones(len(far), bool)  # what is in the eye is not seen
+        apart = np.linalg.norm(ways[:, None] * far[None, before, None] - means[before], axis=2)
+        nearest.append((apart / np.maximum(size[before].max(axis=1), 1e-9)).min(axis=1))
+        if much:
+            assert far[far < 0.03].min() > ball.radius + BACK[2]  # before the eye, which draws back
     assert nearest[1].max() < 1.5  # standard deviations: something lies over every place
     lower = nearest[0][: len(ways) * 2 // 3]  # just below an upper lid's edge its own skin may be
     assert lower.min() > 1.5 and np.median(lower) > 5
 
 
-def test_a_lid_that_is_half_shut_is_before_the_eye() -> None:
+def test_a_lid_that_is_half_shut_is_before_the_eye_and_ends_above_the_lower_one() -> None:
     count, half = len(painted().splats), shut(0.5).means
     rest, whole = shut(0.0).means, shut(1.0).means
-    for ball in eyeballs(expressive(), "eyes"):
+    for ball, edges in eyes():
         mine = np.flatnonzero(np.linalg.norm(whole[count:] - ball.centre, axis=1) < 0.03) + count
-        assert np.linalg.norm(half[mine] - ball.centre, axis=1).min() > ball.radius
+        upper = mine[(whole - rest)[mine, 1] < -0.003]  # what comes down
+        assert len(upper) > 50
+        ways = half[upper] - ball.centre
+        assert np.linalg.norm(ways, axis=1).min() > ball.radius + 0.5 * BACK[2] - 0.001
+        assert np.median(edges.above(ways)[0]) > np.radians(4)
         assert (rest[mine, 1] - whole[mine, 1]).max() > 0.005
 
 
-def test_it_has_the_colour_of_the_skin_about_it_and_not_of_eyes_or_brows() -> None:
-    rgb = lidded().splats.sh[len(painted().splats) :, 0] * SH_C0 + 0.5
-    assert np.abs(rgb[:, 1:] - SKIN[1:]).max() < 0.03
-    assert rgb[:, 0].min() > 0.69 and rgb[:, 0].max() < 0.77
+def test_it_has_the_hue_of_the_skin_about_it_shaded_as_lids_are_and_not_of_eyes_or_brows() -> None:
+    ball, edges = eyes()[0]
+    count = len(painted().splats)
+    rgb = lidded().splats.sh[count:, 0].astype(np.float64) * SH_C0 + 0.5
+    skin = rgb.sum(axis=1) > 0.9  # not the lashes
+    assert 400 < skin.sum() < len(rgb) - 50
+    hue = rgb[skin] / rgb[skin].mean(axis=1, keepdims=True)
+    wanted = np.median(SKIN + np.array([[0, 0, 0], [0.06, 0, 0]]), axis=0)
+    assert np.abs(hue - wanted / wanted.mean()).max() < 0.05
+    light = rgb[skin].mean(axis=1) / SKIN.mean()
+    assert 0.74 < light.min() < 0.9 and light.max() < 1.06 and light.std() > 0.015  # not one even patch
+    ways = np.array([np.linspace(-0.002, 0.002, 9) * 0, np.linspace(-0.004, 0.009, 9), np.full(9, 0.018)]).T
+    across = lid_colours(painted().splats, ball.centre + ways, ball, edges).mean(axis=1)
+    assert across.min() < 0.93 * across.max()  # a crease above, or the shade of lashes below
+
+
+def test_brows_glasses_and_the_eye_s_own_colours_do_not_tell_of_lids() -> None:
+    """A brow, and every seventh splat; skin that gets lighter to one side does so on the lid, which has its shade."""
+    ball, edges = eyes()[0]
+    splats = painted().splats
+    ways = splats.means.astype(np.float64) - ball.centre
+    slope = 1 + 6 * ways[:, :1].clip(-0.03, 0.03)
+    rgb = np.where(ways[:, 1:2] > 0.017, 0.08, SKIN * slope)
+    strange = np.random.default_rng(5).random(len(rgb)) < 0.15
+    rgb[strange] = (0.75, 0.78, 0.9)
+    made = Splats.create(splats.means, splats.quats, splats.scales, splats.opacities, rgb=rgb.clip(0, 1))
+    sides = ball.centre + np.array([[-0.008, 0.001, 0.016], [0.008, 0.001, 0.016]])
+    first, second = lid_colours(made, sides, ball, edges)
+    wanted = SKIN.mean() * (1 + 6 * np.array([-0.008, 0.008]))
+    assert np.abs(np.array([first.mean(), second.mean()]) / wanted - 1).max() < 0.16
+    assert second.mean() > 1.04 * first.mean()
+
+
+def test_what_the_lid_covers_shrinks_and_a_line_of_lashes_comes_where_the_lids_meet() -> None:
+    count, made = len(painted().splats), lidded()
+    rest, whole = shut(0.0), shut(1.0)
+    size = [np.linalg.norm(one.shapes[:count], axis=1).max(axis=1) for one in (rest, whole)]
+    dark = made.splats.sh[count:, 0].sum(axis=1) * SH_C0 + 1.5 < 0.9
+    for ball, edges in eyes():
+        ways = whole.means[:count] - ball.centre
+        under = (np.linalg.norm(ways, axis=1) < 0.02) & (edges.beyond(ways) == 0) & (ways[:, 2] > 0)
+        assert under.any() and (size[1][under] < 0.5 * size[0][under]).all()
+        line = whole.means[count:][dark] - ball.centre
+        line = line[np.linalg.norm(line, axis=1) < 0.03]
+        low, _, aside = edges.above(line)
+        assert len(line) > 20 and np.quantile(np.abs(low[aside < -0.2]), 0.9) < np.radians(8)
+        assert np.ptp(line[:, 0]) > 0.012
 
 
 def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
@@ -116,4 +172,22 @@ def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
     assert again.splats.means.tobytes() == lidded().splats.means.tobytes()
     gone = replace(painted().splats, means=np.full_like(painted().splats.means, 50.0))
     bare = with_lids(replace(painted(), splats=gone), expressive(), eyes())
-    assert np.allclose(bare.splats.sh[count:, 0], 0, atol=1e-6)
+    grey = bare.splats.sh[count:, 0]
+    assert np.ptp(grey, axis=1).max() < 0.2 and np.median(np.abs(grey)) < 0.6
+
+
+def test_an_eye_whose_ball_comes_through_its_lids_gets_one_too() -> None:
+    """Fits of people who smile shut their lids within the ball, which is what is seen."""
+    mesh = person()
+    morphs = with_expressions(mesh, np.arange(len(mesh.vertices))).morphs
+    assert morphs is not None
+    blink = sum(morphs.dense(name, len(mesh.vertices)) for name in BLINKS)
+    squinting = replace(mesh, vertices=mesh.vertices + blink)
+    for ball in eyeballs(mesh, "eyes"):
+        ways = squinting.vertices - ball.centre
+        far = np.linalg.norm(ways, axis=1, keepdims=True)
+        lids = (np.linalg.norm(blink, axis=1) > 1e-4) & (far[:, 0] < 1.35 * ball.radius) & (ways[:, 2] > 0)
+        inner = lids & (np.abs(ways[:, 1] + 0.004) < 0.006)
+        squinting.vertices[inner] = ball.centre + (ways / far * 0.96 * ball.radius)[inner]
+    assert not any(len(lid_edges(squinting, ball).side) >= 8 for ball in eyeballs(squinting, "eyes"))
+    assert len(moving_face(squinting).eyes) == 2

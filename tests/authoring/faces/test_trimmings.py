@@ -10,14 +10,12 @@ import numpy as np
 from glsplat import reference
 from glsplat.authoring.faces.carry import deformed
 from glsplat.authoring.faces.eyeballs import eyeballs
-from glsplat.authoring.faces.given import FACE_SPLATS, moving_face, with_face
 from glsplat.authoring.faces.open_face import with_expressions
-from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.faces.openings import lid_edges, openings
+from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.faces.trimmings import VEIL, with_brow_hairs, with_lashes, with_strands
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0
 from tests.authoring.faces.figures import avatar_on, person

@@ -1,0 +1,128 @@
+"""The face that people from photographs get: lids, teeth, lips' shade, and how the mouth's inside is coloured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from glsplat import reference
+from glsplat.authoring.faces.enamel import painted
+from glsplat.authoring.faces.given import FACE_SPLATS, MovingFace, moving_face, with_face
+from glsplat.authoring.faces.lining import mouth_lining
+from glsplat.authoring.faces.open_face import open_face
+from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.fit.body import open_body
+from glsplat.avatar import Avatar
+from glsplat.skinning.expression import ARKIT
+from glsplat.skinning.pose import Pose
+from glsplat.splats import SH_C0
+from tests.authoring.faces.figures import avatar_on, person
+
+STILL = np.zeros((55, 3))
+
+
+@lru_cache(maxsize=1)
+def face() -> MovingFace:
+    return moving_face(person())
+
+
+@lru_cache(maxsize=1)
+def bare() -> Avatar:
+    return with_shapes(avatar_on(face().mesh), face().mesh)
+
+
+@lru_cache(maxsize=1)
+def faced() -> Avatar:
+    return with_face(bare(), face(), len(bare().splats) + FACE_SPLATS)
+
+
+def posed(**expression: float) -> reference.SkinnedSplats:
+    made = faced()
+    assert made.shapes is not None
+    weights = made.shapes.weights(expression)
+    return reference.skin(
+        made.splats, made.skin, Pose(STILL).bones(made.skeleton), shapes=made.shapes, expression=weights
+    )
+
+
+def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat_but_for_a_dark_mouth() -> None:
+    avatar, made = bare(), faced()
+    count = len(avatar.splats)
+    assert len(made.splats) == count + FACE_SPLATS
+    for key in ("means", "quats", "scales", "opacities"):
+        assert np.array_equal(getattr(made.splats, key)[:count], getattr(avatar.splats, key))
+    darker = np.flatnonzero(np.any(made.splats.sh[:count] != avatar.splats.sh, axis=(1, 2)))
+    assert 0 < len(darker) < 0.05 * count and (made.splats.sh[darker] <= avatar.splats.sh[darker]).all()
+    rim = face().mesh.vertices[mouth_lining().upper]
+    assert (avatar.splats.means[darker, 2] < rim[:, 2].max() + 0.001).all()  # of the mouth's inside
+    assert made.shapes is not None and sorted(made.shapes.names) == sorted(ARKIT)
+    assert set(np.unique(made.shapes.targets)) == set(range(52))
+    again = with_face(avatar, face(), count + FACE_SPLATS)
+    assert again.splats.means.tobytes() == made.splats.means.tobytes()
+
+
+def test_nothing_is_behind_closed_lips_that_stands_out_of_them_and_no_splat_becomes_a_string() -> None:
+    count = len(bare().splats)
+    middle = face().mesh.vertices[mouth_lining().upper].mean(axis=0)
+    rest, far = posed().means[count:], posed(jawOpen=1.0)
+    mouth = np.linalg.norm(rest - middle, axis=1) < 0.03
+    lips = face().mesh.vertices[np.flatnonzero(mouth_lining().lips)]
+    assert mouth.sum() > 400 and rest[mouth, 2].max() < lips[:, 2].max() - 0.002
+    size = [np.linalg.norm(one.shapes[count:][mouth], axis=1).max(axis=1) for one in (posed(), far)]
+    assert (size[1] / size[0]).max() < 1.5
+
+
+def test_teeth_are_told_apart_lighter_ahead_and_no_longer_than_crowns() -> None:
+    parts = open_face()
+    uv, texture = painted(parts.mouth, parts.faces, parts.tooth, parts.lower)
+    high, wide = texture.shape[:2]
+    column = np.clip((uv[..., 0] * wide).astype(int), 0, wide - 1)
+    row = np.clip(((1 - uv[..., 1]) * high).astype(int), 0, high - 1)
+    light = texture[row, column, :3].astype(float).mean(axis=2).mean(axis=1)
+    middle = parts.mouth[parts.faces].mean(axis=1)
+    ahead = parts.tooth & (np.abs(middle[:, 0]) < 0.005)
+    aside = parts.tooth & (np.abs(middle[:, 0]) > 0.018)
+    assert light[ahead].mean() > 1.8 * light[aside].mean()
+    between = ahead & (np.abs(middle[:, 0]) < 0.0006)
+    inside = ahead & (np.abs(np.abs(middle[:, 0]) - 0.0034) < 0.001)
+    assert light[between].mean() < 0.9 * light[inside].mean()
+    crown = parts.tooth & (uv[..., 1].max(axis=1) < 1)
+    upper = crown & ~parts.lower[parts.faces].any(axis=1) & (np.abs(middle[:, 0]) < 0.006)
+    assert 0.006 < np.ptp(parts.mouth[parts.faces[upper], 1]) < 0.0105
+    red, blue = texture[..., 0].astype(int), texture[..., 2].astype(int)
+    assert (np.abs(red - blue).max() < 90) and texture[..., :3].max() < 226  # no white
+
+
+def test_the_lining_is_what_nobody_sees_of_a_mouth_that_is_shut() -> None:
+    body, lining = open_body(), mouth_lining()
+    assert 300 < lining.inside.sum() < 600 and 0.08 < lining.far[lining.inside].max() < 0.11
+    deep = body.vertices[lining.inside & (lining.far > 0.01)]
+    lips = body.vertices[lining.lips]
+    assert deep[:, 2].max() < lips[:, 2].max() - 0.004 and not (lining.lips & lining.inside).any()
+    lowered = open_face().expressions.dense("jawOpen", len(body.vertices))[:, 1]
+    assert lowered[lining.lower].max() < -0.01 and lowered[lining.upper].min() > 2 * lowered[lining.lower].max()
+    rim = np.concatenate([lining.upper, lining.lower])
+    assert not lining.far[rim].any() and np.ptp(body.vertices[rim, 0]) > 0.04
+
+
+def test_lips_shade_what_is_behind_their_rims_and_go_with_them() -> None:
+    made, count = faced(), len(bare().splats)
+    rgb = made.splats.sh[count:, 0] * SH_C0 + 0.5
+    veils = np.flatnonzero(np.abs(rgb - np.array((30, 10, 9)) / 255).max(axis=1) < 2e-3) + count
+    assert len(veils) > 50 and made.shapes is not None
+    assert not made.shapes.bends[np.isin(made.shapes.rows, veils)].any()
+    moved = posed(jawOpen=1.0).means[veils] - posed().means[veils]
+    assert moved[:, 1].min() < -0.012 and np.abs(moved[:, 1]).min() < 0.004  # the lower lip's, and the upper one's
+
+
+def test_an_eye_that_is_shut_has_a_face_all_the_same() -> None:
+    mesh = face().mesh
+    assert mesh.morphs is not None
+    shut = mesh.morphs.dense("eyeBlinkLeft", len(mesh.vertices))
+    blind = MovingFace(
+        replace(mesh, vertices=mesh.vertices + shut), [eye for eye in face().eyes if "left" not in eye.ball.joint]
+    )
+    made = with_face(bare(), blind, len(bare().splats) + FACE_SPLATS)
+    assert len(made.splats) == len(bare().splats) + FACE_SPLATS
