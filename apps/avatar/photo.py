@@ -24,7 +24,7 @@ from glsplat.authoring.reconstruct.photos import (
 )
 from glsplat.authoring.reconstruct.reconstructor import Options, Progress
 from glsplat.authoring.reconstruct.registry import named, names
-from glsplat.authoring.threads import aside
+from glsplat.authoring.threads import aside, one_heap
 from glsplat.errors import CaptureError, FormatError
 
 from ..args import natural, positive
@@ -116,6 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _one(args: argparse.Namespace) -> int:
     began = time.perf_counter()
+    one_heap()
     if args.debug is not None:
         _make_folder(args.debug)
     if args.check:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -16,9 +16,11 @@ import scipy
 
 from glsplat.io.machine import cores
 
-__all__ = ["abreast", "aside", "one_blas_thread"]
+__all__ = ["abreast", "aside", "one_blas_thread", "one_heap"]
 
 _NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
+
+_ARENA_MAX = -8  # of malloc.h
 
 _lock = Lock()
 _inside: list[None] = []  # one of everybody who wants one thread
@@ -53,6 +55,15 @@ def aside(work: Callable[[], T]) -> Callable[[], T]:
     begun = pool.submit(work)
     pool.shutdown(wait=False)
     return begun.result
+
+
+def one_heap() -> None:
+    """From now on this process's threads share one heap of the C library, where that is glibc; else nothing happens.
+
+    Each keeps what its arrays have freed: with a heap a thread an avatar took a fifth more memory.
+    """
+    with suppress(AttributeError, OSError, TypeError):  # other C libraries, and Windows
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 @contextmanager

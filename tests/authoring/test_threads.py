@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from glsplat.authoring.threads import _openblas, abreast, aside, one_blas_thread
+from glsplat.authoring.threads import _openblas, abreast, aside, one_blas_thread, one_heap
 
 
 def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
@@ -35,6 +36,15 @@ def test_what_is_done_aside_is_waited_for_and_its_errors_come_through() -> None:
     assert result() == "done" == result()
     with pytest.raises(ZeroDivisionError):
         aside(lambda: 1 // 0)()
+
+
+def test_one_heap_is_asked_of_the_c_library_and_not_missed_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    libraries = [SimpleNamespace(mallopt=lambda *words: asked.append(words)), SimpleNamespace()]
+    for library in libraries:
+        monkeypatch.setattr("glsplat.authoring.threads.ctypes.CDLL", lambda name, library=library: library)
+        one_heap()
+    assert asked == [(-8, 1)]
 
 
 def test_products_are_on_one_core_meanwhile_and_as_before_afterwards() -> None:
