@@ -167,9 +167,10 @@ def follow_outlines(solver: BodySolver, rounds: int, moved: F64 | None = None) -
     ``moved`` [V, 3] metres is how far the surface lies off the bare body at rest, where that is known.
     """
     trust = _trust_of_parts(solver.body) if moved is None else np.ones(len(solver.body.vertices))
+    cloth = np.where(layers(solver.body) == TRUNK, _CLOTH, solver.sleeve)
     for _ in range(rounds):
         for index, view in enumerate(solver.views):
-            rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, view)
+            rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, cloth, view)
             solver.pull_to(index, rim, moved, weights)
             if apart(view.turn, 0.0) <= _FRONT and view.world is not None:  # from aside arms hide each other
                 solver.keep_before(index, *_shown_arms(solver.body, solver.posed(index), view))
@@ -225,12 +226,12 @@ def _shown_arms(body: Body, posed: PosedBody, view: View) -> tuple[NDArray[np.in
     return before_trunk(body, where, pixels, view.focal, view.mask.shape, view.visibility[list(_WRIST_MARKS)])
 
 
-def _pulled(rim: Rim, trust: F64, view: View) -> tuple[Rim, F64]:
+def _pulled(rim: Rim, trust: F64, cloth: F64, view: View) -> tuple[Rim, F64]:
     """At most _RIM_ROWS of a rim, evenly taken, and how much each counts."""
     some = np.unique(np.linspace(0, len(rim.vertices) - 1, min(_RIM_ROWS, len(rim.vertices))).astype(np.intp))
     rim = Rim(rim.vertices[some], rim.pixels[some], rim.normals[some], rim.gaps[some])
     share = rim.gaps / view.figure
-    outside = trust[rim.vertices] / (1 + (share / _CLOTH) ** 2)
+    outside = trust[rim.vertices] / (1 + (share / cloth[rim.vertices]) ** 2)
     weight = np.where(share > 0, outside, 1.2 / (1 + (share / _INSIDE) ** 2))
     return rim, weight * _RIM_WORTH * 100 / view.figure / np.sqrt(max(len(some), 1))
 

@@ -68,6 +68,7 @@ class PosePrior:
     turn: float = 0.0  # radians about the vertical, from what the view says
     turn_doubt: float = TURN_DOUBT[0]
     shape_doubt: float = SHAPE_DOUBT
+    sleeve: float = 0.008  # share of the figure: an arm's outline that lies farther off the bare arm says little of it
     start: F64 | None = None  # [D] radians where that is not the mean
     arms: ArmMixture | None = None  # what is known of arms instead
     bones: F64 | None = None  # [4, 3] unit vectors in camera axes along ARM_BONES, where a network has said them

@@ -71,6 +71,11 @@ class BodySolver:
         self._seen = [self._sided(index) for index in range(len(views))]
 
     @property
+    def sleeve(self) -> float:
+        """Share of the figure: an arm's outline that lies farther off the bare arm says little of it."""
+        return self._stance.sleeve
+
+    @property
     def betas(self) -> F64:
         """[BETAS] the shape."""
         return self.x[:BETAS]

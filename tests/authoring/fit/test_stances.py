@@ -23,6 +23,10 @@ ARMS = [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for na
 
 BELLY = {("left_shoulder", 2): -1.15, ("left_shoulder", 1): -0.2, ("left_elbow", 1): -1.5}
 OVER = BELLY | {("left_shoulder", 1): -0.6}  # all of the forearm is before the trunk
+CROSSED = OVER | {("left_shoulder", 0): 0.8, ("left_elbow", 1): -2.0}
+CROSSED |= {
+    (joint.replace("left", "right"), axis): -angle if axis else angle for (joint, axis), angle in CROSSED.items()
+}
 BACK = {
     ("left_shoulder", 2): -1.3,
     ("left_shoulder", 1): 0.9,
@@ -54,6 +58,26 @@ def test_arms_over_the_trunk(bent: dict[tuple[str, int], float], most: float) ->
     fit = fit_body([view], 1.7)
     assert fit.problem == "" and fit.views[0].overlap > 0.97
     assert arms_off(fit, posed) < most
+
+
+def test_sleeves_of_crossed_arms_keep_the_shoulders_wide() -> None:
+    view, posed, _ = posed_view(bent=CROSSED)
+    marks = view.landmarks.copy()
+    marks[[13, 14], 1] += 14  # 6.5 cm; a network has the elbows of crossed arms so much too low
+    worn = view.mask | beside_arms(open_body(), surface(posed)[1], view.mask.shape, 4)
+    fit = fit_body([View(worn, marks, view.visibility, FOCAL, world=view.world)], 1.7)
+
+    def width(joints: np.ndarray) -> float:
+        left, right = (joints[JOINT_NAMES.index(f"{side}_shoulder")] for side in ("left", "right"))
+        return float(np.linalg.norm(left - right))
+
+    assert width(fit.views[0].joints) == pytest.approx(width(posed.joints), abs=0.008)  # 0.013 with others' sleeves
+
+
+@pytest.mark.parametrize(("bent", "crossed"), [(CROSSED, True), (OVER, False), (DOWN, False), ({}, False)])
+def test_only_crossed_arms_are_taken_by_their_sleeves(bent: dict[tuple[str, int], float], crossed: bool) -> None:
+    posed, *others = stances_of(posed_view(bent=bent)[0], open_body())
+    assert [stance.sleeve > posed.sleeve for stance in others] == [crossed, crossed]
 
 
 def test_an_arm_before_the_trunk_is_not_found_without_metres() -> None:

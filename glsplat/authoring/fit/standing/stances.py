@@ -37,6 +37,8 @@ _TURNED = 60.0  # degrees between the shoulders' turn and the view's: a network 
 _LOOKS = 0.5  # radians that a head may be turned for the trunk to be taken to be turned like it
 _TURN = 0.1  # radians about the turn that metres and face have said
 _SHAPE = 0.8  # of shape, one standard deviation: where limbs fore-shorten, a stout body looks like knees that bend
+_CROSSED = 0.6  # so much across, each to the other side, do crossed forearms point
+_SLEEVES = 0.03, 0.008  # of the figure: of crossed arms, whose elbows' landmarks stray by 5 to 7 cm, and of others
 _FREE = 1.2  # radians that an angle may leave the mean for it
 _READ = {"shoulder": 0.35, "elbow": 0.35, "hip": 0.15, "knee": 0.15}  # radians about what was read
 _LOOSE: dict[tuple[str, int], float] = {
@@ -72,9 +74,11 @@ def stances_of(view: View, body: Body) -> tuple[PosePrior, ...]:
         ]
     )
     said = unit_vectors(np.array([_at(metres, end) - _at(metres, start) for start, end in ARM_BONES]))
-    read = PosePrior("read", angles, about, turn, _TURN, _SHAPE, bones=said)
+    crossed = said[1, 0] < -_CROSSED and said[3, 0] > _CROSSED
+    sleeve = _SLEEVES[0 if crossed else 1]
+    read = PosePrior("read", angles, about, turn, _TURN, _SHAPE, sleeve, bones=said)
     usual = np.where(legs, angles, MEAN)
-    return POSED, read, PosePrior("like others", usual, about, turn, _TURN, _SHAPE, angles, arm_mixture(), said)
+    return POSED, read, PosePrior("like others", usual, about, turn, _TURN, _SHAPE, sleeve, angles, arm_mixture(), said)
 
 
 def _faced(view: View, turn: float) -> float:
