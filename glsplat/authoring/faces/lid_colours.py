@@ -57,7 +57,7 @@ def lid_colours(splats: Splats, places: F64, ball: Eyeball, edges: LidEdges) -> 
         sure = (1 - (rest / (_DOUBT * spread)) ** 2).clip(1e-3, 1) ** 2
     here, usual = places - ball.centre, float(np.average(light, weights=sure * close))
     smooth = _terms(here, ball) @ np.linalg.solve(held.T @ terms + bent, held.T @ light)
-    smooth = smooth.clip(*(usual * share for share in _RANGE))
+    smooth = np.clip(smooth, usual * _RANGE[0], usual * _RANGE[1])
     below = here - (0, ball.radius * np.sin(0.5 * float(np.max(edges.upper - edges.lower)) + _APART), 0)
     fine = (rest / light.clip(0.05))[cKDTree(at[:, :2]).query(below[:, :2])[1]].clip(-_MOST, _MOST)
     return np.asarray((((smooth * (1 + _FINE * fine))[:, None] * (hue / hue.mean())) * shaded).clip(0, 1))
