@@ -16,7 +16,7 @@ F64 = NDArray[np.float64]
 
 _AROUND, _APART = 0.034, np.radians(8)  # metres from an eye's middle, and beyond the opening, where skin is looked for
 _NEAR = np.radians(20)  # beyond the opening, over which what is found there counts less and less
-_USUAL = 0.4  # of what lies around, darker than skin: brows, lashes, shade
+_USUAL = 0.6  # of what lies around, darker than skin: brows, lashes, shade
 _ALIKE = 0.18  # of 1, from the middle colour of the rest, by which skin may differ
 _ROUNDS, _DOUBT, _LEAST = 8, 2.5, 0.012  # of the fit; standard deviations that are skin; one of those at least
 _FAIR = 3.0  # times as many where it is lighter: shade, lashes and brows are dark
