@@ -16,10 +16,11 @@ F64 = NDArray[np.float64]
 
 _AROUND, _APART = 0.034, np.radians(8)  # metres from an eye's middle, and beyond the opening, where skin is looked for
 _NEAR = np.radians(20)  # beyond the opening, over which what is found there counts less and less
-_USUAL = 0.4  # of what lies around, darker than skin: brows, lashes, shade
+_USUAL = 0.6  # of what lies around, darker than skin: brows, lashes, shade
 _ALIKE = 0.18  # of 1, from the middle colour of the rest, by which skin may differ
 _ROUNDS, _DOUBT, _LEAST = 8, 2.5, 0.012  # of the fit; standard deviations that are skin; one of those at least
 _FAIR = 3.0  # times as many where it is lighter: shade, lashes and brows are dark
+_RANGE = 0.84, 1.12  # of the skin's mean light, that a lid has: a quadratic runs away where nothing holds it
 _FINE, _MOST = 0.7, 0.08  # share of the skin's own variation, and how much of its light that is at most
 _CREASE = 0.16, 0.0014, 0.0012  # how dark, metres above the opening, and how wide
 _EDGE = 0.10, 0.0012  # how dark the skin is at the lashes, and over how many metres
@@ -54,10 +55,9 @@ def lid_colours(splats: Splats, places: F64, ball: Eyeball, edges: LidEdges) -> 
         rest = light - terms @ np.linalg.solve(held.T @ terms + bent, held.T @ light)
         spread = max(float(np.median(np.abs(rest))), _LEAST) * np.where(rest < 0, 1, _FAIR)
         sure = (1 - (rest / (_DOUBT * spread)) ** 2).clip(1e-3, 1) ** 2
-    here = places - ball.centre
-    smooth = (_terms(here, ball) @ np.linalg.solve(held.T @ terms + bent, held.T @ light)).clip(
-        *np.quantile(light, (0.1, 0.95))
-    )
+    here, usual = places - ball.centre, float(np.average(light, weights=sure * close))
+    smooth = _terms(here, ball) @ np.linalg.solve(held.T @ terms + bent, held.T @ light)
+    smooth = np.clip(smooth, usual * _RANGE[0], usual * _RANGE[1])
     below = here - (0, ball.radius * np.sin(0.5 * float(np.max(edges.upper - edges.lower)) + _APART), 0)
     fine = (rest / light.clip(0.05))[cKDTree(at[:, :2]).query(below[:, :2])[1]].clip(-_MOST, _MOST)
     return np.asarray((((smooth * (1 + _FINE * fine))[:, None] * (hue / hue.mean())) * shaded).clip(0, 1))

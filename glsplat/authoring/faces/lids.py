@@ -53,8 +53,8 @@ _STIRRED = 0.002  # metres that a blink moves what lies on a lid
 _LEAST = 1e-4  # metres; what moves a splat less is left out
 _FEWEST = 8
 _AROUND = 0.027  # metres from an eye's middle, as far as lids reach
-_THIN, _ALONG, _EVEN = 0.00045, 0.9, 9  # of the lash line: metres, steps along it, steps that it is smoothed over
-_FORE, _LASHED, _DARK = 0.0042, 0.8, 0.75  # metres from the lid, opacity, and how far it has the colour of lashes
+_THIN, _ALONG, _EVEN = 0.0006, 0.9, 9  # of the lash line: metres, steps along it, steps that it is smoothed over
+_FORE, _LASHED, _DARK = 0.0042, 0.9, 0.9  # metres from the lid, opacity, and how far it has the colour of lashes
 
 
 def with_lids(avatar: Avatar, face: RiggedMesh, eyes: Sequence[Opening], seed: int = 0) -> Avatar:
@@ -132,7 +132,7 @@ def _lid(avatar: Avatar, face: RiggedMesh, ball: Eyeball, edges: LidEdges, seed:
     scales = lid.splats.scales * np.where(np.arange(len(lid.splats)) < count, _LARGER, 1)[:, None]
     quats, smooth = lid.splats.quats, avatar.splats.antialias
     splats = Splats.create(lid.splats.means, quats, scales, solid, rgb=rgb, antialias=smooth)
-    ends = np.linspace(-1, 1, len(line.means)) ** 2  # at the corners lashes lie close
+    ends = np.linspace(-1, 1, len(line.means)) ** 4  # at the corners lashes lie close
     before = np.concatenate([np.full(count, _BEFORE), _FORE + ends * (_BEFORE - _FORE)])[:, None]
     where = np.concatenate([bary, along])[:, :, None], np.concatenate([mine[which], edge])
     return _folded(replace(lid, splats=splats), face, Opening(ball, edges), where, before)

@@ -191,3 +191,16 @@ def test_an_eye_whose_ball_comes_through_its_lids_gets_one_too() -> None:
         squinting.vertices[inner] = ball.centre + (ways / far * 0.96 * ball.radius)[inner]
     assert not any(len(lid_edges(squinting, ball).side) >= 8 for ball in eyeballs(squinting, "eyes"))
     assert len(moving_face(squinting).eyes) == 2
+
+
+def test_a_lid_is_as_light_as_skin_though_it_is_seen_on_one_side_alone() -> None:
+    ball, edges = eyes()[1]
+    splats = painted().splats
+    ways = splats.means.astype(np.float64) - ball.centre
+    light = (1 + 25 * ways[:, 1:2].clip(-0.03, 0.03)) * SKIN
+    rgb = np.where(ways[:, 1:2] > -0.004, 0.02, light)
+    made = Splats.create(splats.means, splats.quats, splats.scales, splats.opacities, rgb=rgb.clip(0, 1))
+    at = np.stack(np.meshgrid([-0.01, 0, 0.01], [-0.004, 0.002, 0.009], [0.016]), axis=-1).reshape(-1, 3)
+    lids = lid_colours(made, ball.centre + at, ball, edges).mean(axis=1)
+    around = light[(ways[:, 1] < -0.004) & (np.linalg.norm(ways, axis=1) < 0.03)].mean()
+    assert 0.6 < lids.min() / around and lids.max() / around < 1.35
