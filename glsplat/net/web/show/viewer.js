@@ -55,8 +55,9 @@ export class Viewer {
     this.#handle = 0;
   }
 
-  #frame(now) {
+  #frame(begun) {
     this.#handle = requestAnimationFrame((later) => this.#frame(later));
+    const now = Math.max(begun, this.#asked); // a frame may have begun before what was asked between two
     if (this.rests() && now - this.#drawn < RESTING) return;
     this.#drawn = now;
     const { width, height } = this.#fit();
@@ -81,7 +82,8 @@ export class Viewer {
 
   /** Who speaks is not to wait for the next frame. What is tracked does: its filters want frames' times. */
   askNow(now = performance.now()) {
-    if (!this.#handle || !this.ready() || this.rests() || now - this.#asked < APART) return;
+    const waits = !this.#handle || document.hidden || !this.ready() || this.rests();
+    if (waits || now - this.#asked < APART) return;
     const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
     if (drive.pose && this.#stage.askAgain(drive, now)) this.#asked = now;
   }
