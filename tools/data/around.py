@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.authoring.optimize.fit import FitConfig, fitted
 from glsplat.authoring.optimize.pictures import ViewConfig, pictures_of
@@ -44,9 +44,17 @@ def fitted_around(
     made = fitted(bare, still, 1, fit, progress)
     head = np.array([name.startswith(HEAD) for name in avatar.skeleton.names])
     kept = head[strongest_joint(avatar.skin.joints, avatar.skin.weights)]
-    splats: dict[str, Any] = {}
-    for name in ("means", "quats", "scales", "opacities", "sh"):
-        values = np.array(getattr(made.splats, name))
-        values[kept] = getattr(bare.splats, name)[kept]
-        splats[name] = values
-    return replace(bare, splats=replace(bare.splats, **splats))
+
+    def mixed(new: NDArray[np.float32], old: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.where(kept.reshape(-1, *[1] * (new.ndim - 1)), old, new)
+
+    new, old = made.splats, bare.splats
+    splats = replace(
+        old,
+        means=mixed(new.means, old.means),
+        quats=mixed(new.quats, old.quats),
+        scales=mixed(new.scales, old.scales),
+        opacities=mixed(new.opacities, old.opacities),
+        sh=mixed(new.sh, old.sh),
+    )
+    return replace(bare, splats=splats)

@@ -1,4 +1,4 @@
-"""Gives an avatar that is fitted already what its recipe (persons.py) has learned since: without another fit.
+"""Gives an avatar that is fitted already what its recipe (persons.py) has learned since: without a first fit.
 
 python -m tools.data.mended AVATAR.glb PERSON.npz NAME OUT.glb [--touched top ...] [--levels 14000 7000 4500]
 
