@@ -39,16 +39,8 @@ PROGRAMS = {
 """A block whose lines begin with none of these, and that is not fenced as a language, is a figure or a quotation."""
 OTHERS = {
     *("--no-deps", "--shm-size", "--no-healthcheck", "--gpus", "--use-file-for-fake-audio-capture"),
-    *(
-        "--alone",
-        "--beside",
-        "--datagrams",
-        "--hour",
-        "--no-NAME",
-        "--ignoreexternal",
-        "--verifytypes",
-        "--experimental-websocket",
-    ),
+    *("--alone", "--beside", "--datagrams", "--here", "--hour", "--no-NAME", "--ignoreexternal", "--verifytypes"),
+    "--experimental-websocket",
 }
 """Options of programs that are not ours, of scripts, and a pattern."""
 WHOLE = {"python.md": "tests/api/test_examples.py", "extending.md": "tests/formats/test_own_format.py"}

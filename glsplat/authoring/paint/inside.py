@@ -27,17 +27,15 @@ _TONGUE, _DEEP, _LIPS = (0.64, 0.34, 0.33), (0.10, 0.035, 0.035), (0.55, 0.30, 0
 _BACK, _UNDER = 0.3, 0.55  # share of light at the back of the tongue, and below it
 _WITHIN = 0.014  # metres from the lips' rim, over which the lining becomes as dark as it is
 _SHADED = 0.8  # of the lips' light, at their rim
-_TURNED, _AHEAD = (
-    0.005,
-    0.7,
-)  # metres from the rim, over which lips turn in; of a normal: what looks ahead so far is seen
+_TURNED = 0.005  # metres from the rim, over which lips turn in
+_AHEAD = 0.7  # of a normal: what looks ahead so far is seen
 _SEEN = 0.3  # trust in a vertex's colour above which it tells of lips
 
 
 def with_inside(body: Body, front: FittedPicture, looks: Mapping[str, EyeLook], points: SurfacePoints, rgb: F64) -> F64:
     """``rgb`` [M, 3] in sRGB with eyes as they look in the ``front``, and with the mouth's inside."""
     rgb, lining, corners = rgb.copy(), mouth_lining(), points.corners
-    tongue = (~body.skin & ~np.isin(body.part, _EYES))[corners[:, 0]]
+    tongue = _of_tongue(body)[corners[:, 0]]
     rgb[tongue] = _tongue(body, _of(points, tongue))
     within = np.all(lining.inside[corners], axis=1)
     lips, turned = _lips(front), np.all(lining.far[corners] < 2 * _TURNED, axis=1) & ~within & ~tongue
@@ -57,15 +55,20 @@ def _inwards(body: Body, points: SurfacePoints) -> F64:
     return np.asarray(close.clip(0, 1) ** 0.5 * ((_AHEAD - ahead) / _AHEAD).clip(0, 1) ** 0.5)
 
 
+def _of_tongue(body: Body) -> NDArray[np.bool_]:
+    """[V] of the open body's tongue."""
+    return ~body.skin & ~np.isin(body.part, _EYES)
+
+
 def _of(points: SurfacePoints, some: NDArray[np.bool_]) -> SurfacePoints:
     return SurfacePoints(points.corners[some], points.weights[some])
 
 
 def _tongue(body: Body, points: SurfacePoints) -> F64:
     """[M, 3] of points on the tongue: darker towards the back, and below."""
-    used = np.unique(points.corners)
+    far = body.vertices[_of_tongue(body), 2]  # of all of it, whichever points are painted now
+    back, front = far.min(), far.max()
     ahead = points.at(body.vertices[:, 2:])
-    back, front = body.vertices[used, 2].min(initial=0), body.vertices[used, 2].max(initial=0)
     up = points.directions(vertex_normals(body.vertices, body.faces))[:, 1:2]
     light = _BACK + (1 - _BACK) * ((ahead - back) / max(front - back, 1e-9)) ** 1.5
     return np.asarray(_TONGUE * light * (_UNDER + (1 - _UNDER) * (0.5 + 0.5 * up)))
