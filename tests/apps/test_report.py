@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import re
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +25,7 @@ from glsplat.evaluate.knobs import settings_of
 from glsplat.evaluate.sections import growth as report_growth
 from glsplat.evaluate.sections.batching import PAPER, batching
 from glsplat.evaluate.sections.growth import Grid
-from glsplat.evaluate.sections.left_out import features_of, left_out, unmoved
+from glsplat.evaluate.sections.left_out import _buffers, features_of, left_out, unmoved
 from glsplat.evaluate.stability import frame as report_stability
 from glsplat.evaluate.stability import tracking as report_stability_tracking
 from glsplat.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case
@@ -242,3 +244,13 @@ def test_clear_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
     with pytest.raises(GlsplatError, match=r"needs flip_evaluator; install it with: pip install 'glsplat\[report\]'"):
         report.run(arguments("-o", str(tmp_path)))
+
+
+def test_what_others_left_behind_is_no_buffer() -> None:
+    class Gone:
+        pass
+
+    gone = Gone()
+    left = weakref.proxy(gone)
+    del gone
+    assert any(item is left for item in gc.get_objects()) and _buffers() >= 0

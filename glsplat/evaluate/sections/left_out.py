@@ -180,7 +180,8 @@ def unmoved(context: Context, subject: Subject, frames: int, tick: Tick = lambda
 def _buffers() -> int:
     """GL buffers that exist."""
     gc.collect()
-    return sum(isinstance(item, moderngl.Buffer) for item in gc.get_objects())
+    # type(), not isinstance(): others leave proxies of what is gone, which cannot be asked
+    return sum(issubclass(type(item), moderngl.Buffer) for item in gc.get_objects())
 
 
 def _bound(splats: Splats, skeleton: Skeleton, influences: int) -> Avatar:
