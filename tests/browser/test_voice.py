@@ -91,9 +91,10 @@ def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_
         ]
         assert sides(512, *some) == [384, 384, 288, 288, 288]  # no smaller than 256
         assert sides(512, *some, (False, quick, 6000), (False, quick, 7000))[-2:] == [288, 512]
-        # what is not seen goes first, and at once; no further where that is quick enough
+        # what is not seen goes first, at once, and comes back with who comes nearer
         unseen: list[tuple[bool, float, float, float]] = [(True, quick, t, 280) for t in (0.0, 16.0, 32.0, 2000.0)]
-        assert sides(512, *unseen) == [384, 288, 288, 288]
+        assert sides(512, *unseen) == [280] * 4
+        assert sides(512, *unseen, (True, 20, 3000.0, 900), (True, 20, 3016.0, 20))[-2:] == [512, 256]
         assert sides(512, *[(True, 20, t, seen) for _, _, t, seen in unseen]) == [512] * 4
         assert sides(512, *[(False, slow, t, seen) for _, _, t, seen in unseen]) == [512] * 4
         assert sides(512, *[(True, quick, t, 600) for _, _, t, _ in unseen]) == [512] * 4

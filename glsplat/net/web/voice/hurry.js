@@ -9,6 +9,7 @@ const CALM = 5000; // ms of silence after which pictures are whole again
 
 export class Hurry {
   #share = 1;
+  #slow = false; // pictures take long while one speaks
   #spoke = -Infinity;
   #changed = -Infinity;
 
@@ -18,12 +19,13 @@ export class Hurry {
    */
   side(side, speaks, { render = 0, encode = 0 } = {}, now, seen = Infinity) {
     if (speaks) this.#spoke = now;
-    if (now - this.#spoke > CALM) this.#share = 1;
-    else if (render + encode > SOON && side * this.#share * STEP >= seen) this.#share *= STEP;
-    else if (render + encode > ENOUGH && now - this.#changed > Math.max(PATIENCE, 2 * (render + encode)) && side * this.#share * STEP >= LEAST) {
+    if (now - this.#spoke > CALM) [this.#share, this.#slow] = [1, false];
+    else this.#slow ||= render + encode > SOON;
+    const whole = this.#slow ? Math.min(side, Math.max(seen, LEAST)) : side; // goes with `seen`: who comes nearer sees more
+    if (this.#slow && render + encode > ENOUGH && now - this.#changed > Math.max(PATIENCE, 2 * (render + encode)) && whole * this.#share * STEP >= LEAST) {
       this.#share *= STEP;
       this.#changed = now;
     }
-    return Math.round(side * this.#share);
+    return Math.round(whole * this.#share);
   }
 }
