@@ -56,10 +56,10 @@ class Rendered:
     levels: tuple[int, ...] = ()  # of detail that were drawn, one a thing of splats; 0 is the finest
     coarsest: bool = True  # there are no coarser ones
     posed: int = 0  # people who were skinned anew for it
-    box: tuple[float, ...] | None = None
-    """Where the one avatar is, if the job asks for it: x, y, z lowest, then highest, metres in the cameras' world."""
-    feet: tuple[float, ...] | None = None
-    """And where it touches the ground: x, y, z of left ankle, left ball, right ankle, right ball. None: it has none."""
+    places: dict[str, list[float]] = field(default_factory=dict)
+    """Where the one avatar is, if the job asks for it, metres in the cameras' world: "box" (x, y, z lowest, then
+    highest), and where it touches the ground, if it has such joints, "feet" (left ankle, left ball, right ankle, right
+    ball)."""
     depth: tuple[DepthGrid, ...] = ()  # one an image, if the job asks for it
 
 

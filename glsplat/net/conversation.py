@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -32,7 +33,6 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 _TURN = 8  # messages of one client in a row before others are heard
-_HELD = 1.0  # seconds at most that a message waits for its turn
 _FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
 _LOST = 1006  # RFC 6455, section 7.4.1: nobody said goodbye
 
@@ -161,13 +161,15 @@ class Conversation:
 
     async def _read_datagrams(self, way: SecondWay) -> None:
         """The same of what comes by the second way."""
-        async for message in way.messages():
-            if self._deaf():
-                continue
-            text = self._reading.offer(message, clock())
-            if text is None:  # its turn comes, unless a newer one takes its place
-                await asyncio.sleep(min(_HELD, self._reading.wait(clock())))
+        while True:
+            wait = self._reading.wait(clock())
+            try:
+                async with asyncio.timeout(None if math.isinf(wait) else max(0.01, wait)):
+                    message = await way.message()
+            except TimeoutError:
                 text = self._reading.take()
+            else:
+                text = None if self._deaf() else self._reading.offer(message, clock())
             if await self._take(text):
                 return
             await asyncio.sleep(0)  # others are heard in between

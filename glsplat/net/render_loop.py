@@ -383,9 +383,8 @@ class RenderLoop(ABC):
         if len(rendered.images) != len(frame.request.eyes):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
         frame.places = {
-            name: [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(places)]
-            for name, places in (("box", rendered.box), ("feet", rendered.feet))
-            if places is not None
+            name: [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(place)]
+            for name, place in rendered.places.items()
         }
         frame.depth = tuple(grid.scaled(scale) for grid in rendered.depth)
         if frame.channel.member is not None:

@@ -124,7 +124,7 @@ def test_what_has_no_head_cannot_hide_it(scene) -> None:
         with pytest.raises(GlsplatError, match=r"scene has none or several|no joint"):
             backend.render(request(hide=("head",)))
         assert backend.render(request()).images.any()  # nothing is wrong with the context
-        assert (backend.render(request(box=True)).box is None) == (not isinstance(scene, Avatar))
+        assert ("box" in backend.render(request(box=True)).places) == isinstance(scene, Avatar)
     finally:
         backend.close()
 
@@ -151,19 +151,19 @@ def test_where_the_avatar_is(own_process: bool) -> None:
         return out
 
     try:
-        assert rendered().box is None and rendered().feet is None
+        assert not rendered().places
         for pose in (None, BENT):
             bones, names = (pose or Pose.zero()).bones(PERSON.skeleton), PERSON.skeleton.names
             stands = [names.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("ankle", "foot")]
             at = [bones[j, :3, :3] @ PERSON.skeleton.joints[j] + bones[j, :3, 3] for j in stands]
-            feet = np.reshape(rendered(pose=pose, box=True).feet, (4, 3))
+            feet = np.reshape(rendered(pose=pose, box=True).places["feet"], (4, 3))
             assert np.abs(feet - (np.array(at) @ transform[:3, :3].T + transform[:3, 3])).max() < 1e-5
             posed = reference.skin(PERSON.splats, PERSON.skin, (pose or Pose.zero()).bones(PERSON.skeleton))
             means = posed.means @ transform[:3, :3].T + transform[:3, 3]
-            box = np.reshape(rendered(pose=pose, box=True).box, (2, 3))
+            box = np.reshape(rendered(pose=pose, box=True).places["box"], (2, 3))
             assert ((means >= box[0]) & (means <= box[1])).all(axis=1).mean() >= 0.995
             assert (np.ptp(box, axis=0) < 1.25 * np.ptp(means, axis=0) + 0.1).all()
-            bare = np.reshape(rendered(pose=pose, box=True, hide=("head",)).box, (2, 3))
+            bare = np.reshape(rendered(pose=pose, box=True, hide=("head",)).places["box"], (2, 3))
             assert (bare[0] >= box[0]).all() and (bare[1] <= box[1]).all()  # of what is shown
             if pose is None:  # exact where nothing bends: two standard deviations beyond what is shown
                 tops = [top(content) * 1.2 + 0.2 for content in (PERSON, PERSON.without("head"))]
@@ -185,7 +185,7 @@ def test_the_box_holds_what_a_face_moves(own_process: bool) -> None:
         for face in ({}, {"jawOpen": 1.0}, {"jawOpen": 1.0, "eyeBlinkLeft": 1.0}):
             pose = Pose(np.zeros((4, 3)), expression=face)
             out = backend.render(request(pose=pose, box=True))
-            boxes.append(np.reshape(out.box, (2, 3)))
+            boxes.append(np.reshape(out.places["box"], (2, 3)))
             images.append(np.array(out.images))
             if out.done is not None:
                 out.done()

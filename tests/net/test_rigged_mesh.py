@@ -60,7 +60,7 @@ def test_poses_parts_and_boxes(own_process: bool) -> None:
                 out = backend.render(request(pose=pose, hide=hide, box=True))
                 assert (out.images == direct(Scene([Item(ROOM), Item(mesh)]), pose)).all()
                 vertices = mesh.posed(pose or Pose.zero())[np.unique(mesh.faces)]
-                low, high = np.reshape(out.box, (2, 3))
+                low, high = np.reshape(out.places["box"], (2, 3))
                 assert (low <= vertices.min(axis=0) + 0.02).all() and (high >= vertices.max(axis=0) - 0.02).all()
                 assert (high - low < 1.25 * np.ptp(vertices, axis=0) + 0.1).all()
                 if out.done is not None:

@@ -150,8 +150,7 @@ class RendererBackend:
             levels=stats.levels,
             coarsest=stats.coarsest,
             posed=stats.posed,
-            box=one.box(request),
-            feet=one.feet(request),
+            places=one.places(request),
             depth=depth,
         )
 

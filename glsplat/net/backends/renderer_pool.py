@@ -23,6 +23,7 @@ from glsplat.renderer import Renderer
 from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.extent import Extent
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 
 __all__ = ["KEPT", "RendererPool", "SceneRenderer"]
@@ -30,7 +31,7 @@ __all__ = ["KEPT", "RendererPool", "SceneRenderer"]
 KEPT = 4
 """Renderers at most: the default avatar with and without its head, and two others."""
 
-FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
+_FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 
 _KEPT_BYTES = 2**29  # of the GPU's memory, by those that are not in use
 
@@ -76,40 +77,26 @@ class SceneRenderer:
         posed = Item(self._item.content, pose=pose, transform=self._item.transform)
         return [Label(request.label, label_place(posed, self._item.content))]
 
-    def box(self, request: RenderJob) -> tuple[float, ...] | None:
-        """x, y, z lowest and highest, metres, of the one avatar as it is posed; None without one, or not asked for."""
-        item, pose = self._item, request.pose
-        if item is None or not request.options.box:
-            return None
-        avatar = item.content
-        assert is_rigged(avatar)
-        if self._extent is None:
-            self._extent = _extent(avatar)
-        posed = checked_pose(item.pose if pose is None else pose, len(avatar.skeleton), "avatar")
-        box = self._extent.box(_standing(item.transform, posed.bones(avatar.skeleton)))
-        if box is None:
-            return None
-        weights = avatar.weights(posed) if isinstance(avatar, Avatar) else None
-        if weights is not None and isinstance(avatar, Avatar) and avatar.shapes is not None:
-            size = float(np.cbrt(np.linalg.det(item.transform[:3, :3])))
-            box = box + size * avatar.shapes.farthest(weights) * np.array([[-1.0], [1.0]])
-        return tuple(box.ravel().tolist())
-
-    def feet(self, request: RenderJob) -> tuple[float, ...] | None:
-        """x, y, z, metres, of what the one avatar stands on (FEET); None without them, or where not asked for."""
+    def places(self, request: RenderJob) -> dict[str, list[float]]:
+        """Where the one avatar is, as in Rendered, if the request asks for it and there is one."""
         item = self._item
         if item is None or not request.options.box:
-            return None
-        assert is_rigged(item.content)
-        skeleton = item.content.skeleton
-        if not set(FEET) <= set(skeleton.names):
-            return None
-        joints = [skeleton.names.index(name) for name in FEET]
+            return {}
+        avatar = item.content
+        assert is_rigged(avatar)
+        skeleton = avatar.skeleton
         posed = checked_pose(item.pose if request.pose is None else request.pose, len(skeleton), "avatar")
-        bones = _standing(item.transform, posed.bones(skeleton))[joints]
-        return tuple(
-            (np.einsum("nij,nj->ni", bones[:, :, :3], skeleton.joints[joints]) + bones[:, :, 3]).ravel().tolist()
-        )
+        bones = item.transform[:3, :3] @ posed.bones(skeleton)
+        bones[:, :, 3] += item.transform[:3, 3]
+        if self._extent is None:
+            self._extent = _extent(avatar)
+        box = self._extent.box(bones)
+        weights = avatar.weights(posed) if isinstance(avatar, Avatar) else None
+        if box is not None and weights is not None and isinstance(avatar, Avatar) and avatar.shapes is not None:
+            size = float(np.cbrt(np.linalg.det(item.transform[:3, :3])))
+            box = box + size * avatar.shapes.farthest(weights) * np.array([[-1.0], [1.0]])
+        found = {"box": box, "feet": _feet(skeleton, bones)}
+        return {name: array.ravel().tolist() for name, array in found.items() if array is not None}
 
     def release(self) -> None:
         """Delete what draws it."""
@@ -189,11 +176,13 @@ def _without(item: Item | None, parts: tuple[str, ...]) -> Item:
     return Item(avatar, pose=item.pose, transform=item.transform, name=item.name)
 
 
-def _standing(transform: NDArray[np.float64], bones: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[J, 3, 4] bones in the scene."""
-    placed: NDArray[np.float64] = transform[:3, :3] @ bones
-    placed[:, :, 3] += transform[:3, 3]
-    return placed
+def _feet(skeleton: Skeleton, bones: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """[4, 3] metres, where it stands by ``bones`` [J, 3, 4]; None where the skeleton has no such joints."""
+    if not set(_FEET) <= set(skeleton.names):
+        return None
+    joints = [skeleton.names.index(name) for name in _FEET]
+    turned: NDArray[np.float64] = np.einsum("nij,nj->ni", bones[joints, :, :3], skeleton.joints[joints])
+    return turned + bones[joints, :, 3]
 
 
 def _extent(figure: Rigged) -> Extent:

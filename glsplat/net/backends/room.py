@@ -123,10 +123,9 @@ class RoomRenderer:
             for one in people
         ]
 
-    def box(self, job: RenderJob) -> None:
-        """Nothing: there are several."""
-
-    feet = box
+    def places(self, job: RenderJob) -> dict[str, list[float]]:
+        """None: there are several."""
+        return {}
 
     def release(self) -> None:
         """Delete what draws it."""

@@ -25,10 +25,8 @@ from glsplat.net.guard.notices import Notices
 
 __all__ = ["DatagramListener"]
 
-_CERTIFIED, _RENEWED = (
-    timedelta(days=12),
-    timedelta(days=5),
-)  # browsers take 14 days, of which one lies behind
+_CERTIFIED = timedelta(days=12)  # browsers take 14, of which one lies behind
+_RENEWED = timedelta(days=5)
 _IDLE = 30.0  # seconds without a packet
 _STREAM = 16 * 1024  # bytes of a client's stream: a CONNECT and its settings
 _CID = 8  # bytes of a connection's own name

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from glsplat.net.datagrams.roles import Host, Path
@@ -105,13 +105,12 @@ class SecondWay:
         self._heard.append(message)
         self._more.set()
 
-    async def messages(self) -> AsyncIterator[str]:
-        """What the client sends this way, until it has left; what is no text is nothing."""
-        while True:
-            await self._more.wait()
+    async def message(self) -> str:
+        """The next that the client sends this way; what is no text is nothing."""
+        while not self._heard:
             self._more.clear()
-            while self._heard:
-                yield self._heard.popleft().decode("utf-8", "replace")
+            await self._more.wait()
+        return self._heard.popleft().decode("utf-8", "replace")
 
     def lost(self, frame_id: int) -> None:
         """As in PathUser."""

@@ -61,6 +61,7 @@ const voice = addVoice(document.getElementById('controls'));
 stage.speaks = () => Object.keys(voice.weights() ?? {}).length > 0;
 const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
 voice.addEventListener('leap', () => viewer.askNow());
+viewer.onAsked = () => voice.sent();
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
   record: () => toggleRecording(),

@@ -203,8 +203,7 @@ class RemoteLoop(RenderLoop):
             levels=said.levels,
             coarsest=said.coarsest,
             posed=said.posed,
-            box=said.box,
-            feet=said.feet,
+            places=said.places,
             depth=said.depth,
         )
         self._note(frame, rendered, start, scale, floor)

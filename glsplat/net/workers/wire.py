@@ -88,9 +88,8 @@ class Drawn(msgspec.Struct, array_like=True, frozen=True):
     levels: tuple[int, ...]
     coarsest: bool
     posed: int
-    box: tuple[float, ...] | None
+    places: dict[str, list[float]]
     depth: tuple[DepthGrid, ...] = ()
-    feet: tuple[float, ...] | None = None
 
 
 class Failed(msgspec.Struct, array_like=True, frozen=True):

@@ -97,7 +97,7 @@ class _Worker:
             self._send(pack(Kind.FAILED, number, failure_of(error, text)))
             return
         timings = {name: float(ms) for name, ms in rendered.timings.items()}
-        levels, said = tuple(map(int, rendered.levels)), (rendered.box, rendered.depth, rendered.feet)
+        levels, said = tuple(map(int, rendered.levels)), (rendered.places, rendered.depth)
         drawn = Drawn(len(rendered.images), timings, levels, rendered.coarsest, rendered.posed, *said)
         self._send(pack(Kind.DRAWN, number, drawn))
         self._encode_threads.submit(self._encode, number, rendered, job)

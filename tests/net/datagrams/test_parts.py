@@ -167,8 +167,7 @@ class TestHeard:
             way = SecondWay(Nobody(), session, "a", lambda: 0.0, lambda: None)
             for number in range(200):
                 way.heard(b"%d" % number)
-            messages = way.messages()
-            return [await anext(messages) for _ in range(3)]
+            return [await way.message() for _ in range(3)]
 
         first, second, third = map(int, asyncio.run(main()))
         assert 100 < first == second - 1 == third - 2

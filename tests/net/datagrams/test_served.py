@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from glsplat.net.datagrams import path as paths
 from glsplat.net.datagrams import udp, way
 from glsplat.net.datagrams.congestion import PictureWindow
 from glsplat.net.datagrams.packets import PICTURE
+from glsplat.net.guard.limits import CpuShare
 from glsplat.net.server import Server, ServerConfig
 from tests.net.conftest import FakeBackend
 from tests.net.datagrams.client import open_path
@@ -56,6 +58,28 @@ class TestPictures:
                 path.ask("{")
                 await until(lambda: viewer.errors)
                 assert "bad_json" in viewer.errors[-1]
+
+        asyncio.run(main())
+
+    def test_of_requests_beyond_a_clients_time_the_newest_is_read(
+        self, serve: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """One turn in a tenth of a second: a hundred that came at once would be read for ten seconds, one by one."""
+
+        async def main() -> None:
+            async with serve(config=CONFIG) as server, viewing(server) as viewer:
+                path = await viewer.open()
+                await viewer.more(3, by_datagrams=True)
+                viewer.pause()
+                await asyncio.sleep(0.1)
+                monkeypatch.setattr(CpuShare, "left", lambda *_: False)
+                monkeypatch.setattr(CpuShare, "wait", lambda *_: 0.1)
+                for number in range(100_000, 100_100):
+                    path.ask(native(number, ack=viewer.newest, arrival={"age": 5}, datagrams=True))
+                began = time.perf_counter()
+                await until(lambda: viewer.newest == 100_099)
+                assert time.perf_counter() - began < 3.0
+                assert server.stats()["clients"][0]["unread"] > 50
 
         asyncio.run(main())
 

@@ -116,8 +116,8 @@ def test_a_message_that_is_repeated_or_too_long_is_refused():
 
 
 def test_answers():
-    drawn = Drawn(2, {"sort": 1.5}, (0, 1), False, 3, (0.0,) * 6)
-    deep = Drawn(2, {}, (), True, 0, None, (grid_of(np.linspace(0.2, 3, 6).reshape(2, 3)),) * 2)
+    drawn = Drawn(2, {"sort": 1.5}, (0, 1), False, 3, {"box": [0.0] * 6})
+    deep = Drawn(2, {}, (), True, 0, {}, (grid_of(np.linspace(0.2, 3, 6).reshape(2, 3)),) * 2)
     for one in (drawn, deep):
         assert wire.read_drawn(pack(Kind.DRAWN, 5, one)[wire.HEAD.size :]) == one
     encoded = Encoded([b"left", b"right"], [(0, 16, 32, 48)] * 2, 1.25, [b"l", b"r"])

@@ -36,6 +36,7 @@ export class Backdrop {
     kept.whole = true;
   }
 
+  /** Copies only where the canvas has no samples: `antialias: false` when its context is made. */
   #put({ framebuffer }, { x, y, width, height }) {
     const gl = this.#gl;
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, framebuffer);

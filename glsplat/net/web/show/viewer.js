@@ -25,6 +25,7 @@ export class Viewer {
   rests = () => false; // whether others need the machine: then it draws and asks now and then
   ready = () => true; // whether it is known by now what moves the avatar
   onDrive = () => {}; // hears of what moves the avatar, every frame
+  onAsked = () => {}; // hears that what `adds` made of it last has gone out
 
   /** `adds(drive)` is what is sent of what the driver says. */
   constructor(canvas, stage, orbit, settings, adds = (drive) => drive) {
@@ -76,6 +77,7 @@ export class Viewer {
     const shown = this.#stage.shownId;
     if (this.#stage.frame(views, room ? IN_ROOM : HERE, drive, { alpha: true, keeps: true, room: true, asks, now })) {
       [this.#last, this.#asked] = [key, now];
+      this.onAsked();
     }
     if (this.#stage.shownId !== shown && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
   }
@@ -85,7 +87,9 @@ export class Viewer {
     const waits = !this.#handle || document.hidden || !this.ready() || this.rests();
     if (waits || now - this.#asked < APART) return;
     const drive = this.#adds(this.#driver?.at(now / 1000) ?? {});
-    if (drive.pose && this.#stage.askAgain(drive, now)) this.#asked = now;
+    if (!drive.pose || !this.#stage.askAgain(drive, now)) return;
+    this.#asked = now;
+    this.onAsked();
   }
 
   #fit() {

@@ -14,7 +14,8 @@ export class Voice extends EventTarget {
   #stream = null;
   #context = null;
   #weights = {};
-  #taken = {}; // those that were sent last
+  #said = {}; // those that a request was given last
+  #sent = {}; // those of the last that went out
   #least = 0; // of a weight that is sent
   #heard = 0;
   #round = 0; // what was begun before the last start or stop no longer counts
@@ -43,7 +44,7 @@ export class Voice extends EventTarget {
       listener.port.onmessage = ({ data }) => {
         this.#weights = data;
         this.#heard = performance.now();
-        if (this.state === 'on' && leaps(this.#taken, data)) this.dispatchEvent(new Event('leap'));
+        if (this.state === 'on' && leaps(this.#sent, data)) this.dispatchEvent(new Event('leap'));
       };
       context.createMediaStreamSource(stream).connect(listener);
       await context.resume();
@@ -84,8 +85,13 @@ export class Voice extends EventTarget {
   /** A sample of tracking, or a pose, with the mouth of now; what it says of the face itself wins. */
   speaks(body) {
     const said = this.weights();
-    this.#taken = said ?? {};
+    this.#said = said ?? {};
     return said && !Array.isArray(body.expression) ? { ...body, expression: { ...said, ...body.expression } } : body;
+  }
+
+  /** What `speaks` returned last has gone out. */
+  sent() {
+    this.#sent = this.#said;
   }
 
   #become(state, why = '') {
