@@ -205,7 +205,7 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
     Raises UsageError where there is neither.
     """
     from glsplat.motion.doubts import doubt  # here: a server needs none of it
-    from glsplat.motion.motion import embedded_motions, load_motion
+    from glsplat.motion.loading import embedded_motions, load_motion
 
     if not split_choice(name)[0].exists() and name not in embedded_motions():
         known = ", ".join(embedded_motions()) or "none"

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from glsplat.avatar import Avatar
-from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, read_cameras
+from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
 from glsplat.gl.context import create_context
 from glsplat.motion.kinds import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
+from glsplat.scenes.camera_file import read_cameras
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.speech.sound import Sound, read_wav

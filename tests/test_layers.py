@@ -282,7 +282,7 @@ def test_public_names() -> None:
         glsplat.nonsense  # noqa: B018
 
 
-@pytest.mark.parametrize("module", ["glsplat.tracking", "glsplat.net.messages", "glsplat.net.client"])
+@pytest.mark.parametrize("module", ["glsplat.tracking", "glsplat.net.messages", "glsplat.net.client.client"])
 def test_tracking_and_protocol_work_without_opengl(module: str) -> None:
     assert importlib.util.find_spec(module)
     script = f"import sys, {module}; assert not {{'moderngl', 'cv2', 'trimesh'}} & set(sys.modules)"

@@ -32,7 +32,7 @@ from glsplat.formats.gltf.meshes.rig_map import read_rig_map
 from glsplat.formats.person import read_body
 from glsplat.formats.transform import transformed
 from glsplat.io.files import naming, open_regular, replace_file
-from glsplat.motion.motion import embedded_motions, load_embedded_motion
+from glsplat.motion.loading import embedded_motions, load_embedded_motion
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.rigs.driven import why_not_driven

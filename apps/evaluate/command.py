@@ -25,7 +25,7 @@ from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.io.files import locked, replace_file
 from glsplat.io.machine import cores
 from glsplat.motion.kinds import split_choice
-from glsplat.motion.motion import embedded_motions
+from glsplat.motion.loading import embedded_motions
 
 from ..args import motion_of
 from ..farming import add_ray, on_ray

@@ -15,7 +15,8 @@ from glsplat.data import embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import opened
 from glsplat.motion.kinds import is_gltf, is_motion
-from glsplat.motion.motion import Motion, embedded_motions
+from glsplat.motion.loading import embedded_motions
+from glsplat.motion.motion import Motion
 from glsplat.scene import Content, SceneLike
 from glsplat.scenes.scene_file import SceneFile, load_scene
 from glsplat.skinning.pose import Pose, load_pose

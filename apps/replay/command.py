@@ -23,7 +23,8 @@ from tqdm import tqdm
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.motion.kinds import KINDS
-from glsplat.motion.motion import Motion, embedded_motions
+from glsplat.motion.loading import embedded_motions
+from glsplat.motion.motion import Motion
 from glsplat.net.client import Client
 from glsplat.net.guard.access import read_token
 from glsplat.net.reply import Reply

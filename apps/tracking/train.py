@@ -13,7 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
-from glsplat.motion.motion import Motion, load_motion
+from glsplat.motion.loading import load_motion
+from glsplat.motion.motion import Motion
 from glsplat.tracking.learned.network import load_network, save_network
 from glsplat.tracking.training.clips import TrainingClip, clips_of, looks_away, unit_of_skeleton
 from glsplat.tracking.training.fit import TrainingConfig, evaluate, fit, lessons_of

@@ -23,7 +23,8 @@ from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.web.write import web_file
 from glsplat.io.files import replace_file
-from glsplat.motion.motion import Motion, embedded_motions, load_motion
+from glsplat.motion.loading import embedded_motions, load_motion
+from glsplat.motion.motion import Motion
 from glsplat.shaders.web import programs_json
 
 from ..args import load_avatar

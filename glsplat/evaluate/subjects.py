@@ -14,14 +14,16 @@ from glsplat.authoring.detail.merge import merged
 from glsplat.authoring.importers import nearest_weights
 from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar, splats_of
-from glsplat.camera import Camera, load_cameras
+from glsplat.camera import Camera
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.evaluate.frames import FOV
 from glsplat.formats import load_splats
 from glsplat.formats.person import read_person
-from glsplat.motion.motion import Motion, load_motion
+from glsplat.motion.loading import load_motion
+from glsplat.motion.motion import Motion
 from glsplat.scene import Content
+from glsplat.scenes.camera_file import load_cameras
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton

@@ -9,7 +9,7 @@ from glsplat import on_demand
 if TYPE_CHECKING:
     from glsplat.net.backend import AvatarInfo, Backend, PoseSolver, Rendered, RenderJob, Solved
     from glsplat.net.backends.server import make_server
-    from glsplat.net.client import Client
+    from glsplat.net.client.client import Client
     from glsplat.net.fields import PictureOptions
     from glsplat.net.messages import Request
     from glsplat.net.options import ServerConfig
@@ -38,7 +38,7 @@ _HOME = {
     "Request": "messages",
     "ServerConfig": "options",
     "Server": "server",
-    "Client": "client",
+    "Client": "client.client",
     "Reply": "reply",
     "make_server": "backends.server",
 }

@@ -16,9 +16,9 @@ import pytest
 
 import glsplat
 from glsplat import Avatar, Camera, GlsplatError, Item, Pose, Scene, Skeleton, Skin, Splats
-from glsplat.camera import camera_from_json, read_cameras
 from glsplat.meshes import RiggedMesh
 from glsplat.net.client import Client
+from glsplat.scenes.camera_file import camera_from_json, read_cameras
 from glsplat.tracking import Tracker
 from tests.scenes import cloud, limb
 

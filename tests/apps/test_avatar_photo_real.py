@@ -12,7 +12,7 @@ import apps.cli as cli
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.formats import load
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.authoring.captures import needs_networks

@@ -14,7 +14,7 @@ from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.formats import load
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.authoring.gltf.built import FAMILIES, Family, build

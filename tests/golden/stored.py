@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.camera import Camera, load_cameras
+from glsplat.camera import Camera
 from glsplat.formats import load_ply
+from glsplat.scenes.camera_file import load_cameras
 from glsplat.splats import Splats
 
 DATA = Path(__file__).parent / "data"

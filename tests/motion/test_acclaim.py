@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from glsplat.errors import PoseError
 from glsplat.formats.person import read_person
 from glsplat.motion.bvh import parse_acclaim
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from tests.motion.test_bvh import NAMES
 
 ASF = """:version 1.10

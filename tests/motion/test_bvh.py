@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.errors import PoseError
 from glsplat.motion.bvh import parse_bvh
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.motion.retarget import retarget
 from glsplat.rotations import rotation_between, rotation_matrices
 from glsplat.skinning.rigs.humanoid import upright

@@ -17,7 +17,8 @@ from glsplat import default_avatar, save
 from glsplat.errors import PoseError
 from glsplat.motion.corrections import Corrections, split_corrections
 from glsplat.motion.doubts import doubt
-from glsplat.motion.motion import Motion, embedded_motions, load_motion
+from glsplat.motion.loading import embedded_motions, load_motion
+from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.motion.captured import captured

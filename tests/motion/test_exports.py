@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glsplat.motion.bvh import parse_bvh
-from glsplat.motion.motion import Motion, load_motion
+from glsplat.motion.loading import load_motion
+from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.motion.exports import AT, SIDES, Z_UP, Export

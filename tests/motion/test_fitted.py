@@ -10,7 +10,7 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 

@@ -15,7 +15,7 @@ from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.formats.format import opened
 from glsplat.motion.kinds import is_motion
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.scenes import load
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES

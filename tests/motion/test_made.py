@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 
-from glsplat.motion.motion import embedded_motions
+from glsplat.motion.loading import embedded_motions
 from glsplat.skinning.skeleton import Skeleton
 from tools.data.motions import library, to_json
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glsplat.motion.motion import Motion, load_motion
+from glsplat.motion.loading import load_motion
+from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.motion.independent import accessor, acclaim_positions, bvh_positions, gltf_json, gltf_positions

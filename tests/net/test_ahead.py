@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.data import default_avatar
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.backends.tracking import MOST, PART, Ahead, TrackingSolver
 from glsplat.net.messages import Arrival, Decoder, Request
 from glsplat.net.session import Session, SessionConfig

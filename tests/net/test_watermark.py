@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig

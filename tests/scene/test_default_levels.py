@@ -14,7 +14,7 @@ from glsplat.data import default_avatar
 from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import BAND, Selector
 from glsplat.evaluate.metrics.pixels import psnr
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 

@@ -18,7 +18,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load, save
 from glsplat.formats.format import Opened, opened
 from glsplat.formats.registry import is_scene_file
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.scene import similarity
 from glsplat.scenes import load_scene, scene_file
 from glsplat.scenes.scene_file import MOST_ITEMS, upright

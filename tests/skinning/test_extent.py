@@ -14,7 +14,7 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.formats.person import read_person
-from glsplat.motion.motion import embedded_motions, load_motion
+from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.extent import Extent
 from glsplat.skinning.pose import Pose

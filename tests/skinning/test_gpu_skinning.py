@@ -14,7 +14,7 @@ from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats.person import read_person
-from glsplat.motion.motion import embedded_motions, load_motion
+from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.compare import assert_contract

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.evaluate.tracking_score import score
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Solution, Targets, Tracker, TrackerConfig
 from glsplat.tracking.derive import derive, truth_from_motion

@@ -10,7 +10,7 @@ import pytest
 
 from glsplat.errors import FormatError, PoseError
 from glsplat.evaluate.tracking_score import TrackingScore, mean_score, score
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig
 from glsplat.tracking import solvers as module

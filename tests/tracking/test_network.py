@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.learned import network as module

@@ -14,7 +14,7 @@ import pytest
 
 from glsplat.errors import FormatError, PoseError
 from glsplat.evaluate.tracking_score import TrackingScore, score
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, TrackerConfig, calibrate

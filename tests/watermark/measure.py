@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.renderer import Renderer
 from glsplat.scenes import load
 from glsplat.watermark.detect import WINDOW, detect

@@ -14,7 +14,7 @@ from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.metrics.flip import flip
 from glsplat.gl.context import Context
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.renderer import Renderer
 from glsplat.watermark import detect as detecting
 from glsplat.watermark.detect import ALARM, WINDOW, detect

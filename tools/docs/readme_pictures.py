@@ -24,7 +24,7 @@ from PIL import Image
 import glsplat
 from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.net.backends.server import make_server
 from glsplat.net.options import ServerConfig
 from glsplat.net.server import Server

@@ -25,7 +25,7 @@ from apps.replay.streaming import observer
 from glsplat.data import default_avatar
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.pixels import psnr
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.codec.encode import Box, Encoder, covered_box
 from glsplat.net.codec.video import CODECS, STEPS, VideoStream
 from glsplat.renderer import Renderer

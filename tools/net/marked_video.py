@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from apps.replay.streaming import observer
 from glsplat.data import PEOPLE, person
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.codec.encode import encode_picture
 from glsplat.net.codec.video import CODECS, STEPS, VideoStream
 from glsplat.net.codec.video_reader import VideoReader

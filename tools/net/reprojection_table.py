@@ -26,7 +26,7 @@ from glsplat.data import PEOPLE, person
 from glsplat.evaluate.metrics.lpips import Lpips
 from glsplat.evaluate.metrics.pixels import psnr
 from glsplat.gl.context import create_context
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.codec import depth as server
 from glsplat.net.codec.encode import covered_box

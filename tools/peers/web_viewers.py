@@ -29,7 +29,7 @@ import glsplat
 from apps.webpage.command import baked
 from glsplat.authoring.posed import posed_splats
 from glsplat.formats.web.write import encode_avatar
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.net.codec.encode import encode_picture
 from glsplat.shaders.web import programs_json
 from glsplat.views import view_of

@@ -10,10 +10,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from glsplat.camera import Camera, camera_from_json
+from glsplat.camera import Camera
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 from glsplat.meshes import RiggedMesh
+from glsplat.scenes.camera_file import camera_from_json
 from glsplat.scenes.loading import load
 from glsplat.skinning.pose import Pose
 

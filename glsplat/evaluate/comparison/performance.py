@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from glsplat.evaluate.avatar_poses import Rotations, fist, pose_of
 from glsplat.meshes import RiggedMesh
-from glsplat.motion.motion import Motion, load_motion
+from glsplat.motion.loading import load_motion
+from glsplat.motion.motion import Motion
 from glsplat.rotations import slerp
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton

@@ -23,7 +23,7 @@ from glsplat.evaluate.probe import Probe
 from glsplat.evaluate.sections.measure import Tick, frame_cost
 from glsplat.evaluate.subjects import Subject
 from glsplat.gl.context import Context
-from glsplat.motion.motion import embedded_motions, load_motion
+from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.views import view_of, viewing_point
 

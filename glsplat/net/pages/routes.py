@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from aiohttp import web
 
-from glsplat.motion.motion import embedded_motions
+from glsplat.motion.loading import embedded_motions
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.machine import machine_names, reachable_at
 from glsplat.net.pages.history import History

@@ -16,7 +16,7 @@ from apps.preview.viewer import Viewer
 from glsplat.data import default_avatar
 from glsplat.formats import save
 from glsplat.gl.context import Context
-from glsplat.motion.motion import load_embedded_motion
+from glsplat.motion.loading import load_embedded_motion
 from glsplat.renderer import Renderer
 from glsplat.scenes import load_scene
 from tests.scenes import cloud

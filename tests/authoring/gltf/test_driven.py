@@ -12,7 +12,7 @@ from glsplat.data import default_avatar
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.fitted import leg_length
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS

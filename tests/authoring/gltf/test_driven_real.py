@@ -11,7 +11,7 @@ import pytest
 from glsplat.authoring.fit.body import open_body
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS

@@ -18,7 +18,7 @@ from glsplat.detail.selector import chosen
 from glsplat.formats.web.layout import HEAD
 from glsplat.formats.web.read import decode_avatar
 from glsplat.formats.web.write import encode_avatar
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.expression import ARKIT
 from tests.browser.draw.conftest import Bench, floats
 from tests.browser.draw.exported import posed

@@ -7,7 +7,7 @@ import numpy as np
 import glsplat
 from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import chosen
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.skinning.expression import ARKIT
 from tests import scenes
 from tests.browser.draw.conftest import Bench

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat import Avatar, Camera, Item, Pose, RenderConfig, Renderer, Scene, Splats
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from glsplat.passes.frame.project import ProjectPass
 from glsplat.skinning.shapes import Shapes
 from glsplat.views import view_of

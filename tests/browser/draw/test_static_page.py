@@ -20,7 +20,7 @@ from glsplat import Camera, Item, Pose, Scene, similarity
 from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import chosen
 from glsplat.formats.web.read import decode_avatar
-from glsplat.motion.motion import load_motion
+from glsplat.motion.loading import load_motion
 from tests.browser.draw.conftest import shot
 from tests.browser.draw.test_parity import psnr, truth
 from tests.browser.opened import Opened

@@ -1,0 +1,99 @@
+"""Reaching a server: what an address and a token have to be, and what stands between where it is not reached."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import aiohttp
+
+from glsplat.errors import GlsplatError, ProtocolError
+
+__all__ = ["check_token", "checked_url", "client_tls", "not_connected"]
+
+
+def checked_url(url: str) -> str:
+    """The address with the path of the WebSocket. Raises GlsplatError where it is none."""
+    try:
+        parts = urlsplit(url)
+        valid = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+    except (ValueError, AttributeError, TypeError):  # no text at all
+        valid = False
+    if not valid or not isinstance(url, str):
+        raise GlsplatError(f"{url!s:.80}: expected ws://HOST:PORT/ws or wss://HOST:PORT/ws")
+    return parts._replace(path="/ws").geturl() if parts.path in ("", "/") else url
+
+
+def client_tls(cafile: str | Path) -> ssl.SSLContext:
+    """Trust in the certificate of a file. Raises GlsplatError where it holds none."""
+    try:
+        return ssl.create_default_context(cafile=str(cafile))
+    except (OSError, ssl.SSLError):
+        raise GlsplatError(f"{cafile}: expected a certificate in PEM") from None
+
+
+def check_token(token: Any) -> None:
+    """A header's value: printable text without blanks, that is."""
+    if token is not None and not (
+        isinstance(token, str) and token.isascii() and token.isprintable() and " " not in token
+    ):
+        kind = "one with blanks, line ends or other signs" if isinstance(token, str) else type(token).__name__
+        raise GlsplatError(f"a token is a word of printable ASCII, not {kind}; strip() what was read from a file")
+
+
+async def not_connected(url: str, error: Exception, seconds: float) -> ProtocolError:
+    """What stands between us and the server, and what to do about it."""
+    if isinstance(error, TimeoutError):
+        why = "is it a glsplat server, is it overloaded, is the timeout too short?"
+        return ProtocolError(f"{url}: no answer within {seconds:g} s; {why}", "timeout")
+    if isinstance(error, aiohttp.ClientConnectorCertificateError):
+        return ProtocolError(f"{url}: its certificate is not trusted; give it with --tls-ca", "tls")
+    if isinstance(error, aiohttp.ClientConnectorSSLError):
+        reason = getattr(error.os_error, "reason", None)
+        if reason in _NO_TLS:
+            return ProtocolError(f"{url}: this server does not speak TLS; the address begins with ws://", "tls")
+        return ProtocolError(f"{url}: no agreement on TLS ({reason or error.os_error})", "tls")
+    reached = not isinstance(error, aiohttp.ClientConnectorError)
+    if reached and url.startswith("ws:") and await _speaks_tls(url):
+        return ProtocolError(f"{url}: this server speaks TLS; the address begins with wss://", "tls")
+    if isinstance(error, aiohttp.WSServerHandshakeError):
+        return ProtocolError(_refused(url, error.status), "refused")
+    if reached:
+        return ProtocolError(f"{url}: what listens there closed the connection; is it a glsplat server?", "unreachable")
+    return ProtocolError(f"no server at {url}: start one with `glsplat serve`", "unreachable")
+
+
+# what OpenSSL calls an answer that is not TLS: plain HTTP, in old and new versions
+_NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "HTTP_REQUEST", "UNEXPECTED_MESSAGE")
+
+
+async def _speaks_tls(url: str) -> bool:
+    """True if a TLS handshake succeeds there; whose certificate it is does not matter."""
+    parts = urlsplit(url)
+    tls = ssl.create_default_context()
+    tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
+    try:
+        async with asyncio.timeout(2.0):
+            _, writer = await asyncio.open_connection(parts.hostname, parts.port or 80, ssl=tls)
+    except (OSError, TimeoutError):
+        return False
+    writer.transport.abort()  # a graceful end would outlive the event loop
+    return True
+
+
+def _refused(url: str, status: int) -> str:
+    reasons = {
+        400: "it does not know an option of the address: avatar is one of its /session, mirror 0 or 1, window 1 to 8, "
+        "height 0.5 to 2.8, span 0.3 to 2.5, name letters and digits, at x,z,degrees",
+        401: "it wants a token; give it with --token-file",
+        403: "it does not serve this origin, or this account may not have this avatar, room or name now",
+        404: "there is no such room, which /session lists, or no WebSocket at this path, which is /ws",
+        409: "somebody of this name is in the room; choose another",
+        421: "it does not go by this name; start it with --allow-host",
+        429: "this address has too many clients there, or broke a limit; try again later",
+        503: "it, or the room, is full, or it stops; try again later",
+    }
+    return f"{url}: the server refuses ({status}): {reasons.get(status, 'no glsplat server?')}"
