@@ -137,7 +137,7 @@ def stranger() -> Iterator[Run]:
     home = Path(tempfile.mkdtemp(prefix="glsplat-stranger-", dir="/tmp"))
     home.chmod(0o755)
     (home / ".gitconfig").write_text("[safe]\n\tdirectory = *\n")  # a checkout may belong to somebody else than root
-    clone = ["git", "clone", "--quiet", "--no-local", f"file://{ROOT}", str(home / "glsplat")]
+    clone = ["git", "clone", "--quiet", "--depth", "1", f"file://{ROOT}", str(home / "glsplat")]
     subprocess.run(clone, env={**os.environ, "HOME": str(home)}, check=True, capture_output=True, timeout=60)
     subprocess.run(["chown", "-R", f"{STRANGER}:{STRANGER}", home], check=True)
     # how this machine reaches a package index is everybody's; all else is the user's own
