@@ -9,7 +9,7 @@ from glsplat.evaluate.frames import WARM_UP
 from glsplat.evaluate.sections.batching import PAPER
 from glsplat.evaluate.sections.costs import costs
 from glsplat.gl.context import Context
-from tests.net.test_legacy import thinned
+from tests.net.legacy.test_legacy import thinned
 from tests.scene.people import boxes
 
 pytestmark = pytest.mark.gl

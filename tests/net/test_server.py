@@ -19,7 +19,7 @@ from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
-from tests.net.contested import Contested, contest
+from tests.net.pace.contested import Contested, contest
 from tests.net.wire import HANG, until
 
 UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}

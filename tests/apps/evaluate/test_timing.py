@@ -16,7 +16,7 @@ from glsplat.evaluate.comparison import measure
 from glsplat.evaluate.comparison.work import work
 from glsplat.formats import save
 from tests.evaluate.comparison.conftest import Pixels
-from tests.net.test_legacy import thinned
+from tests.net.legacy.test_legacy import thinned
 
 pytestmark = pytest.mark.gl
 

@@ -25,8 +25,8 @@ from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import Decoder
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import Session
-from tests.net.backends import Boxed
-from tests.net.contested import Contested, contest
+from tests.net.backends.fakes import Boxed
+from tests.net.pace.contested import Contested, contest
 from tests.net.wire import HANG, native, still_serves, until
 
 

@@ -21,7 +21,7 @@ from glsplat.net.client import Client as Streaming
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
 from glsplat.net.uploads.job import UploadConfig
-from tests.net.test_legacy import thinned
+from tests.net.legacy.test_legacy import thinned
 from tests.net.uploads.conftest import GUARD, LIMITS, Client
 from tests.net.uploads.makers import PICTURE, make
 from tests.scenes import limb

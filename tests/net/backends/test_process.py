@@ -19,7 +19,7 @@ from glsplat.net.backends import process, slots
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
-from tests.net.backends import Boxed
+from tests.net.backends.fakes import Boxed
 from tests.net.wire import until
 
 

@@ -16,7 +16,7 @@ from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends import slots
 from glsplat.net.backends.process import ProcessBackend
-from tests.net.backends import Boxed
+from tests.net.backends.fakes import Boxed
 
 MIB = 2**20
 SIDE = 1200  # a pair takes 11 MiB, of which 8 are set aside at the start

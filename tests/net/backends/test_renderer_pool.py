@@ -33,7 +33,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
 from tests import needs
 from tests.compare import Difference
-from tests.net.test_legacy import thinned
+from tests.net.legacy.test_legacy import thinned
 from tests.scenes import limb
 from tests.skinning.faces import expressive
 
