@@ -74,6 +74,7 @@ class Recipe:
     lashes: float = 1.0  # how long
     white: float = 1.0  # of eyes, how bright: beside a dark face the white of a fair one shines
     lids: float = 0.85  # how far their colours become those of the skin around
+    fair: float = 0.7  # of the skin around, by its light: what is less fair is taken for shade
 
     def resting(self) -> dict[str, float]:
         """The expression that is baked into the mesh: MakeHuman's faces look stern."""
@@ -93,7 +94,7 @@ PEOPLE = {
         iris="dark brown",
         source="hm08 body, male_casualsuit02, shoes01, short01, eyebrow001, young_darkskinned_male",
         touches=(("body", darker_palms), ("male_casualsuit02", plain_sleeves)),
-        rest=(("mouthSmile", 0.42), ("browInnerUp", 0.4), ("cheekSquint", 0.15)),
+        rest=(("mouthSmile", 0.52), ("browInnerUp", 0.8), ("browOuterUp", 0.2), ("cheekSquint", 0.15)),
         brows=(0.003, 0.002),
         lashes=0.75,
         white=0.64,
@@ -117,7 +118,8 @@ PEOPLE = {
         touches=(("top", calmer), ("eyebrows", toned((128, 120, 112), 1.3))),
         rest=(("mouthSmile", 0.25), ("browInnerUp", 0.2), ("cheekSquint", 0.1), ("eyeWide", 0.25)),
         lashes=0.55,
-        lids=0.95,
+        lids=1.0,
+        fair=0.85,
     ),
 }
 
@@ -137,7 +139,7 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
     mesh = with_mouth(with_expressions(mesh, same), same)
     blink = blink_that_shuts(mesh, openings(mesh, eyeballs(mesh, *EYES)))
-    return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids), blink
+    return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids, fair=recipe.fair), blink
 
 
 def about(recipe: Recipe, blink: float) -> dict[str, str]:
