@@ -105,7 +105,7 @@ PEOPLE = {
         source="hm08 body, female_casualsuit01, male_casualsuit04, shoes05, long01, eyebrow002, "
         "young_lightskinned_female_diffuse",
         touches=(("top", without_dots), ("hair", fair_ends), ("eyebrows", toned((134, 106, 72), 0.8))),
-        rest=(("mouthSmile", 0.25), ("browInnerUp", 0.5), ("cheekSquint", 0.1)),
+        rest=(("mouthSmile", 0.45), ("browInnerUp", 0.95), ("cheekSquint", 0.15)),
         brows=(0.0055, 0.0),
         lashes=0.9,
         lids=0.0,
