@@ -107,7 +107,7 @@ def test_eyes_close_with_skin(look: Look, name: str) -> None:
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("name", ("anna", "ben"))
+@pytest.mark.parametrize("name", PEOPLE)
 @pytest.mark.parametrize("way", [(0, 1, 0), (0, -1, 0), (0, 1, 0.7), (0, -1, -0.7)])
 def test_nothing_shows_through_an_arm(
     renderer_of: Callable[..., Renderer], name: str, way: tuple[float, float, float]

@@ -56,6 +56,7 @@ BLINK = "blink"
 """Of a file's notes: the share of the open body's blink that closes its lids."""
 EYES_OF = "eyes"
 """Of a file's notes: how bright their whites are, and the colour of their irises."""
+_HIDING = 0.02  # of all splats: where fewer can be hidden, cones are not worth their bytes
 _BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
@@ -186,6 +187,15 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
     return replace(avatar, splats=splats, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
 
 
+def worth_cones(avatar: Avatar) -> Avatar:
+    """The avatar, where its cones hide hardly anything without them: what widens all can leave none that hides."""
+    hiding = avatar.splats.cones is not None and (avatar.splats.cones[:, 3] > -127).mean() >= _HIDING
+    if hiding:
+        return avatar
+    levels = tuple(replace(one, content=worth_cones(one.content)) for one in avatar.levels)
+    return replace(avatar, splats=replace(avatar.splats, cones=None, cones_psnr=None), levels=levels)
+
+
 def made(mesh: RiggedMesh, splats: int, steps: int, recipe: Recipe, show: Callable[[str, float], None]) -> Avatar:
     """``splats`` splats fitted to the furnished person, with lashes, and strands on its hair."""
     avatar = make_avatar(mesh, splats - STRANDS - BROWS - LASHES, config=SAMPLER, progress=show)
@@ -228,7 +238,7 @@ def main() -> None:
         avatar = fitted_around(avatar, mesh, show)
         if options.levels:
             avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
-        avatar = with_surface(with_cones(avatar, progress=show), mesh)
+        avatar = with_surface(worth_cones(with_cones(avatar, progress=show)), mesh)
     save(small(replace(avatar, meta=about(recipe, blink))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
