@@ -27,8 +27,9 @@ def lid_corners(mesh: RiggedMesh) -> NDArray[np.bool_]:
     return np.asarray(far > _LID * np.max(far))
 
 
-def even_lids(mesh: RiggedMesh, share: float, part: str = "body") -> RiggedMesh:
-    """The mesh whose lids have, in the texture of ``part``, by so large a share the colours of the skin around.
+def even_lids(mesh: RiggedMesh, share: float, part: str = "body", fair: float = 0.7) -> RiggedMesh:
+    """The mesh whose lids have, in the texture of ``part``, by so large a share the colours of the skin around, of
+    what there is lighter than the share ``fair`` of it.
 
     Textures are photographs: shade under brows and make-up are painted on lids, and stretch over the eye that closes.
     """
@@ -41,19 +42,19 @@ def even_lids(mesh: RiggedMesh, share: float, part: str = "body") -> RiggedMesh:
             near = (cKDTree(middle[front]).query(middle)[0] < _AROUND) & ~np.isin(one.faces, lids).any(axis=1)
             texture = one.texture
             mask, ring = (_drawn(one.uv[which], texture.shape[:2]) for which in (front, near))
-            one = replace(one, texture=_evened(texture, mask, ring & ~mask, share))
+            one = replace(one, texture=_evened(texture, mask, ring & ~mask, share, fair))
         parts.append(one)
     return replace(mesh, parts=tuple(parts))
 
 
 def _evened(
-    texture: NDArray[np.uint8], mask: NDArray[np.bool_], ring: NDArray[np.bool_], share: float
+    texture: NDArray[np.uint8], mask: NDArray[np.bool_], ring: NDArray[np.bool_], share: float, least: float
 ) -> NDArray[np.uint8]:
     """Colours in ``mask`` nearer to what the ``ring`` has beside them: a mean that falls off with the distance."""
     colour = texture[..., :3].astype(np.float64)
     wide = texture.shape[0] / 40
     light = colour.mean(axis=2)
-    fair = ring & (light >= np.quantile(light[ring], 0.7))  # shade and lashes are no skin
+    fair = ring & (light >= np.quantile(light[ring], least))  # shade and lashes are no skin
     held = fair.astype(np.float64)[..., None]
     around = cv2.GaussianBlur(colour * held, (0, 0), wide)
     found = cv2.GaussianBlur(held[..., 0], (0, 0), wide)[..., None]

@@ -59,6 +59,7 @@ from tools.data.persons import (
     part_of,
     small,
     trimmed,
+    worth_cones,
 )
 
 _AROUND, _REACH = 0.012, 0.08  # metres from the part, and from the middle of one of its triangles
@@ -277,7 +278,7 @@ def main() -> None:
         avatar = fitted_around(avatar, mesh, show)
         if levels:
             avatar = with_levels(avatar, levels, steps=LEVEL_STEPS, progress=show)
-        avatar = with_surface(with_cones(avatar, progress=show), mesh)
+        avatar = with_surface(worth_cones(with_cones(avatar, progress=show)), mesh)
     save(small(avatar), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB, levels", *measures(avatar), sep="\n")
 

@@ -56,6 +56,7 @@ BLINK = "blink"
 """Of a file's notes: the share of the open body's blink that closes its lids."""
 EYES_OF = "eyes"
 """Of a file's notes: how bright their whites are, and the colour of their irises."""
+_HIDING = 0.02  # of all splats: where fewer can be hidden, cones are not worth their bytes
 _BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
@@ -74,6 +75,7 @@ class Recipe:
     lashes: float = 1.0  # how long
     white: float = 1.0  # of eyes, how bright: beside a dark face the white of a fair one shines
     lids: float = 0.85  # how far their colours become those of the skin around
+    fair: float = 0.7  # of the skin around, by its light: what is less fair is taken for shade
 
     def resting(self) -> dict[str, float]:
         """The expression that is baked into the mesh: MakeHuman's faces look stern."""
@@ -93,7 +95,7 @@ PEOPLE = {
         iris="dark brown",
         source="hm08 body, male_casualsuit02, shoes01, short01, eyebrow001, young_darkskinned_male",
         touches=(("body", darker_palms), ("male_casualsuit02", plain_sleeves)),
-        rest=(("mouthSmile", 0.42), ("browInnerUp", 0.4), ("cheekSquint", 0.15)),
+        rest=(("mouthSmile", 0.52), ("browInnerUp", 0.8), ("browOuterUp", 0.2), ("cheekSquint", 0.15)),
         brows=(0.003, 0.002),
         lashes=0.75,
         white=0.64,
@@ -104,7 +106,7 @@ PEOPLE = {
         source="hm08 body, female_casualsuit01, male_casualsuit04, shoes05, long01, eyebrow002, "
         "young_lightskinned_female_diffuse",
         touches=(("top", without_dots), ("hair", fair_ends), ("eyebrows", toned((134, 106, 72), 0.8))),
-        rest=(("mouthSmile", 0.25), ("browInnerUp", 0.5), ("cheekSquint", 0.1)),
+        rest=(("mouthSmile", 0.45), ("browInnerUp", 0.95), ("cheekSquint", 0.15)),
         brows=(0.0055, 0.0),
         lashes=0.9,
         lids=0.0,
@@ -117,7 +119,8 @@ PEOPLE = {
         touches=(("top", calmer), ("eyebrows", toned((128, 120, 112), 1.3))),
         rest=(("mouthSmile", 0.25), ("browInnerUp", 0.2), ("cheekSquint", 0.1), ("eyeWide", 0.25)),
         lashes=0.55,
-        lids=0.95,
+        lids=1.0,
+        fair=0.85,
     ),
 }
 
@@ -137,7 +140,7 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
     mesh = with_mouth(with_expressions(mesh, same), same)
     blink = blink_that_shuts(mesh, openings(mesh, eyeballs(mesh, *EYES)))
-    return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids), blink
+    return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids, fair=recipe.fair), blink
 
 
 def about(recipe: Recipe, blink: float) -> dict[str, str]:
@@ -184,6 +187,15 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
     return replace(avatar, splats=splats, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
 
 
+def worth_cones(avatar: Avatar) -> Avatar:
+    """The avatar, where its cones hide hardly anything without them: what widens all can leave none that hides."""
+    hiding = avatar.splats.cones is not None and (avatar.splats.cones[:, 3] > -127).mean() >= _HIDING
+    if hiding:
+        return avatar
+    levels = tuple(replace(one, content=worth_cones(one.content)) for one in avatar.levels)
+    return replace(avatar, splats=replace(avatar.splats, cones=None, cones_psnr=None), levels=levels)
+
+
 def made(mesh: RiggedMesh, splats: int, steps: int, recipe: Recipe, show: Callable[[str, float], None]) -> Avatar:
     """``splats`` splats fitted to the furnished person, with lashes, and strands on its hair."""
     avatar = make_avatar(mesh, splats - STRANDS - BROWS - LASHES, config=SAMPLER, progress=show)
@@ -226,7 +238,7 @@ def main() -> None:
         avatar = fitted_around(avatar, mesh, show)
         if options.levels:
             avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
-        avatar = with_surface(with_cones(avatar, progress=show), mesh)
+        avatar = with_surface(worth_cones(with_cones(avatar, progress=show)), mesh)
     save(small(replace(avatar, meta=about(recipe, blink))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
