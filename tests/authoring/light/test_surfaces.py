@@ -14,7 +14,8 @@ from glsplat.authoring.light.surfaces import nearest_open, with_surface
 from glsplat.avatar import Avatar
 from glsplat.light.light import Light
 from glsplat.light.surface import Surface
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from tests.authoring.test_surface import ball, rigged
@@ -84,7 +85,28 @@ def test_no_normal_stays_none(normals: np.ndarray) -> None:
 def test_colours_that_no_photograph_gave_hold_no_light() -> None:
     mesh = rigged(ball(0.3))
     count = len(mesh.vertices)
-    captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count))
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count), normals)
     surface = with_captured_light(on_the_vertices(mesh, 100), mesh, captured, 90).splats.surface
     assert surface is not None
     assert surface.shades[:90] == pytest.approx(0.5, rel=0.02) and surface.shades[90:] == pytest.approx(1.0)
+
+
+def test_only_what_lies_before_a_head_is_mixed_as_seen() -> None:
+    vertices, part = ball(0.3)
+    inner = ball(0.296, name="inside")
+    for name, changes in (("head", True), ("spine1", False)):
+        mesh = rigged((vertices, part), inner)
+        mesh = replace(
+            mesh, skeleton=Skeleton.from_joints((name, "jaw" if changes else "spine2"), [-1, 0], np.eye(2, 3))
+        )
+        count = len(mesh.vertices)
+        normals = vertex_normals(mesh.vertices, mesh.faces)
+        normals[len(vertices) :] *= -1  # a mouth's inside faces the other way
+        captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count), normals)
+        avatar = on_the_vertices(mesh, count)
+        surface = with_captured_light(avatar, mesh, captured).splats.surface
+        assert surface is not None
+        away = avatar.splats.means[len(vertices) :] - (0, 1, 0)
+        out = (surface.units[len(vertices) :] * away).sum(axis=1) / np.linalg.norm(away, axis=1)
+        assert (np.median(out) > 0) == changes, name
