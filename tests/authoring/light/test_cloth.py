@@ -20,13 +20,13 @@ def dented(upper: str, metres: float) -> tuple[RiggedMesh, np.ndarray]:
     vertices = vertices + out * np.random.default_rng(5).normal(0, metres, (len(vertices), 1))
     held = np.zeros((len(vertices), 1), np.int64)
     held[out[:, 1] > 0] = 1
-    skeleton = Skeleton.from_joints(("base", upper), [-1, 0], [[0, 0.7, 0], [0, 1, 0]])
+    skeleton = Skeleton.from_joints(("base", upper), [-1, 0], np.array([[0, 0.7, 0], [0, 1, 0]]))
     return RiggedMesh(vertices, skeleton, held, np.ones((len(vertices), 1)), (part,)), out
 
 
 def off(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Degrees between unit vectors."""
-    return np.degrees(np.arccos(np.einsum("nc,nc->n", one, other).clip(-1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.einsum("nc,nc->n", one, other).clip(-1, 1))))
 
 
 def test_cloth_is_evened_out_and_a_face_is_kept() -> None:
