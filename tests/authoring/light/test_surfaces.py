@@ -54,6 +54,14 @@ def test_what_lies_inside_is_dark_and_lends_nothing_its_normal() -> None:
     assert nearest_open(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
 
 
+def test_of_cloth_folded_over_itself_the_outer_side_is_taken() -> None:
+    near = rigged(ball(0.3), ball(0.299, name="folded"))  # a millimetre beneath, where some of the sky is seen
+    outer = len(ball(0.3)[0])
+    half_open = np.repeat([0.7, 0.25], outer)
+    splats = on_the_vertices(near, 2 * outer).splats
+    assert nearest_open(near, splats, half_open).at(half_open).min() > 0.65
+
+
 def test_two_balls_shade_each_other_where_they_touch() -> None:
     vertices, part = ball(0.3)
     mesh = rigged((vertices, part), (vertices + (0.61, 0, 0), replace(part, name="beside")))
