@@ -1,9 +1,10 @@
 """Holds glTF files as glsplat writes them against the Khronos validator and three.js, both in node.
 
     npm install gltf-validator three        (in a folder of its own, FOLDER)
-    python -m tools.peers.gltf_readers FOLDER
+    python -m tools.peers.gltf_readers FOLDER [FILE.glb ...]
 
-A static scene, an avatar, an avatar with cones and the embedded one, and a textured skinned mesh, as .glb and .gltf.
+A static scene, an avatar, an avatar with cones and the embedded one, and a textured skinned mesh, as .glb and .gltf;
+the files of the embedded people as they are, and further ones that are named.
 The validator may say only that it does not know KHR_gaussian_splatting and its attributes. three.js has to find the
 same counts, positions, colours, joints and weights, and for the mesh the same places by its own skinning, also where
 the nodes stand in another pose than the one of binding.
@@ -22,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from glsplat.avatar import Avatar, splats_of
-from glsplat.data import default_avatar
+from glsplat.data import PEOPLE, default_avatar, embedded_file
 from glsplat.formats import load, save
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.formats.gltf.splats import EXTENSION
@@ -49,7 +50,7 @@ def written(folder: Path) -> list[Path]:
     paths.append(folder / "bent.glb")
     save_gltf_mesh(chain(), paths[-1])
     edit_glb(paths[-1], lambda document: document["nodes"][1 + BENT].update(rotation=BEND))
-    return paths
+    return [*paths, *map(embedded_file, PEOPLE)]
 
 
 def complaint(issue: dict[str, Any]) -> str | None:
@@ -122,7 +123,7 @@ def main() -> int:
     """0 where all agree."""
     wrong = 0
     with tempfile.TemporaryDirectory() as folder:
-        paths = written(Path(folder))
+        paths = [*written(Path(folder)), *(Path(name).resolve() for name in sys.argv[2:])]
         script = Path(__file__).with_suffix(".mjs")
         done = subprocess.run(["node", script, *paths], cwd=sys.argv[1], capture_output=True, check=True)
         for path, said in ((Path(name), said) for name, said in json.loads(done.stdout).items()):

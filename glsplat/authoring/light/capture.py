@@ -15,16 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.authoring.light.cloth import cloth_normals
 from glsplat.authoring.light.occlusion import ambient_occlusion
 from glsplat.authoring.light.surfaces import nearest_open, opened
 from glsplat.authoring.optimize.seen import as_seen
 from glsplat.authoring.paint.light import Light as Lamp
 from glsplat.authoring.paint.light import find_light
 from glsplat.authoring.paint.shot import FittedPicture
+from glsplat.authoring.visibility import HEAD
 from glsplat.avatar import Avatar
 from glsplat.light.light import Light
 from glsplat.light.surface import Surface
-from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.meshes import RiggedMesh
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skin import strongest_joint
 
 __all__ = ["CapturedLight", "captured_light", "with_captured_light"]
 
@@ -47,15 +51,17 @@ class CapturedLight:
     """[V] of the mesh's vertices as photographed, where nobody looked as painted; irradiance over pi."""
     occlusion: F64
     """[V] ambient occlusion in the photograph's pose."""
+    normals: F64
+    """[V, 3] unit, in the zero pose, of what the body wears."""
 
 
 def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], painted: Lamp) -> CapturedLight:
     """Of ``shots``, the front first, of the dressed body ``mesh``; ``painted`` is the light that unseen sides have."""
     front = shots[0]
-    normals, up = front.normals, front.view.root[:, 1]
+    vertices, up = front.view.vertices, front.view.root[:, 1]
+    normals, still = cloth_normals(mesh, [vertices, mesh.posed(Pose.zero(len(mesh.skeleton)))])
     linear = front.sample(front.view.pixels, front.layer)
     lamp = find_light(normals, linear, front.trust, up, np.array([0.0, 0, -1]), _DOUBTS)
-    vertices = front.view.vertices
     occlusion = ambient_occlusion(mesh, vertices)
     ambient = replace(lamp, strength=0.0).shade(normals)
     seen = ambient * opened(occlusion) + lamp.shade(normals) - ambient
@@ -72,7 +78,7 @@ def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], painted: La
     sky, ground = (np.full(3, one) for one in ramp)
     direction = front.view.root.T @ lamp.direction
     light = Light.hemisphere(sky, ground, direction, np.full(3, np.pi * lamp.strength / full))
-    return CapturedLight(light, np.asarray(shade), occlusion)
+    return CapturedLight(light, np.asarray(shade), occlusion, still)
 
 
 def with_captured_light(
@@ -83,11 +89,17 @@ def with_captured_light(
     Splats from ``photographed`` on (teeth, lashes) have colours that no photograph gave: these hold no light.
     """
     where = nearest_open(mesh, avatar.splats, captured.occlusion)
-    normals = where.directions(vertex_normals(mesh.vertices, mesh.faces))
+    normals = where.directions(captured.normals)
     shade = where.at(captured.shade[:, None])[:, 0]
     if photographed is not None:
         shade[photographed:] = 1.0
-    normals, occlusion, shade = as_seen(avatar, normals, opened(where.at(captured.occlusion)), shade)
+    occlusion = opened(where.at(captured.occlusion))
+    faces = [number for number, name in enumerate(avatar.skeleton.names) if name in HEAD]
+    mine = np.isin(strongest_joint(avatar.skin.joints, avatar.skin.weights), faces)
+    if mine.any():  # elsewhere nothing lies behind what is seen but the same body's other side
+        shapes = None if avatar.shapes is None else avatar.shapes.take(mine)
+        head = replace(avatar, splats=avatar.splats.take(mine), skin=avatar.skin.take(mine), shapes=shapes, levels=())
+        normals[mine], occlusion[mine], shade[mine] = as_seen(head, normals[mine], occlusion[mine], shade[mine])
     surface = Surface.of(normals, occlusion, np.repeat(shade[:, None], 3, axis=1))
     meta: dict[str, Any] = dict(avatar.meta) | {"light": captured.light.to_json()}
     return replace(avatar, splats=replace(avatar.splats, surface=surface), meta=meta)

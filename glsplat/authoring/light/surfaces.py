@@ -26,6 +26,7 @@ _SPACING = 0.004  # metres between points on triangles, at most so many of each
 _MOST = 64
 _CANDIDATES = 12  # nearest points, of which one is open and faces as the splat does
 _SIDEWAYS, _HIDDEN = 0.004, 0.05  # metres that facing another way is worth, and lying inside (a mouth behind a cheek)
+_COVERED = 0.012  # metres that seeing nothing of the sky is worth: cloth folded over itself has an inner side
 _INSIDE = 0.1  # occlusion of what lies inside
 _OWN = ("teeth", "tongue")  # parts that keep their own surface, wherever they lie
 _DARKEST = 0.25  # occlusion at least: teeth are hidden while the mouth is shut, and not black when it opens
@@ -69,7 +70,8 @@ def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
     points = np.einsum("nk,nkc->nc", weights, corner[which])
     means = np.nan_to_num(splats.means.astype(np.float64), posinf=0, neginf=0)
     apart = np.repeat([part.name in _OWN for part in mesh.parts], [len(part.faces) for part in mesh.parts])
-    inside = (occlusion[faces].mean(axis=1) < _INSIDE) & ~apart
+    arriving = occlusion[faces].mean(axis=1)
+    inside = (arriving < _INSIDE) & ~apart
     far, near = _nearest(points, np.arange(len(points)), means)
     outer = np.flatnonzero(~inside[which])
     if 0 < len(outer) < len(points):  # what lies inside may have none but such about it
@@ -77,7 +79,7 @@ def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
             np.concatenate(both, axis=1) for both in zip((far, near), _nearest(points, outer, means), strict=True)
         )
     facing = np.abs(np.einsum("nkc,nc->nk", face_normals[which[near]], thin_axes(splats)))
-    cost = far + _SIDEWAYS * (1 - facing) + _HIDDEN * inside[which[near]]
+    cost = far + _SIDEWAYS * (1 - facing) + _COVERED * (1 - arriving[which[near]]) + _HIDDEN * inside[which[near]]
     chosen = np.take_along_axis(near, cost.argmin(axis=1)[:, None], axis=1)[:, 0]
     return Nearest(faces[which[chosen]].astype(np.intp), _projected(means, corner[which[chosen]]))
 

@@ -14,7 +14,8 @@ from glsplat.authoring.light.surfaces import nearest_open, with_surface
 from glsplat.avatar import Avatar
 from glsplat.light.light import Light
 from glsplat.light.surface import Surface
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from tests.authoring.test_surface import ball, rigged
@@ -53,6 +54,14 @@ def test_what_lies_inside_is_dark_and_lends_nothing_its_normal() -> None:
     assert nearest_open(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
 
 
+def test_of_cloth_folded_over_itself_the_outer_side_is_taken() -> None:
+    near = rigged(ball(0.3), ball(0.299, name="folded"))  # a millimetre beneath, where some of the sky is seen
+    outer = len(ball(0.3)[0])
+    half_open = np.repeat([0.7, 0.25], outer)
+    splats = on_the_vertices(near, 2 * outer).splats
+    assert nearest_open(near, splats, half_open).at(half_open).min() > 0.65
+
+
 def test_two_balls_shade_each_other_where_they_touch() -> None:
     vertices, part = ball(0.3)
     mesh = rigged((vertices, part), (vertices + (0.61, 0, 0), replace(part, name="beside")))
@@ -84,7 +93,28 @@ def test_no_normal_stays_none(normals: np.ndarray) -> None:
 def test_colours_that_no_photograph_gave_hold_no_light() -> None:
     mesh = rigged(ball(0.3))
     count = len(mesh.vertices)
-    captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count))
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count), normals)
     surface = with_captured_light(on_the_vertices(mesh, 100), mesh, captured, 90).splats.surface
     assert surface is not None
     assert surface.shades[:90] == pytest.approx(0.5, rel=0.02) and surface.shades[90:] == pytest.approx(1.0)
+
+
+def test_only_what_lies_before_a_head_is_mixed_as_seen() -> None:
+    vertices, part = ball(0.3)
+    inner = ball(0.296, name="inside")
+    for name, changes in (("head", True), ("spine1", False)):
+        mesh = rigged((vertices, part), inner)
+        mesh = replace(
+            mesh, skeleton=Skeleton.from_joints((name, "jaw" if changes else "spine2"), [-1, 0], np.eye(2, 3))
+        )
+        count = len(mesh.vertices)
+        normals = vertex_normals(mesh.vertices, mesh.faces)
+        normals[len(vertices) :] *= -1  # a mouth's inside faces the other way
+        captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count), normals)
+        avatar = on_the_vertices(mesh, count)
+        surface = with_captured_light(avatar, mesh, captured).splats.surface
+        assert surface is not None
+        away = avatar.splats.means[len(vertices) :] - (0, 1, 0)
+        out = (surface.units[len(vertices) :] * away).sum(axis=1) / np.linalg.norm(away, axis=1)
+        assert (np.median(out) > 0) == changes, name
