@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.authoring.optimize.compiled import MISSING, available
-from glsplat.authoring.optimize.seen import ready
 from glsplat.authoring.reconstruct.builtin import MeshReconstructor
 from glsplat.authoring.reconstruct.photos import (
     CheckedPhoto,
@@ -24,7 +23,7 @@ from glsplat.authoring.reconstruct.photos import (
 )
 from glsplat.authoring.reconstruct.reconstructor import Options, Progress
 from glsplat.authoring.reconstruct.registry import named, names
-from glsplat.authoring.threads import aside, one_heap
+from glsplat.authoring.threads import one_heap
 from glsplat.errors import CaptureError, FormatError
 
 from ..args import natural, positive
@@ -133,8 +132,6 @@ def _one(args: argparse.Namespace) -> int:
         maker = named(args.using)  # a name that nobody knows is said before the pictures are looked at
         if mesh and not isinstance(maker, MeshReconstructor):
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
-        if not mesh and args.using == "builtin":
-            aside(ready)  # while networks read the pictures
         shots = _shots(args, show)
         done: Reconstruction | MeshReconstruction | None = None
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -17,7 +16,7 @@ from glsplat.authoring.paint.layers.labels import labels_of
 from glsplat.authoring.paint.layers.patches import woven
 from glsplat.authoring.paint.layers.segments import HANDS, LAYERS, half_width, layer_of, trunk_of
 from glsplat.authoring.raster import visible_faces
-from glsplat.authoring.threads import abreast
+from glsplat.authoring.threads import abreast, found_once
 from glsplat.camera import Camera
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.pictures import to_linear
@@ -50,7 +49,7 @@ class SurfacePoints:
     corners: NDArray[np.intp]  # [M, 3] vertices
     weights: F64  # [M, 3] barycentric
 
-    def take(self, some: NDArray[np.intp] | slice) -> SurfacePoints:
+    def take(self, some: NDArray[np.intp] | NDArray[np.bool_] | slice) -> SurfacePoints:
         """N of the points."""
         return SurfacePoints(self.corners[some], self.weights[some])
 
@@ -92,7 +91,7 @@ class FittedPicture:
         None  # [2, 24, 2] pixels of shoulders, elbows, wrists, hands as networks saw them; NaN where they did not
     )
 
-    @cached_property
+    @found_once
     def layer(self) -> NDArray[np.intp]:
         """[V] of the vertices; 0 where the body has one layer only."""
         return np.zeros(len(self.mesh.vertices), np.intp) if self.segment is None else layer_of(self.segment)
@@ -126,25 +125,25 @@ class FittedPicture:
         mask = cv2.resize(self._agreed.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA), np.uint8), mask == 255
 
-    @cached_property
+    @found_once
     def normals(self) -> F64:
         """[V, 3] in the camera's axes."""
         return vertex_normals(self.view.vertices, self.mesh.faces)
 
-    @cached_property
+    @found_once
     def trust(self) -> F64:
         """[V] of the vertices themselves."""
         return self.known(self.view.pixels, self.layer) * self._facing(
             self.view.vertices, self.normals, self.view.pixels, self.layer, *_BELIEVED
         )
 
-    @cached_property
+    @found_once
     def squareness(self) -> F64:
         """[V] cosine between a vertex's normal and the way to the camera, whatever hides it."""
         where = self.view.vertices
         return np.asarray(-(self.normals * where).sum(axis=1) / np.linalg.norm(where, axis=1))
 
-    @cached_property
+    @found_once
     def shown(self) -> F64:
         """[V] 1 where nothing of its layer hides a vertex on or before the outline and its colour is near, else 0."""
         shown = self._facing(self.view.vertices, self.normals, self.view.pixels, self.layer, *_TURNED)
@@ -195,7 +194,7 @@ class FittedPicture:
         at = np.floor(pixels * scale).astype(np.intp)
         return at[:, 1].clip(0, height - 1), at[:, 0].clip(0, width - 1)
 
-    @cached_property
+    @found_once
     def _room(self) -> tuple[float, NDArray[np.float32]]:
         """Of a smaller picture its scale, and the room's colours carried on into the person."""
         scale = min(1.0, _LABELLED / self._height)
@@ -205,7 +204,7 @@ class FittedPicture:
         small = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
         return scale, to_linear(small[row, column] / 255).astype(np.float32)
 
-    @cached_property
+    @found_once
     def _deep(self) -> tuple[float, list[NDArray[np.float32]]]:
         """The same scale, and for each layer how deep in it its pixels lie, in heights of the person."""
         scale = min(1.0, _LABELLED / self._height)
@@ -247,7 +246,7 @@ class FittedPicture:
         ramp = ((facing - least) / (most - least)).clip(0, 1)
         return np.where(inside & (where[:, 2] < nearest + _BEHIND), ramp * ramp * (3 - 2 * ramp), 0.0)
 
-    @cached_property
+    @found_once
     def _layers(self) -> list[_Layer]:
         inner = cv2.erode(self.mask.astype(np.uint8), disc(_RIM)) > 0
         if not inner.any():
@@ -271,10 +270,9 @@ class FittedPicture:
             carried = np.where((picture == seen.picture).all(axis=2), seen.far, np.float32(0))
             return replace(seen, picture=picture, far=carried)
 
-        _ = self._label, self.layer  # found once, before threads ask for them
         return abreast(cut, range(LAYERS))
 
-    @cached_property
+    @found_once
     def _details(self) -> list[NDArray[np.float32]]:
         """[H, W] of each layer the local spread of colour, as a share of what counts as full of detail."""
         return abreast(lambda seen: _busy(seen.picture), self._layers)
@@ -291,12 +289,12 @@ class FittedPicture:
         depth[hit] = (bary[hit] * self.view.vertices[faces[ids[hit]], 2]).sum(axis=1)
         return _Layer(picture, depth, known, far)
 
-    @cached_property
+    @found_once
     def _label(self) -> NDArray[np.intp]:
         """[H, W] the layer that each pixel shows, below zero none."""
         return _grown(self._labelled[0], self.mask.shape)
 
-    @cached_property
+    @found_once
     def _agreed(self) -> NDArray[np.bool_]:
         """[H, W] where the picture shows what the fitted body shows."""
         if self.segment is None:
@@ -305,7 +303,7 @@ class FittedPicture:
         there = _grown(layer_of(segment), self.mask.shape)
         return np.asarray(self.mask & ((self._label == there) | ((there < 0) & (self._label >= 0))))
 
-    @cached_property
+    @found_once
     def _labelled(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """What the picture shows, and the body's segments, both smaller than the picture."""
         assert self.segment is not None
@@ -322,7 +320,7 @@ class FittedPicture:
         bones = None if self.bones is None else self.bones * (np.array(size) / self.mask.shape[::-1])
         return labels_of(np.asarray(rgb, np.uint8), mask, segment, hand, head, bones), segment
 
-    @cached_property
+    @found_once
     def _height(self) -> float:
         """Pixels of the person."""
         rows = np.flatnonzero(self.mask.any(axis=1))
@@ -338,7 +336,7 @@ class FittedPicture:
         some = replace(self.mesh, parts=(MeshPart("", faces, np.zeros((*faces.shape, 2)), white),))
         return visible_faces(some, self.view.vertices, camera)
 
-    @cached_property
+    @found_once
     def _behind(self) -> NDArray[np.float32]:
         """[H, W, 3] the trunk's picture without what the sides do not show."""
         front = self._layers[0]

@@ -19,6 +19,7 @@ from glsplat.authoring.fit.view import View
 from glsplat.authoring.light.capture import captured_light, with_captured_light
 from glsplat.authoring.networks.people import DetectedPerson, find_person
 from glsplat.authoring.networks.person import LANDMARKS
+from glsplat.authoring.optimize.seen import ready
 from glsplat.authoring.paint.dress import dressed_mesh
 from glsplat.authoring.paint.layers.segments import segments_of
 from glsplat.authoring.paint.paint import painter_of
@@ -91,6 +92,7 @@ class Builtin:
 
     def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """The avatar with all that led to it."""
+        loaded = None if options.keep_light else aside(ready)
         body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
         rng = np.random.default_rng(options.seed)
         face = aside(lambda: moving_face(mesh)) if options.splats >= _FACED else None
@@ -107,8 +109,9 @@ class Builtin:
         if face:
             options.progress("giving it a face", 0.0)
             avatar = with_face(avatar, face(), options.splats, options.seed)
-        if captured is not None:
+        if captured is not None and loaded is not None:
             options.progress("finding the light", 0.0)
+            loaded()
             avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
