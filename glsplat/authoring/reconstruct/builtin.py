@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,15 @@ from glsplat.authoring.paint.scatter import even_points, scatter
 from glsplat.authoring.paint.shot import FittedPicture
 from glsplat.authoring.paint.skirt import hem_of, with_skirt
 from glsplat.authoring.paint.unseen.hair import with_hair
-from glsplat.authoring.reconstruct.reconstructor import Mask, Options, Picture
+from glsplat.authoring.reconstruct.reconstructor import (
+    FittedBody,
+    MadeAvatar,
+    Mask,
+    MeshReconstructor,
+    Options,
+    Picture,
+    ReportingReconstructor,
+)
 from glsplat.authoring.reconstruct.sharp import sharp
 from glsplat.authoring.texture import baked
 from glsplat.authoring.threads import aside
@@ -45,42 +52,6 @@ _HAND, _NEAR = 0.8, 0.4  # presence of a hand; how far its wrist is from the arm
 _LIT = 20_000  # points that light and unseen share are found on
 PHONE = 1.37
 """Focal length of a usual phone camera, in heights of an upright picture."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FittedBody:
-    """The fitted body, and how well the pictures show it."""
-
-    fit: BodyFit
-    mesh: RiggedMesh  # the dressed body in the zero pose; white, unless a mesh was asked for
-    unseen: float  # share of the surface that no picture shows
-    seen: NDArray[np.float64]  # [V] of its vertices, from 0 guessed to 1 seen squarely
-    problem: str  # one line, or empty
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MadeAvatar(FittedBody):
-    """An avatar, and how it came about."""
-
-    avatar: Avatar
-
-
-@runtime_checkable
-class ReportingReconstructor(Protocol):
-    """A reconstructor that can say how its avatar came about."""
-
-    def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
-        """As ``reconstruct``, with all that led to the avatar."""
-        ...
-
-
-@runtime_checkable
-class MeshReconstructor(Protocol):
-    """A reconstructor that can make a textured mesh in place of splats."""
-
-    def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
-        """As ``reconstruct``; what is asked for is ``FittedBody.mesh``."""
-        ...
 
 
 class Builtin:
