@@ -18,7 +18,8 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.faces.shapes import shapes_of
+from glsplat.authoring.threads import aside
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import Skin
@@ -128,10 +129,11 @@ def avatar_of(cells: Sequence[Cells], mesh: RiggedMesh, opacity: float) -> Avata
     rgb = np.concatenate([c.rgb for c in cells])
     weights = np.concatenate([c.weights for c in cells])
     joints = len(mesh.skeleton)
-    skin = Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints)
+    skin = aside(lambda: Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints))
     splats = Splats.create(means, quats, scales, np.full(len(means), opacity), rgb=rgb, antialias=True)
-    avatar = Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))
-    return with_shapes(avatar, mesh, np.concatenate([c.faces for c in cells]))
+    faces = np.concatenate([c.faces for c in cells])
+    shapes = None if mesh.morphs is None else shapes_of(splats, mesh, mesh.morphs, faces)
+    return Avatar(splats, mesh.skeleton, skin(), dict(mesh.meta), shapes=shapes)
 
 
 def _pick(weight: NDArray[np.float64], count: int, rng: np.random.Generator) -> NDArray[np.intp]:

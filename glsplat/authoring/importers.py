@@ -137,6 +137,8 @@ def nearest_weights(mesh: RiggedMesh, points: F64) -> tuple[NDArray[np.int64], F
 
 def nearest_on(vertices: F64, faces: NDArray[np.integer], points: F64) -> tuple[F64, F64, NDArray[np.intp], F64]:
     """Of triangles [F, 3] the places nearest to ``points`` [N, 3]: where, how far, in which, barycentric [N, 3]."""
+    if not len(points):
+        return np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.intp), np.zeros((0, 3))
     surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
     at, distance, face = _nearest_on(surface, points)
     bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
