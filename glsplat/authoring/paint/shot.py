@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from glsplat.authoring.fit.body import open_body
 from glsplat.authoring.fit.fit import FittedView
-from glsplat.authoring.paint.layers.fill import continued, disc, nearest_known, only_in_the_middle
+from glsplat.authoring.paint.layers.fill import continued, disc, nearest_known, only_in_the_middle, sources
 from glsplat.authoring.paint.layers.labels import labels_of
 from glsplat.authoring.paint.layers.patches import woven
 from glsplat.authoring.paint.layers.segments import HANDS, LAYERS, half_width, layer_of, trunk_of
@@ -279,10 +279,10 @@ class FittedPicture:
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> _Layer:
         table = to_linear(np.arange(256) / 255).astype(np.float32)
-        row, column = nearest_known(own)
-        picture = table[self.rgb[row, column]]
+        nearest, row, column = sources(own)
+        picture = table[self.rgb[row, column]][nearest]
         there = np.indices(own.shape, np.int32)
-        far = np.hypot(row - there[0], column - there[1]).astype(np.float32)
+        far = np.hypot(row[nearest] - there[0], column[nearest] - there[1]).astype(np.float32)
         ids, bary = self._drawn(faces, 1 / _COARSE)
         depth = np.full(ids.shape, np.inf, np.float32)
         hit = ids >= 0
