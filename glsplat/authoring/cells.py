@@ -22,6 +22,7 @@ from glsplat.authoring.faces.shapes import shapes_of
 from glsplat.authoring.threads import aside
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import lengths
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
@@ -202,7 +203,7 @@ def _gaussians(
     weights = (weights if cloud.skin is None else weights @ cloud.skin).toarray()
     rgb = _cell_means(label, cloud.rgb, area, zero)
     quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
-    faces = cloud.faces[_middles(label, np.linalg.norm(offset, axis=1), count)]
+    faces = cloud.faces[_middles(label, lengths(offset), count)]
     means = means - config.inset * normal
     return Cells(means, quats, scales, rgb, weights, faces)
 

@@ -20,7 +20,7 @@ from glsplat.authoring.threads import abreast, found_once
 from glsplat.camera import Camera
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.pictures import to_linear
-from glsplat.rotations import unit_vectors
+from glsplat.rotations import component_sums, lengths, unit_vectors
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -141,7 +141,7 @@ class FittedPicture:
     def squareness(self) -> F64:
         """[V] cosine between a vertex's normal and the way to the camera, whatever hides it."""
         where = self.view.vertices
-        return np.asarray(-(self.normals * where).sum(axis=1) / np.linalg.norm(where, axis=1))
+        return np.asarray(-component_sums(self.normals * where) / lengths(where))
 
     @found_once
     def shown(self) -> F64:
@@ -242,7 +242,7 @@ class FittedPicture:
         height, width = self.mask.shape
         inside = ((pixels >= 0) & (pixels < (width // _COARSE * _COARSE, height // _COARSE * _COARSE))).all(axis=1)
         nearest = self._at([seen.depth for seen in self._layers], pixels, layer, _COARSE)
-        facing = -(normals * where).sum(axis=1) / np.linalg.norm(where, axis=1)
+        facing = -component_sums(normals * where) / lengths(where)
         ramp = ((facing - least) / (most - least)).clip(0, 1)
         return np.where(inside & (where[:, 2] < nearest + _BEHIND), ramp * ramp * (3 - 2 * ramp), 0.0)
 
@@ -286,7 +286,7 @@ class FittedPicture:
         ids, bary = self._drawn(faces, 1 / _COARSE)
         depth = np.full(ids.shape, np.inf, np.float32)
         hit = ids >= 0
-        depth[hit] = (bary[hit] * self.view.vertices[faces[ids[hit]], 2]).sum(axis=1)
+        depth[hit] = component_sums(bary[hit] * self.view.vertices[faces[ids[hit]], 2])
         return _Layer(picture, depth, known, far)
 
     @found_once
@@ -372,7 +372,7 @@ class _Layer:
 def _busy(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     colour = np.sqrt(picture)  # about as eyes see it
     variance = cv2.blur(colour**2, (_PATCH, _PATCH)) - cv2.blur(colour, (_PATCH, _PATCH)) ** 2
-    return np.minimum(np.sqrt(np.maximum(variance, 0).sum(axis=2)) / _BUSY, 1)
+    return np.minimum(np.sqrt(component_sums(np.maximum(variance, 0))) / _BUSY, 1)
 
 
 def _bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:

@@ -40,7 +40,6 @@ from glsplat.authoring.texture import baked
 from glsplat.authoring.threads import aside
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.meshes import RiggedMesh
 
 __all__ = ["PHONE", "SIDES", "Builtin", "FittedBody", "MadeAvatar", "MeshReconstructor", "ReportingReconstructor"]
 
@@ -63,8 +62,10 @@ class Builtin:
 
     def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """The avatar with all that led to it."""
-        loaded = None if options.keep_light else aside(ready)
-        body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
+        body, fit, bald, looks = _fitted(pictures, masks, options)
+        loaded = None if options.keep_light else aside(ready)  # where a core has nothing to do
+        shots = with_hair(body, bald)
+        mesh = shots[0].mesh
         rng = np.random.default_rng(options.seed)
         face = aside(lambda: moving_face(mesh)) if options.splats >= _FACED else None
         strewn = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
@@ -89,7 +90,9 @@ class Builtin:
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
         """The dressed body with the pictures in its textures."""
-        body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
+        body, fit, bald, looks = _fitted(pictures, masks, options)
+        shots = with_hair(body, bald)
+        mesh = shots[0].mesh
         even = even_points(mesh, _LIT)
         painter = painter_of(body, shots, even, looks)
         unseen = float((painter.paint(even).seen < _HARDLY).mean())
@@ -104,8 +107,7 @@ class _Fitted(NamedTuple):
 
     body: Body
     fit: BodyFit
-    mesh: RiggedMesh
-    shots: list[FittedPicture]
+    shots: list[FittedPicture]  # no hair hangs behind it yet
     looks: Mapping[str, EyeLook]
 
 
@@ -129,12 +131,10 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
         FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
         for side, view, fitted in zip(sides, views, seen, strict=True)
     ]
-    shots = with_hair(body, shots)
-    mesh = shots[0].mesh
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.seen for look in looks.values()):
         looks = {}  # closed lids and dark glasses stay what they are
-    return _Fitted(body, fit, mesh, shots, looks)
+    return _Fitted(body, fit, shots, looks)
 
 
 def _seen(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.paint.layers.fill import disc
 from glsplat.authoring.paint.layers.segments import LAYERS, layer_of
 from glsplat.authoring.threads import abreast
+from glsplat.rotations import component_sums
 
 __all__ = ["NOTHING", "labels_of"]
 
@@ -165,7 +166,7 @@ def _unlike(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[n
     known = np.maximum(total, 1e-5)[..., None]
     mean = cv2.GaussianBlur(colours * weight[..., None], (0, 0), reach) / known
     spread = cv2.GaussianBlur(colours**2 * weight[..., None], (0, 0), reach) / known - mean**2
-    away = ((colours - mean) ** 2 / (np.maximum(spread, 0) + 16)).sum(axis=2)
+    away = component_sums((colours - mean) ** 2 / (np.maximum(spread, 0) + 16))
     return np.where(total > 2e-3, away, np.float32(1e6))
 
 
