@@ -137,7 +137,8 @@ class TestUnitVectors:
 @pytest.mark.parametrize("shape", [(3,), (1000, 3), (40, 7, 3), (50, 4), (50, 2), (0, 3)])
 def test_sums_and_lengths_are_numpys_to_the_bit(kind: type[np.floating], shape: tuple[int, ...]) -> None:
     values = (np.random.default_rng(7).normal(size=shape) * 10.0 ** np.arange(shape[-1])).astype(kind)
-    values.ravel()[3:5] = np.inf, np.nan
+    if values.size > 5:
+        values.ravel()[3:5] = np.inf, np.nan
     assert np.array_equal(component_sums(values), values.sum(axis=-1), equal_nan=True)
     assert np.array_equal(lengths(values), np.linalg.norm(values, axis=-1), equal_nan=True)
     assert component_sums(values).dtype == lengths(values).dtype == kind
