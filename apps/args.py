@@ -28,7 +28,6 @@ from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
-from glsplat.tracking.solvers import SOLVERS
 
 from .usage import UsageError
 
@@ -123,6 +122,8 @@ def add_up(parser: argparse.ArgumentParser, what: str = "the file's axis that po
 
 def add_solver(parser: argparse.ArgumentParser) -> None:
     """--solver: what guesses the body."""
+    from glsplat.tracking.solvers import SOLVERS  # and all of them, which few commands need
+
     parser.add_argument(
         "--solver", choices=SOLVERS, default=SOLVERS[0], help=f"what guesses the body (default {SOLVERS[0]})"
     )

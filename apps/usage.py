@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from glsplat.errors import FormatError, GlsplatError
 
@@ -21,6 +22,20 @@ class CommandParser(argparse.ArgumentParser):
 
     context = ""
     """What the words that are parsed come from, said first: "server.toml: "; "" for the command line."""
+
+    later: Callable[[argparse.ArgumentParser], None] | None = None
+    """Adds arguments when they are first asked for: an action that is not chosen need not be imported."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """As argparse, with all arguments."""
+        self.complete()
+        return super().parse_known_args(args, namespace)
+
+    def complete(self) -> None:
+        """Add the arguments that come ``later``."""
+        later, self.later = self.later, None
+        if later is not None:
+            later(self)
 
     def error(self, message: str) -> NoReturn:
         """Print one line, exit with 2."""

@@ -5,6 +5,8 @@ The scalar quaternions of one tracked body are in tracking/solve/quat.py.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,7 +15,9 @@ __all__ = [
     "FLIP_YZ",
     "FLIP_Z",
     "SH_FACTORS",
+    "component_sums",
     "is_rigid",
+    "lengths",
     "matrix_quaternions",
     "nearest_rotations",
     "quaternion_matrices",
@@ -60,7 +64,19 @@ _DIRECTIONS = 64
 def unit_vectors(vectors: ArrayLike, least: float = 1e-12) -> F64:
     """[..., N] the same directions at length 1; what is shorter than ``least`` is divided by that: zero stays zero."""
     v = np.asarray(vectors, np.float64)
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), least))
+    return np.asarray(v / np.maximum(lengths(v)[..., None], least))
+
+
+def component_sums(values: NDArray[Any]) -> NDArray[Any]:
+    """[...] what ``values.sum(axis=-1)`` is of [..., N], to the bit; of the three of a vector or colour much sooner."""
+    if values.shape[-1] != 3:
+        return np.asarray(values.sum(axis=-1))
+    return np.asarray(values[..., 0] + values[..., 1] + values[..., 2])
+
+
+def lengths(vectors: NDArray[Any]) -> NDArray[Any]:
+    """[...] of vectors [..., N], as ``np.linalg.norm`` has them, to the bit."""
+    return np.asarray(np.sqrt(component_sums(vectors * vectors)))
 
 
 def quaternion_matrices(quats: NDArray[np.floating]) -> F64:

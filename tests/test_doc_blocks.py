@@ -217,6 +217,8 @@ def options() -> set[str]:
     """Every option of every command."""
 
     def of(parser: argparse.ArgumentParser) -> set[str]:
+        if isinstance(parser, CommandParser):
+            parser.complete()
         found = {option for action in parser._actions for option in action.option_strings}
         for action in parser._actions:
             if isinstance(action, argparse._SubParsersAction):

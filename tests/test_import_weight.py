@@ -60,3 +60,14 @@ def test_motions_of_every_kind_need_no_scipy() -> None:
         "assert len(embedded_motions()) > 1 and 'scipy' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_photograph_is_looked_at_before_all_is_imported_that_makes_an_avatar_of_it() -> None:
+    code = (
+        "import sys, apps.cli\n"
+        "apps.cli.parsed('avatar', ['photo', 'me.jpg', '-o', 'me.glb'])\n"
+        "print(*({'trimesh', 'numba', 'moderngl', 'scipy.optimize', 'glsplat.authoring.fit.fit',"
+        " 'glsplat.tracking.solvers', 'glsplat.authoring.reconstruct.photos'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["glsplat.authoring.reconstruct.photos"]

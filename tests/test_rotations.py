@@ -11,6 +11,8 @@ from glsplat.rotations import (
     FLIP_X,
     FLIP_YZ,
     FLIP_Z,
+    component_sums,
+    lengths,
     matrix_quaternions,
     nearest_rotations,
     quaternion_matrices,
@@ -129,3 +131,14 @@ class TestUnitVectors:
         assert not unit_vectors(np.zeros((2, 3))).any()
         np.testing.assert_allclose(unit_vectors([0.0, 1e-13, 0.0]), [0, 0.1, 0])
         np.testing.assert_allclose(unit_vectors([0.0, 1e-13, 0.0], least=1e-30), [0, 1, 0])
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(3,), (1000, 3), (40, 7, 3), (50, 4), (50, 2), (0, 3)])
+def test_sums_and_lengths_are_numpys_to_the_bit(kind: type[np.floating], shape: tuple[int, ...]) -> None:
+    values = (np.random.default_rng(7).normal(size=shape) * 10.0 ** np.arange(shape[-1])).astype(kind)
+    if values.size > 5:
+        values.ravel()[3:5] = np.inf, np.nan
+    assert np.array_equal(component_sums(values), values.sum(axis=-1), equal_nan=True)
+    assert np.array_equal(lengths(values), np.linalg.norm(values, axis=-1), equal_nan=True)
+    assert component_sums(values).dtype == lengths(values).dtype == kind

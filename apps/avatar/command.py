@@ -3,303 +3,60 @@
 from __future__ import annotations
 
 import argparse
-import json
-import math
-import sys
-import time
-from collections.abc import Iterable
-from dataclasses import replace
-from importlib import resources
-from pathlib import Path
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from typing import NamedTuple, cast
 
-from glsplat.authoring.cones import ConeConfig, with_cones
-from glsplat.authoring.detail.make import with_levels
-from glsplat.authoring.faces.shapes import with_shapes
-from glsplat.authoring.importers import bind_to_mesh, load_lhm_dump
-from glsplat.authoring.lam import FOLLOW, is_lam_zip, load_lam_zip
-from glsplat.authoring.light.surfaces import with_surface
-from glsplat.authoring.on_smplx import on_smplx
-from glsplat.authoring.optimize.compiled import MISSING, available
-from glsplat.authoring.optimize.mesh import STEPS, fitted_to_mesh
-from glsplat.authoring.posed import posed_splats
-from glsplat.authoring.scans import read_obj_person
-from glsplat.authoring.surface import FEWEST, make_avatar
-from glsplat.avatar import Avatar
-from glsplat.data import default_avatar, embedded_file
-from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load_splats, save, suffixes
-from glsplat.formats.gltf.meshes.rig_map import read_rig_map
-from glsplat.formats.person import read_body
-from glsplat.formats.transform import transformed
-from glsplat.io.files import naming, open_regular, replace_file
-from glsplat.motion.loading import embedded_motions, load_embedded_motion
-from glsplat.scenes.scene_file import upright
-from glsplat.skinning.pose import Pose, load_pose
-from glsplat.skinning.rigs.driven import why_not_driven
-from glsplat.splats import Level
-
-from ..args import add_up, motion_of
-from ..convert import add_quiet, save_and_say
-from ..usage import UsageError
-from . import consent, detail, fitted, guide, photo, reduce, score, video
-from .person import add_rig, doubts, read_any_person
-from .writing import add_notes, check_name, progress_bar, write
+from ..usage import CommandParser
 
 HELP = "Make avatars from photographs or rigged people, import, export, score them, sign consents, write motions."
 EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
 
 
+class _Action(NamedTuple):
+    """What one action is called by."""
+
+    help: str
+    module: str
+    add: str = "add_arguments"
+    run: str = "run"
+
+
+_ACTIONS = {
+    "make": _Action("a rigged, textured person (.npz, .glb, .vrm) to a Gaussian avatar", "making", "add_make", "make"),
+    "cones": _Action("find out which splats are hidden from where, for --cull-hidden", "making", "add_cones", "cones"),
+    "levels": _Action("add coarser levels of detail to a file, merged from it", "detail"),
+    "reduce": _Action("an avatar with fewer splats, fitted to its own pictures", "reduce"),
+    "import": _Action(
+        "an LHM dump, a LAM zip, an avatar of another rig, or splats on a mesh", "making", "add_import", "take"
+    ),
+    "photo": _Action("a photograph of a person, or several, to a Gaussian avatar", "photo"),
+    "video": _Action("a video of a person who turns, or pictures from around, to a mesh", "video"),
+    "export": _Action("the avatar in one pose as a static splat file", "making", "add_export", "export"),
+    "score": _Action("compare an avatar with the textured mesh it was made from", "score"),
+    "guide": _Action("draw how to take the photograph that an avatar is made from", "guide"),
+    "consent": _Action("sign who is shown, who agreed, until when and who may drive", "consent"),
+    "motions": _Action("write the motions that come with glsplat (JSON)", "making", "add_motions", "motions"),
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The subcommands and their options."""
-    commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    make = commands.add_parser("make", help="a rigged, textured person (.npz, .glb, .vrm) to a Gaussian avatar")
-    make.add_argument(
-        "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, .vrm, or .obj with --body"
-    )
-    make.add_argument("--body", type=Path, help="rigged body (.npz) that lends joints and weights to an .obj in T-pose")
-    add_rig(make)
-    make.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
-    make.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
-    make.add_argument(
-        "--steps",
-        type=int,
-        default=STEPS,
-        help="of fitting all parameters of the splats, a minute for the default %(default)d; 0: none",
-    )
-    make.add_argument(
-        "--levels",
-        nargs="+",
-        metavar="N",
-        help=f"splats of coarser levels of detail (default: --splats halved down to {fitted.COARSEST}); none: none",
-    )
-    make.add_argument("--no-surface", action="store_true", help="say nothing of normals: --light never changes it")
-    make.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
-
-    cones = commands.add_parser("cones", help="find out which splats are hidden from where, for --cull-hidden")
-    cones.add_argument("scene", type=Path, help="avatar or static splats")
-    cones.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(rigs=True)})")
-    cones.add_argument(
-        "--psnr", type=float, default=ConeConfig().psnr, help="dB that test pictures keep (default %(default)g)"
-    )
-    cones.add_argument(
-        "--directions", type=int, default=ConeConfig().directions, help="views a pose (default %(default)d)"
-    )
-
-    detail.add_arguments(commands.add_parser("levels", help="add coarser levels of detail to a file, merged from it"))
-
-    reduce.add_arguments(commands.add_parser("reduce", help="an avatar with fewer splats, fitted to its own pictures"))
-
-    taken = commands.add_parser("import", help="an LHM dump, a LAM zip, an avatar of another rig, or splats on a mesh")
-    taken.add_argument(
-        "dump",
-        type=Path,
-        help="lhm_dump.npz, a LAM .zip, an avatar (.glb) of another rig, which is put onto SMPL-X's joints, or a "
-        "file of splats of any format with --mesh",
-    )
-    taken.add_argument(
-        "--rig-map", type=Path, metavar="JSON", help="of an avatar of another rig: its joints by SMPL-X's names"
-    )
-    taken.add_argument("--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights")
-    taken.add_argument(
-        "--follow",
-        choices=FOLLOW,
-        help="what moves a LAM zip's splats: their vertices' weights (default), or all the head, as LAM's own viewer",
-    )
-    taken.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
-    for command in (make, taken):
-        command.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
-        add_notes(command)
-        command.add_argument("--json", action="store_true", help="print what was made as JSON")
-
-    pictured = commands.add_parser("photo", help="a photograph of a person, or several, to a Gaussian avatar")
-    photo.add_arguments(pictured)
-
-    filmed = commands.add_parser("video", help="a video of a person who turns, or pictures from around, to a mesh")
-    video.add_arguments(filmed)
-
-    export = commands.add_parser("export", help="the avatar in one pose as a static splat file")
-    export.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
-    export.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
-    export.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
-    export.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(written=True)})")
-    add_up(export, "the axis that points up in the written file; viewers differ")
-    add_quiet(export)
-
-    measured = commands.add_parser("score", help="compare an avatar with the textured mesh it was made from")
-    score.add_arguments(measured)
-
-    drawn = commands.add_parser("guide", help="draw how to take the photograph that an avatar is made from")
-    guide.add_arguments(drawn)
-
-    agreed = commands.add_parser("consent", help="sign who is shown, who agreed, until when and who may drive")
-    consent.add_arguments(agreed)
-
-    motions = commands.add_parser("motions", help="write the motions that come with glsplat (JSON)")
-    motions.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
+    """The subcommands; what each needs is imported when it is chosen, for some take a second."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=CommandParser)
+    for name, action in _ACTIONS.items():
+        commands.add_parser(name, help=action.help).later = partial(_fill, action)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the chosen action; 0 on success."""
-    actions = {
-        "make": _make,
-        "import": _import,
-        "export": _export,
-        "score": _score,
-        "motions": _motions,
-        "cones": _cones,
-        "consent": consent.run,
-        "levels": detail.run,
-        "reduce": reduce.run,
-        "guide": guide.run,
-        "photo": photo.run,
-        "video": video.run,
-    }
-    return actions[args.action](args)
+    action = _ACTIONS[args.action]
+    return cast("int", _of(action, action.run)(args))
 
 
-def _make(args: argparse.Namespace) -> int:
-    check_name(args.out)
-    if args.steps < 0:
-        raise UsageError(f"--steps needs 0 or more, not {args.steps}")
-    if args.splats < FEWEST:
-        raise FormatError(f"an avatar needs at least {FEWEST} splats, not {args.splats}")
-    counts = fitted.counts_of(args.levels, args.splats)
-    began = time.perf_counter()
-    if args.body is None:
-        mesh = read_any_person(args.person, args)
-    else:
-        mesh = read_obj_person(args.person, read_body(args.body))
-    if args.steps and not available():
-        print(f"glsplat avatar make: {MISSING}", file=sys.stderr)
-    told: list[str] = []
-    _say(args.person, doubts(mesh, scale=args.extra_scale), told)  # before the minutes, so that they can be saved
-    with progress_bar() as show:
-        avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
-        if args.steps:
-            avatar = fitted_to_mesh(avatar, mesh, args.seed, args.steps, show)
-        if counts:
-            avatar = with_levels(avatar, counts, args.seed, progress=show)
-        if not args.no_surface:
-            show("finding the surface", 0.0)
-            avatar = with_surface(avatar, mesh)
-        if not args.no_cones:
-            avatar = with_cones(avatar, progress=show)
-    _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
-    return write(avatar, args, began)
+def _fill(action: _Action, parser: argparse.ArgumentParser) -> None:
+    _of(action, action.add)(parser)
 
 
-def _say(path: Path, lines: Iterable[str], told: list[str]) -> None:
-    """What was not ``told`` yet."""
-    with naming(path):
-        for line in lines:
-            if line not in told:
-                print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
-                told.append(line)
-
-
-def _cones(args: argparse.Namespace) -> int:
-    check_name(args.out)
-    if not 0 < args.psnr <= 100:
-        raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
-    if not 8 <= args.directions <= 4096:
-        raise UsageError(f"--directions needs 8 to 4096, not {args.directions}")
-    began = time.perf_counter()
-    with progress_bar() as show:
-        made = with_cones(load_splats(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
-    save(made, args.out)
-    print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {time.perf_counter() - began:.1f} s")
-    return 0
-
-
-def _import(args: argparse.Namespace) -> int:
-    check_name(args.out)
-    began = time.perf_counter()
-    if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
-        if args.rig_map is not None:
-            raise UsageError(f"{args.dump}: import the zip first, then its avatar (.glb) with --rig-map")
-        if args.mesh is not None:
-            raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
-        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
-    if args.follow is not None:
-        raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
-    if args.mesh is None and _is_gltf(args.dump):
-        scene = load_splats(args.dump)
-        if scene.levels:
-            print(f"glsplat avatar: {args.dump}: coarser levels of detail are left out", file=sys.stderr)
-        if not isinstance(scene, Avatar):
-            raise FormatError(f"{args.dump}: has no skeleton; --mesh names a rigged mesh that lends one")
-        with naming(args.dump):
-            made = on_smplx(scene, None if args.rig_map is None else read_rig_map(args.rig_map))
-        return write(made, args, began)
-    if args.rig_map is not None:
-        raise UsageError(f"{args.dump}: --rig-map is for an avatar (.glb) of another rig; leave it out")
-    if args.mesh is None:
-        return write(load_lhm_dump(args.dump), args, began)
-    if not 0 < args.reach < 1000:
-        raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
-    scene = load_splats(args.dump)
-    splats = scene.splats if isinstance(scene, Avatar) else scene
-    try:
-        mesh = read_any_person(args.mesh)
-        avatar = with_shapes(bind_to_mesh(splats, mesh, args.reach / 100), mesh)
-    except FormatError as error:
-        text = str(error)
-        raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
-    return write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
-
-
-def _is_gltf(path: Path) -> bool:
-    with naming(path), open_regular(path) as (file, _):
-        head = file.read(64)
-    return head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
-
-
-def _export(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
-    if not isinstance(scene, Avatar):
-        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
-    pose = Pose.zero(len(scene.skeleton))
-    if args.pose is not None:
-        if not math.isfinite(args.at):
-            raise UsageError(f"--at needs a number of seconds, not {args.at}")
-        if _is_single_pose(args.pose):
-            pose = load_pose(args.pose, scene.skeleton)
-        else:
-            pose = motion_of(args.pose, scene.skeleton, "--pose").at(args.at)
-    levels = tuple(Level(posed_splats(one.content, pose), one.density, one.psnr) for one in scene.levels)
-    posed = replace(posed_splats(scene, pose), levels=levels)
-    splats = transformed(posed, upright(args.up).T)  # from y up to the file's axis
-    save_and_say(splats, args.out, "glsplat avatar export", args.quiet)
-    print(f"{args.out}: {len(scene.splats)} splats")
-    return 0
-
-
-def _is_single_pose(path: str) -> bool:
-    """True for a pose object, which may hold translations; motions, frames of a video and all else are motions."""
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8")) if path.lower().endswith(".json") else None
-    except (OSError, ValueError, RecursionError):
-        return False  # the motion reader says what is wrong
-    return isinstance(data, dict) and not {"frames", "focal"} & data.keys()
-
-
-def _score(args: argparse.Namespace) -> int:
-    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
-    if not isinstance(scene, Avatar):
-        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
-    if why := why_not_driven(scene.skeleton):
-        raise FormatError(f"{args.avatar}: the poses that are scored cannot drive this avatar: {why}")
-    return score.report(args, scene, read_any_person(args.mesh))
-
-
-def _motions(args: argparse.Namespace) -> int:
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise GlsplatError(f"{args.out}: cannot make the folder ({error.strerror})") from None
-    for name in embedded_motions():
-        file = args.out / f"{name}.json"
-        replace_file(file, [resources.files("glsplat.data").joinpath(file.name).read_bytes()])
-        motion = load_embedded_motion(name, default_avatar().skeleton)
-        print(f"{file}: {len(motion)} frames, {motion.duration:.1f} s")
-    return 0
+def _of(action: _Action, name: str) -> Callable[..., object]:
+    return cast("Callable[..., object]", getattr(import_module(f".{action.module}", __package__), name))

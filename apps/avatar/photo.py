@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.authoring.optimize.compiled import MISSING, available
-from glsplat.authoring.optimize.seen import ready
-from glsplat.authoring.reconstruct.builtin import MeshReconstructor
 from glsplat.authoring.reconstruct.photos import (
     CheckedPhoto,
     MeshReconstruction,
@@ -22,7 +20,7 @@ from glsplat.authoring.reconstruct.photos import (
     reconstruct_mesh,
     refuse,
 )
-from glsplat.authoring.reconstruct.reconstructor import Options, Progress
+from glsplat.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
 from glsplat.authoring.reconstruct.registry import named, names
 from glsplat.authoring.threads import aside, one_heap
 from glsplat.errors import CaptureError, FormatError
@@ -31,8 +29,6 @@ from ..args import natural, positive
 from ..farming import add_ray
 from ..output import save_png
 from ..usage import UsageError
-from . import photo_folder
-from .mine import sign_mine
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
 __all__ = ["add_arguments", "run"]
@@ -108,6 +104,8 @@ def run(args: argparse.Namespace) -> int:
     if args.mine and args.check:
         raise UsageError("--mine signs an avatar, --check makes none: leave one of them out")
     if args.front.is_dir():
+        from . import photo_folder
+
         return photo_folder.run(args, _one)
     if args.ray is not None:
         raise UsageError("--ray is for a folder of pictures: one avatar is made on one machine")
@@ -130,11 +128,10 @@ def _one(args: argparse.Namespace) -> int:
     mesh = args.kind == "mesh"
     with progress_bar() as show:
         options = _options(args, show)
-        maker = named(args.using)  # a name that nobody knows is said before the pictures are looked at
-        if mesh and not isinstance(maker, MeshReconstructor):
+        maker = aside(lambda: named(args.using))  # much to import, beside the networks
+        # what others name is looked for before the pictures are
+        if args.using != "builtin" and not isinstance(maker(), MeshReconstructor) and mesh:
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
-        if not mesh and args.using == "builtin":
-            aside(ready)  # while networks read the pictures
         shots = _shots(args, show)
         done: Reconstruction | MeshReconstruction | None = None
         try:
@@ -165,6 +162,8 @@ def _one(args: argparse.Namespace) -> int:
                 avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
     if args.mine:
+        from .mine import sign_mine  # and with it what a server keeps
+
         sign_mine(args.out)
     if not args.json:
         _notes(shots, guessed=True)

@@ -14,8 +14,8 @@ from glsplat.authoring.fit.body import open_body
 from glsplat.authoring.fit.fit import FittedView
 from glsplat.authoring.networks.person import LANDMARKS
 from glsplat.authoring.paint.shot import SurfacePoints
-from glsplat.authoring.reconstruct.builtin import FittedBody
 from glsplat.authoring.reconstruct.photos import CheckedPhoto
+from glsplat.authoring.reconstruct.reconstructor import FittedBody
 from glsplat.authoring.texture.texels import texels_of
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole

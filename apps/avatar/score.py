@@ -15,16 +15,21 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
+from glsplat.data import default_avatar, embedded_file
+from glsplat.errors import FormatError
 from glsplat.evaluate.avatar_poses import SCORE_POSES
 from glsplat.evaluate.avatar_score import AvatarScore, score
+from glsplat.formats import load_splats
 from glsplat.io.files import replace_file
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
+from glsplat.skinning.rigs.driven import why_not_driven
 
 from ..args import add_detail, detail_of
 from ..output import eight_bit, label, save_png, stack
 from ..usage import UsageError
+from .person import read_any_person
 
 __all__ = ["add_arguments", "report"]
 
@@ -45,6 +50,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--grey", type=float, default=0.0, help="background, 0 black (default) to 1 white")
     parser.add_argument("--sheet", type=Path, help="contact sheet to write (.png, .jpg): avatar, mesh, 4 x difference")
     parser.add_argument("--json", action="store_true", help="print the figures of every picture as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Load both and report."""
+    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
+    if not isinstance(scene, Avatar):
+        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
+    if why := why_not_driven(scene.skeleton):
+        raise FormatError(f"{args.avatar}: the poses that are scored cannot drive this avatar: {why}")
+    return report(args, scene, read_any_person(args.mesh))
 
 
 def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:

@@ -18,9 +18,11 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.faces.shapes import shapes_of
+from glsplat.authoring.threads import aside
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import lengths
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
@@ -128,10 +130,11 @@ def avatar_of(cells: Sequence[Cells], mesh: RiggedMesh, opacity: float) -> Avata
     rgb = np.concatenate([c.rgb for c in cells])
     weights = np.concatenate([c.weights for c in cells])
     joints = len(mesh.skeleton)
-    skin = Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints)
+    skin = aside(lambda: Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints))
     splats = Splats.create(means, quats, scales, np.full(len(means), opacity), rgb=rgb, antialias=True)
-    avatar = Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))
-    return with_shapes(avatar, mesh, np.concatenate([c.faces for c in cells]))
+    faces = np.concatenate([c.faces for c in cells])
+    shapes = None if mesh.morphs is None else shapes_of(splats, mesh, mesh.morphs, faces)
+    return Avatar(splats, mesh.skeleton, skin(), dict(mesh.meta), shapes=shapes)
 
 
 def _pick(weight: NDArray[np.float64], count: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -200,7 +203,7 @@ def _gaussians(
     weights = (weights if cloud.skin is None else weights @ cloud.skin).toarray()
     rgb = _cell_means(label, cloud.rgb, area, zero)
     quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
-    faces = cloud.faces[_middles(label, np.linalg.norm(offset, axis=1), count)]
+    faces = cloud.faces[_middles(label, lengths(offset), count)]
     means = means - config.inset * normal
     return Cells(means, quats, scales, rgb, weights, faces)
 

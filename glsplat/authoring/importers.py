@@ -16,7 +16,7 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.io.files import naming, open_regular
 from glsplat.io.npz import read_arrays
 from glsplat.meshes import RiggedMesh
-from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_product
+from glsplat.rotations import lengths, matrix_quaternions, nearest_rotations, quaternion_product
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -137,6 +137,8 @@ def nearest_weights(mesh: RiggedMesh, points: F64) -> tuple[NDArray[np.int64], F
 
 def nearest_on(vertices: F64, faces: NDArray[np.integer], points: F64) -> tuple[F64, F64, NDArray[np.intp], F64]:
     """Of triangles [F, 3] the places nearest to ``points`` [N, 3]: where, how far, in which, barycentric [N, 3]."""
+    if not len(points):
+        return np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.intp), np.zeros((0, 3))
     surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
     at, distance, face = _nearest_on(surface, points)
     bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
@@ -150,14 +152,14 @@ def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArra
     """
     count = max(200_000, 4 * len(surface.faces))
     samples, of = trimesh.sample.sample_surface(surface, count, seed=0)
-    tree = cKDTree(np.concatenate([samples, surface.triangles_center]))
+    tree = cKDTree(np.concatenate([samples, surface.triangles_center]), compact_nodes=False, balanced_tree=False)
     owner = np.concatenate([of, np.arange(len(surface.faces))])
     candidates = owner[tree.query(points, k=_CANDIDATES, workers=-1)[1]]  # [N, C]
     best, face = np.full(len(points), np.inf), candidates[:, 0].copy()
     at = np.zeros_like(points)
     for column in candidates.T:
         close = trimesh.triangles.closest_point(surface.triangles[column], points)
-        distance = np.linalg.norm(close - points, axis=1)
+        distance = lengths(close - points)
         nearer = distance < best
         best[nearer], face[nearer], at[nearer] = distance[nearer], column[nearer], close[nearer]
     return at, best, face

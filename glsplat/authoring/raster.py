@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import component_sums
 
 __all__ = ["box_pixels", "mesh_picture", "mesh_picture_and_depth", "pixel_span", "visible_faces"]
 
@@ -49,7 +50,7 @@ def visible_faces(
     hit = np.flatnonzero((wb >= 0) & (wc >= 0) & (wb + wc <= 1) & (inverse != 0))
     face, column, row, wb, wc = face[hit], column[hit], row[hit], wb[hit], wc[hit]
     bary = np.stack([1 - wb - wc, wb, wc], axis=1) / fz[face]
-    nearness = bary.sum(axis=1)
+    nearness = component_sums(bary)
     bary /= nearness[:, None]
 
     keep, first = None, 0

@@ -9,18 +9,20 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any, Generic, Self, TypeVar, overload
 
 import numpy as np
 import scipy
 
 from glsplat.io.machine import cores
 
-__all__ = ["abreast", "aside", "one_blas_thread", "one_heap"]
+__all__ = ["abreast", "aside", "found_once", "one_blas_thread", "one_heap"]
 
 _NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
 
-_ARENA_MAX = -8  # of malloc.h
+# Of malloc.h: all threads share a heap, which keeps arrays of up to 32 MiB, the most there may be, and what is freed of
+# them; else every large array is memory that the kernel has to clear anew.
+_MALLOC = {-8: 1, -3: 32 << 20, -1: 256 << 20}  # M_ARENA_MAX, M_MMAP_THRESHOLD, M_TRIM_THRESHOLD
 
 _lock = Lock()
 _inside: list[None] = []  # one of everybody who wants one thread
@@ -28,6 +30,7 @@ _before: list[tuple[Callable[[int], Any], int]] = []  # how many threads there w
 
 T = TypeVar("T")
 U = TypeVar("U")
+Owner = TypeVar("Owner")
 
 
 def abreast(work: Callable[[T], U], pieces: Iterable[T]) -> list[U]:
@@ -46,6 +49,8 @@ def abreast(work: Callable[[T], U], pieces: Iterable[T]) -> list[U]:
 def aside(work: Callable[[], T]) -> Callable[[], T]:
     """Begin ``work`` on another thread; what comes back waits for its result, or raises what it raised.
 
+    Who drops what comes back drops the error with it, and the process does not end before ``work`` has.
+
     >>> from glsplat.authoring.threads import aside
     >>> found = aside(lambda: 6 * 7)
     >>> found()
@@ -60,10 +65,40 @@ def aside(work: Callable[[], T]) -> Callable[[], T]:
 def one_heap() -> None:
     """From now on this process's threads share one heap of the C library, where that is glibc; else nothing happens.
 
-    Each keeps what its arrays have freed: with a heap a thread an avatar took a fifth more memory.
+    Each keeps what its arrays have freed: with a heap a thread an avatar took a fifth more memory. And the heap keeps
+    it for the next array, which else cost a third of the time that the kernel takes.
     """
     with suppress(AttributeError, OSError, TypeError):  # other C libraries, and Windows
-        ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
+        library = ctypes.CDLL(None)
+        for what, value in _MALLOC.items():
+            library.mallopt(what, value)
+
+
+class found_once(Generic[Owner, T]):  # noqa: N801 - used as a decorator, as functools.cached_property is
+    """A property that is found at its first use and kept, by one thread while others wait for it.
+
+    ``functools.cached_property`` has no lock since Python 3.12: threads that ask at the same time each find it.
+    """
+
+    def __init__(self, find: Callable[[Owner], T]) -> None:
+        self._find, self._name = find, find.__name__
+        self.__doc__ = find.__doc__
+
+    @overload
+    def __get__(self, owner: None, kind: type[Owner]) -> Self: ...
+
+    @overload
+    def __get__(self, owner: Owner, kind: type[Owner]) -> T: ...
+
+    def __get__(self, owner: Owner | None, kind: type[Owner]) -> Self | T:
+        if owner is None:
+            return self
+        kept = vars(owner)
+        with kept.setdefault(f"{self._name}, lock", Lock()):
+            if self._name not in kept:
+                kept[self._name] = self._find(owner)
+        found: T = kept[self._name]
+        return found
 
 
 @contextmanager

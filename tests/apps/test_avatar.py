@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import apps.cli as cli
-from apps.avatar.fitted import counts_of
+from apps.avatar.making import counts_of
 from glsplat.authoring.cones import ConeConfig
 from glsplat.authoring.detail.fitted import FittedConfig
 from glsplat.authoring.detail.measure import MeasureConfig

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import apps.cli as cli
-from apps.avatar import command
+from apps.avatar import making as made
 from glsplat.authoring.detail import make as making
 from glsplat.authoring.detail.fitted import FittedConfig
 from glsplat.authoring.detail.merge import merged
@@ -128,8 +128,8 @@ def test_what_is_missing_is_said_before_an_avatar_is_made(
         asked.append(steps)
         return avatar
 
-    monkeypatch.setattr(command, "make_avatar", lambda *words, **more: small_avatar())
-    monkeypatch.setattr(command, "fitted_to_mesh", fitted_to_mesh)
+    monkeypatch.setattr(made, "make_avatar", lambda *words, **more: small_avatar())
+    monkeypatch.setattr(made, "fitted_to_mesh", fitted_to_mesh)
     words = ["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), "--splats", "200", "--no-cones"]
     line = f"glsplat avatar make: {MISSING}\n"
     assert cli.main([*words, "--steps", "7"]) == 0 and line not in capsys.readouterr().err

@@ -35,7 +35,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     def quickly(mesh, splats, seed, **more):
         return make_avatar(mesh, splats, seed, SamplerConfig(probe=96), **more)
 
-    monkeypatch.setattr("apps.avatar.command.make_avatar", quickly)
+    monkeypatch.setattr("apps.avatar.making.make_avatar", quickly)
 
 
 def written(tmp_path: Path, family: Family) -> Path:

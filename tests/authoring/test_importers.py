@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glsplat import reference
-from glsplat.authoring.importers import bind_to_mesh, load_lhm_dump
+from glsplat.authoring.importers import bind_to_mesh, load_lhm_dump, nearest_on
 from glsplat.authoring.posed import posed_splats
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
@@ -225,3 +225,11 @@ def test_posed_splats_look_like_the_posed_avatar(rng, degree):
     skinned = reference.render(splats, [camera], skin, pose.bones(avatar.skeleton))
     static = reference.render(posed_splats(avatar, pose), [camera])
     assert static == pytest.approx(skinned, abs=2e-5)
+
+
+def test_no_points_have_no_places() -> None:
+    triangle, faces = np.eye(3), np.array([[0, 1, 2]])
+    at, far, face, bary = nearest_on(triangle, faces, np.zeros((0, 3)))
+    assert [len(one) for one in (at, far, face, bary)] == [0] * 4
+    at, far, face, bary = nearest_on(triangle, faces, np.ones((1, 3)))
+    assert np.allclose(at, 1 / 3) and np.allclose(far, 2 / np.sqrt(3)) and np.allclose(bary, 1 / 3) and face == [0]

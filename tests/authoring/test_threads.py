@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from glsplat.authoring.threads import _openblas, abreast, aside, one_blas_thread, one_heap
+from glsplat.authoring.threads import _openblas, abreast, aside, found_once, one_blas_thread, one_heap
 
 
 def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
@@ -44,7 +44,7 @@ def test_one_heap_is_asked_of_the_c_library_and_not_missed_elsewhere(monkeypatch
     for library in libraries:
         monkeypatch.setattr("glsplat.authoring.threads.ctypes.CDLL", lambda name, library=library: library)
         one_heap()
-    assert asked == [(-8, 1)]
+    assert asked == [(-8, 1), (-3, 32 << 20), (-1, 256 << 20)]
 
 
 def test_products_are_on_one_core_meanwhile_and_as_before_afterwards() -> None:
@@ -95,3 +95,45 @@ def test_sums_do_not_hang_on_the_number_of_threads() -> None:
         for (_, put), count in zip(blas, before, strict=True):
             put(count)
     assert len(found) == 1
+
+
+def test_threads_that_ask_at_once_have_it_found_once() -> None:
+    class Slow:
+        """Counts how often it was asked."""
+
+        times = 0
+
+        @found_once
+        def half(self) -> object:
+            """What is found of itself."""
+            self.times += 1
+            time.sleep(0.1)
+            return object()
+
+        @found_once
+        def whole(self) -> list[object]:
+            """Asks for the other one from threads while it is found itself."""
+            return abreast(lambda _: self.half, range(4))
+
+    slow = Slow()
+    found = abreast(lambda _: slow.half, range(4)) + slow.whole
+    assert slow.times == 1 and len(set(map(id, found))) == 1
+    assert Slow().half is not slow.half and (Slow.half.__doc__ or "").startswith("What")
+
+
+def test_what_was_not_found_is_looked_for_again() -> None:
+    class Failing:
+        """Finds nothing the first time."""
+
+        times = 0
+
+        @found_once
+        def there(self) -> int:
+            """2, or an error."""
+            self.times += 1
+            return 2 // (self.times - 1)
+
+    failing = Failing()
+    with pytest.raises(ZeroDivisionError):
+        _ = failing.there
+    assert failing.there == 2

@@ -23,6 +23,7 @@ from glsplat.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.authoring.faces.trimmings import LASH, Extra, added, frames, joined
 from glsplat.authoring.importers import nearest_on
 from glsplat.authoring.surface import make_avatar
+from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.rotations import quaternion_matrices
@@ -69,8 +70,8 @@ def with_lids(avatar: Avatar, face: RiggedMesh, eyes: Sequence[Opening], seed: i
     on_lids = np.isin(shapes.rows, shapes.rows[blinking])[:, None, None]
     most = np.where(on_lids, _BENT, _TAUT)
     out = replace(avatar, shapes=replace(shapes, bends=np.clip(shapes.bends, -most, most).astype(shapes.bends.dtype)))
-    for ball, edges in eyes:
-        lid = _lid(avatar, face, ball, edges, seed)
+    lids = abreast(lambda eye: _lid(avatar, face, eye.ball, eye.edges, seed), eyes)
+    for (ball, edges), lid in zip(eyes, lids, strict=True):
         if lid is not None:
             out = joined(replace(out, shapes=_gone(out, ball, edges)), lid)
     return out

@@ -14,6 +14,7 @@ from glsplat.authoring.faces.trimmings import Extra, added, joined
 from glsplat.authoring.fit.body import open_body
 from glsplat.authoring.importers import nearest_on
 from glsplat.authoring.surface import FEWEST, make_avatar
+from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.splats import SH_C0
@@ -64,8 +65,8 @@ def _darkened(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
     if not len(near) or not within.any() or not len(outside):
         return avatar
     places = splats.means[near].astype(np.float64)
-    _, distance, which, bary = nearest_on(mesh.vertices, faces, places)
-    apart = nearest_on(mesh.vertices, outside, places)[1]
+    found = abreast(lambda some: nearest_on(mesh.vertices, some, places), (faces, outside))
+    (_, distance, which, bary), (_, apart, _, _) = found
     mine = within[which] & (apart > distance + _APART)
     deep = ((bary[mine] * lining.far[faces[which[mine]]]).sum(axis=1, keepdims=True) / _WITHIN).clip(0, 1) ** 0.5
     most = np.array(_RIM) * (1 - deep) + np.array(_DEEP) * deep

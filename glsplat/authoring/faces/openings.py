@@ -126,6 +126,7 @@ def _hits(corners: F64, ways: F64, least: float) -> tuple[Indices, F64]:
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     lifted = np.cross(-corners[:, 0], first)
     normal, aside = np.cross(second, first), np.cross(second, -corners[:, 0])
+    apart = (second * lifted).sum(axis=1)
     best: Indices = np.full(len(ways), -1, np.intp)
     far: F64 = np.full(len(ways), np.inf)
     if not len(corners):
@@ -134,10 +135,13 @@ def _hits(corners: F64, ways: F64, least: float) -> tuple[Indices, F64]:
         some = ways[begin : begin + _RAYS]
         with np.errstate(divide="ignore", invalid="ignore"):
             size = some @ normal.T
-            u, v, t = some @ aside.T / size, some @ lifted.T / size, (second * lifted).sum(axis=1) / size
-            met = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > least)
-        t = np.where(met, t, np.inf)
+            u, v = some @ aside.T / size, some @ lifted.T / size
+            ray, face = np.nonzero((u >= 0) & (v >= 0) & (u + v <= 1))
+            there = apart[face] / size[ray, face]
+        met = there > least
+        t: F64 = np.full(size.shape, np.inf)
+        t[ray[met], face[met]] = there[met]
         nearest = t.argmin(axis=1)
         far[begin : begin + _RAYS] = t[np.arange(len(some)), nearest]
-        best[begin : begin + _RAYS] = np.where(met.any(axis=1), nearest, -1)
+        best[begin : begin + _RAYS] = np.where(np.isfinite(far[begin : begin + _RAYS]), nearest, -1)
     return best, far

@@ -15,7 +15,7 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.shapes import Shapes, long_axes
 from glsplat.splats import Splats
 
-__all__ = ["body_morphs", "unfolded", "with_shapes"]
+__all__ = ["body_morphs", "shapes_of", "unfolded", "with_shapes"]
 
 F64 = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def with_shapes(avatar: Avatar, mesh: RiggedMesh, faces: NDArray[np.integer] | N
         return avatar
     levels = tuple(replace(level, content=with_shapes(level.content, mesh)) for level in avatar.levels)
     splats = replace(avatar.splats, cones=None, cones_psnr=None)
-    return replace(avatar, splats=splats, shapes=_shapes(avatar.splats, mesh, mesh.morphs, faces), levels=levels)
+    return replace(avatar, splats=splats, shapes=shapes_of(avatar.splats, mesh, mesh.morphs, faces), levels=levels)
 
 
 def body_morphs(body: RiggedMesh, points: F64) -> Morphs | None:
@@ -76,7 +76,8 @@ def _areas(corners: F64) -> F64:
     return np.asarray(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1))
 
 
-def _shapes(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[np.integer] | None) -> Shapes:
+def shapes_of(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[np.integer] | None = None) -> Shapes:
+    """What the ``morphs`` of ``mesh`` make of ``splats`` on it; ``faces`` as for ``with_shapes``."""
     usable = splats.finite()
     means = np.where(usable[:, None], splats.means, 0).astype(np.float64)
     at, face, bary, distance = _ridden(mesh, means) if faces is None else _placed(mesh, means, faces)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.fit.body import Body
 from glsplat.authoring.raster import box_pixels, pixel_span
 from glsplat.meshes import vertex_normals
+from glsplat.rotations import component_sums, lengths
 
 __all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "lengths_inside", "overlap", "projected_mask"]
 
@@ -67,7 +68,7 @@ def find_rim(
     drawn = projected_mask(pixels, body.faces, mask.shape)
     inside = cv2.distanceTransform(drawn.astype(np.uint8), cv2.DIST_L2, 3)
     normals = vertex_normals(where, body.faces)
-    facing = np.abs((normals * where).sum(axis=1)) / np.linalg.norm(where, axis=1)
+    facing = np.abs(component_sums(normals * where)) / lengths(where)
     nearest = np.floor(pixels).astype(np.intp)
     shown = ((nearest >= 0) & (nearest < (width, height))).all(axis=1)
     column, row = nearest[:, 0].clip(0, width - 1), nearest[:, 1].clip(0, height - 1)

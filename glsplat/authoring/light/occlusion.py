@@ -11,6 +11,7 @@ from glsplat.authoring.threads import abreast
 from glsplat.authoring.visibility import sphere
 from glsplat.camera import Camera, look_at
 from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.rotations import component_sums
 
 __all__ = ["ambient_occlusion", "reached_from", "smoothed"]
 
@@ -64,7 +65,7 @@ def reached_from(mesh: RiggedMesh, vertices: F64, direction: F64, normals: F64, 
     depth = np.full(ids.shape, np.inf)
     hit = ids >= 0
     far = vertices @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    depth[hit] = (bary[hit] * far[mesh.faces[ids[hit]]]).sum(axis=1)
+    depth[hit] = component_sums(bary[hit] * far[mesh.faces[ids[hit]]])
     where = (vertices + _BIAS * normals) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     column, row = (np.floor(focal * where[:, axis] / where[:, 2] + size / 2).astype(np.intp) for axis in range(2))
     return np.asarray(depth[row.clip(0, size - 1), column.clip(0, size - 1)] + _DOUBT > where[:, 2])

@@ -86,7 +86,8 @@ def nearest_open(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> Nearest:
 
 def _nearest(points: F64, some: NDArray[np.intp], means: F64) -> tuple[F64, NDArray[np.intp]]:
     """[N, K] how far from the means the nearest of ``some`` points are, and which."""
-    far, near = cKDTree(points[some]).query(means, min(_CANDIDATES, len(some)), workers=-1)
+    tree = cKDTree(points[some], compact_nodes=False, balanced_tree=False)  # in half the time
+    far, near = tree.query(means, min(_CANDIDATES, len(some)), workers=-1)
     return far.reshape(len(means), -1), some[near.reshape(len(means), -1)]
 
 

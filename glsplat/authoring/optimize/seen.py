@@ -97,7 +97,7 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
         agreed(*look.shares, look.pixels, mixed.astype(np.float32), look.towards.astype(np.float32), found)
         return found
 
-    looks = abreast(looked, [(splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras])
+    looks = abreast(looked, ((splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras))
     values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
     for _ in range(_ROUNDS):
         sums = np.zeros((len(values), SUMS))

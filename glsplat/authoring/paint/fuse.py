@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.fit.body import Body
 from glsplat.authoring.fit.eyes import EyeLook
 from glsplat.authoring.fit.offsets import face_of
-from glsplat.authoring.paint.inside import with_inside
+from glsplat.authoring.paint.inside import Inside, inside_of
 from glsplat.authoring.paint.paint import Paint
 from glsplat.authoring.paint.shot import FittedPicture, SurfacePoints
 from glsplat.authoring.paint.smooth import smoothest
@@ -41,7 +41,7 @@ class Fusion:
 
     body: Body
     shots: Sequence[FittedPicture]  # the front first
-    looks: Mapping[str, EyeLook]
+    inside: Inside
     shares: F64  # [V, N] of each picture in a vertex's colour; the rows sum to ``seen``
     seen: F64  # [V] from 0, nobody looks, to 1
     filled: F64  # [V, 3] linear colours, smooth, where nobody looks
@@ -65,7 +65,7 @@ class Fusion:
         known = np.maximum(total, 1e-9)
         guess = points.at(self.filled)
         rgb = to_srgb(guess + (seen * (total > 0))[:, None] * (linear / known[:, None] - guess))
-        rgb = with_inside(self.body, self.shots[0], self.looks, points, rgb)
+        rgb = self.inside.over(rgb, points)
         return Paint(np.round(rgb, _DIGITS), seen, np.round(busy / known, _DIGITS))
 
     def colours(self, points: SurfacePoints) -> F64:
@@ -98,7 +98,7 @@ def fusion_of(
     seen = np.max(clear, axis=1)
     total = weight.sum(axis=1)
     shares = weight * (seen / np.maximum(total, 1e-12))[:, None]
-    return Fusion(body, shots, looks or {}, shares, seen, _filled(body, shots, shares, seen))
+    return Fusion(body, shots, inside_of(body, shots[0], looks or {}), shares, seen, _filled(body, shots, shares, seen))
 
 
 def _filled(body: Body, shots: Sequence[FittedPicture], shares: F64, seen: F64) -> F64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["with_inside"]
+__all__ = ["Inside", "inside_of"]
 
 F64 = NDArray[np.float64]
 
@@ -32,46 +33,52 @@ _AHEAD = 0.7  # of a normal: what looks ahead so far is seen
 _SEEN = 0.3  # trust in a vertex's colour above which it tells of lips
 
 
-def with_inside(body: Body, front: FittedPicture, looks: Mapping[str, EyeLook], points: SurfacePoints, rgb: F64) -> F64:
-    """``rgb`` [M, 3] in sRGB with eyes as they look in the ``front``, and with the mouth's inside."""
-    rgb, lining, corners = rgb.copy(), mouth_lining(), points.corners
-    tongue = _of_tongue(body)[corners[:, 0]]
-    rgb[tongue] = _tongue(body, _of(points, tongue))
-    within = np.all(lining.inside[corners], axis=1)
-    lips, turned = _lips(front), np.all(lining.far[corners] < 2 * _TURNED, axis=1) & ~within & ~tongue
-    deep = (_of(points, within).at(lining.far[:, None]) / _WITHIN).clip(0, 1) ** 0.5
-    rgb[within] = _SHADED * lips * (1 - deep) + np.array(_DEEP) * deep
-    rgb[turned] += _inwards(body, _of(points, turned)) * (lips - rgb[turned])
-    if looks:
-        eyes, colours = eye_colours(body, front, looks, points)
-        rgb[eyes] = colours
-    return rgb
+@dataclass(frozen=True, eq=False)
+class Inside:
+    """The colours of what no picture of the outside shows; ``inside_of`` makes one."""
+
+    body: Body
+    front: FittedPicture
+    looks: Mapping[str, EyeLook]  # the eyes in it
+    lips: F64  # [3] their colour, sRGB
+    tongue: NDArray[np.bool_]  # [V] of the open body
+    normals: F64  # [V, 3] of the open body
+
+    def over(self, rgb: F64, points: SurfacePoints) -> F64:
+        """``rgb`` [M, 3] in sRGB with eyes as they look in the front, and with the mouth's inside."""
+        rgb, lining, corners = rgb.copy(), mouth_lining(), points.corners
+        tongue = self.tongue[corners[:, 0]]
+        rgb[tongue] = self._tongue(points.take(tongue))
+        within = np.all(lining.inside[corners], axis=1)
+        turned = np.all(lining.far[corners] < 2 * _TURNED, axis=1) & ~within & ~tongue
+        deep = (points.take(within).at(lining.far[:, None]) / _WITHIN).clip(0, 1) ** 0.5
+        rgb[within] = _SHADED * self.lips * (1 - deep) + np.array(_DEEP) * deep
+        rgb[turned] += self._inwards(points.take(turned)) * (self.lips - rgb[turned])
+        if self.looks:
+            eyes, colours = eye_colours(self.body, self.front, self.looks, points)
+            rgb[eyes] = colours
+        return rgb
+
+    def _inwards(self, points: SurfacePoints) -> F64:
+        """[M, 1] by how much points about a mouth that is shut are of lips that meet, which no picture shows."""
+        ahead = points.directions(self.normals)[:, 2:]
+        close = 1 - points.at(mouth_lining().far[:, None]) / _TURNED
+        return np.asarray(close.clip(0, 1) ** 0.5 * ((_AHEAD - ahead) / _AHEAD).clip(0, 1) ** 0.5)
+
+    def _tongue(self, points: SurfacePoints) -> F64:
+        """[M, 3] of points on the tongue: darker towards the back, and below."""
+        far = self.body.vertices[self.tongue, 2]  # of all of it, whichever points are painted now
+        back, front = far.min(), far.max()
+        ahead = points.at(self.body.vertices[:, 2:])
+        up = points.directions(self.normals)[:, 1:2]
+        light = _BACK + (1 - _BACK) * ((ahead - back) / max(front - back, 1e-9)) ** 1.5
+        return np.asarray(_TONGUE * light * (_UNDER + (1 - _UNDER) * (0.5 + 0.5 * up)))
 
 
-def _inwards(body: Body, points: SurfacePoints) -> F64:
-    """[M, 1] by how much points about a mouth that is shut are of lips that meet, which no picture shows."""
-    ahead = points.directions(vertex_normals(body.vertices, body.faces))[:, 2:]
-    close = 1 - points.at(mouth_lining().far[:, None]) / _TURNED
-    return np.asarray(close.clip(0, 1) ** 0.5 * ((_AHEAD - ahead) / _AHEAD).clip(0, 1) ** 0.5)
-
-
-def _of_tongue(body: Body) -> NDArray[np.bool_]:
-    """[V] of the open body's tongue."""
-    return ~body.skin & ~np.isin(body.part, _EYES)
-
-
-def _of(points: SurfacePoints, some: NDArray[np.bool_]) -> SurfacePoints:
-    return SurfacePoints(points.corners[some], points.weights[some])
-
-
-def _tongue(body: Body, points: SurfacePoints) -> F64:
-    """[M, 3] of points on the tongue: darker towards the back, and below."""
-    far = body.vertices[_of_tongue(body), 2]  # of all of it, whichever points are painted now
-    back, front = far.min(), far.max()
-    ahead = points.at(body.vertices[:, 2:])
-    up = points.directions(vertex_normals(body.vertices, body.faces))[:, 1:2]
-    light = _BACK + (1 - _BACK) * ((ahead - back) / max(front - back, 1e-9)) ** 1.5
-    return np.asarray(_TONGUE * light * (_UNDER + (1 - _UNDER) * (0.5 + 0.5 * up)))
+def inside_of(body: Body, front: FittedPicture, looks: Mapping[str, EyeLook]) -> Inside:
+    """What is inside a ``body`` whose ``front`` shows eyes with these ``looks``, none where these stay as painted."""
+    tongue = ~body.skin & ~np.isin(body.part, _EYES)
+    return Inside(body, front, looks, _lips(front), tongue, vertex_normals(body.vertices, body.faces))
 
 
 def _lips(front: FittedPicture) -> F64:

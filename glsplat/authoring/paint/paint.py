@@ -12,7 +12,7 @@ from glsplat.authoring.fit.body import Body
 from glsplat.authoring.fit.eyes import EyeLook
 from glsplat.authoring.fit.offsets import face_of
 from glsplat.authoring.paint.head import BackOfHead, back_of_head
-from glsplat.authoring.paint.inside import with_inside
+from glsplat.authoring.paint.inside import Inside, inside_of
 from glsplat.authoring.paint.layers.segments import half_width, trunk_of, twins_across
 from glsplat.authoring.paint.light import Light, find_light
 from glsplat.authoring.paint.shot import FittedPicture, Sight, SurfacePoints
@@ -54,7 +54,7 @@ class Painter:
 
     body: Body
     shots: Sequence[FittedPicture]  # the front first
-    looks: Mapping[str, EyeLook]
+    inside: Inside
     light: Light
     cloth: Cloth
     plain: F64  # [V, 3] smooth linear colours without light; where there is cloth, what is added to it
@@ -80,12 +80,12 @@ class Painter:
         guess, there = self._guess(part, ground.at(doubt), shade[doubt])
         busy[doubt] = np.maximum(busy[doubt], _GUESSED * there * (1 - seen[doubt]))
         colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
-        rgb = with_inside(self.body, self.shots[0], self.looks, points, to_srgb(colour))
+        rgb = self.inside.over(to_srgb(colour), points)
         return np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS)
 
     def colours(self, points: SurfacePoints) -> F64:
-        """``paint(points).rgb``."""
-        return self.paint(points).rgb
+        """``paint(points).rgb``, on one core."""
+        return self._painted(points)[0]
 
     def _looked(self, points: SurfacePoints) -> tuple[list[Sight], Ground, F64]:
         """What each picture shows, the front without what is not the body's; the cloth there, and the light [M]."""
@@ -152,7 +152,8 @@ def painter_of(
     plain, seen = _smooth_colours(body, shots, light, cloth), seen_from_afar()
     twins, span = find_twins(front.mesh, trunk_of(body), seen), cloth.patterned
     sleeves = None if span is None else cut_sleeves(front.mesh, seen, span)
-    return Painter(body, shots, looks or {}, light, cloth, plain, twins, head(), sleeves, _aside(body, front))
+    inside = inside_of(body, front, looks or {})
+    return Painter(body, shots, inside, light, cloth, plain, twins, head(), sleeves, _aside(body, front))
 
 
 def _aside(body: Body, shot: FittedPicture) -> F64:

@@ -63,7 +63,10 @@ class Scatter:
                 skin=skin,
             )
             begin.append(begun(cloud, splats, PHOTO_SAMPLER, rng))
-        return avatar_of(abreast(lambda settled: settled(), begin), mesh, PHOTO_SAMPLER.opacity)
+        # the largest first, so that no core has it last and alone
+        order = np.argsort([-splats for _, splats, _ in self.zones], kind="stable")
+        made = dict(zip(order, abreast(lambda zone: begin[zone](), order), strict=True))
+        return avatar_of([made[zone] for zone in range(len(begin))], mesh, PHOTO_SAMPLER.opacity)
 
 
 def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:

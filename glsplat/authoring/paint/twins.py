@@ -17,6 +17,7 @@ from glsplat.authoring.paint.shot import FittedPicture, SurfacePoints
 from glsplat.authoring.raster import visible_faces
 from glsplat.camera import Camera, look_at
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Front", "Sighted", "Twins", "find_twins"]
@@ -51,7 +52,7 @@ class Twins:
                     continue
                 part = points.take(some)
                 mixed[some] += much[some] * _half(shot, part, twin, twins is self.straight)
-        length = np.maximum(np.linalg.norm(mixed[:, 3:6], axis=1, keepdims=True), 1e-9)
+        length = np.maximum(lengths(mixed[:, 3:6])[:, None], 1e-9)
         return Sighted(mixed[:, :3], mixed[:, 3:6] / length, mixed[:, 6], mixed[:, 7], mixed[:, 8])
 
 

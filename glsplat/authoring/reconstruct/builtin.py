@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from glsplat.authoring.fit.view import View
 from glsplat.authoring.light.capture import captured_light, with_captured_light
 from glsplat.authoring.networks.people import DetectedPerson, find_person
 from glsplat.authoring.networks.person import LANDMARKS
+from glsplat.authoring.optimize.seen import ready
 from glsplat.authoring.paint.dress import dressed_mesh
 from glsplat.authoring.paint.layers.segments import segments_of
 from glsplat.authoring.paint.paint import painter_of
@@ -26,13 +26,20 @@ from glsplat.authoring.paint.scatter import even_points, scatter
 from glsplat.authoring.paint.shot import FittedPicture
 from glsplat.authoring.paint.skirt import hem_of, with_skirt
 from glsplat.authoring.paint.unseen.hair import with_hair
-from glsplat.authoring.reconstruct.reconstructor import Mask, Options, Picture
+from glsplat.authoring.reconstruct.reconstructor import (
+    FittedBody,
+    MadeAvatar,
+    Mask,
+    MeshReconstructor,
+    Options,
+    Picture,
+    ReportingReconstructor,
+)
 from glsplat.authoring.reconstruct.sharp import sharp
 from glsplat.authoring.texture import baked
 from glsplat.authoring.threads import aside
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.meshes import RiggedMesh
 
 __all__ = ["PHONE", "SIDES", "Builtin", "FittedBody", "MadeAvatar", "MeshReconstructor", "ReportingReconstructor"]
 
@@ -46,42 +53,6 @@ PHONE = 1.37
 """Focal length of a usual phone camera, in heights of an upright picture."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FittedBody:
-    """The fitted body, and how well the pictures show it."""
-
-    fit: BodyFit
-    mesh: RiggedMesh  # the dressed body in the zero pose; white, unless a mesh was asked for
-    unseen: float  # share of the surface that no picture shows
-    seen: NDArray[np.float64]  # [V] of its vertices, from 0 guessed to 1 seen squarely
-    problem: str  # one line, or empty
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MadeAvatar(FittedBody):
-    """An avatar, and how it came about."""
-
-    avatar: Avatar
-
-
-@runtime_checkable
-class ReportingReconstructor(Protocol):
-    """A reconstructor that can say how its avatar came about."""
-
-    def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
-        """As ``reconstruct``, with all that led to the avatar."""
-        ...
-
-
-@runtime_checkable
-class MeshReconstructor(Protocol):
-    """A reconstructor that can make a textured mesh in place of splats."""
-
-    def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
-        """As ``reconstruct``; what is asked for is ``FittedBody.mesh``."""
-        ...
-
-
 class Builtin:
     """Fits, dresses and paints; needs the networks of ``glsplat models get``."""
 
@@ -91,7 +62,10 @@ class Builtin:
 
     def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """The avatar with all that led to it."""
-        body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
+        body, fit, bald, looks = _fitted(pictures, masks, options)
+        loaded = None if options.keep_light else aside(ready)  # where a core has nothing to do
+        shots = with_hair(body, bald)
+        mesh = shots[0].mesh
         rng = np.random.default_rng(options.seed)
         face = aside(lambda: moving_face(mesh)) if options.splats >= _FACED else None
         strewn = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
@@ -107,15 +81,18 @@ class Builtin:
         if face:
             options.progress("giving it a face", 0.0)
             avatar = with_face(avatar, face(), options.splats, options.seed)
-        if captured is not None:
+        if captured is not None and loaded is not None:
             options.progress("finding the light", 0.0)
+            loaded()
             avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
         """The dressed body with the pictures in its textures."""
-        body, fit, mesh, shots, looks = _fitted(pictures, masks, options)
+        body, fit, bald, looks = _fitted(pictures, masks, options)
+        shots = with_hair(body, bald)
+        mesh = shots[0].mesh
         even = even_points(mesh, _LIT)
         painter = painter_of(body, shots, even, looks)
         unseen = float((painter.paint(even).seen < _HARDLY).mean())
@@ -130,8 +107,7 @@ class _Fitted(NamedTuple):
 
     body: Body
     fit: BodyFit
-    mesh: RiggedMesh
-    shots: list[FittedPicture]
+    shots: list[FittedPicture]  # no hair hangs behind it yet
     looks: Mapping[str, EyeLook]
 
 
@@ -155,12 +131,10 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
         FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
         for side, view, fitted in zip(sides, views, seen, strict=True)
     ]
-    shots = with_hair(body, shots)
-    mesh = shots[0].mesh
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.seen for look in looks.values()):
         looks = {}  # closed lids and dark glasses stay what they are
-    return _Fitted(body, fit, mesh, shots, looks)
+    return _Fitted(body, fit, shots, looks)
 
 
 def _seen(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:

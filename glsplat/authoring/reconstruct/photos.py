@@ -20,9 +20,18 @@ from glsplat.errors import CaptureError, FormatError, GlsplatError
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
-from .builtin import FittedBody, MadeAvatar, MeshReconstructor, ReportingReconstructor
 from .plugins import one_line
-from .reconstructor import Mask, Options, Picture, Progress, Reconstructor
+from .reconstructor import (
+    FittedBody,
+    MadeAvatar,
+    Mask,
+    MeshReconstructor,
+    Options,
+    Picture,
+    Progress,
+    Reconstructor,
+    ReportingReconstructor,
+)
 from .registry import OWN, named
 
 __all__ = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,22 @@ from numpy.typing import NDArray
 from glsplat.authoring.networks.people import DetectedPerson
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.meshes import RiggedMesh
 
-__all__ = ["Mask", "Options", "Picture", "Progress", "Reconstructor"]
+if TYPE_CHECKING:
+    from glsplat.authoring.fit.fit import BodyFit  # and all of the fit with it
+
+__all__ = [
+    "FittedBody",
+    "MadeAvatar",
+    "Mask",
+    "MeshReconstructor",
+    "Options",
+    "Picture",
+    "Progress",
+    "Reconstructor",
+    "ReportingReconstructor",
+]
 
 Mask = NDArray[np.bool_]
 Progress = Callable[[str, float], None]
@@ -72,4 +86,40 @@ class Reconstructor(Protocol):
         ``pictures`` by the side of the person that they show: always ``front``, perhaps ``back``, ``left``, ``right``;
         ``masks`` [H, W] by the same names, true on the person. Raises GlsplatError in one line.
         """
+        ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedBody:
+    """The fitted body, and how well the pictures show it."""
+
+    fit: BodyFit
+    mesh: RiggedMesh  # the dressed body in the zero pose; white, unless a mesh was asked for
+    unseen: float  # share of the surface that no picture shows
+    seen: NDArray[np.float64]  # [V] of its vertices, from 0 guessed to 1 seen squarely
+    problem: str  # one line, or empty
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MadeAvatar(FittedBody):
+    """An avatar, and how it came about."""
+
+    avatar: Avatar
+
+
+@runtime_checkable
+class ReportingReconstructor(Protocol):
+    """A reconstructor that can say how its avatar came about."""
+
+    def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
+        """As ``reconstruct``, with all that led to the avatar."""
+        ...
+
+
+@runtime_checkable
+class MeshReconstructor(Protocol):
+    """A reconstructor that can make a textured mesh in place of splats."""
+
+    def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
+        """As ``reconstruct``; what is asked for is ``FittedBody.mesh``."""
         ...

@@ -23,7 +23,7 @@ Colours = Callable[[SurfacePoints], F64]
 SIZES = 16, 8192
 """Texels a side that a texture may have."""
 _SMALL = 4  # times as many texels a side has the largest part's texture as the others'
-_CHUNK = 1 << 16  # points that are asked for together
+_CHUNK = 1 << 15  # points that one core asks for together
 _MARGIN = 2  # texels about a part that has a texture of its own
 
 

@@ -52,7 +52,7 @@ def test_functions_are_compiled_where_nothing_may_be_cached(monkeypatch: pytest.
 WITHOUT = """
 import sys
 sys.modules["numba"] = None  # an import of it fails
-import apps.cli, apps.avatar.command
+import apps.cli, apps.avatar.making
 import glsplat.evaluate.comparison.own_methods, glsplat.authoring.reconstruct.video
 from glsplat.authoring.optimize.compiled import available
 assert not available()

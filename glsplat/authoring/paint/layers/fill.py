@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["continued", "disc", "nearest_known", "only_in_the_middle"]
+__all__ = ["continued", "disc", "nearest_known", "only_in_the_middle", "sources"]
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.float32]
@@ -29,16 +29,22 @@ def disc(radius: int) -> NDArray[np.uint8]:
 
 def nearest_known(known: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """[H, W] row and column of the nearest ``known`` pixel; every pixel's own where none is known."""
-    rows, columns = np.nonzero(known)
-    if not len(rows):
-        at = np.indices(known.shape)
-        return at[0], at[1]
+    label, rows, columns = sources(known)
+    return rows[label], columns[label]
+
+
+def sources(known: Mask) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.intp]]:
+    """[H, W] the number of the nearest ``known`` pixel, and [N] row and column of each number; as ``nearest_known``."""
+    if not known.any():
+        row, column = np.indices(known.shape)
+        return np.arange(known.size, dtype=np.int32).reshape(known.shape), row.ravel(), column.ravel()
     _, label = cv2.distanceTransformWithLabels(
         (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    source = np.zeros((int(label.max()) + 1, 2), np.intp)
-    source[label[rows, columns]] = np.stack([rows, columns], axis=1)
-    return source[label, 0], source[label, 1]
+    rows, columns = np.nonzero(known)
+    source = np.zeros((2, int(label.max()) + 1), np.intp)
+    source[:, label[rows, columns]] = rows, columns
+    return np.asarray(label, np.int32), source[0], source[1]
 
 
 def only_in_the_middle(picture: Picture, place: NDArray[np.float64], known: Mask) -> Mask:
@@ -97,15 +103,18 @@ def continued(picture: Picture, known: Mask, hole: Mask, height: float) -> Pictu
 
 def _grain(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
     """[K, 1] brightness against its surroundings of the places mirrored at the edge of what is known."""
-    row, column = nearest_known(known)
-    rows, columns = np.nonzero(hole)
-    mirrored = 2 * row[hole] - rows, 2 * column[hole] - columns
+    label, row, column = sources(known)
+    nearest, (rows, columns) = label[hole], np.nonzero(hole)
+    mirrored = 2 * row[nearest] - rows, 2 * column[nearest] - columns
     height_, width = known.shape
     inside = (mirrored[0] >= 0) & (mirrored[0] < height_) & (mirrored[1] >= 0) & (mirrored[1] < width)
     at = mirrored[0].clip(0, height_ - 1), mirrored[1].clip(0, width - 1)
+    some = np.flatnonzero(inside & known[at])
+    at = at[0][some], at[1][some]
     weight = known.astype(np.float32)
     light = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / 3
     reach = max(_GRAIN * height, 1.0)
     around = cv2.GaussianBlur(light * weight, (0, 0), reach) / np.maximum(cv2.GaussianBlur(weight, (0, 0), reach), 1e-4)
-    grain = np.clip((light[at] + 0.01) / (around[at] + 0.01), 0.7, 1.4)
-    return np.where(inside & known[at], grain, np.float32(1))[:, None].astype(np.float32)
+    grain = np.ones((len(rows), 1), np.float32)
+    grain[some, 0] = np.clip((light[at] + 0.01) / (around[at] + 0.01), 0.7, 1.4)
+    return grain

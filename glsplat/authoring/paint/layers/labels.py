@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from glsplat.authoring.paint.layers.fill import disc
 from glsplat.authoring.paint.layers.segments import LAYERS, layer_of
+from glsplat.authoring.threads import abreast
+from glsplat.rotations import component_sums
 
 __all__ = ["NOTHING", "labels_of"]
 
@@ -56,8 +58,9 @@ def labels_of(
     height = float(rows[-1] - rows[0] + 1)
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
     label = np.where(mask, 0, NOTHING).astype(np.intp)
-    for layer in range(1, LAYERS):
-        arm = _arm(lab, mask, segment, layer, height, None if bones is None else bones[layer - 1])
+    arms = range(1, LAYERS)
+    found = abreast(lambda k: _arm(lab, mask, segment, k, height, None if bones is None else bones[k - 1]), arms)
+    for layer, arm in zip(arms, found, strict=True):
         label[arm & ((label == 0) | (layer_of(segment) == layer))] = layer
     label[_room(lab, mask, segment, label, head, height)] = NOTHING
     count, pieces, sizes, _ = cv2.connectedComponentsWithStats((label == 0).astype(np.uint8), connectivity=4)
@@ -143,10 +146,11 @@ def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, he
     layer, colours = layer_of(segment), lab.astype(np.float32)
     inner = cv2.erode(mask.astype(np.uint8), disc(2)) > 0
     outer = cv2.dilate(mask.astype(np.uint8), disc(2)) == 0
-    room = np.minimum(*(_unlike(colours, outer, share * height) for share in (0.03, 0.08)))
     # where the fit has a hand and the picture has none, there may be the wall
     cores = [inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), disc(3)) > 0) for k in range(LAYERS)]
-    person = np.minimum.reduce([_unlike(colours, core, 0.03 * height) for core in cores])
+    asked = [(outer, 0.08), (outer, 0.03), *((core, 0.03) for core in cores)]
+    unlike = abreast(lambda some: _unlike(colours, some[0], some[1] * height), asked)
+    room, person = np.minimum(unlike[1], unlike[0]), np.minimum.reduce(unlike[2:])
     shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
     strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin
     found = mask & shallow & (room < _ROOM[0] * strict) & (room < _ROOM[1] * strict * person)
@@ -162,7 +166,7 @@ def _unlike(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[n
     known = np.maximum(total, 1e-5)[..., None]
     mean = cv2.GaussianBlur(colours * weight[..., None], (0, 0), reach) / known
     spread = cv2.GaussianBlur(colours**2 * weight[..., None], (0, 0), reach) / known - mean**2
-    away = ((colours - mean) ** 2 / (np.maximum(spread, 0) + 16)).sum(axis=2)
+    away = component_sums((colours - mean) ** 2 / (np.maximum(spread, 0) + 16))
     return np.where(total > 2e-3, away, np.float32(1e6))
 
 

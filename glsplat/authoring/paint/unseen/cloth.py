@@ -21,6 +21,7 @@ from glsplat.authoring.paint.unseen.ground import BARE, Ground
 from glsplat.authoring.paint.unseen.pattern import goes_around
 from glsplat.authoring.paint.unseen.rows import ALIKE, FEWEST, STEP, TOLERANCE, Rows, most_of, rows_of, steady
 from glsplat.authoring.threads import abreast
+from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Cloth", "cloth_of"]
@@ -108,7 +109,7 @@ class Cloth:
         some = some[near | np.isin(mine[some], _HANDS)]
         if not len(some):
             return out
-        other = np.linalg.norm(look[some] - np.sqrt(shot.room(pixels[some]) / shade[some, None]), axis=1)
+        other = lengths(look[some] - np.sqrt(shot.room(pixels[some]) / shade[some, None]))
         for numbers, others in ((_ARMS, _BODY), (_BODY, _ARMS)):
             rows = [rows.colour for k in others if (rows := self.rows[k]) is not None]
             which = np.isin(mine[some], numbers)

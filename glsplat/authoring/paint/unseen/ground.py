@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.rotations import component_sums, lengths
+
 __all__ = ["BARE", "Ground"]
 
 F64 = NDArray[np.float64]
@@ -40,9 +42,9 @@ class Ground:
         A hand's brightness says nothing: palms, nails and backs of hands are of different ones.
         """
         own = np.sqrt(self.colour)
-        scale = (look * own).sum(axis=1) / np.maximum((own**2).sum(axis=1), 1e-9)
+        scale = component_sums(look * own) / np.maximum(component_sums(own**2), 1e-9)
         own[self.hand] *= scale.clip(*_PALM)[self.hand, None]
-        return np.asarray(np.linalg.norm(look - own, axis=1) / self.tolerance)
+        return np.asarray(lengths(look - own) / self.tolerance)
 
     def alike(self, plain: F64, patterned: bool = True) -> F64:
         """[M] from 0 to 1: how surely linear colours [M, 3] without light are the cloth that is there.
@@ -53,5 +55,5 @@ class Ground:
         away = self.away(look)
         sure = (_SAME[1] - away).clip(0, _SAME[1] - _SAME[0]) / (_SAME[1] - _SAME[0])
         if patterned:
-            sure[self.pattern & ~(np.linalg.norm(look - self.skin, axis=1) < BARE)] = 1.0
+            sure[self.pattern & ~(lengths(look - self.skin) < BARE)] = 1.0
         return np.where(self.there > 0, sure, 1.0)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.rotations import component_sums, lengths
+
 __all__ = ["ALIKE", "FEWEST", "STEP", "TOLERANCE", "Rows", "most_of", "rows_of", "steady"]
 
 F64 = NDArray[np.float64]
@@ -74,9 +76,9 @@ def most_of(look: F64, weight: F64) -> tuple[F64, float]:
     """[3] the colour that most of the samples have, and how far half of them lie from it."""
     mode = np.median(look[weight >= np.median(weight)], axis=0)
     for _ in range(_SHIFTS):
-        near = weight * np.exp(-0.5 * ((look - mode) ** 2).sum(axis=1) / _KERNEL**2)
+        near = weight * np.exp(-0.5 * component_sums((look - mode) ** 2) / _KERNEL**2)
         mode = (near[:, None] * look).sum(axis=0) / max(float(near.sum()), 1e-12)
-    away = np.linalg.norm(look - mode, axis=1)
+    away = lengths(look - mode)
     order = np.argsort(away, kind="stable")
     total = np.cumsum(weight[order])
     return mode, float(away[order[np.searchsorted(total, 0.5 * total[-1])]])

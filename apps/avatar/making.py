@@ -1,0 +1,306 @@
+"""``glsplat avatar make``, ``cones``, ``import``, ``export``, ``motions``: from files of people and splats to files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+
+from glsplat.authoring.cones import ConeConfig, with_cones
+from glsplat.authoring.detail.make import with_levels
+from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.importers import bind_to_mesh, load_lhm_dump
+from glsplat.authoring.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.authoring.light.surfaces import with_surface
+from glsplat.authoring.on_smplx import on_smplx
+from glsplat.authoring.optimize.compiled import MISSING, available
+from glsplat.authoring.optimize.mesh import STEPS, fitted_to_mesh
+from glsplat.authoring.posed import posed_splats
+from glsplat.authoring.scans import read_obj_person
+from glsplat.authoring.surface import FEWEST, make_avatar
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar, embedded_file
+from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats import load_splats, save, suffixes
+from glsplat.formats.gltf.meshes.rig_map import read_rig_map
+from glsplat.formats.person import read_body
+from glsplat.formats.transform import transformed
+from glsplat.io.files import naming, open_regular, replace_file
+from glsplat.motion.loading import embedded_motions, load_embedded_motion
+from glsplat.scenes.scene_file import upright
+from glsplat.skinning.pose import Pose, load_pose
+from glsplat.splats import Level
+
+from ..args import add_up, motion_of
+from ..convert import add_quiet, save_and_say
+from ..usage import UsageError
+from .person import add_rig, doubts, read_any_person
+from .writing import add_notes, check_name, progress_bar, write
+
+__all__ = [
+    "add_cones",
+    "add_export",
+    "add_import",
+    "add_make",
+    "add_motions",
+    "cones",
+    "counts_of",
+    "export",
+    "make",
+    "motions",
+    "take",
+]
+
+_COARSEST = 5000
+"""Splats below which no level is made unless it is asked for."""
+
+
+def add_make(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument(
+        "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, .vrm, or .obj with --body"
+    )
+    parser.add_argument(
+        "--body", type=Path, help="rigged body (.npz) that lends joints and weights to an .obj in T-pose"
+    )
+    add_rig(parser)
+    parser.add_argument("--splats", type=int, default=40_000, help="number of Gaussians (default 40000)")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
+    parser.add_argument(
+        "--steps",
+        type=int,
+        default=STEPS,
+        help="of fitting all parameters of the splats, a minute for the default %(default)d; 0: none",
+    )
+    parser.add_argument(
+        "--levels",
+        nargs="+",
+        metavar="N",
+        help=f"splats of coarser levels of detail (default: --splats halved down to {_COARSEST}); none: none",
+    )
+    parser.add_argument("--no-surface", action="store_true", help="say nothing of normals: --light never changes it")
+    parser.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
+    _add_out(parser)
+
+
+def add_cones(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("scene", type=Path, help="avatar or static splats")
+    parser.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(rigs=True)})")
+    parser.add_argument(
+        "--psnr", type=float, default=ConeConfig().psnr, help="dB that test pictures keep (default %(default)g)"
+    )
+    parser.add_argument(
+        "--directions", type=int, default=ConeConfig().directions, help="views a pose (default %(default)d)"
+    )
+
+
+def add_import(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument(
+        "dump",
+        type=Path,
+        help="lhm_dump.npz, a LAM .zip, an avatar (.glb) of another rig, which is put onto SMPL-X's joints, or a "
+        "file of splats of any format with --mesh",
+    )
+    parser.add_argument(
+        "--rig-map", type=Path, metavar="JSON", help="of an avatar of another rig: its joints by SMPL-X's names"
+    )
+    parser.add_argument(
+        "--mesh", type=Path, help="rigged mesh in the same pose and place (.npz, .glb), for its weights"
+    )
+    parser.add_argument(
+        "--follow",
+        choices=FOLLOW,
+        help="what moves a LAM zip's splats: their vertices' weights (default), or all the head, as LAM's own viewer",
+    )
+    parser.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
+    _add_out(parser)
+
+
+def add_export(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
+    parser.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
+    parser.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
+    parser.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(written=True)})")
+    add_up(parser, "the axis that points up in the written file; viewers differ")
+    add_quiet(parser)
+
+
+def add_motions(parser: argparse.ArgumentParser) -> None:
+    """The command line."""
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
+
+
+def _add_out(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
+    add_notes(parser)
+    parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+
+
+def make(args: argparse.Namespace) -> int:
+    """Make an avatar of a rigged person, with its levels, surface and cones."""
+    check_name(args.out)
+    if args.steps < 0:
+        raise UsageError(f"--steps needs 0 or more, not {args.steps}")
+    if args.splats < FEWEST:
+        raise FormatError(f"an avatar needs at least {FEWEST} splats, not {args.splats}")
+    counts = counts_of(args.levels, args.splats)
+    began = time.perf_counter()
+    if args.body is None:
+        mesh = read_any_person(args.person, args)
+    else:
+        mesh = read_obj_person(args.person, read_body(args.body))
+    if args.steps and not available():
+        print(f"glsplat avatar make: {MISSING}", file=sys.stderr)
+    told: list[str] = []
+    _say(args.person, doubts(mesh, scale=args.extra_scale), told)  # before the minutes, so that they can be saved
+    with progress_bar() as show:
+        avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
+        if args.steps:
+            avatar = fitted_to_mesh(avatar, mesh, args.seed, args.steps, show)
+        if counts:
+            avatar = with_levels(avatar, counts, args.seed, progress=show)
+        if not args.no_surface:
+            show("finding the surface", 0.0)
+            avatar = with_surface(avatar, mesh)
+        if not args.no_cones:
+            avatar = with_cones(avatar, progress=show)
+    _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
+    return write(avatar, args, began)
+
+
+def _say(path: Path, lines: Iterable[str], told: list[str]) -> None:
+    """What was not ``told`` yet."""
+    with naming(path):
+        for line in lines:
+            if line not in told:
+                print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
+                told.append(line)
+
+
+def cones(args: argparse.Namespace) -> int:
+    """Find the cones of a file."""
+    check_name(args.out)
+    if not 0 < args.psnr <= 100:
+        raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
+    if not 8 <= args.directions <= 4096:
+        raise UsageError(f"--directions needs 8 to 4096, not {args.directions}")
+    began = time.perf_counter()
+    with progress_bar() as show:
+        made = with_cones(load_splats(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)
+    save(made, args.out)
+    print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB, {time.perf_counter() - began:.1f} s")
+    return 0
+
+
+def take(args: argparse.Namespace) -> int:
+    """Import what another program made."""
+    check_name(args.out)
+    began = time.perf_counter()
+    if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
+        if args.rig_map is not None:
+            raise UsageError(f"{args.dump}: import the zip first, then its avatar (.glb) with --rig-map")
+        if args.mesh is not None:
+            raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
+        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
+    if args.follow is not None:
+        raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
+    if args.mesh is None and _is_gltf(args.dump):
+        scene = load_splats(args.dump)
+        if scene.levels:
+            print(f"glsplat avatar: {args.dump}: coarser levels of detail are left out", file=sys.stderr)
+        if not isinstance(scene, Avatar):
+            raise FormatError(f"{args.dump}: has no skeleton; --mesh names a rigged mesh that lends one")
+        with naming(args.dump):
+            made = on_smplx(scene, None if args.rig_map is None else read_rig_map(args.rig_map))
+        return write(made, args, began)
+    if args.rig_map is not None:
+        raise UsageError(f"{args.dump}: --rig-map is for an avatar (.glb) of another rig; leave it out")
+    if args.mesh is None:
+        return write(load_lhm_dump(args.dump), args, began)
+    if not 0 < args.reach < 1000:
+        raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
+    scene = load_splats(args.dump)
+    splats = scene.splats if isinstance(scene, Avatar) else scene
+    try:
+        mesh = read_any_person(args.mesh)
+        avatar = with_shapes(bind_to_mesh(splats, mesh, args.reach / 100), mesh)
+    except FormatError as error:
+        text = str(error)
+        raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
+    return write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
+
+
+def _is_gltf(path: Path) -> bool:
+    with naming(path), open_regular(path) as (file, _):
+        head = file.read(64)
+    return head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
+
+
+def export(args: argparse.Namespace) -> int:
+    """Write an avatar in one pose."""
+    scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
+    if not isinstance(scene, Avatar):
+        raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
+    pose = Pose.zero(len(scene.skeleton))
+    if args.pose is not None:
+        if not math.isfinite(args.at):
+            raise UsageError(f"--at needs a number of seconds, not {args.at}")
+        if _is_single_pose(args.pose):
+            pose = load_pose(args.pose, scene.skeleton)
+        else:
+            pose = motion_of(args.pose, scene.skeleton, "--pose").at(args.at)
+    levels = tuple(Level(posed_splats(one.content, pose), one.density, one.psnr) for one in scene.levels)
+    posed = replace(posed_splats(scene, pose), levels=levels)
+    splats = transformed(posed, upright(args.up).T)  # from y up to the file's axis
+    save_and_say(splats, args.out, "glsplat avatar export", args.quiet)
+    print(f"{args.out}: {len(scene.splats)} splats")
+    return 0
+
+
+def _is_single_pose(path: str) -> bool:
+    """True for a pose object, which may hold translations; motions, frames of a video and all else are motions."""
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8")) if path.lower().endswith(".json") else None
+    except (OSError, ValueError, RecursionError):
+        return False  # the motion reader says what is wrong
+    return isinstance(data, dict) and not {"frames", "focal"} & data.keys()
+
+
+def motions(args: argparse.Namespace) -> int:
+    """Write the motions that come with glsplat."""
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GlsplatError(f"{args.out}: cannot make the folder ({error.strerror})") from None
+    for name in embedded_motions():
+        file = args.out / f"{name}.json"
+        replace_file(file, [resources.files("glsplat.data").joinpath(file.name).read_bytes()])
+        motion = load_embedded_motion(name, default_avatar().skeleton)
+        print(f"{file}: {len(motion)} frames, {motion.duration:.1f} s")
+    return 0
+
+
+def counts_of(asked: Sequence[str] | None, splats: int) -> tuple[int, ...]:
+    """Splats of the levels below ``splats``: halves for None, none for ``none``. Raises UsageError."""
+    if asked is None:
+        halves = [splats >> k for k in range(1, 32)]
+        return tuple(half for half in halves if half >= _COARSEST)
+    if list(asked) in (["none"], ["0"]):
+        return ()
+    counts = [int(word) if word.isascii() and word.isdigit() else 0 for word in asked]
+    if not counts or min(counts) < FEWEST or any(few >= many for many, few in pairwise((splats, *counts))):
+        raise UsageError(
+            f"--levels needs falling numbers of splats below {splats}, none under {FEWEST}, or none; "
+            f"not {' '.join(asked) or 'nothing'}"
+        )
+    return tuple(counts)
