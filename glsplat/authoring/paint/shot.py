@@ -15,7 +15,8 @@ from glsplat.authoring.fit.fit import FittedView
 from glsplat.authoring.paint.layers.fill import continued, disc, nearest_known, only_in_the_middle
 from glsplat.authoring.paint.layers.labels import labels_of
 from glsplat.authoring.paint.layers.patches import woven
-from glsplat.authoring.paint.layers.segments import HANDS, LAYERS, half_width, layer_of, trunk_of
+from glsplat.authoring.paint.layers.shadows import brightening
+from glsplat.authoring.paint.layers.segments import FOREARMS, HANDS, LAYERS, half_width, layer_of, trunk_of
 from glsplat.authoring.raster import visible_faces
 from glsplat.authoring.threads import abreast
 from glsplat.camera import Camera
@@ -40,6 +41,8 @@ _LABELLED = 480  # pixels of the person's height that are labelled
 _MIXED = 0.006, 0.002  # of the height: about arms the trunk's colours are mixed with theirs, and theirs at their edge
 _SOFT = 1.0  # pixels over which what is known ends
 _CARRIED = 0.04  # of the height: farther no colour is carried
+_ABOUT = 0.03  # of the height: so near to where the fit has a forearm there may be one
+_SHADED = 1.05  # times as bright without an arm's shadow: from there on it is one
 _FEWEST = 20  # pixels of a layer that is seen at all
 
 
@@ -104,7 +107,7 @@ class FittedPicture:
     def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
         """The same picture of a ``mesh`` that differs only where this one does not show it."""
         other = replace(self, mesh=mesh, view=view)
-        kept = ("trust", "normals", "shown", "_layers", "_details", "_labelled", "_label", "_agreed", "_room", "_deep")
+        kept = ("trust", "normals", "shown", "_layers", "_details", "_labelled", "_label", "_agreed", "_brightening", "_room", "_deep")
         vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return other
 
@@ -189,6 +192,10 @@ class FittedPicture:
             out[mine] = distance[self._small(pixels[mine], scale)]
         return out
 
+    def over_trunk(self, pixels: F64) -> NDArray[np.bool_]:
+        """[M] whether the fit has the trunk, the head or legs at pixels [M, 2], whatever is before them."""
+        return np.isfinite(self._at([self._layers[0].depth], pixels, None, _COARSE))
+
     def _small(self, pixels: F64, scale: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of pixels in a picture of another scale."""
         height, width = (max(1, int(side * scale)) for side in self.mask.shape)
@@ -260,10 +267,10 @@ class FittedPicture:
             near = disc(max(1, round(_MIXED[min(number, 1)] * self._height)))
             own = inner & ~(cv2.dilate(other.astype(np.uint8), near) > 0)
             known = cv2.GaussianBlur(own.astype(np.float32), (0, 0), _SOFT)
-            mine = (self.layer[self.mesh.faces] == number).all(axis=1)
-            seen = self._layer_of(own if own.sum() > _FEWEST else inner, known, self.mesh.faces[mine])
+            seen = self._layer_of(own if own.sum() > _FEWEST else inner, known, self._faces(number))
             if number == 0:
                 hole = self._label != 0
+                seen = replace(seen, picture=np.minimum(seen.picture * self._brightening[..., None], 1))
                 filled = continued(seen.picture, inner & ~hole & (seen.known > 0.9), hole, self._height)
                 seen = replace(seen, picture=filled, far=np.zeros_like(seen.far))
             there = cv2.resize(seen.depth, inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -271,7 +278,7 @@ class FittedPicture:
             carried = np.where((picture == seen.picture).all(axis=2), seen.far, np.float32(0))
             return replace(seen, picture=picture, far=carried)
 
-        _ = self._label, self.layer  # found once, before threads ask for them
+        _ = self._label, self.layer, self._brightening  # found once, before threads ask for them
         return abreast(cut, range(LAYERS))
 
     @cached_property
@@ -280,9 +287,8 @@ class FittedPicture:
         return abreast(lambda seen: _busy(seen.picture), self._layers)
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> _Layer:
-        table = to_linear(np.arange(256) / 255).astype(np.float32)
         row, column = nearest_known(own)
-        picture = table[self.rgb[row, column]]
+        picture = _linear(self.rgb[row, column])
         there = np.indices(own.shape, np.int32)
         far = np.hypot(row - there[0], column - there[1]).astype(np.float32)
         ids, bary = self._drawn(faces, 1 / _COARSE)
@@ -298,12 +304,26 @@ class FittedPicture:
 
     @cached_property
     def _agreed(self) -> NDArray[np.bool_]:
-        """[H, W] where the picture shows what the fitted body shows."""
+        """[H, W] where the picture shows what the fitted body shows, and no shadow of an arm lies on it."""
         if self.segment is None:
             return self.mask
         segment = self._labelled[1]
         there = _grown(layer_of(segment), self.mask.shape)
-        return np.asarray(self.mask & ((self._label == there) | ((there < 0) & (self._label >= 0))))
+        own = (self._label == there) | ((there < 0) & (self._label >= 0))
+        return np.asarray(self.mask & own & (self._brightening < _SHADED))
+
+    @cached_property
+    def _brightening(self) -> NDArray[np.float32]:
+        """[H, W] how many times as bright the trunk is without arms' shadows."""
+        trunk = self._drawn(self._faces(0), min(1.0, _LABELLED / self._height))[0] >= 0
+        fore = np.isin(self._labelled[1], FOREARMS).astype(np.uint8)  # upper arms hang beside it
+        there = trunk & (cv2.dilate(fore, disc(round(_ABOUT * _LABELLED))) > 0)
+        arms = (self._label > 0) & (_grown(there.astype(np.intp), self.mask.shape) > 0)
+        return brightening(_linear(self.rgb), self._label == 0, arms, self._height)
+
+    def _faces(self, number: int) -> NDArray[np.int32]:
+        """[F, 3] of a layer."""
+        return self.mesh.faces[(self.layer[self.mesh.faces] == number).all(axis=1)]
 
     @cached_property
     def _labelled(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -369,6 +389,11 @@ class _Layer:
     depth: NDArray[np.float32]  # [H / 2, W / 2] camera z of its nearest surface, infinite where there is none
     known: NDArray[np.float32]  # [H, W] 1 where a pixel shows it
     far: NDArray[np.float32]  # [H, W] pixels that the colour was carried
+
+
+def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    table = to_linear(np.arange(256) / 255).astype(np.float32)
+    return np.asarray(table[rgb])
 
 
 def _busy(picture: NDArray[np.float32]) -> NDArray[np.float32]:
