@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.fit.body import Body, open_body
+from glsplat.authoring.fit.hanging import hung
 from glsplat.authoring.fit.kinematics import PosedBody, projected
 from glsplat.authoring.fit.landmarks import landmarks
-from glsplat.authoring.fit.hanging import hung
 from glsplat.authoring.fit.offsets import face_of, outward, smooth_offsets, soles_of
 from glsplat.authoring.fit.outline import (
     Rim,
@@ -279,7 +279,7 @@ def _behind_arms(body: Body, posed: PosedBody, view: View, moved: F64) -> NDArra
     pixels = projected(posed.points(body.points(np.arange(len(body.vertices)), moved)), view.focal, view.centre)[0]
     arms = beside_arms(body, pixels, view.mask.shape, _ARM_REACH_DRESSED * view.figure)
     column, row = np.floor(pixels).astype(np.intp).T
-    return arms[row.clip(0, len(arms) - 1), column.clip(0, arms.shape[1] - 1)]
+    return np.asarray(arms[row.clip(0, len(arms) - 1), column.clip(0, arms.shape[1] - 1)])
 
 
 def _agreed(vertices: NDArray[np.intp], wanted: F64) -> tuple[NDArray[np.intp], F64]:

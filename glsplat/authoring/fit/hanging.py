@@ -1,4 +1,4 @@
-"""Cloth behind arms: a shirt hangs down straight from the chest, where no outline shows it and a bare waist would be."""
+"""Cloth behind arms: a shirt hangs straight, where no outline shows it and a bare waist would be."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def hung(
 ) -> tuple[NDArray[np.intp], F64]:
     """K vertices of flanks that arms hide, and their offsets [K] with which they are as wide as they are seen below.
 
-    ``offsets`` [V] along ``directions`` [V, 3] are those without. ``bare`` [V, 3] and ``joints`` [55, 3] are in the zero pose, metres. ``rim`` are vertices whose outline is seen,
-    ``hidden`` those that an arm lies before. Flanks are left alone that are seen no higher than the hips, or wear
-    nothing there.
+    ``offsets`` [V] along ``directions`` [V, 3] are those without. ``bare`` [V, 3] and ``joints`` [55, 3] are in the
+    zero pose, metres. ``rim`` are vertices whose outline is seen, ``hidden`` those that an arm lies before.
+    Flanks are left alone that are seen no higher than the hips, or wear nothing there.
     """
     dressed = bare + offsets[:, None] * directions
     high = float(joints[[_at("left_shoulder"), _at("right_shoulder")], 1].mean()) - _ARMPIT

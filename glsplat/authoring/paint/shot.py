@@ -15,8 +15,9 @@ from glsplat.authoring.fit.fit import FittedView
 from glsplat.authoring.paint.layers.fill import continued, disc, nearest_known, only_in_the_middle
 from glsplat.authoring.paint.layers.labels import labels_of
 from glsplat.authoring.paint.layers.patches import woven
-from glsplat.authoring.paint.layers.shadows import brightening
 from glsplat.authoring.paint.layers.segments import FOREARMS, HANDS, LAYERS, half_width, layer_of, trunk_of
+from glsplat.authoring.paint.layers.shadows import brightening
+from glsplat.authoring.paint.pixels import bilinear, busy, grown, linear
 from glsplat.authoring.raster import visible_faces
 from glsplat.authoring.threads import abreast
 from glsplat.camera import Camera
@@ -33,7 +34,6 @@ F64 = NDArray[np.float64]
 _COARSE = 2  # pixels of the picture to one of the depth map
 _BEHIND = 0.012  # metres behind the nearest surface that still count as it
 _RIM = 2  # pixels inside the outline whose colours are mixed with the room's
-_PATCH, _BUSY = 7, 0.12  # pixels, and the spread of colour in them that is full of detail
 _BELIEVED = 0.12, 0.42  # cosines: nothing of the colour is believed, everything is
 _TURNED = -0.3, -0.1
 _MIDDLE = 300  # pixels of the height that are looked at for prints
@@ -107,8 +107,8 @@ class FittedPicture:
     def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
         """The same picture of a ``mesh`` that differs only where this one does not show it."""
         other = replace(self, mesh=mesh, view=view)
-        kept = ("trust", "normals", "shown", "_layers", "_details", "_labelled", "_label", "_agreed", "_brightening", "_room", "_deep")
-        vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
+        found = "trust normals shown _layers _details _labelled _label _agreed _brightening _room _deep"
+        vars(other).update({name: vars(self)[name] for name in found.split() if name in vars(self)})
         return other
 
     def camera(self, pelvis: F64, figure: float) -> Camera:
@@ -172,7 +172,7 @@ class FittedPicture:
             mine = slice(None) if layer is None else np.flatnonzero(layer == number)
             if (layer is None and number) or not len(pixels[mine]):
                 continue
-            out[mine] = _bilinear(self._behind if behind and not number else seen.picture, pixels[mine])
+            out[mine] = bilinear(self._behind if behind and not number else seen.picture, pixels[mine])
         return out
 
     def detail(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
@@ -193,7 +193,10 @@ class FittedPicture:
         return out
 
     def over_trunk(self, pixels: F64) -> NDArray[np.bool_]:
-        """[M] whether the fit has the trunk, the head or legs at pixels [M, 2], whatever is before them."""
+        """[M] whether the fit has the trunk, the head or legs at pixels [M, 2], whatever is before them; False where
+        nothing of the body hides anything else of it."""
+        if self.segment is None:
+            return np.zeros(len(pixels), bool)
         return np.isfinite(self._at([self._layers[0].depth], pixels, None, _COARSE))
 
     def _small(self, pixels: F64, scale: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -284,11 +287,11 @@ class FittedPicture:
     @cached_property
     def _details(self) -> list[NDArray[np.float32]]:
         """[H, W] of each layer the local spread of colour, as a share of what counts as full of detail."""
-        return abreast(lambda seen: _busy(seen.picture), self._layers)
+        return abreast(lambda seen: busy(seen.picture), self._layers)
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> _Layer:
         row, column = nearest_known(own)
-        picture = _linear(self.rgb[row, column])
+        picture = linear(self.rgb[row, column])
         there = np.indices(own.shape, np.int32)
         far = np.hypot(row - there[0], column - there[1]).astype(np.float32)
         ids, bary = self._drawn(faces, 1 / _COARSE)
@@ -300,7 +303,7 @@ class FittedPicture:
     @cached_property
     def _label(self) -> NDArray[np.intp]:
         """[H, W] the layer that each pixel shows, below zero none."""
-        return _grown(self._labelled[0], self.mask.shape)
+        return grown(self._labelled[0], self.mask.shape)
 
     @cached_property
     def _agreed(self) -> NDArray[np.bool_]:
@@ -308,7 +311,7 @@ class FittedPicture:
         if self.segment is None:
             return self.mask
         segment = self._labelled[1]
-        there = _grown(layer_of(segment), self.mask.shape)
+        there = grown(layer_of(segment), self.mask.shape)
         own = (self._label == there) | ((there < 0) & (self._label >= 0))
         return np.asarray(self.mask & own & (self._brightening < _SHADED))
 
@@ -318,8 +321,8 @@ class FittedPicture:
         trunk = self._drawn(self._faces(0), min(1.0, _LABELLED / self._height))[0] >= 0
         fore = np.isin(self._labelled[1], FOREARMS).astype(np.uint8)  # upper arms hang beside it
         there = trunk & (cv2.dilate(fore, disc(round(_ABOUT * _LABELLED))) > 0)
-        arms = (self._label > 0) & (_grown(there.astype(np.intp), self.mask.shape) > 0)
-        return brightening(_linear(self.rgb), self._label == 0, arms, self._height)
+        arms = (self._label > 0) & (grown(there.astype(np.intp), self.mask.shape) > 0)
+        return brightening(linear(self.rgb), self._label == 0, arms, self._height)
 
     def _faces(self, number: int) -> NDArray[np.int32]:
         """[F, 3] of a layer."""
@@ -377,7 +380,7 @@ class FittedPicture:
         small = cv2.resize(front.picture, size, interpolation=cv2.INTER_AREA)
         own = cv2.resize(np.asarray(front.known, np.float32), size, interpolation=cv2.INTER_AREA)
         own = cv2.erode((own > 0.9).astype(np.uint8), disc(_RIM)) > 0
-        prints = _grown(only_in_the_middle(small, at, own).astype(np.intp), self.mask.shape) > 0
+        prints = grown(only_in_the_middle(small, at, own).astype(np.intp), self.mask.shape) > 0
         return continued(front.picture, self.mask & (self._label == 0) & ~prints, prints, self._height)
 
 
@@ -389,35 +392,6 @@ class _Layer:
     depth: NDArray[np.float32]  # [H / 2, W / 2] camera z of its nearest surface, infinite where there is none
     known: NDArray[np.float32]  # [H, W] 1 where a pixel shows it
     far: NDArray[np.float32]  # [H, W] pixels that the colour was carried
-
-
-def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    table = to_linear(np.arange(256) / 255).astype(np.float32)
-    return np.asarray(table[rgb])
-
-
-def _busy(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    colour = np.sqrt(picture)  # about as eyes see it
-    variance = cv2.blur(colour**2, (_PATCH, _PATCH)) - cv2.blur(colour, (_PATCH, _PATCH)) ** 2
-    return np.minimum(np.sqrt(np.maximum(variance, 0).sum(axis=2)) / _BUSY, 1)
-
-
-def _bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:
-    side = 256  # OpenCV's remap wants pictures, of less than 32767 pixels a side
-    rows = max(1, -(-len(pixels) // side))
-    flat = np.zeros((rows * side, 2), np.float32)
-    flat[: len(pixels)] = pixels - 0.5
-    x, y = (np.ascontiguousarray(flat[:, axis].reshape(rows, side)) for axis in (0, 1))
-    parts = [
-        cv2.remap(picture, x[a : a + side], y[a : a + side], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for a in range(0, rows, side)
-    ]
-    return np.concatenate(parts).reshape(-1, 3)[: len(pixels)].astype(np.float64)
-
-
-def _grown(small: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Labels at the size of the picture."""
-    return cv2.resize(small.astype(np.int16), shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.intp)
 
 
 def _joints(*names: str) -> list[int]:

@@ -26,8 +26,8 @@ _LITTLE = 1e-4  # of what is blurred: less is nothing
 def brightening(picture: Picture, shown: Mask, arms: Mask, height: float) -> Picture:
     """[H, W] how many times as bright as in ``picture`` [H, W, 3], linear light, the trunk is without arms' shadows.
 
-    ``shown`` is where the picture shows the trunk, ``arms`` where arms that lie before it; ``height`` is the person's in
-    pixels. 1 where there is no shadow.
+    ``shown`` is where the picture shows the trunk, ``arms`` where arms that lie before it; ``height`` is the person's
+    in pixels. 1 where there is no shadow.
     """
     scale = min(1.0, _SMALL / height)
     size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
@@ -51,7 +51,7 @@ def brightening(picture: Picture, shown: Mask, arms: Mask, height: float) -> Pic
     gain = np.where(some, 1 + alike * np.maximum(times - 1, 0), 1).astype(np.float32)
     # what lies at an arm's edge is as shaded as what is beside it
     edge, sure = _blurred(gain[..., None], some, _GRAIN * high, _GRAIN * high)
-    gain = np.where(shaded | (sure < _LITTLE), gain, edge[..., 0] if edge.ndim == 3 else edge)
+    gain = np.where(shaded | (sure < _LITTLE), gain, edge[..., 0])
     grown = cv2.resize(gain, picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     return np.where(shown, grown, none)
 

@@ -34,7 +34,8 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, trus
     part, away = _parts(starts, across), look - colour[row]
     # rows that arms hide are none: what is seen above them goes on below
     number = np.cumsum(np.bincount(row, trust, minlength=count) > _FEWEST)
-    first, last = (np.searchsorted(number, number + way, side) for way, side in ((-_GARMENT, "left"), (_GARMENT, "right")))
+    first = np.searchsorted(number, number - _GARMENT, "left")
+    last = np.searchsorted(number, number + _GARMENT, "right")
     same = np.abs(number[:, None] - number) <= _GARMENT
     same &= np.linalg.norm(colour[:, None] - colour, axis=2) < _ALIKE
     around, asked = np.zeros(count, bool), np.zeros(count, bool)
