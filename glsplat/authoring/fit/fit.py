@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.authoring.fit.body import Body, open_body
-from glsplat.authoring.fit.hanging import hung
 from glsplat.authoring.fit.kinematics import PosedBody, projected
 from glsplat.authoring.fit.landmarks import landmarks
 from glsplat.authoring.fit.offsets import face_of, outward, smooth_offsets, soles_of
@@ -250,36 +249,20 @@ def dressed(body: Body, bare: F64, poses: Sequence[PosedBody], views: Sequence[V
         plain &= ~face_of(body)
     offsets = np.zeros(len(bare)) if worn is None else worn
     for _ in range(_DRESSINGS if worn is None else 1):
-        vertices, wanted, covered = [], [], np.ones(len(bare), bool)
+        vertices, wanted = [], []
         for posed, view in zip(poses, small, strict=True):
             moved = bare - body.shaped(posed.betas)[0] + offsets[:, None] * directions
             rim = _rim(body, posed, view, moved)
             clear = plain[rim.vertices]
             vertices.append(rim.vertices[clear])
             wanted.append((offsets[rim.vertices] + rim.gaps * posed.joints[0, 2] / view.focal)[clear])
-            covered &= _behind_arms(body, posed, view, moved)
         known, far = np.concatenate(vertices), np.concatenate(wanted)
         if len(views) > _FEW:
             known, far = _agreed(known, far)
         offsets = smooth_offsets(body, known, far, np.ones(len(known)), offsets)
         if len(views) > _FEW:
             offsets = np.where(soles, np.minimum(offsets, _SOLE), offsets)
-    if len(views) > _FEW:
-        return offsets
-    joints = body.shaped(poses[0].betas)[1]
-    more, wide = hung(body, bare, joints, directions, offsets, known, covered.nonzero()[0])
-    if not len(more):
-        return offsets
-    known, far = np.concatenate([known, more]), np.concatenate([far, wide])
-    return smooth_offsets(body, known, far, np.ones(len(known)), offsets)
-
-
-def _behind_arms(body: Body, posed: PosedBody, view: View, moved: F64) -> NDArray[np.bool_]:
-    """[V] which vertices a picture has where it shows an arm, or beside one."""
-    pixels = projected(posed.points(body.points(np.arange(len(body.vertices)), moved)), view.focal, view.centre)[0]
-    arms = beside_arms(body, pixels, view.mask.shape, _ARM_REACH_DRESSED * view.figure)
-    column, row = np.floor(pixels).astype(np.intp).T
-    return np.asarray(arms[row.clip(0, len(arms) - 1), column.clip(0, arms.shape[1] - 1)])
+    return offsets
 
 
 def _agreed(vertices: NDArray[np.intp], wanted: F64) -> tuple[NDArray[np.intp], F64]:
