@@ -13,7 +13,8 @@ from glsplat.authoring.fit.body import open_body
 from glsplat.authoring.fit.fit import FittedView
 from glsplat.authoring.paint.layers.fill import continued, disc, only_in_the_middle
 from glsplat.authoring.paint.layers.segments import half_width, trunk_of
-from glsplat.authoring.paint.layers.shown import COARSE, RIM, ShownLayers, drawn, grown
+from glsplat.authoring.paint.layers.shown import COARSE, RIM, ShownLayers, drawn
+from glsplat.authoring.paint.pixels import bilinear, grown
 from glsplat.authoring.threads import found_once
 from glsplat.camera import Camera
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -161,7 +162,7 @@ class FittedPicture:
             mine = slice(None) if layer is None else np.flatnonzero(layer == number)
             if (layer is None and number) or not len(pixels[mine]):
                 continue
-            out[mine] = _bilinear(self._behind if behind and not number else seen.picture, pixels[mine])
+            out[mine] = bilinear(self._behind if behind and not number else seen.picture, pixels[mine])
         return out
 
     def detail(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
@@ -180,6 +181,13 @@ class FittedPicture:
             mine = np.flatnonzero(layer == number)
             out[mine] = distance[self._small(pixels[mine], scale)]
         return out
+
+    def over_trunk(self, pixels: F64) -> NDArray[np.bool_]:
+        """[M] whether the fit has the trunk, the head or legs at pixels [M, 2], whatever is before them; False where
+        nothing of the body hides anything else of it."""
+        if self.segment is None:
+            return np.zeros(len(pixels), bool)
+        return np.isfinite(self._at([self.parts.layers[0].depth], pixels, None, COARSE))
 
     def _small(self, pixels: F64, scale: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of pixels in a picture of another scale."""
@@ -237,16 +245,3 @@ class FittedPicture:
         own = cv2.erode((own > 0.9).astype(np.uint8), disc(RIM)) > 0
         prints = grown(only_in_the_middle(small, at, own).astype(np.intp), self.mask.shape) > 0
         return continued(front.picture, self.mask & (self.parts.label == 0) & ~prints, prints, self.parts.height)
-
-
-def _bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:
-    side = 256  # OpenCV's remap wants pictures, of less than 32767 pixels a side
-    rows = max(1, -(-len(pixels) // side))
-    flat = np.zeros((rows * side, 2), np.float32)
-    flat[: len(pixels)] = pixels - 0.5
-    x, y = (np.ascontiguousarray(flat[:, axis].reshape(rows, side)) for axis in (0, 1))
-    parts = [
-        cv2.remap(picture, x[a : a + side], y[a : a + side], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for a in range(0, rows, side)
-    ]
-    return np.concatenate(parts).reshape(-1, 3)[: len(pixels)].astype(np.float64)

@@ -11,10 +11,13 @@ from glsplat.arrays import frozen
 from glsplat.authoring.fit.body import Body, open_body
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["HANDS", "LAYERS", "half_width", "layer_of", "segments_of", "trunk_of", "twins_across"]
+__all__ = ["FOREARMS", "HANDS", "LAYERS", "half_width", "layer_of", "segments_of", "trunk_of", "twins_across"]
 
 LAYERS = 3
 """Trunk with head and legs, left arm, right arm."""
+
+FOREARMS = 2, 4
+"""Of ``segments_of``, left and right."""
 
 HANDS = ("wrist", "index", "middle", "pinky", "ring", "thumb")
 _SIDES = ("left", "right")

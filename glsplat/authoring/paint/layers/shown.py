@@ -12,7 +12,9 @@ from glsplat.authoring.fit.fit import FittedView
 from glsplat.authoring.paint.layers.fill import continued, disc, nearest_known, sources
 from glsplat.authoring.paint.layers.labels import labels_of
 from glsplat.authoring.paint.layers.patches import woven
-from glsplat.authoring.paint.layers.segments import HANDS, LAYERS, layer_of
+from glsplat.authoring.paint.layers.segments import FOREARMS, HANDS, LAYERS, layer_of
+from glsplat.authoring.paint.layers.shadows import brightening
+from glsplat.authoring.paint.pixels import busy, grown, linear
 from glsplat.authoring.raster import visible_faces
 from glsplat.authoring.threads import abreast, found_once
 from glsplat.camera import Camera
@@ -22,7 +24,7 @@ from glsplat.rotations import component_sums
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["COARSE", "RIM", "Layer", "ShownLayers", "drawn", "grown"]
+__all__ = ["COARSE", "RIM", "Layer", "ShownLayers", "drawn"]
 
 F64 = NDArray[np.float64]
 
@@ -32,10 +34,11 @@ COARSE = 2
 RIM = 2
 """Pixels inside the outline whose colours are mixed with the room's."""
 
-_PATCH, _BUSY = 7, 0.12  # pixels, and the spread of colour in them that is full of detail
 _LABELLED = 480  # pixels of the person's height that are labelled
 _MIXED = 0.006, 0.002  # of the height: about arms the trunk's colours are mixed with theirs, and theirs at their edge
 _SOFT = 1.0  # pixels over which what is known ends
+_ABOUT = 0.03  # of the height: so near to where the fit has a forearm there may be one
+_SHADED = 1.05  # times as bright without an arm's shadow: from there on it is one
 _FEWEST = 20  # pixels of a layer that is seen at all
 
 
@@ -99,12 +102,26 @@ class ShownLayers:
 
     @found_once
     def agreed(self) -> NDArray[np.bool_]:
-        """[H, W] where the picture shows what the fitted body shows."""
+        """[H, W] where the picture shows what the fitted body shows, and no shadow of an arm lies on it."""
         if self.segment is None:
             return self.mask
         segment = self._labelled[1]
         there = grown(layer_of(segment), self.mask.shape)
-        return np.asarray(self.mask & ((self.label == there) | ((there < 0) & (self.label >= 0))))
+        own = (self.label == there) | ((there < 0) & (self.label >= 0))
+        return np.asarray(self.mask & own & (self._brightening < _SHADED))
+
+    @found_once
+    def _brightening(self) -> NDArray[np.float32]:
+        """[H, W] how many times as bright the trunk is without arms' shadows."""
+        trunk = self._drawn(self._faces(0), min(1.0, _LABELLED / self.height))[0] >= 0
+        fore = np.isin(self._labelled[1], FOREARMS).astype(np.uint8)  # upper arms hang beside it
+        there = trunk & (cv2.dilate(fore, disc(round(_ABOUT * _LABELLED))) > 0)
+        arms = (self.label > 0) & (grown(there.astype(np.intp), self.mask.shape) > 0)
+        return brightening(linear(self.rgb), self.label == 0, arms, self.height)
+
+    def _faces(self, number: int) -> NDArray[np.int32]:
+        """[F, 3] of a layer."""
+        return self.mesh.faces[(self.layer[self.mesh.faces] == number).all(axis=1)]
 
     @found_once
     def layers(self) -> list[Layer]:
@@ -120,10 +137,10 @@ class ShownLayers:
             near = disc(max(1, round(_MIXED[min(number, 1)] * self.height)))
             own = inner & ~(cv2.dilate(other.astype(np.uint8), near) > 0)
             known = cv2.GaussianBlur(own.astype(np.float32), (0, 0), _SOFT)
-            mine = (self.layer[self.mesh.faces] == number).all(axis=1)
-            seen = self._layer_of(own if own.sum() > _FEWEST else inner, known, self.mesh.faces[mine])
+            seen = self._layer_of(own if own.sum() > _FEWEST else inner, known, self._faces(number))
             if number == 0:
                 hole = self.label != 0
+                seen = replace(seen, picture=np.minimum(seen.picture * self._brightening[..., None], 1))
                 filled = continued(seen.picture, inner & ~hole & (seen.known > 0.9), hole, self.height)
                 seen = replace(seen, picture=filled, far=np.zeros_like(seen.far))
             there = cv2.resize(seen.depth, inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -134,9 +151,8 @@ class ShownLayers:
         return abreast(cut, range(LAYERS))
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> Layer:
-        table = to_linear(np.arange(256) / 255).astype(np.float32)
         nearest, row, column = sources(own)
-        picture = table[self.rgb[row, column]][nearest]
+        picture = linear(self.rgb[row, column])[nearest]
         there = np.indices(own.shape, np.int32)
         far = np.hypot(row[nearest] - there[0], column[nearest] - there[1]).astype(np.float32)
         ids, bary = self._drawn(faces, 1 / COARSE)
@@ -151,7 +167,7 @@ class ShownLayers:
     @found_once
     def details(self) -> list[NDArray[np.float32]]:
         """[H, W] of each layer the local spread of colour, as a share of what counts as full of detail."""
-        return abreast(lambda seen: _busy(seen.picture), self.layers)
+        return abreast(lambda seen: busy(seen.picture), self.layers)
 
     @found_once
     def room(self) -> tuple[float, NDArray[np.float32]]:
@@ -191,17 +207,6 @@ def drawn(
     white = np.full((1, 1, 4), 255, np.uint8)
     some = replace(mesh, parts=(MeshPart("", faces, np.zeros((*faces.shape, 2)), white),))
     return visible_faces(some, vertices, Camera(np.eye(4), lens, width, height))
-
-
-def _busy(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    colour = np.sqrt(picture)  # about as eyes see it
-    variance = cv2.blur(colour**2, (_PATCH, _PATCH)) - cv2.blur(colour, (_PATCH, _PATCH)) ** 2
-    return np.minimum(np.sqrt(component_sums(np.maximum(variance, 0))) / _BUSY, 1)
-
-
-def grown(small: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Labels at the size of the picture."""
-    return cv2.resize(small.astype(np.int16), shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.intp)
 
 
 def _joints(*names: str) -> list[int]:

@@ -106,6 +106,8 @@ class Cloth:
         pixels = shot.project(points.at(shot.view.vertices))
         some = np.flatnonzero((ground.there > 0) & (away > _STRANGE[0]) & ~np.isin(mine, _FEET))
         near = shot.shallow(pixels[some], shot.layers_at(points)[some]) < _SHALLOW
+        # a fit has an arm before the trunk some centimetres aside, where its pixels may be the trunk's cloth
+        near |= np.isin(mine[some], _ARMS) & shot.over_trunk(pixels[some])
         some = some[near | np.isin(mine[some], _HANDS)]
         if not len(some):
             return out

@@ -32,12 +32,15 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, trus
     count = len(colour)
     starts = np.searchsorted(row, np.arange(count + 1))
     part, away = _parts(starts, across), look - colour[row]
-    number = np.arange(count)
+    # rows that arms hide are none: what is seen above them goes on below
+    number = np.cumsum(np.bincount(row, trust, minlength=count) > _FEWEST)
+    first = np.searchsorted(number, number - _GARMENT, "left")
+    last = np.searchsorted(number, number + _GARMENT, "right")
     same = np.abs(number[:, None] - number) <= _GARMENT
     same &= np.linalg.norm(colour[:, None] - colour, axis=2) < _ALIKE
     around, asked = np.zeros(count, bool), np.zeros(count, bool)
     for at in range(count):
-        near = slice(starts[max(at - _GARMENT, 0)], starts[min(at + _GARMENT + 1, count)])
+        near = slice(starts[first[at]], starts[last[at]])
         of_it = near.start + np.flatnonzero(same[at][row[near]])
         parts = [of_it[part[of_it] == place] for place in range(_PARTS)]
         seen = [float(trust[mine].sum()) for mine in parts]

@@ -212,6 +212,25 @@ def test_the_room_is_no_part_of_a_pattern() -> None:
     assert cloth.strange(shot, points, yellow, shade, ground)[legs].max() == 0
 
 
+def test_an_arm_before_the_trunk_does_not_take_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Deep inside of an arm, too: the fit may have it beside its place."""
+    scene = photographed("front")
+    points, _, facing = places(scene)
+    shot, shade = scene.shots[0], np.ones(len(points.corners))
+    cloth = painter_of(scene.body, scene.shots, points).cloth
+    arms = np.isin(cloth.region[points.corners[:, 0]], (3, 4)) & (facing > 0.9)
+    legs = cloth.rows[1]
+    assert arms.sum() > 200 and legs is not None
+    trousers = np.tile(np.median(legs.colour, axis=0) ** 2, (len(shade), 1))
+    ground = cloth.at(points)
+    deep = shot.shallow(shot.project(points.at(shot.view.vertices)), shot.layers_at(points)) > 0.02
+    assert (arms & deep).sum() > 50
+    assert cloth.strange(shot, points, trousers, shade, ground)[arms & deep].max() == 0
+    monkeypatch.setattr(FittedPicture, "over_trunk", lambda self, pixels: np.ones(len(pixels), bool))
+    assert cloth.strange(shot, points, trousers, shade, ground)[arms].min() > 0.9
+    assert cloth.strange(shot, points, ground.colour, shade, ground)[arms].max() == 0  # its own colour stays
+
+
 def test_sleeves_are_cut_from_the_trunk(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = photographed("front")
     span, where = (0.95, 1.25), scene.mesh.vertices

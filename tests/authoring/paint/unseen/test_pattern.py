@@ -52,3 +52,16 @@ def test_a_side_that_is_seen_aslant_leaves_it_to_the_other() -> None:
 def test_what_hardly_anything_is_seen_of_has_no_pattern() -> None:
     colour, row, across, look = garment(STRIPES)
     assert not goes_around(colour, row, across, look, np.full(len(row), 1e-4)).any()
+
+
+def test_a_few_rows_above_crossed_arms_are_the_cloth_below_them() -> None:
+    """Two rows of the chest alone, in whose middle a tie hangs, would not tell; with the belly's they do."""
+    rows = 80
+    row, column = np.indices((rows, WIDE)).reshape(2, -1)
+    look = np.where(STRIPES[column, None], TAN, GREEN)
+    shown = (row < 25) | (row > 75)
+    look[(row > 75) & (np.abs(column - WIDE / 2) > 0.3 * WIDE)] = GREEN  # sides that arms have cut off
+    found = goes_around(
+        np.tile(GREEN, (rows, 1)), row[shown], column[shown] / WIDE - 0.5, look[shown], np.ones(shown.sum())
+    )
+    assert found.all()
