@@ -41,7 +41,7 @@ NEEDED = {
         "cv2",
         "scipy",
         "trimesh",
-    },  # a refused picture waits for no numba
+    },  # for no numba is waited
     "import apps.args": set(),
     "import apps.convert": set(),
     "import apps.inspect": set(),
