@@ -145,7 +145,7 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     rgb[top:bottom, left:right] = GREEN
     label[top:bottom, left:right] = 1
     hidden = replace(shot, rgb=rgb)
-    hidden.__dict__["_label"] = label
+    hidden.parts.__dict__["label"] = label
     painted = paint(scene.body, [hidden], points).rgb
     greenness = (painted[:, 1] - painted[:, [0, 2]].max(axis=1))[close]
     printed = paint(scene.body, [replace(front, rgb=rgb)], points).rgb
