@@ -35,6 +35,13 @@ NEEDED = {
     "from glsplat.net.client import Client": {"aiohttp", "simplejpeg"},
     "import glsplat.authoring.posed": set(),
     "import glsplat.authoring.cones": {"cv2", "scipy"},
+    "import glsplat.authoring.reconstruct.photos": {"cv2", "scipy", "simplejpeg"},  # of scipy where its OpenBLAS lies
+    "import glsplat.authoring.reconstruct.builtin": {
+        "PIL",
+        "cv2",
+        "scipy",
+        "trimesh",
+    },  # for no numba is waited
     "import apps.args": set(),
     "import apps.convert": set(),
     "import apps.inspect": set(),

@@ -137,7 +137,7 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     plain, layered = (paint(scene.body, [each], points) for each in (front, shot))
     close = layer_of(segment)[points.corners[:, 0]] == 0
     assert np.median(np.abs(plain.rgb - layered.rgb)[close]) < 0.01  # arms are away: nothing changes
-    label = shot._label.copy()
+    label = shot.parts.label.copy()
     pixels = front.view.pixels[scene.body.part == 3]
     left, right = np.quantile(pixels[:, 0], [0.4, 0.6]).astype(int)
     top, bottom = np.quantile(pixels[:, 1], [0.2, 0.8]).astype(int)
@@ -145,13 +145,13 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     rgb[top:bottom, left:right] = GREEN
     label[top:bottom, left:right] = 1
     hidden = replace(shot, rgb=rgb)
-    hidden.__dict__["_label"] = label
+    hidden.parts.__dict__["label"] = label
     painted = paint(scene.body, [hidden], points).rgb
     greenness = (painted[:, 1] - painted[:, [0, 2]].max(axis=1))[close]
     printed = paint(scene.body, [replace(front, rgb=rgb)], points).rgb
     assert (printed[:, 1] - printed[:, [0, 2]].max(axis=1))[close].max() > 0.3
     assert greenness.max() < 0.1
-    assert not hidden._agreed[top:bottom, left:right].any()  # and no splat is fitted to it
+    assert not hidden.parts.agreed[top:bottom, left:right].any()  # and no splat is fitted to it
 
 
 def test_what_is_beside_the_body_is_no_layer() -> None:
@@ -168,4 +168,4 @@ def test_what_is_beside_the_body_is_no_layer() -> None:
 
 def test_another_body_keeps_one_layer() -> None:
     front = photographed("front").shots[0]
-    assert not front.layer.any() and front._agreed is front.mask
+    assert not front.layer.any() and front.parts.agreed is front.mask
