@@ -41,7 +41,10 @@ GREY = (0.45, 0.45, 0.45)
 
 
 def measure(participant: Participant, out: Path) -> dict[str, Any]:
-    """L1 and LPIPS without and with relighting, a view each: as photographed, from both sides, the head."""
+    """L1 and LPIPS without and with relighting, a view each: as photographed, from both sides, the head.
+
+    Also LPIPS of the avatar without light against the mesh in the photograph's light: what its shape alone costs.
+    """
     assert participant.camera is not None and participant.pose is not None
     left = (-LAMP[0], *LAMP[1:])
     frame = next(
@@ -58,8 +61,8 @@ def measure(participant: Participant, out: Path) -> dict[str, Any]:
     own[:3, :3] = fitted.root
     own[:3, 3] = fitted.pelvis - fitted.root @ made.avatar.skeleton.joints[0]
     K = np.array([[focal, 0, SIZE[0] / 2], [0, focal, SIZE[1] / 2], [0, 0, 1]])
-    light = CaptureLight(LAMP, COLOUR)
-    rows = []
+    light, as_taken = CaptureLight(LAMP, COLOUR), CaptureLight(left, COLOUR)
+    rows, shape = [], []
     true = participant.camera.resized(*SIZE)
     vertices = participant.mesh.posed(frame.pose)
     bones = frame.pose.bones(participant.mesh.skeleton)
@@ -87,6 +90,7 @@ def measure(participant: Participant, out: Path) -> dict[str, Any]:
             for shone in (None, wanted):
                 scene.light = shone
                 pair.append(renderer.render([other], Pose(fitted.rotations))[0])
+            kept = truth.render([one], frame.pose, shade=shade_of(participant.mesh, vertices, as_taken))[0]
             there = (goal[..., 3] > 0) | (pair[0][..., 3] > 0)
             wish = net.features(goal[..., :3].astype(np.float32) / 255)
             row = []
@@ -94,6 +98,8 @@ def measure(participant: Participant, out: Path) -> dict[str, Any]:
                 row.append(float(np.abs(picture[..., :3].astype(float) - goal[..., :3])[there].mean()))
                 row.append(net.distance(net.features(picture[..., :3].astype(np.float32) / 255), wish))
             rows.append(row)
+            seen, held = (net.features(picture[..., :3].astype(np.float32) / 255) for picture in (pair[0], kept))
+            shape.append(net.distance(seen, held))
             sheet.append(np.concatenate([goal[..., :3], pair[0][..., :3], pair[1][..., :3]], axis=1))
     small = cv2.resize(frame.rgb, SIZE, interpolation=cv2.INTER_AREA)
     save_png(out / f"{participant.name}.png", np.concatenate([small, sheet[0], sheet[3]], axis=1))
@@ -103,6 +109,7 @@ def measure(participant: Participant, out: Path) -> dict[str, Any]:
         "name": participant.name,
         "l1": found[:, [0, 2]].round(2).tolist(),
         "lpips": found[:, [1, 3]].round(4).tolist(),
+        "lpips_of_shape": np.round(shape, 4).tolist(),
         "nearer_l1": gain[:, 0].round(3).tolist(),
         "nearer_lpips": gain[:, 1].round(3).tolist(),
     }
