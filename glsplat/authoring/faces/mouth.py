@@ -1,4 +1,4 @@
-"""The inside of a mouth, for people from photographs: teeth one by one, and the shade of the lips on them."""
+"""The inside of a mouth, for people from photographs: its lining, teeth, lips' shade, and a tongue that is put out."""
 
 from __future__ import annotations
 
