@@ -85,6 +85,14 @@ class Morphs:
             np.concatenate(offsets).astype(np.float32),
         )
 
+    def plus(self, more: Mapping[str, tuple[NDArray[np.integer], NDArray[np.floating]]]) -> Morphs:
+        """These and more: of targets that there are, vertices [K] and how much farther they move [K, 3]."""
+        parts = {}
+        for target, name in enumerate(self.names):
+            part = slice(*self.starts[target : target + 2])
+            parts[name] = [(self.vertices[part], self.offsets[part]), *([more[name]] if name in more else [])]
+        return Morphs.of(parts)
+
     def dense(self, name: str, count: int) -> NDArray[np.float64]:
         """[count, 3] offsets of all vertices with the target ``name`` at weight 1."""
         out, target = np.zeros((count, 3)), self.names.index(name)

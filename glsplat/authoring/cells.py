@@ -26,7 +26,7 @@ from glsplat.rotations import lengths
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "begun", "tessellate", "weights_between"]
+__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "begun", "between", "skin_of", "tessellate"]
 
 _USUAL = 6.0  # samples that a cell's expected size is worth where few were drawn
 
@@ -64,10 +64,10 @@ class Cloud:
     share: NDArray[np.float64]  # [M] surface a point stands for, relative
     density: NDArray[np.float64]  # [M] wanted splats by area, relative
     layer: NDArray[np.float64]  # [M] part number
-    weights: csr_array  # [M, J]; of the corners of triangles [M, V] where ``skin`` has their joints
+    corners: csr_array  # [M, V] shares of the mesh's vertices
+    skin: csr_array  # [V, J] of those, as of ``skin_of``
     area: float  # m^2 of the surface it covers
     faces: NDArray[np.intp]  # [M] triangle of the mesh
-    skin: csr_array | None = None  # [V, J]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,12 +116,16 @@ def begun(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Genera
     return settled
 
 
-def weights_between(mesh: RiggedMesh, corners: NDArray[Any], share: NDArray[np.float64]) -> csr_array:
-    """[M, J] skinning weights of points that lie between vertices ``corners`` [M, 3], of each as much as ``share``."""
-    count, influences = len(corners), mesh.joints.shape[1]
-    values = (share[:, :, None] * mesh.weights[corners]).ravel()
-    rows = np.arange(count + 1) * 3 * influences
-    return csr_array((values, mesh.joints[corners].ravel(), rows), shape=(count, len(mesh.skeleton)))
+def between(corners: NDArray[Any], share: NDArray[np.float64], count: int) -> csr_array:
+    """[M, V] of points between vertices ``corners`` [M, 3], how much of each of ``count`` vertices they are."""
+    return csr_array((share.ravel(), corners.ravel(), np.arange(len(corners) + 1) * 3), (len(corners), count))
+
+
+def skin_of(mesh: RiggedMesh) -> csr_array:
+    """[V, J] the mesh's skinning weights."""
+    count, influences = mesh.joints.shape
+    rows = np.arange(count + 1) * influences
+    return csr_array((mesh.weights.ravel(), mesh.joints.ravel(), rows), shape=(count, len(mesh.skeleton)))
 
 
 def avatar_of(cells: Sequence[Cells], mesh: RiggedMesh, opacity: float) -> Avatar:
@@ -199,8 +203,7 @@ def _gaussians(
     scales[:, 2] = np.clip(np.sqrt(np.maximum(across, 0)), config.thickness, 0.3 * scales[:, :2].min(axis=1))
 
     rows = csr_array((area, (label, np.arange(len(label)))), shape=(count, len(label)))
-    weights = rows @ cloud.weights
-    weights = (weights if cloud.skin is None else weights @ cloud.skin).toarray()
+    weights = (rows @ cloud.corners @ cloud.skin).toarray()
     rgb = _cell_means(label, cloud.rgb, area, zero)
     quats = Rotation.from_matrix(frame).as_quat()[:, [3, 0, 1, 2]]
     faces = cloud.faces[_middles(label, lengths(offset), count)]

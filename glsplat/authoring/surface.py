@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from glsplat.authoring.cells import Cells, Cloud, SamplerConfig, avatar_of, tessellate, weights_between
+from glsplat.authoring.cells import Cells, Cloud, SamplerConfig, avatar_of, between, skin_of, tessellate
 from glsplat.authoring.faces.shapes import unfolded
 from glsplat.authoring.visibility import EYES, HEAD, VisiblePart, seen_surface
 from glsplat.avatar import Avatar
@@ -105,7 +105,8 @@ def _sample_surface(
         share=1 / drawn,
         density=drawn * (1 + config.detail_boost * np.clip(detail / _BUSY, 0, 1)),
         layer=part_of.astype(np.float64),
-        weights=weights_between(mesh, corners, bary),
+        corners=between(corners, bary, len(mesh.vertices)),
+        skin=skin_of(mesh),
         area=float(surface.area * solid.mean()),
         faces=original[solid],
     )

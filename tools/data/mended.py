@@ -172,8 +172,7 @@ def _with_mouth(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
     red, green, blue = (sh[:, 0] * SH_C0 + 0.5).T
     dots = np.maximum(green, blue) < _LIP * red
     for name in CORNERS:
-        shape = Pose(np.zeros((len(mesh.skeleton), 3)), expression={name: 1.0})
-        corner = mesh.vertices[np.linalg.norm(mesh.morphs.moved(shape, len(mesh.vertices)), axis=1).argmax()]
+        corner = mesh.vertices[np.linalg.norm(mesh.morphs.dense(name, len(mesh.vertices)), axis=1).argmax()]
         near = np.linalg.norm(means - corner, axis=1) < _CORNER
         mine, lip = np.flatnonzero(near & dots), np.flatnonzero(near & ~dots)
         sh[mine] = np.median(sh[lip[cKDTree(means[lip]).query(means[mine], k=_NEIGHBOURS)[1]]], axis=1)

@@ -139,7 +139,7 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
     mesh = with_eyeballs(mesh, eyes, recipe.iris, white=recipe.white)
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
     mesh = with_mouth(with_expressions(mesh, same), same)
-    blink = blink_that_shuts(mesh, openings(mesh, eyeballs(mesh, *EYES)))
+    blink = float(np.mean([blink_that_shuts(mesh, eye) for eye in openings(mesh, eyeballs(mesh, *EYES))]))
     return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids, fair=recipe.fair), blink
 
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from glsplat.authoring.faces.blinks import blink_of, blink_that_shuts, with_blink
 from glsplat.authoring.faces.eyeballs import eyeballs
+from glsplat.authoring.faces.lid_colours import with_clean_rims
 from glsplat.authoring.faces.lids import with_lids
-from glsplat.authoring.faces.mouth import with_teeth
-from glsplat.authoring.faces.open_face import with_expressions
+from glsplat.authoring.faces.mouth import with_open_lips, with_teeth
+from glsplat.authoring.faces.open_face import of_open_body, with_expressions
 from glsplat.authoring.faces.openings import Opening, openings
-from glsplat.authoring.faces.trimmings import with_lashes
-from glsplat.authoring.fit.body import open_body
+from glsplat.authoring.faces.trimmings import FRINGES, with_lashes
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
 
@@ -35,23 +32,23 @@ class MovingFace(NamedTuple):
 
 def moving_face(mesh: RiggedMesh) -> MovingFace:
     """Of the ``mesh``, whose first vertices are the open body's, with parts called eyes, mouth and skin."""
-    moving = with_expressions(mesh, _same(mesh))
+    moving = with_open_lips(with_expressions(mesh, of_open_body(mesh)))
     eyes = openings(mesh, eyeballs(mesh, "eyes"))
-    shares = {blink_of(eye.ball): blink_that_shuts(moving, [eye]) for eye in eyes}
+    shares = {blink_of(eye.ball): blink_that_shuts(moving, eye) for eye in eyes}
     return MovingFace(with_blink(moving, shares), eyes)
 
 
-def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0) -> Avatar:
+def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0, *, seen: bool = True) -> Avatar:
     """The avatar, which was made on ``face.mesh`` and has its shapes, with what its photograph does not show.
 
-    Lids, teeth and lashes are added, ``total`` splats with them; the rest keeps its places and colours. Without levels
-    and cones.
+    Lids, teeth and lashes are added, ``total`` splats with them; the rest keeps its places, and its colours but about
+    eyes and in the mouth. Where no eye was ``seen`` (shut lids, dark glasses, a few pixels), what the photograph has
+    there stays, and there are no lashes beside it. Without levels and cones.
     """
-    given = with_lashes(avatar, face.mesh, face.eyes, seed, strength=_LASHES, length=_LONG, light=False)
-    given = with_lids(given, face.mesh, face.eyes, seed)
-    return with_teeth(given, face.mesh, _same(face.mesh), total - len(given.splats), seed)
-
-
-def _same(mesh: RiggedMesh) -> NDArray[np.intp]:
-    every = np.arange(len(mesh.vertices))
-    return np.where(every < len(open_body().vertices), every, -1)
+    given, lashes = avatar, range(0)
+    if seen:
+        given = with_clean_rims(avatar, face.eyes)
+        given = with_lashes(given, face.mesh, face.eyes, seed, strength=_LASHES, length=_LONG, light=False)
+        lashes = range(len(avatar.splats), len(avatar.splats) + FRINGES * len(face.eyes))
+    given = with_lids(given, face.mesh, face.eyes, lashes, seed)
+    return with_teeth(given, face.mesh, total - len(given.splats), len(avatar.splats), seed)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.authoring.faces.eyeballs import Eyeball
-from glsplat.authoring.faces.openings import LidEdges
+from glsplat.authoring.faces.openings import LidEdges, Opening
+from glsplat.avatar import Avatar
+from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["lid_colours"]
+__all__ = ["SkinAbout", "lid_colours", "skin_about", "with_clean_rims"]
 
 F64 = NDArray[np.float64]
 
@@ -20,47 +26,108 @@ _USUAL = 0.6  # of what lies around, darker than skin: brows, lashes, shade
 _ALIKE = 0.18  # of 1, from the middle colour of the rest, by which skin may differ
 _ROUNDS, _DOUBT, _LEAST = 8, 2.5, 0.012  # of the fit; standard deviations that are skin; one of those at least
 _FAIR = 3.0  # times as many where it is lighter: shade, lashes and brows are dark
-_RANGE = 0.84, 1.12  # of the skin's mean light, that a lid has: a quadratic runs away where nothing holds it
-_FINE, _MOST = 0.7, 0.08  # share of the skin's own variation, and how much of its light that is at most
-_CREASE = 0.16, 0.0014, 0.0012  # how dark, metres above the opening, and how wide
+_RANGE = 0.95, 1.12  # of the skin's mean light, that a lid has: a quadratic runs away where nothing holds it
+_HUES = 0.94, 1.06  # the same of its hue
+_RUDDY = 1.06  # power of the hue: lids are thin
+_CREASE = 0.11, 0.0014, 0.0012  # how dark, metres above the opening, and how wide
 _EDGE = 0.10, 0.0012  # how dark the skin is at the lashes, and over how many metres
-_CORNERS = 0.06  # how dark towards both corners
+_CORNERS = 0.04  # how dark towards both corners
+_RIM = np.radians((16, 26))  # beyond the opening, up to which skin has the hue of skin, and from where on its own
+_BLEND, _NEIGHBOURS = (
+    np.radians((5, 13)),
+    6,
+)  # beyond the opening, over which a lid becomes as light as what is there ...
+_SHADE = 0.8, 1.05  # ... by so much at most: brows are there, too
+_BAGS = 0.8  # of the skin's light, that what is below an eye has at least
 
 
-def lid_colours(splats: Splats, places: F64, ball: Eyeball, edges: LidEdges) -> F64:
-    """[N, 3] sRGB at ``places`` [N, 3] of the lid that is shut before ``ball``; grey where ``splats`` show no skin.
+class SkinAbout(NamedTuple):
+    """The skin around an eye, as if brows, lashes, glasses and the eye itself were not there."""
 
-    A quadratic of x and y is fitted to the skin around by iteratively reweighted least squares (Tukey's biweight:
-    Beaton and Tukey 1974), so that brows, lashes and glasses do not count; what the skin below the eye differs from it
-    by is the fine variation of the lid.
+    ball: Eyeball
+    light: F64  # [6] of a quadratic of x and y
+    hue: F64  # [3, 3] of a plane: red, green and blue, in shares of their mean
+    usual_hue: F64  # [3]
+    usual: float  # light in the middle
+
+    def at(self, ways: F64, ruddy: float = 1.0) -> F64:
+        """[N, 3] sRGB in ways [N, 3] metres from the eye's middle; ``ruddy`` is a power of its hue."""
+        terms = _terms(ways, self.ball)
+        hue = (self.usual_hue * (terms[:, :3] @ self.hue / self.usual_hue).clip(*_HUES)) ** ruddy
+        light = (terms @ self.light).clip(self.usual * _RANGE[0], self.usual * _RANGE[1])
+        return np.asarray(light[:, None] * hue / hue.mean(axis=1, keepdims=True))
+
+
+def with_clean_rims(avatar: Avatar, eyes: Sequence[Opening]) -> Avatar:
+    """The avatar with skin about its eyes that has the hue of skin, and is no lighter than it.
+
+    Where a fit is a millimetre off, the photograph's eye is painted on the lids beside the avatar's own.
     """
+    splats, owner = avatar.splats, strongest_joint(avatar.skin.joints, avatar.skin.weights)
+    sh = splats.sh.copy()
+    for eye in eyes:
+        ball, edges = eye
+        skin = skin_about(splats, eye)
+        ways = splats.means.astype(np.float64) - ball.centre
+        near = np.flatnonzero(
+            (np.linalg.norm(ways, axis=1) < _AROUND)
+            & (ways[:, 2] > 0)
+            & splats.finite()
+            & (owner != avatar.skeleton.names.index(ball.joint))
+        )
+        if skin is None or not len(near):
+            continue
+        low, _, _ = edges.above(ways[near])
+        share = ((_RIM[1] - edges.beyond(ways[near])) / (_RIM[1] - _RIM[0])).clip(0, 1)[:, None]
+        smooth, rgb = skin.at(ways[near]), splats.sh[near, 0].astype(np.float64) * SH_C0 + 0.5
+        part = rgb.mean(axis=1, keepdims=True) / smooth.mean(axis=1, keepdims=True)
+        dark = np.where(low < 0, _BAGS, 0)[:, None]
+        sh[near, 0] = (rgb + share * (smooth * part.clip(dark, 1) - rgb) - 0.5) / SH_C0
+    return replace(avatar, splats=replace(splats, sh=sh))
+
+
+def lid_colours(splats: Splats, places: F64, eye: Opening) -> F64:
+    """[N, 3] sRGB at ``places`` [N, 3] of the lid that shuts before an ``eye``; grey where ``splats`` show no skin."""
+    here = places - eye.ball.centre
+    skin, shaded = skin_about(splats, eye), _shading(here, *eye)[:, None]
+    if skin is None:
+        return np.full((len(places), 3), 0.5) * shaded
+    rgb = skin.at(here, _RUDDY) * shaded
+    share = ((eye.edges.beyond(here) - _BLEND[0]) / (_BLEND[1] - _BLEND[0])).clip(0, 1)[:, None]
+    _, nearest = cKDTree(np.where(splats.finite()[:, None], splats.means, 0)).query(places, k=_NEIGHBOURS)
+    around = (splats.sh[nearest, 0].astype(np.float64) * SH_C0 + 0.5).mean(axis=(1, 2))[:, None]
+    light = (around / rgb.mean(axis=1, keepdims=True)).clip(*_SHADE)
+    return np.asarray((rgb * (1 + share * (light - 1))).clip(0, 1))
+
+
+def skin_about(splats: Splats, eye: Opening) -> SkinAbout | None:
+    """By iteratively reweighted least squares (Tukey's biweight: Beaton and Tukey 1974); None where no skin is seen."""
+    ball, edges = eye
     rgb, ways = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, splats.means.astype(np.float64) - ball.centre
     about = (np.linalg.norm(ways, axis=1) < _AROUND) & (ways[:, 2] > 0) & splats.finite()
     beyond = np.zeros(len(ways))
     beyond[about] = edges.beyond(ways[about])
     about &= (beyond > _APART) & (np.linalg.norm(ways, axis=1) > ball.radius)
-    shaded = _shading(places - ball.centre, ball, edges)[:, None]
     if not about.any():
-        return np.full((len(places), 3), 0.5) * shaded
+        return None
     found, at, close = rgb[about], ways[about], np.exp(-beyond[about] / _NEAR)
     light = found.mean(axis=1)
-    hue = np.median(found[light >= np.quantile(light, _USUAL)], axis=0).clip(1e-3)  # lids have one
+    hue = np.median(found[light >= np.quantile(light, _USUAL)], axis=0).clip(1e-3)
     off = np.linalg.norm(found - hue, axis=1)
     alike = off <= max(_ALIKE, off.min())
-    at, light, close = at[alike], light[alike], close[alike]
+    found, at, light, close = found[alike], at[alike], light[alike], close[alike]
     sure, terms = np.ones(len(at)), _terms(at, ball)
     bent = 1e-3 * len(at) * np.diag([1e-6, 0.1, 0.1, 1, 1, 1])  # where skin is seen on one side alone, nothing bends
     for _ in range(_ROUNDS):
         held = terms * (sure * close)[:, None]
-        rest = light - terms @ np.linalg.solve(held.T @ terms + bent, held.T @ light)
+        solved = np.linalg.solve(held.T @ terms + bent, held.T @ light)
+        rest = light - terms @ solved
         spread = max(float(np.median(np.abs(rest))), _LEAST) * np.where(rest < 0, 1, _FAIR)
         sure = (1 - (rest / (_DOUBT * spread)) ** 2).clip(1e-3, 1) ** 2
-    here, usual = places - ball.centre, float(np.average(light, weights=sure * close))
-    smooth = _terms(here, ball) @ np.linalg.solve(held.T @ terms + bent, held.T @ light)
-    smooth = np.clip(smooth, usual * _RANGE[0], usual * _RANGE[1])
-    below = here - (0, ball.radius * np.sin(0.5 * float(np.max(edges.upper - edges.lower)) + _APART), 0)
-    fine = (rest / light.clip(0.05))[cKDTree(at[:, :2]).query(below[:, :2])[1]].clip(-_MOST, _MOST)
-    return np.asarray((((smooth * (1 + _FINE * fine))[:, None] * (hue / hue.mean())) * shaded).clip(0, 1))
+    shares, plane = found / light[:, None].clip(_LEAST), terms[:, :3] * (sure * close)[:, None]
+    even = 1e-2 * len(at) * np.diag([1e-6, 1, 1])
+    hues = np.linalg.solve(plane.T @ terms[:, :3] + even, plane.T @ shares)
+    return SkinAbout(ball, solved, hues, hue / hue.mean(), float(np.average(light, weights=sure)))
 
 
 def _terms(ways: F64, ball: Eyeball) -> F64:

@@ -26,7 +26,7 @@ from glsplat.authoring.surface import make_avatar
 from glsplat.authoring.threads import abreast
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.rotations import quaternion_matrices
+from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import SH_C0, Splats
 
@@ -39,18 +39,19 @@ _SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=0)  # nothing
 _SPLATS = 240  # of a lid
 _SOLID, _MARGIN = np.radians(7), np.radians(14)  # beyond the opening, up to which a lid is solid, and where it ends
 _BEHIND, _BEFORE, _GONE = 0.0045, 0.0012, 0.003  # metres from the lid's surface: at rest, shut, and what it covers
-_AWAY, _RIM = (
-    0.10,
-    np.radians(8),
-)  # radians by which they are folded away from the opening at its edges, and over how many less
+_AWAY = 0.10  # radians by which they are folded away from the opening at its edges ...
+_RIM = np.radians(8)  # ... over which it becomes less
 _OFF = 0.82  # radii of the eye that they keep from its middle: where a ball comes through lids it hides them
 _LARGER = 1.7  # times as large as they lie, so that they leave no gaps
 _GROWS = 2.5  # times its size at rest that a splat grows by
-_SHRINKS = 0.85  # of its size, what it covers
-_COVERS = 0.6  # how solid it is where that begins
+_SHRINKS = 0.7  # of its size, what it covers
+_TURNED = 1.7  # of the way that lashes stand up, by which they turn down
+_CARRIED = 0.0025  # metres that lashes come forward, to be before the lid
+_COVERS = 0.85  # how solid it is where that begins
 _BENT, _TAUT = round(0.8 / BEND), round(1.5 / BEND)  # how far splats stretch: those on lids have the eye's colours in
 # part, and smear; those in a mouth become strings
 _STIRRED = 0.002  # metres that a blink moves what lies on a lid
+_PUT_OUT = 0.006  # metres ahead: a tongue's, which stretches as little
 _LEAST = 1e-4  # metres; what moves a splat less is left out
 _FEWEST = 8
 _AROUND = 0.027  # metres from an eye's middle, as far as lids reach
@@ -58,26 +59,28 @@ _THIN, _ALONG, _EVEN = 0.0006, 0.9, 9  # of the lash line: metres, steps along i
 _FORE, _LASHED, _DARK = 0.0042, 0.9, 0.9  # metres from the lid, opacity, and how far it has the colour of lashes
 
 
-def with_lids(avatar: Avatar, face: RiggedMesh, eyes: Sequence[Opening], seed: int = 0) -> Avatar:
+def with_lids(avatar: Avatar, face: RiggedMesh, eyes: Sequence[Opening], lashes: range, seed: int = 0) -> Avatar:
     """The avatar, which was made on ``face`` and has its expressions, with a lid that closes for each of the ``eyes``.
 
-    Other splats keep their places at rest; on lids they stretch less, and give way to the lid that closes.
+    Other splats keep their places at rest; on lids they stretch less, and give way to the lid that closes, but for the
+    ``lashes``, which come before it.
     """
     shapes = avatar.shapes
     assert shapes is not None and face.morphs is not None
     blinks = [shapes.names.index(name) for name in BLINKS]
     blinking = np.isin(shapes.targets, blinks) & (np.linalg.norm(shapes.metres, axis=1) > _STIRRED)
     on_lids = np.isin(shapes.rows, shapes.rows[blinking])[:, None, None]
-    most = np.where(on_lids, _BENT, _TAUT)
-    out = replace(avatar, shapes=replace(shapes, bends=np.clip(shapes.bends, -most, most).astype(shapes.bends.dtype)))
+    out = (shapes.targets == shapes.names.index("tongueOut")) & (shapes.metres[:, 2] > _PUT_OUT)
+    most = np.where(on_lids | out[:, None, None], _BENT, _TAUT)
+    made = replace(avatar, shapes=replace(shapes, bends=np.clip(shapes.bends, -most, most).astype(shapes.bends.dtype)))
     lids = abreast(lambda eye: _lid(avatar, face, eye.ball, eye.edges, seed), eyes)
     for (ball, edges), lid in zip(eyes, lids, strict=True):
         if lid is not None:
-            out = joined(replace(out, shapes=_gone(out, ball, edges)), lid)
-    return out
+            made = joined(replace(made, shapes=_gone(made, ball, edges, lashes)), lid)
+    return made
 
 
-def _gone(avatar: Avatar, ball: Eyeball, edges: LidEdges) -> Shapes:
+def _gone(avatar: Avatar, ball: Eyeball, edges: LidEdges, lashes: range) -> Shapes:
     """The avatar's shapes, in which what lies where the lid will be draws back and shrinks as it closes."""
     shapes, splats = avatar.shapes, avatar.splats
     assert shapes is not None
@@ -89,7 +92,13 @@ def _gone(avatar: Avatar, ball: Eyeball, edges: LidEdges) -> Shapes:
     near = splats.finite() & (np.linalg.norm(there, axis=1) < _AROUND) & (there[:, 2] > 0)
     share = np.zeros((len(splats), 1))
     share[near, 0] = ((_solid(there[near], edges) - _COVERS) / (1 - _COVERS)).clip(0, 1)
-    move -= _GONE * share * _unit(there)
+    share[lashes] = 0
+    move -= _GONE * share * unit_vectors(there)
+    carried = np.flatnonzero(np.isin(np.arange(len(splats)), lashes) & (move[:, 1] < -_STIRRED) & near)
+    upwards = there[carried] - move[carried]  # at rest
+    upwards = edges.above(upwards)[1] * np.linalg.norm(upwards, axis=1)
+    move[carried] += _CARRIED * unit_vectors(there[carried]) - _TURNED * upwards.clip(0)[:, None] * (0, 1, 0)
+    bend[carried] = -_TURNED * _long_ones(splats)[carried] * (0, 1, 0)
     bend -= share[:, :, None] * (bend + _SHRINKS * _long_ones(splats))
     moved = np.flatnonzero((share[:, 0] > 0) | np.isin(np.arange(len(splats)), shapes.rows[mine]))
     return Shapes.create(
@@ -126,7 +135,7 @@ def _lid(avatar: Avatar, face: RiggedMesh, ball: Eyeball, edges: LidEdges, seed:
     line = _line(ball, edges.upper_at + np.einsum("nk,nkc->nc", along, closes[edge]), edges)
     lid = added(lid, closed, line)
 
-    rgb = lid_colours(avatar.splats, lid.splats.means.astype(np.float64), ball, edges)
+    rgb = lid_colours(avatar.splats, lid.splats.means.astype(np.float64), Opening(ball, edges))
     rgb[count:] += _DARK * (line.rgb - rgb[count:])
     solid = lid.splats.opacities.astype(np.float64)
     solid[:count] *= _solid(there - ball.centre, edges)
@@ -172,9 +181,9 @@ def _folded(lid: Avatar, face: RiggedMesh, eye: Opening, where: tuple[F64, Indic
     rest = there - closes
     low, high, _ = edges.above(rest)
     aside = np.where(low + high > 0, 1, -1) * _AWAY * np.exp(-np.minimum(np.abs(low), np.abs(high)) / _RIM)
-    hidden = _unit(_unit(rest) + aside[:, None] * (0, 1, 0))
+    hidden = unit_vectors(unit_vectors(rest) + aside[:, None] * (0, 1, 0))
     folded = np.maximum(np.linalg.norm(rest, axis=1, keepdims=True) - _BEHIND, _OFF * ball.radius) * hidden
-    comes = there + before * _unit(there) - folded
+    comes = there + before * unit_vectors(there) - folded
     share = ((moved * comes).sum(axis=2) / np.maximum((comes**2).sum(axis=1), 1e-12)).clip(0, 1)[:, :, None]
     share[blink] = 1
     moved = moved + share * (comes - closes)
@@ -200,7 +209,3 @@ def _long_ones(splats: Splats) -> F64:
     """[N, 2, 3] the two long axes."""
     axes = quaternion_matrices(np.where(splats.finite()[:, None], splats.quats, (1, 0, 0, 0)).astype(np.float64))
     return np.take_along_axis(axes, long_axes(splats.scales)[:, None, :2], axis=2).transpose(0, 2, 1)
-
-
-def _unit(ways: F64) -> F64:
-    return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12))

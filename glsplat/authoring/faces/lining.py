@@ -42,9 +42,8 @@ def mouth_lining() -> Lining:
     body = open_body()
     places, corner = np.unique(np.rint(body.uv.reshape(-1, 2) * 1e5), axis=0, return_inverse=True)
     ends = corner.reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2)
-    island = connected_components(coo_array((np.ones(len(ends)), ends.T), (len(places), len(places))), directed=False)[
-        1
-    ]
+    joined = coo_array((np.ones(len(ends)), ends.T), (len(places), len(places)))
+    _, island = connected_components(joined, directed=False)
     of = island[corner.reshape(-1, 3)[:, 0]]
     within = np.array([_middle_distance(body.vertices[body.faces[of == one]]) for one in range(of.max() + 1)])
     skin = np.array([body.skin[body.faces[of == one]].all() for one in range(of.max() + 1)])

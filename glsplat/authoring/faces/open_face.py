@@ -21,7 +21,7 @@ from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["OpenFace", "matched", "open_face", "with_expressions", "with_mouth"]
+__all__ = ["OpenFace", "matched", "of_open_body", "open_face", "with_expressions", "with_mouth"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -45,6 +45,12 @@ class OpenFace:
     tooth: NDArray[np.bool_]  # [F] enamel, not gum
     lower: NDArray[np.bool_]  # [M] on the jaw
     jaw: Mapping[str, F64]  # expression -> [3, 4] how it moves the jaw
+
+    @property
+    def whole(self) -> NDArray[np.bool_]:
+        """[F] on one jaw: gums that join both would be strings in an open mouth."""
+        below = self.lower[self.faces]
+        return np.asarray(below.all(axis=1) | ~below.any(axis=1))
 
 
 @lru_cache(maxsize=1)
@@ -87,6 +93,12 @@ def matched(mesh: RiggedMesh, part: str = "body") -> Indices:
     return out
 
 
+def of_open_body(mesh: RiggedMesh) -> Indices:
+    """[V] as of ``matched`` where the mesh's first vertices are the open body's."""
+    every = np.arange(len(mesh.vertices))
+    return np.where(every < len(open_body().vertices), every, -1)
+
+
 def with_expressions(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
     """The mesh with the open body's 52 expressions; ``same`` [V] as from ``matched``.
 
@@ -126,8 +138,7 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
     own = np.flatnonzero(same >= 0)
     own = own[near[same[own]]]
     there = _affine(body.vertices[same[own]], mesh.vertices[own])
-    below = face.lower[face.faces]
-    whole = below.all(axis=1) | ~below.any(axis=1)  # gums that join the jaws would be strings in an open mouth
+    whole = face.whole
     uv, enamel = painted(face.mouth, face.faces[whole], face.tooth[whole], face.lower)
     names = mesh.skeleton.names
     head = names.index("head")

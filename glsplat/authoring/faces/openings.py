@@ -23,7 +23,7 @@ _LID = 1.35  # radii of the ball, at most, from its middle to a lid's edge
 _ABOUT = 0.035  # metres from the middle of an eye; lids are no farther
 _RAYS = 512  # at a time
 _ABOVE = 0.75  # by so much less counts what is beyond an opening above it
-_THROUGH = 0.9, 1.0  # radii: lids that lie on a ball are a little within it, those that it comes through as well
+_ON, _THROUGH = 0.9, 1.0  # radii: lids that lie on a ball are a little within it, those that it comes through as well
 _FEWEST = 8  # directions in which an eye is open that is
 
 
@@ -67,7 +67,7 @@ def openings(mesh: RiggedMesh, balls: Sequence[Eyeball]) -> list[Opening]:
     who smile have them; an eye that is shut is left out."""
     found = []
     for ball in balls:
-        for least in _THROUGH:
+        for least in (_ON, _THROUGH):
             edges = lid_edges(mesh, ball, least)
             if len(edges.side) >= _FEWEST:
                 found.append(Opening(ball, edges))
@@ -75,7 +75,7 @@ def openings(mesh: RiggedMesh, balls: Sequence[Eyeball]) -> list[Opening]:
     return found
 
 
-def lid_edges(mesh: RiggedMesh, ball: Eyeball, least: float = 0.9) -> LidEdges:
+def lid_edges(mesh: RiggedMesh, ball: Eyeball, least: float) -> LidEdges:
     """The opening between the lids, seen from the middle of the ball, at rest; what is shut at a side is left out.
 
     What is nearer to its middle than ``least`` radii is no lid.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.importers import nearest_on
 from glsplat.avatar import Avatar
 from glsplat.meshes import Morphs, RiggedMesh
-from glsplat.rotations import quaternion_matrices
+from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import Shapes, long_axes
 from glsplat.splats import Splats
 
@@ -137,6 +137,4 @@ def _deformed(before: F64, after: F64) -> F64:
 
 def _frames(corners: F64) -> F64:
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(one, other)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    return np.stack([one, other, normal], axis=2)
+    return np.stack([one, other, unit_vectors(np.cross(one, other), 1e-30)], axis=2)

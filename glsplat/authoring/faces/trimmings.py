@@ -14,12 +14,13 @@ from glsplat.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.avatar import Avatar
 from glsplat.meshes import RiggedMesh
-from glsplat.rotations import matrix_quaternions
+from glsplat.rotations import matrix_quaternions, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 __all__ = [
+    "FRINGES",
     "GLINT",
     "LASH",
     "STRAND",
@@ -37,6 +38,8 @@ F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _LASHES, _LOWER = 34, 18  # of an upper and a lower lid
+FRINGES = 2 * (_LASHES + _LOWER)
+"""Splats of an eye's lashes, which ``with_lashes`` adds first."""
 _LONG, _SHORT, _THICK = 0.0085, 0.0045, 0.00011  # metres
 LASH, VEIL, GLINT = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255, np.ones(3)
 """Colours of lashes, of the shadow under an upper lid, and of the light in an eye."""
@@ -191,13 +194,9 @@ def _fringe(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     root = at[row] * (1 - part) + at[row + 1] * part
     spread = (row - (inner + outer) / 2) / (outer - inner)
     up = 1.0 if upper else -1.0
-    first = root - ball.centre
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
     fan = np.stack([0.7 * spread + rng.normal(0, 0.08, count), np.full(count, 0.15 * up), np.zeros(count)], axis=1)
-    first = first + fan
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = first + np.array([0, 0.75 * up, 0])
-    second /= np.linalg.norm(second, axis=1, keepdims=True)
+    first = unit_vectors(unit_vectors(root - ball.centre) + fan)
+    second = unit_vectors(first + np.array([0, 0.75 * up, 0]))
     length = (
         long * (_LONG if upper else _SHORT) * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
     )
@@ -310,9 +309,8 @@ def joined(avatar: Avatar, other: Avatar) -> Avatar:
 
 def frames(first: F64, third: F64) -> F64:
     """[N, 3, 3] right-handed axes: along ``first``, the last nearest to ``third``."""
-    one = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-30)
-    two = np.cross(third, one)
-    two /= np.maximum(np.linalg.norm(two, axis=1, keepdims=True), 1e-30)
+    one = unit_vectors(first, 1e-30)
+    two = unit_vectors(np.cross(third, one), 1e-30)
     return np.stack([one, two, np.cross(one, two)], axis=2)
 
 

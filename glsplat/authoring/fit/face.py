@@ -24,6 +24,7 @@ from glsplat.authoring.fit.kinematics import column, fully_posed, projected
 from glsplat.authoring.fit.levenberg import least_squares
 from glsplat.authoring.fit.view import View
 from glsplat.authoring.networks.face import Face
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["FacePlaces", "face_places", "face_turn", "fit_face"]
@@ -37,11 +38,11 @@ _OTHERNESS = 0.010  # metres that features lie elsewhere than the body has them,
 _SCALES = (1.0, 0.09), (0.5, 0.025)  # share of that, and over how many metres it is about the same
 _ALIKE = 0.9  # correlation of the two halves of a face
 _MIRRORED = -1.0, 1.0  # what a mirror makes of the field's x and y
-_MOST = 0.02  # metres; nothing is moved farther
+_MOST, _MOST_ODD = 0.02, 0.05  # metres; nothing is moved farther; and of a face where the body's landmarks had none
 _BACK, _FRONT = 0.0, 0.06  # metres of z in the zero pose: where the field has faded, and where it begins to
 _SURE = 0.5  # presence of a face that is there
 _TURN_SURE = 0.9  # of one that says where the person is turned
-_STRANGE = 0.02  # metres; landmarks that lie farther off by the median are not of this head
+_STRANGE, _ODD = 0.02, 0.03  # metres; landmarks that lie farther off by the median are not of this head; the same
 _OUTLIER = 2.0  # strays; a landmark that the field misses by this much counts half
 _ROUNDS = 3  # landmarks weighed anew
 
@@ -93,7 +94,7 @@ def face_turn(body: Body, face: Face, focal: float, middle: float) -> float | No
     table = face_places()
     spots, marks = table.of(body, body.vertices), face.points[table.numbers, :2]
     plane = np.linalg.lstsq(spots - spots.mean(axis=0), marks - marks.mean(axis=0), rcond=None)[0].T
-    right, down = plane / np.maximum(np.linalg.norm(plane, axis=1, keepdims=True), 1e-9)
+    right, down = unit_vectors(plane, 1e-9)
     aside = np.arctan2(marks[:, 0].mean() - middle, focal)  # who looks at the camera from there has turned back by it
     return float(np.degrees(np.arctan2(right[2], -np.cross(right, down)[2]) - aside))
 
@@ -145,20 +146,20 @@ def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face)
         pulls = [_solved(root, away[:, k]) for k, root in enumerate(roots)]
         met = np.stack([each @ pull for each, pull in zip(likely, pulls, strict=True)], axis=1)
         noise = np.sqrt(1 + (np.linalg.norm(away - met, axis=1) / (_OUTLIER * table.strays)) ** 2)
-    if face.presence < _SURE or np.median(np.linalg.norm(away, axis=1)) > _STRANGE:
+    if face.presence < _SURE or np.median(np.linalg.norm(away, axis=1)) > (_ODD if face.elsewhere else _STRANGE):
         return None
-    return turned(x), _field(body, spots, pulls)
+    return turned(x), _field(body, spots, pulls, _MOST_ODD if face.elsewhere else _MOST)
 
 
-def _field(body: Body, spots: F64, pulls: list[F64]) -> F64:
-    """[V, 3] metres: the field that ``pulls`` [L] at ``spots`` [L, 3] make of x and y, faded and limited."""
+def _field(body: Body, spots: F64, pulls: list[F64], most: float) -> F64:
+    """[V, 3] metres: the field that ``pulls`` [L] at ``spots`` [L, 3] make of x and y, faded, and at most ``most``."""
     reach = _reach(body)
     near = np.flatnonzero(reach)
     moved = np.zeros_like(body.vertices)
     for k, sign in enumerate(_MIRRORED):
         moved[near, k] = _covariance(body.vertices[near], spots, sign) @ pulls[k]
     size = np.linalg.norm(moved, axis=1, keepdims=True)
-    moved *= reach[:, None] * _MOST * np.tanh(size / _MOST) / np.maximum(size, 1e-9)
+    moved *= reach[:, None] * most * np.tanh(size / most) / np.maximum(size, 1e-9)
     for side in EYE_SIDES:
         ball = eyeball(body, side)
         in_sight = ball.vertices[body.vertices[ball.vertices, 2] > ball.centre[2]]

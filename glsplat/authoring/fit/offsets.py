@@ -9,6 +9,7 @@ from scipy.sparse import diags
 from glsplat.authoring.conjugate import solved
 from glsplat.authoring.fit.body import Body
 from glsplat.meshes import vertex_normals
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["MOST", "face_of", "outward", "smooth_offsets", "soles_of"]
@@ -44,7 +45,7 @@ def outward(body: Body, bare: F64) -> F64:
     near = diags(shares) @ body.neighbours[folded]
     for _ in range(_EVENED):
         normals[folded] = near @ normals
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+    return unit_vectors(normals, 1e-30)
 
 
 def face_of(body: Body) -> NDArray[np.bool_]:

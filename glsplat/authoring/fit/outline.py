@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.authoring.fit.body import Body
 from glsplat.authoring.raster import box_pixels, pixel_span
 from glsplat.meshes import vertex_normals
-from glsplat.rotations import component_sums, lengths
+from glsplat.rotations import component_sums, lengths, unit_vectors
 
 __all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "lengths_inside", "overlap", "projected_mask"]
 
@@ -73,8 +73,7 @@ def find_rim(
     shown = ((nearest >= 0) & (nearest < (width, height))).all(axis=1)
     column, row = nearest[:, 0].clip(0, width - 1), nearest[:, 1].clip(0, height - 1)
     chosen = np.flatnonzero(body.skin & shown & (facing < flat) & (inside[row, column] < 2.2))
-    across = normals[chosen, :2]
-    across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    across = unit_vectors(normals[chosen, :2], 1e-9)
     return Rim(chosen, pixels[chosen], across, edge_distances(mask, pixels[chosen], across, reach)), drawn
 
 

@@ -1,4 +1,4 @@
-"""A face: 468 landmarks, and the iris and lids of both eyes."""
+"""A face: 468 landmarks, and where they are believed."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .eye import Eye, eye_between, look_of_eye
 from .network import Crop, network, sigmoid
 from .person import DetectedBody
 
-__all__ = ["Eye", "Face", "eye_of", "find_face", "shows_face"]
+__all__ = ["Face", "eye_of", "find_face", "shows_face"]
 
-_FACE, _EYE = 192, 64  # pixels of the networks' inputs
+_FACE = 192  # pixels of the network's input
 _ROUNDS = 2
 _SURE = 0.9  # of a face that is seen: no other crop is tried
 _AGAIN = ((-0.15, 0.85), (0.0, 0.85), (0.15, 0.85), (0.0, 1.15))  # other crops: moved down, in its size, and widened
+_FACE_AT_ALL = 0.5  # of a face that may be there, and is not believed yet
+_ELSEWHERE = tuple(
+    (down, aside) for down in (0.0, 0.15, 0.3, 0.45) for aside in (0.0, -0.2, 0.2, -0.4, 0.4)
+)  # its side
 _CORNERS = {"right": (33, 133), "left": (263, 362)}  # outer and inner corner of the person's own eye
 
 
@@ -30,17 +35,8 @@ class Face:
     """From 0 to 1: that the crop shows a face."""
     crop: Crop
     """The square that the network saw."""
-
-
-@dataclass(frozen=True, eq=False)
-class Eye:
-    """What the iris network says of one eye; pixels of the picture."""
-
-    iris: NDArray[np.float64]
-    """[5, 2] its centre, then four points on its rim."""
-    lids: NDArray[np.float64]
-    """[71, 2] the eye's outline (the first 16), and the brow."""
-    crop: Crop
+    elsewhere: bool = False
+    """It is not where the body's landmarks have it."""
 
 
 def find_face(picture: NDArray[np.uint8], body: DetectedBody) -> Face:
@@ -50,12 +46,26 @@ def find_face(picture: NDArray[np.uint8], body: DetectedBody) -> Face:
     side = max(float(np.ptp(body.points[:11], axis=0).max()), 1.0)
     crop = Crop(float(middle[0]), float(middle[1]) - 0.1 * side, 2.2 * side, float(np.arctan2(eyes[1], eyes[0])))
     face = _face_in(picture, crop)
+    if face.presence > _SURE:
+        return face
+    tried = [face]
     for down, wider in _AGAIN:  # a hand or a hat at the face, and the first crop may lie badly
-        if face.presence > _SURE:
+        tried.append(_face_in(picture, replace(crop, y=crop.y + down * side, side=wider * crop.side)))
+        if tried[-1].presence > _SURE:
             break
-        other = _face_in(picture, replace(crop, y=crop.y + down * side, side=wider * crop.side))
-        face = max(face, other, key=lambda found: found.presence)
-    return face
+    face = max(tried, key=lambda found: found.presence)
+    if face.presence < _FACE_AT_ALL or (shown := eyes_shown(picture, face)) == 2:
+        return face
+    for down, aside in _ELSEWHERE:  # a mask hides the mouth, and a fringe was taken for eyes, the eyes for a mouth
+        other = _face_in(picture, replace(crop, x=crop.x + aside * side, y=crop.y + down * side))
+        if other.presence > _FACE_AT_ALL and eyes_shown(picture, other) == 2:
+            return replace(other, elsewhere=True)
+    return face if shown else replace(face, presence=_FACE_AT_ALL)  # landmarks that lie anywhere
+
+
+def eyes_shown(picture: NDArray[np.uint8], face: Face) -> int:
+    """How many of a face's eyes are open, with whites beside a dark iris: landmarks may lie where no eye is."""
+    return sum(look_of_eye(picture, eye_of(picture, face, side)).seen for side in _CORNERS)
 
 
 def _face_in(picture: NDArray[np.uint8], crop: Crop) -> Face:
@@ -80,15 +90,7 @@ def shows_face(picture: NDArray[np.uint8], body: DetectedBody) -> float:
 
 def eye_of(picture: NDArray[np.uint8], face: Face, side: str) -> Eye:
     """The face's own ``left`` or ``right`` eye, wherever it looks; a closed eye gives a guess."""
-    outer, inner = face.points[list(_CORNERS[side]), :2]
-    middle, width = (outer + inner) / 2, max(float(np.hypot(*(outer - inner))), 1.0)
-    crop = Crop(float(middle[0]), float(middle[1]), 2.3 * width, face.crop.turn)
-    lids, iris = sorted(network("iris_landmark")(crop.cut(picture, _EYE)), key=len, reverse=True)
-    return Eye(
-        iris=crop.to_picture(iris.reshape(5, 3)[:, :2].astype(np.float64), _EYE),
-        lids=crop.to_picture(lids.reshape(71, 3)[:, :2].astype(np.float64), _EYE),
-        crop=crop,
-    )
+    return eye_between(picture, face.points[list(_CORNERS[side]), :2], face.crop.turn)
 
 
 def _look(picture: NDArray[np.uint8], crop: Crop) -> tuple[NDArray[np.float64], float]:

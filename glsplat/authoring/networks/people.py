@@ -16,6 +16,10 @@ from .person import LANDMARKS, DetectedBody, find_body
 __all__ = ["DetectedPerson", "find_person", "swapped"]
 
 _SURE = 0.9  # of a face: fronts give 0.98 and more, backs 0.01 and less
+_HEAD = (  # of the face mesh, in the order of LANDMARKS
+    *((1,), (362,), (362, 263), (263,), (133,), (133, 33), (33,)),  # nose; left and right eye from within
+    *((454,), (234,), (291,), (61,)),  # ears, mouth's corners
+)
 _OTHER = [
     LANDMARKS.index(
         name.replace("left", "right") if "left" in name else name.replace("right", "left") if "right" in name else name
@@ -50,7 +54,16 @@ def find_person(picture: NDArray[np.uint8], people: NDArray[np.float32] | None =
     if mirrored and shows_face(picture, body) > _SURE:
         body = swapped(body)  # hair over the face, and the body network takes the person for one seen from behind
     hands = aside(lambda: [find_hand(picture, body, side) for side in ("left", "right")])
-    return DetectedPerson(body, find_face(picture, body), *hands())
+    face = find_face(picture, body)
+    left, right = hands()
+    return DetectedPerson(_with_head(body, face) if face.elsewhere else body, face, left, right)
+
+
+def _with_head(body: DetectedBody, face: Face) -> DetectedBody:
+    """The body with the landmarks of its head where the face has them; ears are at the face's sides."""
+    points = body.points.copy()
+    points[: len(_HEAD)] = [face.points[list(marks), :2].mean(axis=0) for marks in _HEAD]
+    return replace(body, points=points)
 
 
 def swapped(body: DetectedBody) -> DetectedBody:

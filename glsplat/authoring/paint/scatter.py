@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
-from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, begun
+from glsplat.authoring.cells import Cloud, SamplerConfig, avatar_of, begun, skin_of
 from glsplat.authoring.paint.shot import SurfacePoints
 from glsplat.authoring.surface import allot, face_densities, face_zones
 from glsplat.authoring.threads import abreast
@@ -37,11 +36,7 @@ class Scatter:
 
         With the mesh's expressions as its shapes, where it has some.
         """
-        corners, (count, influences) = self.points.corners, mesh.joints.shape
-        skin = csr_array(
-            (mesh.weights.ravel(), mesh.joints.ravel(), np.arange(count + 1) * influences),
-            shape=(count, len(mesh.skeleton)),
-        )
+        corners, skin = self.points.corners, skin_of(mesh)
         rest = self.points.at(mesh.vertices)
         normals = self.points.directions(vertex_normals(mesh.vertices, mesh.faces))
         layer = np.zeros(len(mesh.vertices))
@@ -57,7 +52,7 @@ class Scatter:
                 share=1 / self.density[zone],
                 density=denser,
                 layer=layer[corners[zone, 0]],
-                weights=self.points.take(zone).matrix(count),
+                corners=self.points.take(zone).matrix(len(mesh.vertices)),
                 area=area,
                 faces=self.faces[zone],
                 skin=skin,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from glsplat.authoring.cells import between
 from glsplat.authoring.fit.body import open_body
 from glsplat.authoring.fit.fit import FittedView
 from glsplat.authoring.paint.layers.fill import continued, disc, only_in_the_middle
@@ -48,8 +49,7 @@ class SurfacePoints:
 
     def matrix(self, count: int) -> csr_array:
         """[M, V] the weights, of ``count`` vertices."""
-        rows = np.arange(len(self.corners) + 1) * 3
-        return csr_array((self.weights.ravel(), self.corners.ravel(), rows), (len(rows) - 1, count))
+        return between(self.corners, self.weights, count)
 
     def directions(self, values: F64) -> F64:
         """[M, 3] unit vectors between the vertices' [V, 3]."""

@@ -296,7 +296,11 @@ def _small(mask: NDArray[np.bool_], config: CaptureConfig) -> Finding | None:
 
 def _face(person: DetectedPerson, view: str | None, config: CaptureConfig) -> Finding | None:
     """A face that is hidden is guessed; dolls have neither face nor hands."""
-    if view != "front" or person.face.presence > config.face or person.body.point("nose")[1] < 0:
+    if view != "front" or person.body.point("nose")[1] < 0:
+        return None
+    if person.face.elsewhere:
+        return note("face", "the face is covered in part, what that hides is guessed; take mask, hand and hair off it")
+    if person.face.presence > config.face:
         return None
     hands = max(person.left_hand.presence, person.right_hand.presence)
     if max(person.face.presence / config.no_face, hands / config.no_hand) < 1:

@@ -53,11 +53,11 @@ def test_lids_meet_and_go_no_farther_whatever_the_eye_is_like(wide: float) -> No
         mesh, vertices=mesh.vertices + np.where(lid_corners(mesh)[:, None], (1 - wide) * 0.5 * shut(mesh), 0)
     )
     balls = eyeballs(mesh, *EYES)
-    share = blink_that_shuts(mesh, openings(mesh, balls))
+    share = float(np.mean([blink_that_shuts(mesh, eye) for eye in openings(mesh, balls)]))
     blinking = with_blink(mesh, dict.fromkeys(BLINKS, share))
     moves = shut(blinking)[:, 1]
     for ball in balls:
-        edges = lid_edges(mesh, ball)
+        edges = lid_edges(mesh, ball, 0.9)
         middle = slice(len(edges.side) // 4, 3 * len(edges.side) // 4)
         upper, lower = (moves[mesh.faces[face[middle]]].mean(axis=1) for face in (edges.upper_face, edges.lower_face))
         left_open = (edges.upper_at - edges.lower_at)[middle, 1] + upper - lower

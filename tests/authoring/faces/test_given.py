@@ -11,9 +11,11 @@ from glsplat import reference
 from glsplat.authoring.faces.enamel import painted
 from glsplat.authoring.faces.given import FACE_SPLATS, MovingFace, moving_face, with_face
 from glsplat.authoring.faces.lining import mouth_lining
-from glsplat.authoring.faces.open_face import open_face
+from glsplat.authoring.faces.open_face import of_open_body, open_face, with_expressions
 from glsplat.authoring.faces.shapes import with_shapes
+from glsplat.authoring.faces.tiles import tiled
 from glsplat.authoring.fit.body import open_body
+from glsplat.authoring.visibility import EYES
 from glsplat.avatar import Avatar
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
@@ -47,16 +49,19 @@ def posed(**expression: float) -> reference.SkinnedSplats:
     )
 
 
-def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat_but_for_a_dark_mouth() -> None:
+def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat_but_about_eyes_and_in_the_mouth() -> None:
     avatar, made = bare(), faced()
     count = len(avatar.splats)
     assert len(made.splats) == count + FACE_SPLATS
     for key in ("means", "quats", "scales", "opacities"):
         assert np.array_equal(getattr(made.splats, key)[:count], getattr(avatar.splats, key))
-    darker = np.flatnonzero(np.any(made.splats.sh[:count] != avatar.splats.sh, axis=(1, 2)))
+    means = avatar.splats.means
+    balls = np.stack([eye.ball.centre for eye in face().eyes])
+    about = (np.linalg.norm(means[:, None] - balls, axis=2) < 0.034).any(axis=1)
+    darker = np.flatnonzero(np.any(made.splats.sh[:count] != avatar.splats.sh, axis=(1, 2)) & ~about)
     assert 0 < len(darker) < 0.05 * count and (made.splats.sh[darker] <= avatar.splats.sh[darker]).all()
     rim = face().mesh.vertices[mouth_lining().upper]
-    assert (avatar.splats.means[darker, 2] < rim[:, 2].max() + 0.001).all()  # of the mouth's inside
+    assert (means[darker, 2] < rim[:, 2].max() + 0.001).all()  # of the mouth's inside
     assert made.shapes is not None and sorted(made.shapes.names) == sorted(ARKIT)
     assert set(np.unique(made.shapes.targets)) == set(range(52))
     again = with_face(avatar, face(), count + FACE_SPLATS)
@@ -95,6 +100,70 @@ def test_teeth_are_told_apart_lighter_ahead_and_no_longer_than_crowns() -> None:
     assert (np.abs(red - blue).max() < 90) and texture[..., :3].max() < 226  # no white
 
 
+def test_each_tooth_is_a_grid_of_splats_on_its_front() -> None:
+    parts = open_face()
+    tiles = tiled(parts.mouth, parts.faces, parts.tooth, parts.lower)
+    corners = parts.mouth[parts.faces[tiles.faces]]
+    at = np.einsum("nk,nkc->nc", tiles.shares, corners)
+    assert parts.tooth[tiles.faces].all() and (tiles.shares > -1e-6).all() and 300 < len(at) < 600
+    vertices = np.unique(parts.faces[parts.tooth])
+    far, every = (np.hypot(p[:, 0], p[:, 2] - 0.105) for p in (at, parts.mouth[vertices]))
+    for place, out in zip(at[::7], far[::7], strict=True):  # nothing of a tooth is before it
+        near = np.linalg.norm(parts.mouth[vertices] - place, axis=1) < 0.001
+        assert not near.any() or every[near].max() < out + 0.001
+    ahead = (np.abs(at[:, 0]) < 0.0065) & ~parts.lower[parts.faces[tiles.faces][:, 0]] & (tiles.solid > 0.9)
+    rows = np.unique(np.rint(at[ahead, 1] * 1e4))
+    assert ahead.sum() > 40 and len(rows) <= 8  # two incisors, tile beside tile
+    assert (tiles.scales[ahead] > 0.0004).all() and (tiles.scales[ahead] < 0.0015).all()
+    light = tiles.rgb.mean(axis=1)
+    assert light[tiles.solid < 0.9].max() < 0.5 * light[ahead].min()  # the seams
+
+
+def lit_by(white: float) -> float:
+    """How light the teeth are of somebody whose eyeballs are so light."""
+    sh = bare().splats.sh.copy()
+    ball = np.isin(bare().skin.joints[:, 0], [bare().skeleton.names.index(name) for name in EYES])
+    assert ball.sum() > 5
+    sh[ball, 0] = (white - 0.5) / SH_C0
+    made = with_face(replace(bare(), splats=replace(bare().splats, sh=sh)), face(), len(sh) + FACE_SPLATS).splats
+    middle = face().mesh.vertices[mouth_lining().upper].mean(axis=0)
+    mouth = np.linalg.norm(made.means[len(sh) :] - middle, axis=1) < 0.025
+    return float(np.quantile((made.sh[len(sh) :, 0] * SH_C0 + 0.5).mean(axis=1)[mouth], 0.98))
+
+
+def test_teeth_are_as_light_as_the_whites_of_the_eyes() -> None:
+    bright, dim, dark = (lit_by(white) for white in (0.9, 0.5, 0.05))
+    assert 0.75 < bright < 0.88
+    assert 0.6 < dim / bright < 0.8 and 0.5 < dark / bright < 0.6
+
+
+def test_the_mouth_of_a_photograph_without_colours_is_grey() -> None:
+    """Everybody here is grey but for the eyes; with a red cheek the mouth is red as well."""
+    count, middle = len(bare().splats), face().mesh.vertices[mouth_lining().upper].mean(axis=0)
+    sh = bare().splats.sh.copy()
+    sh[::5, 0] = (np.array([0.8, 0.5, 0.4]) - 0.5) / SH_C0
+    colourful = with_face(replace(bare(), splats=replace(bare().splats, sh=sh)), face(), count + FACE_SPLATS)
+    spread = []
+    for made in (faced(), colourful):
+        rgb = made.splats.sh[count:, 0] * SH_C0 + 0.5
+        mouth = (np.linalg.norm(made.splats.means[count:] - middle, axis=1) < 0.025) & (rgb.mean(axis=1) > 0.12)
+        assert mouth.sum() > 200
+        spread.append(np.ptp(rgb[mouth], axis=1).max())
+    assert spread[0] < 0.02 and spread[1] > 0.15
+
+
+def test_a_tongue_that_is_put_out_parts_the_lips_and_hangs() -> None:
+    mesh, body = face().mesh, open_body()
+    assert mesh.morphs is not None
+    moved = mesh.vertices + mesh.morphs.dense("tongueOut", len(mesh.vertices))
+    straight = mesh.vertices + with_expressions(person(), of_open_body(mesh)).morphs.dense("tongueOut", len(moved))  # type: ignore[union-attr]
+    upper, lower = mouth_lining().upper, mouth_lining().lower
+    gap = [at[upper, 1].max() - at[lower, 1].min() for at in (mesh.vertices, moved)]
+    assert gap[1] > gap[0] + 0.004
+    tip = np.flatnonzero(~body.skin)[straight[: len(body.skin)][~body.skin, 2].argmax()]
+    assert moved[tip, 2] > mesh.vertices[lower, 2].max() + 0.005 and moved[tip, 1] < straight[tip, 1] - 0.01
+
+
 def test_the_lining_is_what_nobody_sees_of_a_mouth_that_is_shut() -> None:
     body, lining = open_body(), mouth_lining()
     assert 300 < lining.inside.sum() < 600 and 0.08 < lining.far[lining.inside].max() < 0.11
@@ -115,6 +184,20 @@ def test_lips_shade_what_is_behind_their_rims_and_go_with_them() -> None:
     assert not made.shapes.bends[np.isin(made.shapes.rows, veils)].any()
     moved = posed(jawOpen=1.0).means[veils] - posed().means[veils]
     assert moved[:, 1].min() < -0.012 and np.abs(moved[:, 1]).min() < 0.004  # the lower lip's, and the upper one's
+
+
+def test_where_no_eye_is_seen_what_the_photograph_has_there_stays() -> None:
+    avatar = bare()
+    count = len(avatar.splats)
+    made = with_face(avatar, face(), count + FACE_SPLATS, seen=False)
+    balls = np.stack([eye.ball.centre for eye in face().eyes])
+    about = (np.linalg.norm(avatar.splats.means[:, None] - balls, axis=2) < 0.034).any(axis=1)
+    assert about.sum() > 100 and np.array_equal(made.splats.sh[:count][about], avatar.splats.sh[about])
+    assert len(made.splats) == count + FACE_SPLATS
+    rest = np.linalg.norm(made.splats.means[count:, None] - balls, axis=2).min(axis=1)
+    dark = (made.splats.sh[count:, 0] * SH_C0 + 0.5).max(axis=1) < 0.1
+    fine = made.splats.scales[count:].max(axis=1) > 0.0006
+    assert not (dark & fine & (rest < 0.034) & (rest > 0.0155)).any()  # no lashes
 
 
 def test_an_eye_that_is_shut_has_a_face_all_the_same() -> None:

@@ -32,7 +32,7 @@ def expressive() -> RiggedMesh:
 def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
     mesh = expressive()
     for ball in eyeballs(mesh, "eyes"):
-        edges = lid_edges(mesh, ball)
+        edges = lid_edges(mesh, ball, 0.9)
         assert len(edges.side) > 25 and (edges.upper > edges.lower).all()
         reach = np.linalg.norm(np.concatenate([edges.upper_at, edges.lower_at]) - ball.centre, axis=1) / ball.radius
         assert reach.min() > 0.85 and reach.max() < 1.4

@@ -209,6 +209,18 @@ def test_faces_that_are_not_believed(rng: np.random.Generator) -> None:
         assert fit_face(open_body(), fit, fit.views[0], views[0], Face(points, presence, CROP)) is None
 
 
+def test_a_face_that_was_found_elsewhere_is_followed_farther() -> None:
+    """Eyes above a mask, 5 cm below where the body's landmarks had them."""
+    fit, views = fitted("front")
+    face, metre = face_at(other_face()), FOCAL / fit.views[0].joints[JOINT_NAMES.index("head"), 2]
+    points = face.points + (0, 0.05 * metre, 0)
+    assert fit_face(open_body(), fit, fit.views[0], views[0], Face(points, 0.6, CROP)) is None
+    found = fit_face(open_body(), fit, fit.views[0], views[0], Face(points, 0.6, CROP, elsewhere=True))
+    assert found is not None
+    for side in ("left", "right"):
+        assert found[1][eyeball(open_body(), side).vertices[0], 1] < -0.02
+
+
 def test_all_details_of_two_views_at_once() -> None:
     fit, views = fitted("front", "back")
     marks = hand_marks(bent("left"), "left")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from glsplat.authoring.networks import face, hand, person
 from glsplat.authoring.networks.network import Crop, OnnxNetwork, sigmoid
 from glsplat.authoring.networks.people import find_person, swapped
+from glsplat.authoring.networks.person import DetectedBody
+from glsplat.authoring.photo.photo_file import read_photo
 from glsplat.errors import GlsplatError
 from tests.authoring.captures import capture, needs_networks
 
@@ -87,6 +91,46 @@ def test_landmarks_lie_where_the_joints_are(name: str) -> None:
     assert np.linalg.norm(eye.iris[0] - true.joint("left_eye_smplhf")) < 4
     again = find_person(true.picture)
     assert again is not None and np.array_equal(again.body.points, found.body.points)
+
+
+@pytest.mark.shared
+def test_a_face_behind_a_mask_is_found_where_its_eyes_are(shared_data: Path) -> None:
+    """Both networks take her fringe for eyes and her eyes for a mouth, and are sure of it."""
+    needs_networks()
+    picture = read_photo(shared_data / "photos" / "11.jpg").picture
+    found = find_person(picture)
+    assert found is not None and found.face.elsewhere and face.eyes_shown(picture, found.face) == 2
+    eyes = [face.eye_of(picture, found.face, side).iris[0] for side in ("right", "left")]
+    assert np.linalg.norm(np.array(eyes) - [(482, 162.5), (532, 168)], axis=1).max() < 6  # as one sees them
+    assert np.allclose(found.body.point("mouth_left"), found.face.points[291, :2])
+    whole = find_person(read_photo(shared_data / "photos" / "14.jpg").picture)
+    assert whole is not None and not whole.face.elsewhere
+
+
+@pytest.mark.parametrize(
+    ("sure", "eyes", "elsewhere"), [(0.97, 0, True), (0.97, 1, True), (0.97, 2, False), (0.4, 0, False)]
+)
+def test_a_face_without_eyes_is_looked_for_nearby(
+    sure: float, eyes: int, elsewhere: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stand-ins: the first crop shows hardly a face, a later one is ``sure``; 20 pixels lower there is a masked one."""
+    points = np.zeros((33, 2))
+    points[:11] = np.column_stack([np.linspace(80, 120, 11), np.full(11, 100)])
+    body = DetectedBody(points, np.ones(33), np.zeros((33, 3)), 1.0, np.ones((2, 2), np.float32), Crop(0, 0, 1))
+    lower = 100 - 0.1 * 40 + 10
+
+    def look(picture: np.ndarray, crop: Crop) -> face.Face:
+        presence = 0.6 if crop.y > lower and crop.side == 88 else sure if crop.side < 88 else 0.1
+        return face.Face(np.zeros((468, 3)), presence, crop)
+
+    monkeypatch.setattr(face, "_face_in", look)
+    monkeypatch.setattr(face, "eyes_shown", lambda picture, found: 2 if found.presence == 0.6 else eyes)
+    found = face.find_face(np.zeros((8, 8, 3), np.uint8), body)
+    assert found.elsewhere == elsewhere
+    assert (found.crop.y > lower and found.presence == 0.6) if elsewhere else found.presence == sure
+    monkeypatch.setattr(face, "eyes_shown", lambda picture, found: min(eyes, 1))
+    doubted = face.find_face(np.zeros((8, 8, 3), np.uint8), body)
+    assert doubted.presence == (sure if eyes else min(sure, 0.5)) and not doubted.elsewhere
 
 
 def test_swapping_twice_is_nothing() -> None:

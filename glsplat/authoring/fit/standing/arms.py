@@ -10,7 +10,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.rotations import matrix_quaternions, quaternion_vectors
+from glsplat.rotations import matrix_quaternions, quaternion_vectors, unit_vectors
 
 __all__ = ["ArmMixture", "arm_mixture"]
 
@@ -44,13 +44,11 @@ class ArmMixture:
 
         The elbow bends about y alone; a straight arm, whose turn about itself nothing shows, has its elbow look back.
         """
-        first = upper / np.linalg.norm(upper, axis=1, keepdims=True)
-        second = fore / np.linalg.norm(fore, axis=1, keepdims=True)
+        first, second = unit_vectors(upper), unit_vectors(fore)
         bend = np.arccos((first * second).sum(axis=1).clip(-1, 1))
         normal = np.cross(second, first)  # a left elbow turns x towards z by a negative angle about y
         flat = np.linalg.norm(normal, axis=1, keepdims=True)
-        normal = np.where(flat > _BENT, normal, np.cross((0.0, 0.0, 1.0), first))
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+        normal = unit_vectors(np.where(flat > _BENT, normal, np.cross((0.0, 0.0, 1.0), first)), 1e-9)
         frames = np.stack([first, normal, np.cross(first, normal)], axis=2)
         return np.concatenate([quaternion_vectors(matrix_quaternions(frames)), -bend[:, None]], axis=1)
 
