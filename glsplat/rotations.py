@@ -68,14 +68,14 @@ def unit_vectors(vectors: ArrayLike, least: float = 1e-12) -> F64:
 
 
 def component_sums(values: NDArray[Any]) -> NDArray[Any]:
-    """[...] what ``values.sum(axis=-1)`` is of [..., N], to the bit; of the three of a vector or colour much sooner."""
+    """[...] what ``values.sum(axis=-1)`` is of [..., N] floats, to the bit; of three, as of a colour, much sooner."""
     if values.shape[-1] != 3:
         return np.asarray(values.sum(axis=-1))
     return np.asarray(values[..., 0] + values[..., 1] + values[..., 2])
 
 
 def lengths(vectors: NDArray[Any]) -> NDArray[Any]:
-    """[...] of vectors [..., N], as ``np.linalg.norm`` has them, to the bit."""
+    """[...] of vectors [..., N] of floats, as ``np.linalg.norm`` has them, to the bit."""
     return np.asarray(np.sqrt(component_sums(vectors * vectors)))
 
 

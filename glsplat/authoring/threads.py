@@ -97,6 +97,7 @@ class found_once(Generic[Owner, T]):  # noqa: N801 - used as a decorator, as fun
         with kept.setdefault(f"{self._name}, lock", Lock()):
             if self._name not in kept:
                 kept[self._name] = self._find(owner)
+        kept.pop(f"{self._name}, lock", None)  # a lock cannot be copied
         found: T = kept[self._name]
         return found
 

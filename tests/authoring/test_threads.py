@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from threading import Event
 from types import SimpleNamespace
@@ -118,6 +119,7 @@ def test_threads_that_ask_at_once_have_it_found_once() -> None:
     slow = Slow()
     found = abreast(lambda _: slow.half, range(4)) + slow.whole
     assert slow.times == 1 and len(set(map(id, found))) == 1
+    assert copy.deepcopy(slow).times == 1  # no lock is left in it
     assert Slow().half is not slow.half and (Slow.half.__doc__ or "").startswith("What")
 
 

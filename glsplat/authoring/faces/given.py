@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from glsplat.authoring.faces.blinks import blink_of, blink_that_shuts, with_blink
 from glsplat.authoring.faces.eyeballs import eyeballs
-from glsplat.authoring.faces.lid_colours import with_clean_rims
 from glsplat.authoring.faces.lids import with_lids
 from glsplat.authoring.faces.mouth import with_open_lips, with_teeth
 from glsplat.authoring.faces.open_face import of_open_body, with_expressions
@@ -41,14 +40,13 @@ def moving_face(mesh: RiggedMesh) -> MovingFace:
 def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0, *, seen: bool = True) -> Avatar:
     """The avatar, which was made on ``face.mesh`` and has its shapes, with what its photograph does not show.
 
-    Lids, teeth and lashes are added, ``total`` splats with them; the rest keeps its places, and its colours but about
-    eyes and in the mouth. Where no eye was ``seen`` (shut lids, dark glasses, a few pixels), what the photograph has
-    there stays, and there are no lashes beside it. Without levels and cones.
+    Lids, teeth and lashes are added, about ``total`` splats with them; the rest keeps its places, and its colours but
+    in the mouth. Where no eye was ``seen`` (shut lids, dark glasses, a few pixels) there are no lashes beside what the
+    photograph has there. Without levels and cones.
     """
     given, lashes = avatar, range(0)
     if seen:
-        given = with_clean_rims(avatar, face.eyes)
-        given = with_lashes(given, face.mesh, face.eyes, seed, strength=_LASHES, length=_LONG, light=False)
+        given = with_lashes(avatar, face.mesh, face.eyes, seed, strength=_LASHES, length=_LONG, light=False)
         lashes = range(len(avatar.splats), len(avatar.splats) + FRINGES * len(face.eyes))
     given = with_lids(given, face.mesh, face.eyes, lashes, seed)
     return with_teeth(given, face.mesh, total - len(given.splats), len(avatar.splats), seed)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +10,9 @@ from scipy.spatial import cKDTree
 
 from glsplat.authoring.faces.eyeballs import Eyeball
 from glsplat.authoring.faces.openings import LidEdges, Opening
-from glsplat.avatar import Avatar
-from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["SkinAbout", "lid_colours", "skin_about", "with_clean_rims"]
+__all__ = ["SkinAbout", "lid_colours", "skin_about"]
 
 F64 = NDArray[np.float64]
 
@@ -32,13 +28,9 @@ _RUDDY = 1.06  # power of the hue: lids are thin
 _CREASE = 0.11, 0.0014, 0.0012  # how dark, metres above the opening, and how wide
 _EDGE = 0.10, 0.0012  # how dark the skin is at the lashes, and over how many metres
 _CORNERS = 0.04  # how dark towards both corners
-_RIM = np.radians((16, 26))  # beyond the opening, up to which skin has the hue of skin, and from where on its own
-_BLEND, _NEIGHBOURS = (
-    np.radians((5, 13)),
-    6,
-)  # beyond the opening, over which a lid becomes as light as what is there ...
+_BLEND = np.radians((5, 13))  # beyond the opening, over which a lid becomes as light as what is there ...
 _SHADE = 0.8, 1.05  # ... by so much at most: brows are there, too
-_BAGS = 0.8  # of the skin's light, that what is below an eye has at least
+_NEIGHBOURS = 6
 
 
 class SkinAbout(NamedTuple):
@@ -56,34 +48,6 @@ class SkinAbout(NamedTuple):
         hue = (self.usual_hue * (terms[:, :3] @ self.hue / self.usual_hue).clip(*_HUES)) ** ruddy
         light = (terms @ self.light).clip(self.usual * _RANGE[0], self.usual * _RANGE[1])
         return np.asarray(light[:, None] * hue / hue.mean(axis=1, keepdims=True))
-
-
-def with_clean_rims(avatar: Avatar, eyes: Sequence[Opening]) -> Avatar:
-    """The avatar with skin about its eyes that has the hue of skin, and is no lighter than it.
-
-    Where a fit is a millimetre off, the photograph's eye is painted on the lids beside the avatar's own.
-    """
-    splats, owner = avatar.splats, strongest_joint(avatar.skin.joints, avatar.skin.weights)
-    sh = splats.sh.copy()
-    for eye in eyes:
-        ball, edges = eye
-        skin = skin_about(splats, eye)
-        ways = splats.means.astype(np.float64) - ball.centre
-        near = np.flatnonzero(
-            (np.linalg.norm(ways, axis=1) < _AROUND)
-            & (ways[:, 2] > 0)
-            & splats.finite()
-            & (owner != avatar.skeleton.names.index(ball.joint))
-        )
-        if skin is None or not len(near):
-            continue
-        low, _, _ = edges.above(ways[near])
-        share = ((_RIM[1] - edges.beyond(ways[near])) / (_RIM[1] - _RIM[0])).clip(0, 1)[:, None]
-        smooth, rgb = skin.at(ways[near]), splats.sh[near, 0].astype(np.float64) * SH_C0 + 0.5
-        part = rgb.mean(axis=1, keepdims=True) / smooth.mean(axis=1, keepdims=True)
-        dark = np.where(low < 0, _BAGS, 0)[:, None]
-        sh[near, 0] = (rgb + share * (smooth * part.clip(dark, 1) - rgb) - 0.5) / SH_C0
-    return replace(avatar, splats=replace(splats, sh=sh))
 
 
 def lid_colours(splats: Splats, places: F64, eye: Opening) -> F64:

@@ -18,9 +18,8 @@ _ROUNDS = 2
 _SURE = 0.9  # of a face that is seen: no other crop is tried
 _AGAIN = ((-0.15, 0.85), (0.0, 0.85), (0.15, 0.85), (0.0, 1.15))  # other crops: moved down, in its size, and widened
 _FACE_AT_ALL = 0.5  # of a face that may be there, and is not believed yet
-_ELSEWHERE = tuple(
-    (down, aside) for down in (0.0, 0.15, 0.3, 0.45) for aside in (0.0, -0.2, 0.2, -0.4, 0.4)
-)  # its side
+_GUESSED = 0.49  # of one whose landmarks lie anywhere: neither the check nor the fit believes it
+_ELSEWHERE = tuple((down, aside) for down in (0.0, 0.15, 0.3, 0.45) for aside in (0.0, -0.2, 0.2, -0.4, 0.4))  # sides
 _CORNERS = {"right": (33, 133), "left": (263, 362)}  # outer and inner corner of the person's own eye
 
 
@@ -60,7 +59,7 @@ def find_face(picture: NDArray[np.uint8], body: DetectedBody) -> Face:
         other = _face_in(picture, replace(crop, x=crop.x + aside * side, y=crop.y + down * side))
         if other.presence > _FACE_AT_ALL and eyes_shown(picture, other) == 2:
             return replace(other, elsewhere=True)
-    return face if shown else replace(face, presence=_FACE_AT_ALL)  # landmarks that lie anywhere
+    return face if shown else replace(face, presence=_GUESSED)
 
 
 def eyes_shown(picture: NDArray[np.uint8], face: Face) -> int:

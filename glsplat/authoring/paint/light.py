@@ -99,4 +99,5 @@ def _shade(normals: F64, direction: F64, up: F64, strength: float) -> F64:
 
 def _kinds(chroma: F64) -> NDArray[np.intp]:
     """[M] which of a few kinds of surface each colour belongs to."""
-    return np.asarray(kmeans2(chroma, _COLOURS, minit="++", seed=0)[1], np.intp)
+    count = min(_COLOURS, len(np.unique(chroma.round(6), axis=0)))  # of a picture without colours there is one
+    return np.asarray(kmeans2(chroma, count, minit="++", seed=0)[1], np.intp)

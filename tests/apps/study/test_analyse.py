@@ -6,7 +6,6 @@ import argparse
 import itertools
 import json
 import os
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -244,4 +243,3 @@ def test_mistakes_of_files(tmp_path: Path) -> None:
         (tmp_path / "scores.json").write_text(wrong)
         with pytest.raises(GlsplatError, match=r"scores\.json"):
             analyse.run(arguments(str(path)))
-    assert "apps.study.boxplots" in sys.modules  # the tests above drew

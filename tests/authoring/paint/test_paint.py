@@ -50,6 +50,17 @@ def test_the_lamp_is_found(lamp: tuple[float, float, float]) -> None:
     assert 0.7 < found.strength / scene.light.strength < 1.4
 
 
+def test_a_picture_without_colours_shows_its_lamp_too() -> None:
+    """All of one kind: warnings of a search for several would be errors here."""
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    up, towards, lamp = np.array([0.0, -1, 0]), np.array([0.0, 0, -1]), np.array([0.6, -0.6, -0.529])
+    grey = np.repeat(0.2 * (1 + np.maximum(normals @ lamp, 0))[:, None], 3, axis=1)
+    light = find_light(normals, grey, np.ones(2000), up, towards)
+    assert np.degrees(np.arccos(light.direction @ lamp)) < 20
+
+
 def test_a_dark_picture_has_the_usual_lamp() -> None:
     normals = np.tile([0.0, 0, -1], (50, 1))
     up, towards = np.array([0.0, -1, 0]), np.array([0.0, 0, -1])

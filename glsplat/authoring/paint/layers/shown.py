@@ -115,7 +115,7 @@ class ShownLayers:
         """[H, W] how many times as bright the trunk is without arms' shadows."""
         trunk = self._drawn(self._faces(0), min(1.0, _LABELLED / self.height))[0] >= 0
         fore = np.isin(self._labelled[1], FOREARMS).astype(np.uint8)  # upper arms hang beside it
-        there = trunk & (cv2.dilate(fore, disc(round(_ABOUT * _LABELLED))) > 0)
+        there = trunk & (cv2.dilate(fore, disc(round(_ABOUT * min(self.height, _LABELLED)))) > 0)
         arms = (self.label > 0) & (grown(there.astype(np.intp), self.mask.shape) > 0)
         return brightening(linear(self.rgb), self.label == 0, arms, self.height)
 
