@@ -12,7 +12,7 @@ from glsplat.authoring.faces.eyeballs import Eyeball
 from glsplat.authoring.faces.openings import LidEdges, Opening
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["SkinAbout", "lid_colours", "skin_about"]
+__all__ = ["lid_colours"]
 
 F64 = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ _SHADE = 0.8, 1.05  # ... by so much at most: brows are there, too
 _NEIGHBOURS = 6
 
 
-class SkinAbout(NamedTuple):
+class _SkinAbout(NamedTuple):
     """The skin around an eye, as if brows, lashes, glasses and the eye itself were not there."""
 
     ball: Eyeball
@@ -53,7 +53,7 @@ class SkinAbout(NamedTuple):
 def lid_colours(splats: Splats, places: F64, eye: Opening) -> F64:
     """[N, 3] sRGB at ``places`` [N, 3] of the lid that shuts before an ``eye``; grey where ``splats`` show no skin."""
     here = places - eye.ball.centre
-    skin, shaded = skin_about(splats, eye), _shading(here, *eye)[:, None]
+    skin, shaded = _skin_about(splats, eye), _shading(here, *eye)[:, None]
     if skin is None:
         return np.full((len(places), 3), 0.5) * shaded
     rgb = skin.at(here, _RUDDY) * shaded
@@ -64,7 +64,7 @@ def lid_colours(splats: Splats, places: F64, eye: Opening) -> F64:
     return np.asarray((rgb * (1 + share * (light - 1))).clip(0, 1))
 
 
-def skin_about(splats: Splats, eye: Opening) -> SkinAbout | None:
+def _skin_about(splats: Splats, eye: Opening) -> _SkinAbout | None:
     """By iteratively reweighted least squares (Tukey's biweight: Beaton and Tukey 1974); None where no skin is seen."""
     ball, edges = eye
     rgb, ways = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, splats.means.astype(np.float64) - ball.centre
@@ -91,7 +91,7 @@ def skin_about(splats: Splats, eye: Opening) -> SkinAbout | None:
     shares, plane = found / light[:, None].clip(_LEAST), terms[:, :3] * (sure * close)[:, None]
     even = 1e-2 * len(at) * np.diag([1e-6, 1, 1])
     hues = np.linalg.solve(plane.T @ terms[:, :3] + even, plane.T @ shares)
-    return SkinAbout(ball, solved, hues, hue / hue.mean(), float(np.average(light, weights=sure)))
+    return _SkinAbout(ball, solved, hues, hue / hue.mean(), float(np.average(light, weights=sure)))
 
 
 def _terms(ways: F64, ball: Eyeball) -> F64:

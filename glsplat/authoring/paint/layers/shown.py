@@ -19,7 +19,6 @@ from glsplat.authoring.raster import visible_faces
 from glsplat.authoring.threads import abreast, found_once
 from glsplat.camera import Camera
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.pictures import to_linear
 from glsplat.rotations import component_sums
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -177,7 +176,7 @@ class ShownLayers:
         mask = cv2.dilate(cv2.resize(self.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), disc(RIM))
         row, column = nearest_known(mask == 0)
         small = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
-        return scale, to_linear(small[row, column] / 255).astype(np.float32)
+        return scale, linear(np.asarray(small[row, column], np.uint8))
 
     @found_once
     def deep(self) -> tuple[float, list[NDArray[np.float32]]]:
