@@ -13,7 +13,7 @@ from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 
-from glsplat.authoring.cones import ConeConfig, with_cones
+from glsplat.authoring.cones import ConeConfig, with_cones, worth_cones
 from glsplat.authoring.detail.make import with_levels
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.importers import bind_to_mesh, load_lhm_dump
@@ -173,7 +173,7 @@ def make(args: argparse.Namespace) -> int:
             show("finding the surface", 0.0)
             avatar = with_surface(avatar, mesh)
         if not args.no_cones:
-            avatar = with_cones(avatar, progress=show)
+            avatar = worth_cones(with_cones(avatar, progress=show))
     _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
     return write(avatar, args, began)
 

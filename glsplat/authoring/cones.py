@@ -32,12 +32,13 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Splats
 
-__all__ = ["ConeConfig", "hidden", "with_cones"]
+__all__ = ["ConeConfig", "hidden", "with_cones", "worth_cones"]
 
 F64 = NDArray[np.float64]
 _SEED = 0
 _FAR, _NEAR = 8.0, (2.0, 5.0)  # radii of the scene from which it is looked at, and drawn
 _EVERYWHERE = np.array([0, 0, 0, -127], np.int8)  # a cone without an axis: visible from everywhere
+_WORTH = 0.02  # of all splats: where fewer can be hidden, cones are not worth their bytes
 _DECADES = 6  # between the smallest threshold and the largest weight
 _STEPS = 8  # halvings of the interval of thresholds
 _FLAT = 1e-15  # metres: what is thinner has no direction in float32 (cone.glsl has its square)
@@ -116,6 +117,15 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
         cones[_uncovered(scene.splats, scene.shapes)] = _EVERYWHERE
     done = replace(splats, cones=cones, cones_psnr=round(kept, 2))
     return cast("Scene", _with_levels(scene, done, config, progress))
+
+
+def worth_cones(avatar: Avatar) -> Avatar:
+    """The avatar, without cones that hide hardly anything: what widens all of them can leave none that hides."""
+    cones = avatar.splats.cones
+    if cones is None or (cones[:, 3] > _EVERYWHERE[3]).mean() >= _WORTH:
+        return avatar
+    levels = tuple(replace(one, content=worth_cones(one.content)) for one in avatar.levels)
+    return replace(avatar, splats=replace(avatar.splats, cones=None, cones_psnr=None), levels=levels)
 
 
 def _uncovered(splats: Splats, shapes: Shapes) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""How much of a picture each splat makes is the same compiled and in numpy."""
+"""How much of a picture each splat makes is the same compiled and in numpy; cones that hide nothing are left out."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.authoring.cones import ConeConfig, _far_camera, _weigher, hidden, with_cones
+from glsplat.authoring.cones import ConeConfig, _far_camera, _weigher, hidden, with_cones, worth_cones
 from glsplat.authoring.footprints import EPS2D
 from glsplat.splats import Splats
+from tests.authoring.optimize.figures import start
 from tests.authoring.optimize.without import without_numba
 from tests.passes.test_hidden import ball
 from tests.scenes import cloud
@@ -54,3 +55,12 @@ def test_cones_are_the_same_without_numba(monkeypatch: pytest.MonkeyPatch) -> No
     assert (off[:, :3] <= 1).all() and (off[:, 3] > 1).mean() < 0.02
     gone = [hidden(splats, [np.array([2.0, 1, -1])])[800:] for splats in (fast, slow)]  # those inside
     assert min(one.mean() for one in gone) > 0.9
+
+
+@pytest.mark.parametrize("hiding", [0.0, 0.01, 0.5])
+def test_cones_that_hide_hardly_anything_are_left_out(hiding: float) -> None:
+    avatar = start()
+    cones = np.tile(np.array([0, 0, 127, -127], np.int8), (len(avatar.splats), 1))
+    cones[: round(hiding * len(cones)), 3] = 0
+    kept = worth_cones(replace(avatar, splats=replace(avatar.splats, cones=cones, cones_psnr=50.0))).splats
+    assert (kept.cones is None, kept.cones_psnr) == ((False, 50.0) if hiding > 0.1 else (True, None))

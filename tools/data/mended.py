@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from apps.avatar.writing import progress_bar
-from glsplat.authoring.cones import with_cones
+from glsplat.authoring.cones import with_cones, worth_cones
 from glsplat.authoring.detail.make import with_levels
 from glsplat.authoring.faces.blinks import BACK, BLINKS
 from glsplat.authoring.faces.carry import carried
@@ -59,7 +59,6 @@ from tools.data.persons import (
     part_of,
     small,
     trimmed,
-    worth_cones,
 )
 
 _AROUND, _REACH = 0.012, 0.08  # metres from the part, and from the middle of one of its triangles

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from apps.avatar.writing import progress_bar
 from glsplat.authoring.cells import SamplerConfig
-from glsplat.authoring.cones import with_cones
+from glsplat.authoring.cones import with_cones, worth_cones
 from glsplat.authoring.detail.make import with_levels
 from glsplat.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
 from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
@@ -56,7 +56,6 @@ BLINK = "blink"
 """Of a file's notes: the share of the open body's blink that closes its lids."""
 EYES_OF = "eyes"
 """Of a file's notes: how bright their whites are, and the colour of their irises."""
-_HIDING = 0.02  # of all splats: where fewer can be hidden, cones are not worth their bytes
 _BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
@@ -185,15 +184,6 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
         quats = normalised(np.rint(quats * np.float32(32767)) / np.float32(32767))
     splats = replace(splats, quats=quats)
     return replace(avatar, splats=splats, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
-
-
-def worth_cones(avatar: Avatar) -> Avatar:
-    """The avatar, where its cones hide hardly anything without them: what widens all can leave none that hides."""
-    hiding = avatar.splats.cones is not None and (avatar.splats.cones[:, 3] > -127).mean() >= _HIDING
-    if hiding:
-        return avatar
-    levels = tuple(replace(one, content=worth_cones(one.content)) for one in avatar.levels)
-    return replace(avatar, splats=replace(avatar.splats, cones=None, cones_psnr=None), levels=levels)
 
 
 def made(mesh: RiggedMesh, splats: int, steps: int, recipe: Recipe, show: Callable[[str, float], None]) -> Avatar:

@@ -12,7 +12,6 @@ from glsplat.authoring.optimize.pictures import ViewConfig
 from glsplat.skinning.skin import strongest_joint
 from tests.authoring.optimize.figures import camera_at, mesh, start
 from tools.data.around import fitted_around
-from tools.data.persons import worth_cones
 
 VIEWS = ViewConfig(body=10, poses=0, size=96, up=(-75, 0, 75))
 
@@ -36,12 +35,3 @@ def test_a_gap_that_shows_from_above_alone_closes_but_in_a_head(head: bool) -> N
     same = (after.splats.means == before.splats.means).all(axis=1) & (after.splats.opacities == thin)
     assert same[upper].all() == head and not same[~upper].any()
     assert len(after.splats) == len(before.splats) and after.splats.cones is None
-
-
-@pytest.mark.parametrize("hiding", [0.0, 0.01, 0.5])
-def test_cones_that_hide_hardly_anything_are_left_out(hiding: float) -> None:
-    avatar = start()
-    cones = np.tile(np.array([0, 0, 127, -127], np.int8), (len(avatar.splats), 1))
-    cones[: round(hiding * len(cones)), 3] = 0
-    kept = worth_cones(replace(avatar, splats=replace(avatar.splats, cones=cones, cones_psnr=50.0))).splats
-    assert (kept.cones is None, kept.cones_psnr) == ((False, 50.0) if hiding > 0.1 else (True, None))
