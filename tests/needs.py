@@ -1,7 +1,7 @@
 """What glsplat and its tests need of the system: a probe that tries it and its Debian package, a row each.
 
     python3 tests/needs.py run             # the packages that `make demo` lacks, on one line
-    python3 tests/needs.py test browser    # a line for each of these tiers
+    python3 tests/needs.py check browser   # a line for each of these tiers
 
 .ci/system installs from these rows, fixtures skip by them (:func:`require`). The standard library alone: it runs before
 anything is installed.
@@ -82,7 +82,7 @@ def devices() -> int:
 
 @dataclass(frozen=True)
 class Need:
-    """One row. ``tier``: run (drawing), test, browser (tests skip without it), extra (used where it is)."""
+    """One row. ``tier``: run (demo and test), check, browser (tests skip without it), extra (used where it is)."""
 
     what: str
     packages: tuple[str, ...]
@@ -109,13 +109,13 @@ NEEDS = {
     "gl": Need("OpenGL", ("libgl1",), "run", libraries=("libGL.so.1",)),
     # an NVIDIA driver serves as well as Mesa's
     "driver": Need("a driver behind EGL", ("libegl-mesa0", "libgl1-mesa-dri"), "run", probe=_draws),
-    "xvfb": Need("a virtual screen", ("xvfb",), "test", programs=("Xvfb",)),
-    "xdotool": Need("xdotool", ("xdotool",), "test", programs=("xdotool",)),
-    "glx": Need("GLX for the virtual screen", ("libglx-mesa0",), "test", libraries=("libGLX_mesa.so.0",)),
-    "osmesa": Need("OSMesa", ("libosmesa6",), "test", libraries=("libOSMesa.so.8",)),
-    "opengl": Need("libOpenGL", ("libopengl0",), "test", libraries=("libOpenGL.so.0",)),
-    "zink": Need("lavapipe, which zink draws on", ("mesa-vulkan-drivers",), "test", libraries=("libvulkan_lvp.so",)),
-    "openssl": Need("openssl", ("openssl",), "test", programs=("openssl",)),
+    "xvfb": Need("a virtual screen", ("xvfb",), "check", programs=("Xvfb",)),
+    "xdotool": Need("xdotool", ("xdotool",), "check", programs=("xdotool",)),
+    "glx": Need("GLX for the virtual screen", ("libglx-mesa0",), "check", libraries=("libGLX_mesa.so.0",)),
+    "osmesa": Need("OSMesa", ("libosmesa6",), "check", libraries=("libOSMesa.so.8",)),
+    "opengl": Need("libOpenGL", ("libopengl0",), "check", libraries=("libOpenGL.so.0",)),
+    "zink": Need("lavapipe, which zink draws on", ("mesa-vulkan-drivers",), "check", libraries=("libvulkan_lvp.so",)),
+    "openssl": Need("openssl", ("openssl",), "check", programs=("openssl",)),
     "chromium": Need("Chromium", ("chromium",), "browser", programs=_CHROMIUM),
     # of the driver that the Python package playwright brings
     "atomic": Need("libatomic", ("libatomic1",), "browser", libraries=("libatomic.so.1",)),
