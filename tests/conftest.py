@@ -6,16 +6,23 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
+from hypothesis import settings
 
-from glsplat.avatar import Avatar
-from glsplat.config import RenderConfig
-from glsplat.evaluate.probe import Probe
-from glsplat.gl.context import Context, create_context
-from glsplat.splats import Splats
+if TYPE_CHECKING:
+    import numpy as np
+
+    from glsplat.avatar import Avatar
+    from glsplat.evaluate.probe import Probe
+    from glsplat.gl.context import Context
+    from glsplat.splats import Splats
+
+# Few examples while one works, many in `make check` (HYPOTHESIS_PROFILE=check); no example has to be quick.
+settings.register_profile("default", max_examples=25, deadline=None)
+settings.register_profile("check", max_examples=150, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 SHARED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -52,6 +59,8 @@ def _patient_clients() -> Iterator[None]:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
+    import numpy as np
+
     return np.random.default_rng(20260)
 
 
@@ -86,6 +95,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session")
 def context() -> Iterator[Context]:
     """One context for all GL tests of the session: making one costs more than most tests."""
+    from glsplat.gl.context import create_context
+
     context = create_context()
     yield context
     context.release()
@@ -101,6 +112,9 @@ def current(context: Context) -> Iterator[None]:
 @pytest.fixture
 def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     """Makes renderers on the shared context and releases them after the test."""
+    from glsplat.config import RenderConfig
+    from glsplat.evaluate.probe import Probe
+
     made: list[Probe] = []
 
     def make(scene: Splats | Avatar, size: tuple[int, int] = (64, 64), views: int = 1, **config: Any) -> Probe:
