@@ -78,6 +78,7 @@ class RequestedOptions:
     span: float | None  # metres from wrist to wrist with the arms stretched; None: not told
     room: str | None = None
     name: str = ""  # of the user: the account's; else what the user says, or nothing
+    resume: str = ""  # token of the person in the room that the user comes back as; "": a newcomer
     label: bool = False  # over the head of who is shown alone, too
     place: NDArray[np.float64] | None = None  # [4, 4] room from user; None: the room chooses
 
@@ -124,6 +125,7 @@ def client_options(
         span=_metres(query, "span", 0.3, 2.5),
         room=query.get("room"),
         name=_name(query.get("name"), user),
+        resume=query.get("resume", ""),
         label=query.get("label") == "1",
         place=_place(query.get("at")),
     )
@@ -148,7 +150,7 @@ def _place(given: str | None) -> NDArray[np.float64] | None:
         x, z, degrees = map(float, given.split(","))
     except ValueError:
         x = z = degrees = inf
-    if not (max(abs(x), abs(z)) <= _FARTHEST and abs(degrees) <= 360):
+    if not (abs(x) <= _FARTHEST and abs(z) <= _FARTHEST and abs(degrees) <= 360):  # max() lets a NaN through
         raise ProtocolError(f"at needs x,z,degrees: metres up to {_FARTHEST:g} and an angle up to 360")
     from glsplat.net.rooms.seats import place_at  # here: most clients meet nobody
 

@@ -335,8 +335,7 @@ class Server:
         member = None
         if asked.room is not None:
             again = partial(self._end, number, "connected anew elsewhere")
-            owner = f"account {user.name}" if user is not None else address
-            member = self._rooms.join(asked, one, number, owner, clock(), again, notice())
+            member = self._rooms.join(asked, one, number, clock(), again, notice())
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
         channel = self.render_loop.open(number, session, solver, address, one, member)

@@ -114,8 +114,8 @@ class Frame:
             info["video"] = encoded.video
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
-        if self.job is not None and self.job.room is not None:
-            info["room"] = self.job.room.fields()
+        if channel.member is not None and self.job is not None and self.job.room is not None:
+            info["room"] = self.job.room.fields() | {"resume": channel.member.person.resume}
         return info
 
 
