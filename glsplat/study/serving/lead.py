@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, GlsplatError, ProtocolError
 from glsplat.io.files import open_regular, replace_file
+from glsplat.io.secret_files import warn_if_exposed
 from glsplat.net.backend import PoseSolver, Solved
 from glsplat.net.messages import Request
 from glsplat.net.options import NOT_ALLOWED, RequestedOptions
@@ -68,6 +69,7 @@ def secrets_of(folder: Path) -> dict[str, str]:
     if path.exists():
         with open_regular(path) as (file, _):
             data = file.read(4096)
+        warn_if_exposed(path)
         try:
             found = json.loads(data)
             return {who: str(found[who]) for who in ("participant", "experimenter")}
