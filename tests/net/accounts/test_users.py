@@ -328,7 +328,7 @@ def test_who_had_an_avatar_made_may_drive_and_delete_it():
     policy.add("photo", [OnFile()])
     policy.maker = {"photo": "ann"}.get
     ann, bob, boss = User("ann", ()), User("bob", ("x",)), User("boss")
-    assert [rights.may_drive(user, "photo") for user in (None, ann, bob, boss)] == [True, True, False, True]
+    assert [rights.sees(user, "avatar", "photo") for user in (None, ann, bob, boss)] == [True, True, False, True]
     assert [rights.may_delete(user, "photo") for user in (None, ann, bob, boss)] == [True, True, False, False]
     policy.maker = lambda avatar: ""
     assert [rights.may_delete(user, "photo") for user in (None, ann, boss)] == [True, False, True]
