@@ -140,7 +140,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-idle", action="store_true", help="eyes of tracked users that no sensor sees neither look around nor blink"
     )
-    parser.add_argument("--private", action="store_true", help="keep what clients see off the status page")
+    parser.add_argument("--private", action="store_true", help="show nobody who the clients are and what they see")
     parser.add_argument(
         "--face-osc",
         type=int,
@@ -320,7 +320,7 @@ def run(args: argparse.Namespace) -> int:
             print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
             print(f"{config.scene}, drawn by {server.render_loop.driver}")
-            announce(place, sys.stdout, args.qr)
+            announce(place, sys.stdout, args.qr, status=study is None)
             if study is not None:
                 study.announce(place, sys.stdout)
             if config.fit:

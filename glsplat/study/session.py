@@ -112,7 +112,7 @@ class Session:
             return past
         questionnaire = self.study.questionnaires[self.steps[self.state.at].questionnaire]
         if item not in [one.name for one in questionnaire.items]:
-            raise ProtocolError(f"{questionnaire.name} has no item of that name", "bad_answer")
+            raise ProtocolError("this questionnaire has no item of that name", "bad_answer")
         if why := questionnaire[item].scale.check(value):
             raise ProtocolError(f"{item}: {why}", "bad_answer")
         if item in self.state.answers and self.state.answers[item] == value:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
+from glsplat.io.secret_files import warn_if_exposed
 
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import Accounts
@@ -159,6 +160,7 @@ def read_token(path: str | Path) -> str:
         raise GlsplatError(f"{path}: a token file is one line of text, found bytes that are not UTF-8") from None
     if len(token) < 16 or not all(c.isascii() and (c.isalnum() or c in "-._~") for c in token):
         raise GlsplatError(f"{path}: a token needs 16 or more letters, digits or -._~ in one line, found {len(token)}")
+    warn_if_exposed(path)
     return token
 
 
@@ -174,6 +176,7 @@ def server_tls(cert: str | Path, key: str | Path) -> ssl.SSLContext:
     except (ssl.SSLError, OSError):  # OpenSSL's own words name lines of its source
         message = f"{cert}, {key}: expected a certificate and the key that belongs to it in PEM, without a passphrase"
         raise GlsplatError(message) from None
+    warn_if_exposed(key)
     return context
 
 

@@ -25,7 +25,6 @@ from glsplat.net.guard.notices import Notices
 from glsplat.net.rights import USER, Rights
 
 if TYPE_CHECKING:
-    from glsplat.consent.policy import ConsentPolicy
     from glsplat.net.accounts.users import Accounts
 
 __all__ = ["Gate", "connection_of"]
@@ -44,13 +43,13 @@ class Gate:
         limits: Limits,
         max_clients: int,
         clock: Callable[[], float],
-        consent: ConsentPolicy | None = None,
+        rights: Rights,
     ) -> None:
         share = max_clients if is_loopback(access.host) else (max_clients + 1) // 2
         self.limits = limits
         self.addresses: Addresses = Addresses(limits, limits.per_address or share)
         self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
-        self.rights: Rights = Rights(access.accounts, consent)
+        self.rights: Rights = rights
         self.refused = 0  # requests
         self.knows: Callable[[web.Request], bool] = lambda request: False  # who costs no more than a file of the page
         self._login, self._logins = asyncio.Lock(), 0

@@ -129,6 +129,7 @@ class ClientStream:
     address: str = ""  # what has a fair share of the renderer's time
     shown: AvatarInfo = ANYTHING
     member: Member | None = None  # in a room; None: sees what it is shown alone
+    account: str = ""  # whose it is; "": the server has no accounts
     driver: str = ""  # name of who drives what is shown; "": nobody knows
     label: str = ""  # over the head of what is shown alone
     notice: Callable[[], str] = field(default=lambda: "")  # what has to stand in a picture drawn now

@@ -7,6 +7,7 @@ from typing import Any
 
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.options import RequestedOptions
+from glsplat.net.rights import Thing
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.room import Room, RoomError
 from glsplat.skinning.pose import Pose
@@ -59,6 +60,7 @@ class Rooms:
             for one in rooms
         ]
 
-    def status(self, now: float) -> list[dict[str, Any]]:
-        """What /stats says of them."""
-        return [room.status(now) for room in self._rooms.values()]
+    def status(self, now: float, sees: Callable[[Thing, str], bool]) -> list[dict[str, Any]]:
+        """What /stats says of those that whoever asks ``sees``; ``people`` is null where their names are not seen."""
+        seen = [room for name, room in self._rooms.items() if sees("room", name)]
+        return [room.status(now) | ({} if sees("people", room.name) else {"people": None}) for room in seen]

@@ -105,12 +105,14 @@ async def serving(
     clock: Callable[[], float] = time.monotonic,
     wall: Callable[[], float] = time.time,
     limits: Limits = UNLIMITED,
+    participant: int = 1,
+    **more: Any,  # of ServerConfig
 ) -> AsyncIterator[Client]:
     study, plan = planned(folder)
-    live = Live(study, plan, 1, Store(folder / "data", 1), clock, wall)
-    lead, solver = StudyLead(live, {"fast": "a", "slow": "b"}), Solver()
-    offered = [AvatarInfo(name=name, solver=lambda height, span: solver) for name in ("a", "b")]
-    config = ServerConfig(port=0, access=Access(token=TOKEN), limits=limits)
+    live = Live(study, plan, participant, Store(folder / "data", participant), clock, wall)
+    lead, solver = StudyLead(live, {"fast": "avatar-fast", "slow": "avatar-slow"}), Solver()
+    offered = [AvatarInfo(name=name, solver=lambda height, span: solver) for name in ("avatar-fast", "avatar-slow")]
+    config = ServerConfig(port=0, access=Access(token=TOKEN), limits=limits, **more)
     server = Server(FakeBackend(), config, offered, lead=lead)
     await server.start()
     try:
