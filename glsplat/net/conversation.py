@@ -263,5 +263,4 @@ def make_socket(heartbeat: float, timeout: float) -> web.WebSocketResponse:
 
 def cut_off(request: web.Request) -> None:
     """End a connection at once."""
-    if request.transport is not None:
-        request.transport.abort()
+    connection_of(request).abort()

@@ -309,7 +309,7 @@ class Server:
             write_timeout=self.config.write_timeout,
         )
         try:
-            await ws.prepare(request)
+            await self.gate.accept(request, ws, entered)
             self._talks[channel.number] = talk
             await talk.run()
             return ws

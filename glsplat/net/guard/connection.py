@@ -43,9 +43,12 @@ class _MeteredReader:
 
 
 class GuardedConnection(web.RequestHandler):
-    """``meter`` is set by the server once the connection is a client's, before its handshake is answered."""
+    """``meter`` is set by the gate once the connection is a client's, before its handshake is answered."""
 
-    __slots__ = ("_body", "_clock", "_gone", "_head", "_head_most", "_notices", "breached", "busy", "key", "meter")
+    __slots__ = (
+        *("_body", "_clock", "_gone", "_head", "_head_most", "_notices", "_socket"),
+        *("breached", "busy", "key", "meter"),
+    )
 
     def __init__(
         self,
@@ -54,7 +57,7 @@ class GuardedConnection(web.RequestHandler):
         limits: Limits,
         notices: Notices,
         clock: Callable[[], float],
-        gone: Callable[[], None],
+        gone: Callable[[GuardedConnection], None],
         timeout: float,  # seconds for a whole request, from the connection or the one before
     ) -> None:
         super().__init__(
@@ -71,6 +74,18 @@ class GuardedConnection(web.RequestHandler):
         self._head, self._head_most = 0, limits.head
         self._body = 0  # bytes that are expected beyond that
         self._notices, self._clock, self._gone = notices, clock, gone
+        self._socket: asyncio.Transport | None = None  # until it is closed; aiohttp's ``transport`` ends earlier
+
+    @property
+    def open(self) -> bool:
+        """True from the handshake of TLS until the socket is closed."""
+        return self._socket is not None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The socket is connected, and TLS agreed on."""
+        assert isinstance(transport, asyncio.Transport)
+        self._socket = transport
+        super().connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
         """Bytes from the socket (after TLS)."""
@@ -84,7 +99,8 @@ class GuardedConnection(web.RequestHandler):
 
     def connection_lost(self, exc: BaseException | None) -> None:
         """The socket is closed."""
-        self._gone()
+        self._socket = None
+        self._gone(self)
         super().connection_lost(exc)
 
     def set_parser(self, parser: Any, data_received_cb: Callable[[], None] | None = None) -> None:
@@ -132,9 +148,9 @@ class GuardedConnection(web.RequestHandler):
         self._body = nbytes
 
     def abort(self) -> None:
-        """Close at once, whatever is under way."""
-        if self.transport is not None:
-            self.transport.abort()
+        """Close at once, whatever is under way or not yet sent."""
+        if self._socket is not None:
+            self._socket.abort()
 
     def _broke(self, breach: Breach) -> None:
         if not self.breached.done():

@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 __all__ = ["Gate", "connection_of"]
 
 _MOST_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
+_CONTINUE = "100-continue"
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+RequestHandler = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
 
 class Gate:
@@ -55,6 +57,7 @@ class Gate:
         self.knows: Callable[[web.Request], bool] = lambda request: False  # who costs no more than a file of the page
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
+        self._handle: RequestHandler | None = None  # aiohttp's
         self._listener: Listener | None = None
 
     def open(
@@ -73,7 +76,9 @@ class Gate:
             names += machine_names()
         self._access = replace(self._access, hosts=names)
 
-        def make(key: str, gone: Callable[[], None]) -> GuardedConnection:
+        self._handle, server.request_handler = server.request_handler, self.receive
+
+        def make(key: str, gone: Callable[[GuardedConnection], None]) -> GuardedConnection:
             return GuardedConnection(server, key, self.limits, self.notices, self._clock, gone, timeout)
 
         self._listener = Listener(
@@ -99,22 +104,33 @@ class Gate:
             "held_off": self.addresses.count_held_off(self._clock()),
         }
 
-    @web.middleware
-    async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse a request, or let ``handler`` answer it."""
+    async def receive(self, request: web.BaseRequest) -> web.StreamResponse:
+        """Answer a request, before aiohttp routes it. What is refused, by whichever part, closes its connection."""
         connection = connection_of(request)
         connection.busy = True
         try:
-            refusal = await self._refusal(request, connection)
-            if refusal is None:
-                return await handler(request)
-            return self._refused(refusal)
+            response = self._refused_early(request, connection)
+            if response is None:
+                assert self._handle is not None
+                response = await self._handle(request)
+        except web.HTTPException as error:
+            error.force_close()
+            raise
         finally:
             connection.busy = False
             connection.request_done()
+        if response.status >= 400:
+            response.force_close()
+        return response
+
+    @web.middleware
+    async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse a request that was routed, or let ``handler`` answer it."""
+        refusal = await self._refusal(request, connection_of(request))
+        return await handler(request) if refusal is None else self._refused(refusal)
 
     def enter(self, request: web.Request, ws: web.WebSocketResponse) -> ClientQuota | web.Response:
-        """What a new client may spend, its connection metered from here on, or why it may not come in."""
+        """What a new client may spend once it is accepted, or why it may not come in."""
         connection = connection_of(request)
         offered = [name.strip() for name in request.headers.get("Sec-WebSocket-Protocol", SUBPROTOCOL).split(",")]
         if SUBPROTOCOL not in offered:  # aiohttp would log what was offered, a token perhaps
@@ -128,14 +144,22 @@ class Gate:
         if quota is None:
             most = self.addresses.per_address
             return self._refused(_later(5.0, f"at most {most} clients at once from one address"))
-        connection.meter = FrameMeter(quota, self.limits)
-        if self._listener is not None:
-            self._listener.promote(connection)
         return quota
 
+    async def accept(self, request: web.Request, ws: web.WebSocketResponse, quota: ClientQuota) -> None:
+        """Answer a client's handshake: its connection is metered, and waits no longer."""
+        connection = connection_of(request)
+        connection.meter = FrameMeter(quota, self.limits)
+        await ws.prepare(request)
+        if self._listener is not None:
+            self._listener.release(connection)
+
     def leave(self, request: web.Request, quota: ClientQuota) -> None:
-        """The client that ``enter`` let in is gone."""
-        self.addresses.leave(connection_of(request).key, quota, self._clock())
+        """The client that ``enter`` let in is gone, or was refused after all."""
+        connection = connection_of(request)
+        self.addresses.leave(connection.key, quota, self._clock())
+        if self._listener is not None:
+            self._listener.take_back(connection)
 
     def upload(self, request: web.Request) -> float:
         """Count a request to make an avatar; seconds until its address may ask again, 0 if it may now."""
@@ -147,16 +171,22 @@ class Gate:
         self.notices("breach", f"a client broke a limit ({reason}); its address is held off")
 
     def _refused(self, response: web.Response) -> web.Response:
-        """Count it; nothing more is read on its connection."""
+        """Count it."""
         self.refused += 1
-        response.force_close()
         return response
+
+    def _refused_early(self, request: web.BaseRequest, connection: GuardedConnection) -> web.StreamResponse | None:
+        """Refuse what aiohttp would fail on, or answer uncounted."""
+        wrong = self._access.wrong_host(request.headers.getall("Host", []))
+        if wrong is not None:
+            return self._refused(web.Response(status=wrong[0], text=wrong[1] + "\n"))
+        if (request.headers.get("Expect") or _CONTINUE).lower() != _CONTINUE:
+            self.addresses.visit(connection.key, self._clock())
+            return self._refused(web.Response(status=417, text=f"the only expectation here is {_CONTINUE}\n"))
+        return None
 
     async def _refusal(self, request: web.Request, connection: GuardedConnection) -> web.Response | None:
         now, key, addresses, access = self._clock(), connection.key, self.addresses, self._access
-        wrong = access.wrong_host(request.headers.getall("Host", []))
-        if wrong is not None:
-            return web.Response(status=wrong[0], text=wrong[1] + "\n")
         if request.path == "/healthz":  # which says nothing about the scene or the clients
             return None
         if (seconds := addresses.held_off(key, now)) > 0:
@@ -201,7 +231,7 @@ class Gate:
         return None
 
 
-def connection_of(request: web.Request) -> GuardedConnection:
+def connection_of(request: web.BaseRequest) -> GuardedConnection:
     """The connection a request came by."""
     connection = request.protocol
     assert isinstance(connection, GuardedConnection)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import re
-import signal
 import socket
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from aiohttp import web
@@ -21,10 +18,10 @@ from glsplat.net.guard.machine import machine_names
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests import needs
+from tests.net.guard.descriptors import few_descriptors
 from tests.net.guard.plain_http import ask, get, status
 from tests.net.wire import HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
 
-ROOT = Path(__file__).parents[3]
 TOKEN = "0123456789abcdef-token"
 
 
@@ -274,34 +271,11 @@ def test_the_parts_of_aiohttp_that_connections_rely_on(serve):
     asyncio.run(main())
 
 
-# descriptors
-
-FEW = """
-import asyncio, logging, resource, sys
-sys.path.insert(0, sys.argv[1])
-resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
-from glsplat.net.guard.limits import Limits
-from glsplat.net.server import Server, ServerConfig
-from tests.net.conftest import FakeBackend
-logging.basicConfig(format="LOG %(message)s")
-if sys.argv[2] == "no room kept":
-    import glsplat.net.guard.listener as listener
-    listener._descriptors_left = lambda: None
-server = Server(FakeBackend(), ServerConfig(port=0, limits=Limits(visits_burst=1e9)))
-asyncio.run(server.run(lambda: print(server.port, flush=True)))
-"""
-
-
 @pytest.mark.parametrize("how", ["as it is", "no room kept"])
 def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
     """Pictures go on, new clients get in, the log stays short, the idle connections are the ones that go."""
-    command = [sys.executable, "-c", FEW, str(ROOT), how]
-    errors = tmp_path / "log"
-    with errors.open("wb") as log:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
-    port = int(process.stdout.readline())
 
-    async def main():
+    async def main(port):
         url = f"ws://127.0.0.1:{port}/ws"
         async with Client(url) as good:
             await good.render(cameras)
@@ -325,13 +299,8 @@ def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
                 peer.close()
             return pictures, newcomers
 
-    try:
-        pictures, newcomers = asyncio.run(main())
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(HANG) == 0
-    finally:
-        process.kill()
-        process.communicate()
-    text = errors.read_text().splitlines()
+    with few_descriptors(tmp_path / "log", how) as port:
+        pictures, newcomers = asyncio.run(main(port))
+    text = (tmp_path / "log").read_text().splitlines()
     assert newcomers == pictures // 20 == 3
     assert 1 <= len(text) <= 4 and all(line.startswith("LOG ") and len(line) < 140 for line in text), text[:5]
