@@ -26,7 +26,6 @@ from glsplat.net.datagrams.start import datagram_listener
 from glsplat.net.datagrams.way import SecondWay
 from glsplat.net.guard.access import is_loopback, server_tls
 from glsplat.net.guard.gate import Gate, connection_of
-from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
 from glsplat.net.local_loop import LocalLoop
@@ -35,6 +34,7 @@ from glsplat.net.options import NOT_ALLOWED, ServerConfig, client_options
 from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.catalogue import Catalogue
+from glsplat.net.pages.headers import set_headers
 from glsplat.net.pages.history import History
 from glsplat.net.pages.lead import Lead
 from glsplat.net.pages.previews import Drawer, Previews
