@@ -24,7 +24,7 @@ from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off, make_socket
 from glsplat.net.datagrams.start import datagram_listener
 from glsplat.net.datagrams.way import SecondWay
-from glsplat.net.guard.access import is_loopback, server_tls
+from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
@@ -137,7 +137,7 @@ class Server:
         app.add_routes([web.get("/ws", self._websocket), *own])
         if (uploads := self._uploads) is not None:
             app.add_routes(uploads.open(self.gate, self._offers.add, self._withdraw))
-            if isinstance(self.render_loop, LocalLoop) and is_loopback(self.config.access.host):  # one's own
+            if isinstance(self.render_loop, LocalLoop) and self.config.access.local:  # one's own
                 self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
             app.add_routes(self._lead.open(self._end))

@@ -43,17 +43,21 @@ class _MeteredReader:
 
 
 class GuardedConnection(web.RequestHandler):
-    """``meter`` is set by the gate once the connection is a client's, before its handshake is answered."""
+    """``meter`` is set by the gate once the connection is a client's, before its handshake is answered.
+
+    ``key`` is the address that its newest request counts for: the peer's, or what a trusted proxy says (``proxied``).
+    """
 
     __slots__ = (
         *("_body", "_clock", "_gone", "_head", "_head_most", "_notices", "_socket"),
-        *("breached", "busy", "key", "meter"),
+        *("breached", "busy", "key", "meter", "peer", "proxied"),
     )
 
     def __init__(
         self,
         server: web.Server,
-        key: str,
+        peer: str,
+        proxied: bool,
         limits: Limits,
         notices: Notices,
         clock: Callable[[], float],
@@ -67,7 +71,9 @@ class GuardedConnection(web.RequestHandler):
             keepalive_timeout=timeout,
             lingering_time=0,  # else it reads on, for ten seconds and at any rate, what is sent behind an answer
         )
-        self.key: str = key  # of its address
+        self.peer: str = peer  # key of the address at the other end
+        self.proxied: bool = proxied  # the peer is a trusted proxy
+        self.key: str = peer
         self.meter: FrameMeter | None = None
         self.breached: asyncio.Future[Breach] = asyncio.get_running_loop().create_future()
         self.busy: bool = False  # while a request of it is answered

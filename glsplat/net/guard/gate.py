@@ -17,7 +17,8 @@ from aiohttp import web
 from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import GuardedConnection
-from glsplat.net.guard.limits import ClientQuota, Limits
+from glsplat.net.guard.forwarded import FORWARDED, TrustedProxies
+from glsplat.net.guard.limits import ClientQuota, Limits, address_key
 from glsplat.net.guard.listener import Listener
 from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
@@ -48,7 +49,7 @@ class Gate:
         clock: Callable[[], float],
         consent: ConsentPolicy | None = None,
     ) -> None:
-        share = max_clients if is_loopback(access.host) else (max_clients + 1) // 2
+        share = max_clients if access.local else (max_clients + 1) // 2
         self.limits = limits
         self.addresses: Addresses = Addresses(limits, limits.per_address or share)
         self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
@@ -57,6 +58,7 @@ class Gate:
         self.knows: Callable[[web.Request], bool] = lambda request: False  # who costs no more than a file of the page
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
+        self._proxies, self._unnamed = TrustedProxies(access.proxies), False
         self._handle: RequestHandler | None = None  # aiohttp's
         self._listener: Listener | None = None
 
@@ -78,12 +80,13 @@ class Gate:
 
         self._handle, server.request_handler = server.request_handler, self.receive
 
-        def make(key: str, gone: Callable[[GuardedConnection], None]) -> GuardedConnection:
-            return GuardedConnection(server, key, self.limits, self.notices, self._clock, gone, timeout)
+        def make(key: str, proxied: bool, gone: Callable[[GuardedConnection], None]) -> GuardedConnection:
+            return GuardedConnection(server, key, proxied, self.limits, self.notices, self._clock, gone, timeout)
 
         self._listener = Listener(
             *(listening, make, self.addresses, self.notices, self._clock),
             clients=self._clients,
+            proxies=self._proxies,
             tls=tls,
             handshake=timeout,
         )
@@ -109,6 +112,8 @@ class Gate:
         connection = connection_of(request)
         connection.busy = True
         try:
+            if connection.proxied:
+                connection.key = self._client_key(request, connection)
             response = self._refused_early(request, connection)
             if response is None:
                 assert self._handle is not None
@@ -174,6 +179,20 @@ class Gate:
         """Count it."""
         self.refused += 1
         return response
+
+    def _client_key(self, request: web.BaseRequest, connection: GuardedConnection) -> str:
+        """The key of the address that a trusted proxy sends a request for, else the proxy's."""
+        client = self._proxies.client(request.headers)
+        if client is None:
+            if any(name in request.headers for name in FORWARDED):
+                self.notices("forwarded", "a trusted proxy's header names no client; the proxy's own address counts")
+            elif not self._unnamed:  # a proxy that says nothing, or its machine's own monitor
+                self._unnamed = True
+                self.notices(
+                    "unnamed", f"a request of a trusted proxy has no {' or '.join(FORWARDED)}; its address counts"
+                )
+            return connection.peer
+        return address_key(client)
 
     def _refused_early(self, request: web.BaseRequest, connection: GuardedConnection) -> web.StreamResponse | None:
         """Refuse what aiohttp would fail on, or answer uncounted."""

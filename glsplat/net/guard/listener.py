@@ -16,6 +16,7 @@ from collections.abc import Callable
 from glsplat.errors import GlsplatError
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import GuardedConnection
+from glsplat.net.guard.forwarded import TrustedProxies
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
 
@@ -27,8 +28,8 @@ _RESERVE = 12  # descriptors kept for what the server opens itself: a renderer s
 _FEWEST = 2  # connections in the handshake, however few descriptors there are
 _EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
-Make = Callable[[str, Callable[[GuardedConnection], None]], GuardedConnection]
-"""Makes the protocol of a connection from its address's key and what to call when it is gone."""
+Make = Callable[[str, bool, Callable[[GuardedConnection], None]], GuardedConnection]
+"""Makes the protocol of a connection: its peer's key, whether that is a trusted proxy, what to call when it is gone."""
 
 
 class Listener:
@@ -43,11 +44,13 @@ class Listener:
         clock: Callable[[], float],
         *,
         clients: int,
+        proxies: TrustedProxies,
         tls: ssl.SSLContext | None = None,
         handshake: float = 10.0,  # seconds
     ) -> None:
         self._socket, self._make, self._addresses, self._notices = listening, make, addresses, notices
         self._clock, self._clients, self._tls, self._handshake = clock, clients, tls, handshake
+        self._proxies = proxies
         # no clients (in the handshake, asking for a page, idle, closing), the oldest first, and what opens them
         self._waiting: dict[GuardedConnection, asyncio.Task[None] | None] = {}
         self._task: asyncio.Task[None] | None = None
@@ -96,14 +99,16 @@ class Listener:
                 self._notices("descriptors", f"file descriptors {kind}: idle connections are closed first")
                 await asyncio.sleep(0 if self._make_room() else _PAUSE)
                 continue
-            self._admit(accepted, address_key(peer[0]))
+            self._admit(accepted, peer[0])
             await asyncio.sleep(0)  # sock_accept does not, while there is something to accept
 
-    def _admit(self, accepted: socket.socket, key: str) -> None:
-        if not self._addresses.visit(key, self._clock()):
+    def _admit(self, accepted: socket.socket, host: str) -> None:
+        # a trusted proxy's connections carry requests of many addresses: each request counts for its own
+        key, proxied = address_key(host), self._proxies.trusts(host)
+        if not proxied and not self._addresses.visit(key, self._clock()):
             self._notices("visits", "an address connects too often; closed unanswered")
         elif len(self._waiting) < self.room or self._make_room():
-            connection = self._make(key, self.release)
+            connection = self._make(key, proxied, self.release)
             self._waiting[connection] = asyncio.create_task(self._open(accepted, connection), name="open")
             return
         else:
