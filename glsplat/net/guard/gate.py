@@ -206,13 +206,14 @@ class Gate:
 
     async def _refusal(self, request: web.Request, connection: GuardedConnection) -> web.Response | None:
         now, key, addresses, access = self._clock(), connection.key, self.addresses, self._access
-        if request.path == "/healthz":  # which says nothing about the scene or the clients
-            return None
-        if (seconds := addresses.held_off(key, now)) > 0:
+        health = request.path == "/healthz"  # says nothing about the scene or the clients, to held off addresses too
+        if not health and (seconds := addresses.held_off(key, now)) > 0:
             return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
         public = _is_page(request)
         if not addresses.visit(key, now, self.limits.file if public or self.knows(request) else 1.0):
             return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
+        if health:
+            return None
         guesses = not public and access.guarded and access.offers_token(request.headers)
         if guesses and (seconds := addresses.no_guess(key, now)) > 0:
             return _later(seconds, "too many wrong tokens from this address")

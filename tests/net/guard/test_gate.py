@@ -157,8 +157,29 @@ def test_an_address_that_connects_too_often_is_not_answered(serve, stopped):
             return answers, pipelined, status(await ask(server.port, get(), "127.0.0.3"))
 
     answers, pipelined, other = asyncio.run(main())
-    assert answers == [200] * 20 + [None] * 20 and other == 200
+    assert answers == [200] * 10 + [None] * 30 and other == 200  # each is a connection and a request
     assert pipelined.count("HTTP/1.1 200") == 19 and pipelined.count("HTTP/1.1 429") >= 1
+
+
+def test_healthz_is_answered_at_a_bounded_rate_to_held_off_addresses_too(serve, stopped):
+    """And to others as ever: a monitor of its own address notices nothing of a flood."""
+
+    async def main():
+        async with serve() as server:
+            server.gate.addresses.breach("127.0.0.2", stopped.now)
+            blocked = [status(await ask(server.port, get(path), "127.0.0.2")) for path in ("/session", "/healthz")]
+            flood = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
+            stopped.now += 1.0
+            later = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
+            monitor = status(await ask(server.port, get("/healthz"), "127.0.0.3"))
+            return blocked, flood, later, monitor
+
+    blocked, flood, later, monitor = asyncio.run(main())
+    limits = Limits()
+    assert blocked == [429, 200] and monitor == 200
+    # of the burst three connections and a request are gone; then a second's worth, less the connection
+    assert flood.count("HTTP/1.1 200") == limits.visits_burst - 4 and flood.count("HTTP/1.1 429") == 1
+    assert later.count("HTTP/1.1 200") == limits.visits - 1 and later.count("HTTP/1.1 429") == 1
 
 
 GOOD = [
