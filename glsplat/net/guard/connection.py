@@ -70,6 +70,7 @@ class GuardedConnection(web.RequestHandler):
             access_log=None,  # type: ignore[arg-type]  # which switches it off
             keepalive_timeout=timeout,
             lingering_time=0,  # else it reads on, for ten seconds and at any rate, what is sent behind an answer
+            auto_decompress=False,  # bodies are taken as they are sent, or refused: nothing is unpacked for strangers
         )
         self.peer: str = peer  # key of the address at the other end
         self.proxied: bool = proxied  # the peer is a trusted proxy

@@ -197,6 +197,8 @@ class Gate:
     def _refused_early(self, request: web.BaseRequest, connection: GuardedConnection) -> web.StreamResponse | None:
         """Refuse what aiohttp would fail on, or answer uncounted."""
         wrong = self._access.wrong_host(request.headers.getall("Host", []))
+        if wrong is None and not _has_address(request):
+            wrong = 400, "the Host header and the request's target make no URL"
         if wrong is not None:
             return self._refused(web.Response(status=wrong[0], text=wrong[1] + "\n"))
         if (request.headers.get("Expect") or _CONTINUE).lower() != _CONTINUE:
@@ -256,6 +258,14 @@ def connection_of(request: web.BaseRequest) -> GuardedConnection:
     connection = request.protocol
     assert isinstance(connection, GuardedConnection)
     return connection
+
+
+def _has_address(request: web.BaseRequest) -> bool:
+    """Return whether aiohttp can read the URL that pages link to: it raises for ports and IDNA that are none."""
+    try:
+        return request.url.host is not None
+    except ValueError:
+        return False
 
 
 def _is_page(request: web.Request) -> bool:

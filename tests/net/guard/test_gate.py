@@ -211,6 +211,8 @@ NONE = [
     "x:port",
     "a/b",
     "u@h",
+    "127.0.0.1:99999",
+    "xn--a.localhost",
 ]
 
 
@@ -222,7 +224,7 @@ def test_the_host_header_is_checked_on_every_route(serve):
     async def main():
         async with serve(config=config) as server:
             found = {}
-            for path in ("/", "/stats", "/metrics", "/healthz", "/nosuch"):
+            for path in ("/", "/stats", "/metrics", "/healthz", "/reach", "/nosuch"):
                 good = {status(await ask(server.port, get(path, host))) for host in GOOD}
                 bad = {status(await ask(server.port, get(path, host))) for host in BAD}
                 none = {status(await ask(server.port, get(path, host))) for host in NONE}
