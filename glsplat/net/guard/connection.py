@@ -104,6 +104,15 @@ class GuardedConnection(web.RequestHandler):
                 return
         super().data_received(data)
 
+    async def start(self) -> None:
+        """Answer requests until the end; cut off one whose target aiohttp cannot read, where it would hang."""
+        try:
+            await super().start()
+        except Exception:
+            if self.open:
+                self._notices("http", "a request's target is no URL; cut off")
+                self.abort()
+
     def connection_lost(self, exc: BaseException | None) -> None:
         """The socket is closed."""
         self._socket = None

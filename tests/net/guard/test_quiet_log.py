@@ -38,6 +38,7 @@ STRANGE = {
     "a header of 9 kB": f"GET / HTTP/1.1\r\nHost: a\r\nX: {SECRET * 500}\r\n\r\n".encode(),
     "another method": f"{SECRET} / HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
     "an address that is none": f"GET http://[{SECRET}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
+    "an address with a name that is none": f"GET http://xn--a.{SECRET}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
     "two lengths": f"POST /{SECRET} HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\nContent-Length: 4\r\n\r\nabc".encode(),
     "an Upgrade that is no text": UPGRADE.replace(b"Upgrade: websocket", b"Upgrade: webs\xefcket"),
     "a version that is no text": UPGRADE.replace(b"Version: 13", b"Version: 13\x80"),
