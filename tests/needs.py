@@ -45,9 +45,9 @@ def _loads(names: Iterable[str]) -> bool:
 def _starts(name: str) -> bool:
     """The program is there and runs, with the libraries that it was linked to."""
     path = shutil.which(name)
-    words = {"openssl": ["version"], "Xvfb": ["-help"], "ffprobe": ["-version"]}
+    words = {"openssl": ["version"], "Xvfb": ["-help"], "ffprobe": ["-version"], "nginx": ["-v"], "caddy": ["version"]}
     try:
-        command = [path or name, *words.get(name, ["--version"])]
+        command = [path or name, *words.get(os.path.basename(name), ["--version"])]
         return path is not None and subprocess.run(command, capture_output=True, timeout=120).returncode == 0
     except (OSError, subprocess.TimeoutExpired):
         return False
@@ -116,12 +116,14 @@ NEEDS = {
     "opengl": Need("libOpenGL", ("libopengl0",), "check", libraries=("libOpenGL.so.0",)),
     "zink": Need("lavapipe, which zink draws on", ("mesa-vulkan-drivers",), "check", libraries=("libvulkan_lvp.so",)),
     "openssl": Need("openssl", ("openssl",), "check", programs=("openssl",)),
+    "nginx": Need("nginx", ("nginx",), "check", programs=("nginx", "/usr/sbin/nginx")),
     "chromium": Need("Chromium", ("chromium",), "browser", programs=_CHROMIUM),
     # of the driver that the Python package playwright brings
     "atomic": Need("libatomic", ("libatomic1",), "browser", libraries=("libatomic.so.1",)),
     "npm": Need("npm", ("npm",), "browser", programs=("npm",)),
     "node": Need("node", ("nodejs",), "browser", programs=("node",)),
     "setpriv": Need("setpriv", ("util-linux",), "extra", programs=("setpriv",)),
+    "caddy": Need("Caddy", ("caddy",), "extra", programs=("caddy",)),
     "docker": Need("docker", ("docker.io",), "extra", programs=("docker",)),
     "pyright": Need("pyright", ("pyright",), "extra", programs=("pyright",)),
     "ffprobe": Need("ffprobe", ("ffmpeg",), "extra", programs=("ffprobe",)),

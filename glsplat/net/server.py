@@ -24,9 +24,8 @@ from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off, make_socket
 from glsplat.net.datagrams.start import datagram_listener
 from glsplat.net.datagrams.way import SecondWay
-from glsplat.net.guard.access import is_loopback, server_tls
+from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
-from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
 from glsplat.net.local_loop import LocalLoop
@@ -36,6 +35,7 @@ from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.clients import client_fields
+from glsplat.net.pages.headers import set_headers
 from glsplat.net.pages.history import History
 from glsplat.net.pages.lead import Lead
 from glsplat.net.pages.previews import Drawer, Previews
@@ -141,7 +141,7 @@ class Server:
         app.add_routes([web.get("/ws", self._websocket), *own])
         if (uploads := self._uploads) is not None:
             app.add_routes(uploads.open(self.gate, self._offers.add, self._withdraw))
-            if isinstance(self.render_loop, LocalLoop) and is_loopback(self.config.access.host):  # one's own
+            if isinstance(self.render_loop, LocalLoop) and self.config.access.local:  # one's own
                 self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
             app.add_routes(self._lead.open(self._end, [self._offers[name] for name in self._offers.names]))
@@ -311,7 +311,7 @@ class Server:
             write_timeout=self.config.write_timeout,
         )
         try:
-            await ws.prepare(request)
+            await self.gate.accept(request, ws, entered)
             self._talks[channel.number] = talk
             await talk.run()
             return ws

@@ -108,29 +108,8 @@ def test_every_error_code_is_in_the_table():
 
 
 def test_the_numbers_of_the_limits():
-    """Both pages and the help of the command hold the defaults."""
+    """The page and the help of the command hold the defaults; deploying.md: tests/net/guard/test_limits_doc.py."""
     limits, mib = Limits(), 2**20
-    deploying = " ".join(DEPLOYING.read_text(encoding="utf-8").split())
-    for phrase in (
-        f"(`--max-clients`) | {ServerConfig().max_clients} |",
-        f"(`--max-waiting`) | {limits.waiting} |",
-        f"HTTP requests of an address | {limits.visits:g} a second | {limits.visits_burst:g} |",
-        f"between requests | {limits.head // 1024} KiB |",
-        f"TLS handshake | {SessionConfig().handshake:g} |",
-        f"tokens of an address | {limits.guesses}, then one after 1, 2, 4 ... {limits.hold_off_most:g} s |",
-        f"frames of a client | {limits.frames:g} a second | {limits.frames_burst:g} |",
-        f"closes of a client | {limits.control:g} a second | {limits.control_burst:g} |",
-        f"bytes of a client | {limits.bytes / mib:g} MiB a second | {limits.bytes_burst / mib:g} MiB |",
-        f"messages of a client | {SessionConfig().rate:g} a second | {SessionConfig().burst} |",
-        f"tracking of all clients | {limits.work:g} s a second | {limits.work:g} s |",
-        f"samples of a client | {limits.samples:g} a second | {limits.samples_burst:g} |",
-        f"of an address | {limits.hold_off:g} s, doubling up to {limits.hold_off_most:g} s | | 429; forgotten after "
-        f"{limits.forget:g} s",
-        f"addresses remembered | {limits.addresses} |",
-        f"the same with `--allow-upload` | {limits.body // 1024} KiB |",
-        f"to make an avatar, of an address | {limits.uploads:g} a second | {limits.uploads_burst:g} |",
-    ):
-        assert phrase in deploying, phrase
     for phrase in (
         f"{limits.frames:g} frames a second ({limits.frames_burst:g} at once), {limits.control:g} control frames",
         f"({limits.control_burst:g}) and {limits.bytes / mib:g} MiB ({limits.bytes_burst / mib:g} MiB)",

@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
 from glsplat.io.secret_files import warn_if_exposed
+from glsplat.net.guard.forwarded import Network
 
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import Accounts
@@ -43,6 +44,7 @@ class Access:
     insecure: bool = False  # another address than loopback without TLS and token, on the user's own word
     origins: tuple[str, ...] = ()  # further pages that may connect, e.g. "https://lab.example:8000"
     hosts: tuple[str, ...] = ()  # names it goes by, besides addresses and localhost; "*.lab.example" for one label more
+    proxies: tuple[Network, ...] = ()  # reverse proxies that are believed whom they speak for
 
     def __post_init__(self) -> None:
         if self.token is not None and self.accounts is not None:
@@ -52,6 +54,11 @@ class Access:
                 f"{self.host} can be reached from other machines: give --self-signed, or --tls-cert, --tls-key and "
                 "--token-file or --users, or accept the risk with --insecure"
             )
+
+    @property
+    def local(self) -> bool:
+        """True where only programs of this machine connect, and for nobody else: on loopback without a proxy."""
+        return is_loopback(self.host) and not self.proxies
 
     @property
     def guarded(self) -> bool:
