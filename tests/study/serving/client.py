@@ -20,7 +20,7 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.study.serving.lead import HEADER, StudyLead
 from glsplat.study.serving.live import Live
-from glsplat.study.store import SESSION, Store, read_log
+from glsplat.study.store import SESSION, Log
 from tests.net.conftest import FakeBackend
 from tests.net.wire import UNLIMITED
 from tests.study.designs import planned
@@ -80,7 +80,7 @@ class Client:
         assert (await self.do("consent", step="001-consent", accepted=True))[0] == 200
 
     def log(self) -> list[str]:
-        return [event.kind for event in read_log(self.live.store.folder / SESSION).events]
+        return [event.kind for event in Log(self.live.store.folder / SESSION)]
 
     @asynccontextmanager
     async def socket(self, query: str) -> AsyncIterator[aiohttp.ClientWebSocketResponse]:
@@ -107,7 +107,7 @@ async def serving(
     limits: Limits = UNLIMITED,
 ) -> AsyncIterator[Client]:
     study, plan = planned(folder)
-    live = Live(study, plan, 1, Store(folder / "data", 1), clock, wall)
+    live = Live(study, plan, 1, folder / "data", clock, wall)
     lead, solver = StudyLead(live, {"fast": "a", "slow": "b"}), Solver()
     offered = [AvatarInfo(name=name, solver=lambda height, span: solver) for name in ("a", "b")]
     config = ServerConfig(port=0, access=Access(token=TOKEN), limits=limits)
