@@ -177,6 +177,10 @@ class Session:
             raise ProtocolError(f"a reason has at most {_LONGEST_NOTE} characters", "bad_note")
         return [Event(t, self._name, "abort", {"reason": reason})] if self.step is not None else []
 
+    def leads_on(self, event: Event) -> bool:
+        """Whether an event is needed to reach the end: not a changed answer, nor a task begun anew."""
+        return event.kind != "lost" and not (event.kind == "answer" and event.values["item"] in self.state.answers)
+
     def apply(self, event: Event) -> None:
         """Change the state by an event of the log. Kinds that change nothing are skipped."""
         now, step = self.state, self.step

@@ -20,6 +20,7 @@ from typing import Any
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.study.design import Condition, Study
 from glsplat.study.plan import Plan, label
+from glsplat.study.serving.quota import LinkQuota
 from glsplat.study.session import Event, Session
 from glsplat.study.steps import steps_of
 from glsplat.study.store import Store
@@ -61,6 +62,7 @@ class Live:
         self.figures: dict[str, Any] = {}  # what the page said last of its speed
         self.changed: Callable[[], None] = lambda: None  # hears of every change
         self._clock, self._wall = clock, wall
+        self._quota = LinkQuota(clock())
         self._started = self._offset = 0.0  # set by ``open``
         self._seen: float | None = None  # when the page said something, by ``clock``
         self._lock = asyncio.Lock()
@@ -105,15 +107,18 @@ class Live:
         async with self._lock:
             self.store.close()
 
-    async def act(self, make: Callable[[float], Sequence[Event]]) -> None:
-        """Do what ``make`` says of the moment. Raises ProtocolError where it may not be, FormatError of the disk."""
+    async def act(self, make: Callable[[float], Sequence[Event]], *, link: bool = False) -> None:
+        """Do what ``make`` says of the moment; ``link``: by the participant's link, within its quota.
+
+        Raises ProtocolError where it may not be, FormatError of the disk.
+        """
         # whoever asked may be gone before the disk answers: what is on disk has to become the state all the same
-        await asyncio.shield(asyncio.ensure_future(self._act(make)))
+        await asyncio.shield(asyncio.ensure_future(self._act(make, link)))
 
     async def enter(self, page: str) -> None:
         """Another page of the participant takes over; a task that was under way begins anew."""
         if page != self.page:
-            await self.act(self.session.lost)
+            await self.act(self.session.lost, link=True)
             self.page = page
             self._tell()
         self.seen()
@@ -125,11 +130,13 @@ class Live:
                 while self.revision == revision:
                     await self._news.wait()
 
-    async def _act(self, make: Callable[[float], Sequence[Event]]) -> None:
+    async def _act(self, make: Callable[[float], Sequence[Event]], link: bool) -> None:
         async with self._lock:
-            events = make(self.t)
+            events, size = make(self.t), self.store.size
             if not events:
                 return
+            if link:
+                self._quota.check(self._clock(), size, any(map(self.session.leads_on, events)))
             try:
                 await asyncio.to_thread(self.store.append, events)
             except GlsplatError as error:
@@ -137,6 +144,8 @@ class Live:
                 self._tell()
                 raise
             self.trouble = ""
+            if link:
+                self._quota.charge(self._clock(), self.store.size - size)
             for event in events:
                 self.session.apply(event)
                 if event.kind == "note":
