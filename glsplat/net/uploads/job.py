@@ -70,9 +70,11 @@ class UploadConfig:
     avatar_bytes: int = 100_000_000
     waiting: int = 2  # jobs beside the one that is worked on; those whose pictures still come are among them
     per_address: int = 2  # jobs of one address
+    senders: int = 1  # of them, whose pictures still come
     seconds: float = 600.0  # a job may take, from when it is worked on
     receive: float = 120.0  # seconds that the pictures may take to come
-    stall: float = 10.0  # seconds without a byte of them
+    rate: float = 4000.0  # bytes of them a second, at least
+    stall: float = 10.0  # seconds that they may be behind that rate, also at the start
     patience: float = 120.0  # seconds that a refused job's process waits for the word to go on all the same
     nice: int = 10  # of the process that works, so that drawing goes first
 

@@ -115,6 +115,16 @@ def test_a_log_beyond_the_size_is_taken_up(tmp_path: Path, monkeypatch: pytest.M
     run(tmp_path, second)
 
 
+def test_the_page_on_studies_has_the_numbers() -> None:
+    text = " ".join((Path(__file__).parents[3] / "docs" / "study.md").read_text(encoding="utf-8").split())
+    for phrase in (
+        f"may take {BURST_BYTES >> 20} MiB at once and {RATE_BYTES_S / 1024:g} KiB a second after that",
+        f"From {MAX_LOG_BYTES >> 20} MiB on the log takes only what leads on",
+        f"They end at {recording.MAX_BYTES >> 30} GiB each, and while less than {recording.MIN_FREE_BYTES >> 20} MiB",
+    ):
+        assert phrase in text, phrase
+
+
 def test_the_numbers() -> None:
     """An hour of the quickest honest answers passes; the longest answers without end come to the rate."""
     honest, t = LinkQuota(0.0), 0.0
