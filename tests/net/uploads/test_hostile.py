@@ -189,6 +189,19 @@ def test_a_disk_that_is_full_says_so_and_keeps_nothing(takes, monkeypatch):
     asyncio.run(main())
 
 
+def test_findings_without_end_are_cut_short(takes):
+    """As text, and still read: what the maker's process writes, the server takes."""
+
+    async def main():
+        async with takes() as client:
+            _, told = await client.post(b"many")
+            told = await client.until(told["name"], "failed")
+            assert told["error"] == "\U00010000" * 300 and len(told["findings"]) == 40
+            assert told["findings"][-1]["text"] == "\U00010000" * 300
+
+    asyncio.run(main())
+
+
 def test_an_avatar_that_is_too_big_is_not_taken(takes):
     async def main():
         async with takes(avatar_bytes=10_000) as client:
