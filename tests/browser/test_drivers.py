@@ -251,7 +251,7 @@ def test_half_an_hour_at_120_hz_with_both_hands_fits(page):
         {"head": pose, "left": pose, "right": pose, "left_joints": joints, "right_joints": joints},
     )
     most = page.evaluate("import('/vr/track/recorder.js').then((m) => m.MAX_BYTES)")
-    assert size * 120 * 1800 <= most <= 1 << 30  # 1 GiB is what the program reads
+    assert size * 120 * 1800 <= most <= 1 << 30
 
 
 def standing(rng, seconds=2.2, eyes=1.6, span=None, wobble=0.004):

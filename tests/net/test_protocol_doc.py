@@ -128,7 +128,8 @@ def test_the_numbers_of_photographs():
     deploying = " ".join(DEPLOYING.read_text(encoding="utf-8").split())
     config, limits = UploadConfig(folder=Path(), make=lambda order, progress: None), Limits()
     for phrase in (
-        f"{config.stall:g} s without a byte, or {config.receive:g} s in all",
+        f"at less than {config.rate / 1000:g} kB a second, of which {config.stall:g} s are forgiven, or in more than "
+        f"{config.receive:g} s",
         f"more than {config.picture_bytes / 1e6:g} MB a picture or {config.body_bytes / 1e6:g} MB in all",
         f"more than {limits.uploads_burst:g} requests to make an avatar from one address; one more every "
         f"{1 / limits.uploads:g} s",
@@ -138,11 +139,18 @@ def test_the_numbers_of_photographs():
         assert phrase in WORDS, phrase
     assert config.waiting == 2 and "three avatars are being made, wait, or are being sent" in TEXT
     assert config.per_address == 2 and "or two from this address" in TEXT
+    assert config.senders == 1 and "other pictures from it are on their way" in TEXT
+    assert limits.uploads_unfinished == 1 / 4 and "counts as a quarter of one" in TEXT
     for phrase in (
         f"`nice` {config.nice}, which holds",
         f"ended after {config.seconds:g} s",
         f"{config.picture_bytes / 1e6:g} MB a picture and {config.body_bytes / 1e6:g} MB in all",
         f"{config.most_files} avatars and {config.folder_bytes / 1e9:g} GB in DIR",
+        f"keeps up {config.rate / 1000:g} kB a second, may be {config.stall:g} s behind that at any time, and has "
+        f"{config.receive:g} s in all",
+        f"a second, of a sender | {config.rate:g} at least | {config.stall:g} s behind | 408",
+        f"pictures of an avatar | {config.receive:g} | | 408",
+        f"of one address | {config.senders} | | 503",
     ):
         assert phrase in deploying, phrase
 

@@ -36,7 +36,7 @@ _N, _R, _P, _SALT, _HASH = 2**14, 8, 1, 16, 32  # of scrypt: 16 MiB, some 50 ms;
 _SECRET = 18  # bytes of chance in a token, 144 bits
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_~-]{0,31}")
 _LONGEST = 64  # characters of an avatar's or a room's name
-_LARGEST = 1 << 20  # bytes of the file
+_LARGEST = 1 << 20  # bytes of the file, read and written
 _MOST_KNOWN = 1024  # tokens that were verified and are remembered
 _LOOK = 1.0  # seconds between two looks at the file while nobody comes in, and between two tries to read it
 _CLOCK_STEP = 2.0  # seconds in which two changes of a file may bear the same time
@@ -129,8 +129,10 @@ def write_users(path: Path, users: Mapping[str, User]) -> None:
         _Entry(u.name, base64.b64encode(u.salt).decode(), base64.b64encode(u.hash).decode(), [*u.avatars], [*u.rooms])
         for u in users.values()
     ]
-    text = msgspec.json.format(msgspec.json.encode(_File(_VERSION, entries)), indent=1)
-    replace_file(path, [text, b"\n"], private=True)
+    text = msgspec.json.format(msgspec.json.encode(_File(_VERSION, entries)), indent=1) + b"\n"
+    if len(text) > _LARGEST:
+        raise FormatError(f"{path}: a file of accounts has at most {_LARGEST} bytes, not {len(text)}; remove some")
+    replace_file(path, [text], private=True)
 
 
 class Accounts:

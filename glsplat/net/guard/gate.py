@@ -169,6 +169,10 @@ class Gate:
         """Count a request to make an avatar; seconds until its address may ask again, 0 if it may now."""
         return self.addresses.upload(connection_of(request).key, self._clock())
 
+    def unfinished_upload(self, request: web.Request, seconds: float) -> None:
+        """Such a request took so long and ended without its pictures."""
+        self.addresses.unfinished_upload(connection_of(request).key, self._clock(), seconds)
+
     def breach(self, request: web.Request, reason: str) -> None:
         """A client broke a limit: its address is held off for a while."""
         self.addresses.breach(connection_of(request).key, self._clock())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
@@ -74,10 +75,13 @@ class Uploads:
             check_head(request, self.config)
             user = user_of(request)
             job = await self._book(connection.key, "" if user is None else user.name)
+            begun = time.monotonic()
             try:
                 self._queue.begin(job, await read_order(request, self.config))
-            except BaseException:  # also when the client is gone
+            except BaseException as error:  # also when the client is gone
                 self._queue.cancel(job)
+                if not isinstance(error, RefusedError) or error.status == 408:
+                    self._gate.unfinished_upload(request, time.monotonic() - begun)
                 raise
         except RefusedError as refusal:
             return await self._refused(request, refusal)

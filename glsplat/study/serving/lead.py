@@ -11,6 +11,7 @@ import asyncio
 import hmac
 import json
 import logging
+import math
 import secrets
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -54,9 +55,12 @@ _STATUS = {
     "wrong_step": 409,
     "paused": 409,
     "ended": 410,
+    "full": 413,
     "bad_answer": 422,
     "bad_note": 422,
+    "rate": 429,
 }
+_REPORT_S = 0.5  # between two lines of figures; the page reports once a second
 _FIGURES = ("fps", "age_ms", "age_p95_ms", "rtt_ms", "frame_rate")
 _PICTURE = 80  # quality of the experimenter's JPEG
 
@@ -97,6 +101,7 @@ class StudyLead:
         self._steps = {step.alias: step.name for step in live.session.steps}
         self._heads = False  # whether all avatars can be shown without their heads
         self._picture: bytes | None = None  # the last reply
+        self._reported = -math.inf  # when the page's figures were written down last, by ``live.t``
         self._end: Callable[[int, str], None] = lambda number, reason: None
 
     # what the server asks
@@ -198,7 +203,7 @@ class StudyLead:
                 message = await _read(request)
                 return await handler(request, message)
             except ProtocolError as error:
-                return _refusal(_STATUS.get(error.code, 400), error.code, str(error))
+                return _refusal(_STATUS.get(error.code, 400), error.code, str(error), getattr(error, "wait", None))
             except GlsplatError as error:  # of the disk: it names files, which is for the experimenter alone
                 log.error("%s", error)
                 text = str(error) if who == "experimenter" else "this could not be written down; it is tried again"
@@ -214,7 +219,8 @@ class StudyLead:
         if isinstance(figures, dict):
             live.figures = {key: v for key in _FIGURES if _is_number(v := figures.get(key))}
             live.figures["session"] = "vr" if figures.get("session") == "vr" else "page"
-            if step is not None and live.condition is not None:
+            if step is not None and live.condition is not None and live.t - self._reported >= _REPORT_S:
+                self._reported = live.t
                 self._frames.add(live.t, step.name, "frames", live.figures)
         after = message.get("after")
         await live.wait(after if isinstance(after, int) else -1, _HOLD)
@@ -237,15 +243,15 @@ class StudyLead:
         if what == "consent":
             if not isinstance(message.get("accepted"), bool):
                 raise ProtocolError("accepted needs true or false")
-            await live.act(lambda t: session.consent(step, message["accepted"], t))
+            await live.act(lambda t: session.consent(step, message["accepted"], t), link=True)
         elif what == "ready":
-            await live.act(lambda t: session.ready(step, t))
+            await live.act(lambda t: session.ready(step, t), link=True)
         elif what == "answer":
             item, seconds = str(message.get("item", "")), message.get("seconds", -1)
             took = float(seconds) if _is_number(seconds) else -1.0
-            await live.act(lambda t: session.answer(step, item, message.get("value"), took, t))
+            await live.act(lambda t: session.answer(step, item, message.get("value"), took, t), link=True)
         elif what == "submit":
-            await live.act(lambda t: session.submit(step, t))
+            await live.act(lambda t: session.submit(step, t), link=True)
         else:
             raise ProtocolError("do needs enter, consent, ready, answer or submit")
         return web.json_response(for_participant(live))
@@ -359,5 +365,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
 
 
-def _refusal(status: int, code: str, text: str) -> web.Response:
-    return web.json_response({"error": {"code": code, "message": text}}, status=status)
+def _refusal(status: int, code: str, text: str, wait: int | None = None) -> web.Response:
+    """``wait``: seconds after which to try again."""
+    headers = None if wait is None else {"Retry-After": f"{wait}"}
+    return web.json_response({"error": {"code": code, "message": text}}, status=status, headers=headers)

@@ -69,7 +69,7 @@ def for_experimenter(live: Live) -> dict[str, Any]:
         "present": live.present,
         "figures": live.figures,
         "trouble": live.trouble,
-        "notes": [{"t": round(note.t, 1), "text": note.values["text"]} for note in live.notes[-50:]],
+        "notes": [{"t": round(note.t, 1), "text": note.values["text"]} for note in live.notes],
         "steps": [one.name for one in session.steps],
     }
 

@@ -14,7 +14,7 @@ import pytest
 from glsplat.study.design import read_study
 from glsplat.study.export import export
 from glsplat.study.plan import checked_plan, label, make_plan, write_plan
-from glsplat.study.store import SESSION, read_log
+from glsplat.study.store import SESSION, Log
 from tests.browser.conftest import OpenPage
 from tests.browser.study.scripted import Scripted, Service, wire
 from tests.browser.vr import pose, steer
@@ -201,8 +201,8 @@ def test_the_experimenter_sees_and_stops(study: Path, service: Service, open_pag
     watch.page.fill("#reason", "the participant felt sick")
     watch.page.click("#abort-form button")
     page.until("window.glsplat.study().state.ended === 'aborted'")
-    log = read_log(study.parent / "data" / label(1) / SESSION)
-    assert [e.kind for e in log.events if e.kind in ("pause", "note", "continue", "abort")] == [
+    log = list(Log(study.parent / "data" / label(1) / SESSION))
+    assert [e.kind for e in log if e.kind in ("pause", "note", "continue", "abort")] == [
         "pause", "note", "continue", "abort",
     ]  # fmt: skip
 
@@ -230,8 +230,8 @@ def test_by_keyboard_in_a_narrow_window(study: Path, service: Service, open_page
     page.page.focus("#next")
     keyboard.press("Enter")
     page.until("window.glsplat.study().item === 'strange' && !window.glsplat.study().saving")
-    log = read_log(study.parent / "data" / label(1) / SESSION)
-    assert [e.values["value"] for e in log.events if e.kind == "answer"][-1] == 2
+    log = list(Log(study.parent / "data" / label(1) / SESSION))
+    assert [e.values["value"] for e in log if e.kind == "answer"][-1] == 2
 
 
 def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_page: OpenPage) -> None:
@@ -255,7 +255,7 @@ def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_pa
     assert path.read_bytes() == before
     resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, unlimited)
     page.until("!window.glsplat.study().saving")
-    assert read_log(path).events[-1].values == {"item": "strange", "value": 3, "seconds": pytest.approx(0, abs=60)}
+    assert list(Log(path))[-1].values == {"item": "strange", "value": 3, "seconds": pytest.approx(0, abs=60)}
 
 
 def test_nobody_looks_out_of_their_own_head(tmp_path: Path, open_page: OpenPage) -> None:

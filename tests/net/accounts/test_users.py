@@ -310,6 +310,16 @@ def test_any_account_that_can_be_made_is_read_back(tmp_path_factory, name, avata
     assert "/" not in name and path.stat().st_mode & 0o777 == 0o600
 
 
+def test_no_file_is_written_that_would_not_be_read(file, monkeypatch):
+    """One account too many is refused; those that were there stay."""
+    ann, bob = (new_user(name)[0] for name in ("ann", "bob"))
+    write_users(file, {"ann": ann})
+    monkeypatch.setattr(users, "_LARGEST", file.stat().st_size)
+    with pytest.raises(FormatError, match="a file of accounts has at most"):
+        write_users(file, {"ann": ann, "bob": bob})
+    assert read_users(file) == {"ann": ann}
+
+
 def test_what_an_account_may_do():
     ann = User("ann", ("ann", "default"), ("lab",))
     assert [ann.may_drive(name) for name in ("ann", "default", "bob", "", "*", "../ann")] == [True, True, *[False] * 4]

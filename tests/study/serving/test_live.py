@@ -16,7 +16,7 @@ from glsplat.net.reply import parse_reply
 from glsplat.study.serving.light import dim
 from glsplat.study.serving.live import GONE, resumed_at
 from glsplat.study.session import Event
-from glsplat.study.store import SESSION, TRACKING, read_log
+from glsplat.study.store import SESSION, TRACKING, Log
 from tests.study.serving.client import PAGE, Client, Clock, run, until
 
 SAMPLE = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": [-0.3, 1, 0, 0, 0, 0, 1], "right": [0.3, 1, 0, 0, 0, 0, 1]}
@@ -79,8 +79,8 @@ def test_time_passes_while_the_page_is_there(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("away", "expected"), [(3600, 3600), (0, 100), (-1e6, 100), (1e12, 100), (float("nan"), 100)])
 def test_a_clock_that_leaps(away: float, expected: float) -> None:
     """The wall clock says how long a server was away; where it was set meanwhile, time still does not run backwards."""
-    log = [Event(0.0, "x", "open", {"wall": "2027-01-15T08:00:00+00:00"}), Event(100.0, "x", "note", {"text": "x"})]
-    assert resumed_at(log, 1800000000 + away) == expected
+    opened = Event(0.0, "x", "open", {"wall": "2027-01-15T08:00:00+00:00"})
+    assert resumed_at(100.0, opened, 1800000000 + away) == expected
 
 
 def test_a_restart_goes_on_in_time(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_a_restart_goes_on_in_time(tmp_path: Path) -> None:
     run(tmp_path, test, clock=Clock(), wall=lambda: 1.8e9)
     run(tmp_path, test, clock=Clock(), wall=lambda: 1.8e9 + 60)
     run(tmp_path, test, clock=Clock(), wall=lambda: 1.8e9 - 60)  # set back
-    opened = [e.t for e in read_log(tmp_path / "data/sub-001" / SESSION).events if e.kind == "open"]
+    opened = [e.t for e in Log(tmp_path / "data/sub-001" / SESSION) if e.kind == "open"]
     assert opened == [0, 60, 60]
 
 
