@@ -28,7 +28,6 @@ from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from glsplat.study.serving.lead import StudyLead
 from glsplat.study.serving.live import Live
-from glsplat.study.store import Store
 from glsplat.watermark.keys import new_watermark
 from tests.net.accounts.test_accounts import WS
 from tests.net.conftest import FakeBackend, eyes
@@ -268,7 +267,7 @@ def run(coroutine: Any) -> Any:
 
 def led(folder: Path) -> StudyLead:
     study, plan = planned(folder)
-    return StudyLead(Live(study, plan, 1, Store(folder / "data", 1)), {"fast": "ann-avatar", "slow": "bob-avatar"})
+    return StudyLead(Live(study, plan, 1, folder / "data"), {"fast": "ann-avatar", "slow": "bob-avatar"})
 
 
 KINDS: dict[str, Any] = {
