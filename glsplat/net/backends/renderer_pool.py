@@ -19,7 +19,7 @@ from glsplat.net.backends.labels import Label
 from glsplat.net.backends.room import LABEL_SIGMAS, RoomRenderer, label_of, selectors
 from glsplat.passes.lru_cache import LruCache
 from glsplat.passes.views import checked_pose
-from glsplat.renderer import Renderer
+from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.skeleton import Skeleton
@@ -66,6 +66,10 @@ class SceneRenderer:
         if self._item is not self._source:
             assert self._item is not None and self._source is not None
             self._item.pose, self._item.transform = self._source.pose, self._source.transform
+
+    def prepare(self, request: RenderJob, max_cost: float) -> Prepared:
+        """Prepare the picture of a request that ``follow`` was given, whatever it costs."""
+        return self.renderer.prepare(self.views(request), request.pose)
 
     def views(self, request: RenderJob) -> Sequence[Camera]:
         """As they are asked for: it was made without what its requests hide."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -16,9 +16,10 @@ from glsplat.camera import Camera
 from glsplat.detail.selector import Selector
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.backend import RenderJob
+from glsplat.net.backends.budget import others_share
 from glsplat.net.backends.figure_bounds import FigureBounds
 from glsplat.net.backends.labels import Label
-from glsplat.renderer import Renderer
+from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
 
@@ -55,6 +56,12 @@ class _Shown:
     items: tuple[Item, ...]
     head: Item | None = None  # not shown without a head
     headless: Item | None = None  # shown only then
+
+    @property
+    def splats(self) -> int:
+        """Of the finest level of detail; none of a mesh."""
+        contents = (item.content for item in self.items)
+        return sum(len(content.splats) for content in contents if isinstance(content, Avatar))
 
 
 class RoomRenderer:
@@ -95,8 +102,34 @@ class RoomRenderer:
             for item in _items(shown):
                 self.scene.add(item)
         self._unfit = {one.key for one in view.people if not self._pose(one, one.key == view.viewer)}
-        self._set_layers(view, self._unfit)
+        self._set_layers(view, self._unfit if job.others else here - {view.viewer})
         self._background.pose_at(seconds)
+
+    def prepare(self, job: RenderJob, max_cost: float) -> Prepared:
+        """Prepare the picture of a request that ``follow`` was given, of which ``max_cost`` covered pixels are drawn.
+
+        Others who add too much to it (``others_share``) are drawn at coarser levels of detail, those who add most
+        first, and then left out. So only what the viewer looks from and at, and is, can cost more than ``max_cost``.
+        """
+        view, views, renderer = _view(job), self.views(job), self.renderer
+        others = [shown for key, shown in self._people.items() if shown is not None and key != view.viewer]
+        if not (others and job.others):
+            return renderer.prepare(views)
+        share = job.others * others_share(max_cost, views, sum(shown.splats for shown in others))
+        prepared = renderer.prepare(views)
+        posed = renderer.stats.posed
+        for reduce in (_coarser, _left_out, _left_out):  # again, should costs have been other than were expected
+            if prepared.cost <= min(share, max_cost):
+                break
+            prepared = renderer.prepare(views, itemised=True)
+            costs = {shown: sum(prepared.items.get(item, 0) for item in shown.items) for shown in others}
+            room = min(share, max_cost - (prepared.cost - sum(costs.values())))
+            if room < 0 or sum(costs.values()) <= room:
+                break
+            reduce(costs, room)
+            prepared = renderer.prepare(views)
+        renderer.stats = replace(renderer.stats, posed=posed)
+        return prepared
 
     def views(self, job: RenderJob) -> list[Camera]:
         """The cameras of a request that ``follow`` was given, in the layers of what its viewer sees."""
@@ -143,7 +176,7 @@ class RoomRenderer:
         """Bring somebody to where they are; whether that can be. Raises what keeps the viewer's ``own`` from it."""
         try:
             for item in _items(self._people[one.key]):
-                item.pose, item.transform, item.opacity = one.pose, one.transform, one.opacity
+                item.pose, item.transform, item.opacity, item.finest = one.pose, one.transform, one.opacity, 0
         except GlsplatError as error:
             if own:
                 raise
@@ -196,6 +229,28 @@ def _view(job: RenderJob) -> RoomView:
 
 def _items(shown: _Shown | None) -> tuple[Item, ...]:
     return () if shown is None else shown.items
+
+
+def _coarser(costs: Mapping[_Shown, int], room: float) -> None:
+    """Draw those at their coarsest level of detail who cost more than they would, if all took as much at most."""
+    left = most = room
+    for number, cost in enumerate(sorted(costs.values())):  # what the others leave is shared by those who take more
+        most = left / (len(costs) - number)
+        left -= min(cost, most)
+    for shown, cost in costs.items():
+        for item in shown.items if cost > most else ():
+            item.finest = len(item.content.levels)  # type: ignore[union-attr]  # meshes cost nothing here
+
+
+def _left_out(costs: Mapping[_Shown, int], room: float) -> None:
+    """Leave out those who cost most, as many as it takes for the others to have ``room``."""
+    total = sum(costs.values())
+    for shown, cost in sorted(costs.items(), key=lambda one: -one[1]):
+        if total <= room:
+            break
+        total -= cost
+        for item in shown.items:
+            item.layers = 0
 
 
 def _shown(one: VisiblePerson, figure: Rigged) -> _Shown:
