@@ -186,7 +186,7 @@ def _covers(boxes: F64, taken: Sequence[F64]) -> NDArray[np.bool_]:
     found = np.zeros(len(boxes), np.bool_)
     for other in taken:
         apart = (boxes[:, :, :2] >= other[:, 2:]) | (other[:, :2] >= boxes[:, :, 2:])
-        found |= ~apart.any(axis=2).all(axis=1)
+        found |= ~np.all(np.any(apart, axis=2), axis=1)
     return found
 
 
