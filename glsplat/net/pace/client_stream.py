@@ -76,7 +76,16 @@ class Frame:
     again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
     moved: bool = False  # whoever had it cannot draw it, another may
     losses: int = 0  # of those who were drawing it
+    alone: bool = False  # it went wrong, and is drawn anew without the others of its room
     poses: Poses | None = None  # what is sent instead of a picture
+
+    @property
+    def shows_others(self) -> bool:
+        """Whether other people of a room are in what was drawn, or was to be drawn."""
+        job = self.job
+        if job is None or job.room is None or not job.others:
+            return False
+        return any(one.key != job.room.viewer and one.opacity > 0 for one in job.room.people)
 
     @property
     def options(self) -> PictureOptions:

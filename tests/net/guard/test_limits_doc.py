@@ -16,11 +16,13 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import MAX_BYTES
 from glsplat.net.options import ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.net.uploads.job import UploadConfig
 
 PAGE = (Path(__file__).parents[3] / "docs" / "deploying.md").read_text(encoding="utf-8")
 PROSE = " ".join(PAGE.split())
 LIMITS, SERVER, SESSION = Limits(), ServerConfig(), SessionConfig()
-assert LIMITS.file == 0.1 and LIMITS.per_address is None
+UPLOADS = UploadConfig(folder=Path(), make=lambda order, progress: None)
+assert LIMITS.file == 0.1 and LIMITS.uploads_unfinished == 0.25 and LIMITS.per_address is None
 ROWS = {
     "clients (`--max-clients`)": (f"{SERVER.max_clients}", ""),
     "clients of one address (`--max-per-address`)": ("half of them; on loopback without `--trusted-proxy` all", ""),
@@ -30,6 +32,13 @@ ROWS = {
     "bytes before or between requests": (f"{LIMITS.head / 1024:g} KiB", ""),
     "the same with `--allow-upload`": (f"{LIMITS.body / 1024:g} KiB", ""),
     "requests to make an avatar, of an address": (f"{LIMITS.uploads:g} a second", f"{LIMITS.uploads_burst:g}"),
+    "seconds in which an address sends pictures that are never complete": (
+        "count as a quarter of such a request each",
+        "",
+    ),
+    "senders of pictures of one address": (f"{UPLOADS.senders}", ""),
+    "bytes of pictures a second, of a sender": (f"{UPLOADS.rate:g} at least", f"{UPLOADS.stall:g} s behind"),
+    "seconds for the pictures of an avatar": (f"{UPLOADS.receive:g}", ""),
     "seconds for a whole request, or a TLS handshake": (f"{SESSION.handshake:g}", ""),
     "tokens of accounts whose hash is waited for": (f"{gate._MOST_LOGINS}", ""),
     "wrong tokens of an address": (f"{LIMITS.guesses + 1}, then one after 1, 2, 4 ... {LIMITS.hold_off_most:g} s", ""),

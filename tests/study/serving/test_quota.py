@@ -14,7 +14,7 @@ from glsplat.study.serving.recording import Recording
 from glsplat.study.store import FRAMES, SESSION, Log
 from tests.study.serving.client import OTHER, PAGE, Client, Clock, run, until
 
-FIRST = "002-nasa-tlx"
+FIRST = "002-questionnaire"
 FIGURES = {"fps": 50.0, "age_ms": 30.0, "session": "vr"}
 
 
