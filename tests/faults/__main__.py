@@ -31,7 +31,7 @@ from tests.faults.copies import Copy, Run
 from tests.faults.sites import PACKAGES, Fault, drawn
 
 ROOT = Path(__file__).resolve().parents[2]
-STATES = ("found", "missed", "limit", "equivalent", "gone")  # limit: missed, and not all tests were tried
+STATES = ("found", "missed", "limit", "known", "gone")  # limit: missed, and not all tests were tried
 FIRST_S, MORE = 10.0, 5  # seconds of tests in the first pytest of a fault; each further one has that many times more
 
 
@@ -132,8 +132,8 @@ class Trial:
         state = "missed" if {*result.passed, *self._map.red} >= set(direct) else "limit"
         if found := selected.intersection(result.by):
             state = "found"
-        elif result.gone or _is_equivalent(result.fault):
-            state = "gone" if result.gone else "equivalent"
+        elif result.gone or _is_known(result.fault):
+            state = "gone" if result.gone else "known"
         f, by = result.fault, f" by {min(found)}" if found else ""
         outcome = f"{state}{by}, {len(direct)} tests, {result.seconds:.0f} s"
         print(f"{f.package} {f.kind} {f.file}:{f.line}: {f.before}  ->  {f.after}  [{outcome}]", flush=True)
@@ -170,9 +170,11 @@ class Trial:
         return copy.run(["-x"], bounds, 120.0 + sum(bounds.values()))
 
 
-def _is_equivalent(fault: Fault) -> bool:
-    known = tomllib.loads(Path(__file__).with_name("known.toml").read_text())["equivalent"]
-    return any((entry["before"], entry["after"]) == (fault.before, fault.after) for entry in known)
+def _is_known(fault: Fault) -> bool:
+    """Whether known.toml has the reason why no test can find it."""
+    known = tomllib.loads(Path(__file__).with_name("known.toml").read_text())["fault"]
+    place = Path(fault.file).name, fault.before, fault.after, fault.occurrence
+    return any((Path(k["file"]).name, k["before"], k["after"], k.get("occurrence", 0)) == place for k in known)
 
 
 def _table(states: dict[str, list[str]]) -> str:
