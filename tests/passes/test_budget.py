@@ -8,6 +8,7 @@ import pytest
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import BudgetError
 from glsplat.net.backends.budget import PictureBudget
+from glsplat.passes.frame.draw import DrawPass
 from glsplat.splats import Splats
 
 SIZE = (160, 96)
@@ -49,6 +50,31 @@ def test_slices_make_the_same_picture(renderer_of, context, rng, sorter, layers,
             np.testing.assert_array_equal(slices.render(renderer.prepare(views)), whole)
             assert next(asked) >= min(pieces, 30) / 3
         np.testing.assert_array_equal(renderer.render(views), whole)
+
+
+@pytest.mark.parametrize("sorter", ["cpu", "gpu"])
+@pytest.mark.parametrize("fetch", ["attributes", "storage"])
+def test_slices_end_where_the_records_do(renderer_of, context, rng, monkeypatch, sorter, fetch) -> None:
+    """Records of a fuller picture still lie behind them."""
+    if (sorter == "gpu" and not context.compute) or (fetch == "storage" and not context.vertex_storage):
+        pytest.skip("this driver cannot")
+    renderer = renderer_of(scene(rng), size=SIZE, sorter=sorter, fetch=fetch)
+    aside = [Camera(look_at((0, 0, 2.5), (1.6, 0, 0)), pinhole(*SIZE), *SIZE)]
+    whole = PictureBudget().render(renderer, aside)
+    drawn, cost = renderer.stats.drawn, renderer.stats.cost
+    renderer.render(pair()[:1])
+    assert renderer.stats.drawn > drawn + 20
+    ends: list[int] = []
+    run_slices = DrawPass.run_slices
+
+    def noted(self, target, at, between) -> None:
+        ends.extend(at)
+        run_slices(self, target, at, between)
+
+    monkeypatch.setattr(DrawPass, "run_slices", noted)
+    slices = PictureBudget(slice_cost=cost / 5, abandoned=lambda: False)
+    np.testing.assert_array_equal(slices.render(renderer, aside), whole)
+    assert len(ends) >= 4 and ends == sorted(ends) and ends[-1] == drawn
 
 
 def test_both_sorters_count_the_same(renderer_of, context, rng) -> None:

@@ -11,7 +11,7 @@ import pytest
 from glsplat.errors import ShaderError
 from glsplat.shaders import ResolveVariant, SkinVariant, Variant, flatten, record_layout
 from glsplat.shaders.slots import UNITS
-from glsplat.shaders.variant import COLOUR_TEXELS, ROW_BITS, TARGETS
+from glsplat.shaders.variant import COLOUR_TEXELS, MAX_VIEWS, ROW_BITS, TARGETS
 from glsplat.shaders.web import page_programs, page_variants
 
 
@@ -31,6 +31,12 @@ def test_the_table_is_json_and_gives_the_texts_of_the_loader() -> None:
         for number, stage in enumerate(stages):
             assert put_together(table, name, number) == flatten(f"{stage}.glsl", variant.defines()).text
     assert len(json.dumps(table)) < 100_000  # it is downloaded
+
+
+def test_pages_draw_one_view_or_as_many_as_there_are() -> None:
+    names = [name.split() for name, *_ in page_variants()]
+    for program, place in (("project", 3), ("splat", 3)):
+        assert {int(words[place]) for words in names if words[0] == program} == set(range(1, MAX_VIEWS + 1))
 
 
 def test_what_es_has_not_is_not_in_its_texts() -> None:

@@ -11,12 +11,16 @@ import pytest
 
 from glsplat import reference
 from glsplat.config import RenderConfig
+from glsplat.errors import ContextError
+from glsplat.gl.context import Context
+from glsplat.passes.item import shape_buffers
 from glsplat.renderer import Renderer
 from glsplat.shaders import SkinVariant, flatten
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level
 from tests.compare import assert_contract
-from tests.scenes import camera
+from tests.scenes import camera, limb
 from tests.skinning.avatars import VIEW, covariances
 from tests.skinning.faces import NAMES, expressive
 
@@ -150,3 +154,15 @@ def test_levels_move_with_the_face_or_keep_still(renderer_of: Make) -> None:
         alone = renderer_of(content, (64, 64))
         for face in (FACE, None):
             assert np.array_equal(renderer.render([view], turned(face)).copy(), alone.render([view], turned(face)))
+
+
+def test_more_entries_than_a_texture_holds(
+    renderer_of: Make, context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shape_buffers, "_ROW", 1)
+    count = context.ctx.info["GL_MAX_TEXTURE_SIZE"] + 1
+    shapes = Shapes.create(
+        ["grin"], count, splats=np.arange(count), targets=np.zeros(count, int), moves=np.ones((count, 3))
+    )
+    with pytest.raises(ContextError, match=f"{count} entries of shapes, but this driver's textures hold {count - 1}"):
+        renderer_of(replace(limb(count), shapes=shapes), (1, 1))
