@@ -161,18 +161,13 @@ def test_import_with_a_map_and_without_sense(files: Path, capsys: pytest.Capture
     capsys.readouterr()
     for words, text in (
         (["me.glb", "-o", "again.glb"], "me.glb: this avatar has the 55 joints of SMPL-X already"),
-        (
-            ["five.glb", "--rig-map", "map.json", "-o", "x.glb"],
-            'gives left_hip a joint "b1", which this avatar',
-        ),
+        (["five.glb", "--rig-map", "map.json", "-o", "x.glb"], 'gives left_hip a joint "b1", which this avatar'),
     ):
         assert main(["avatar", "import", *words]) == 1
         assert text in capsys.readouterr().err
 
 
-def test_replay_prints_no_figures_of_what_stands_still(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_replay_prints_no_figures_of_what_stands_still(capsys: pytest.CaptureFixture[str]) -> None:
     """Poses to a scene without a skeleton, tracking to another rig: told before any table, and once."""
     with running(Stripes(), still="it has no skeleton", untracked="it has no skeleton") as url:
         for drive, text in (

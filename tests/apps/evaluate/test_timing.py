@@ -28,8 +28,7 @@ def words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(timing, "Lpips", lambda kind: Pixels())
     monkeypatch.setattr("apps.evaluate.ready.Lpips", lambda kind: None)
     monkeypatch.setattr(
-        "apps.evaluate.command.run_tasks",
-        lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks],
+        "apps.evaluate.command.run_tasks", lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks]
     )
     for name, people in (("both", ("p01", "p02")), ("second", ("p02",))):
         (tmp_path / name).mkdir()

@@ -109,10 +109,7 @@ def test_further_avatars_are_called_like_their_files(tmp_path):
         (["--size", 4096], "raise --max-size"),
         (["--fov", 180], "--fov 1 to 170"),
         (["--tls-cert", "a.pem"], "TLS needs both --tls-cert and --tls-key"),
-        (
-            ["--self-signed", "--tls-cert", "a.pem", "--tls-key", "b.pem"],
-            "--self-signed makes a certificate",
-        ),
+        (["--self-signed", "--tls-cert", "a.pem", "--tls-key", "b.pem"], "--self-signed makes a certificate"),
         (["--token-file", "nowhere"], "nowhere: cannot read the token"),
     ],
 )
