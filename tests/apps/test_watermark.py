@@ -52,7 +52,7 @@ def test_a_clip_leads_to_its_session(tmp_path, pictures, key, capsys):
     with Clip(leaked, 30) as clip:
         for one in pictures:
             clip.add(one)
-    assert "give one clip at a time" in mistake(capsys, "watermark", "detect", picture, leaked, "--key", key)
+    assert "give one clip at a time" in mistake(capsys, "watermark", "detect", leaked, picture, "--key", key)
     assert detect(leaked, "--key", key, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told.pop("chance") <= 1e-6 and told.pop("scale") == pytest.approx(1, abs=0.01)
