@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 import pytest
@@ -68,3 +69,19 @@ def running(backend: Stripes, **offered: str) -> Iterator[str]:
     finally:
         state["loop"].call_soon_threadsafe(state["end"].set)
         thread.join(60)
+
+
+@pytest.fixture
+def quickly_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Avatars of meshes by few rays, and levels in few steps: what is tested is the command."""
+    from apps.avatar import making
+    from glsplat.authoring.detail.make import with_levels
+    from glsplat.authoring.light import surfaces
+    from glsplat.authoring.surface import SamplerConfig, make_avatar
+
+    def made(mesh, splats, seed, **more):
+        return make_avatar(mesh, splats, seed, SamplerConfig(probe=96), **more)
+
+    monkeypatch.setattr(making, "make_avatar", made)
+    monkeypatch.setattr(making, "with_levels", partial(with_levels, steps=6))
+    monkeypatch.setattr(surfaces, "ambient_occlusion", partial(surfaces.ambient_occlusion, directions=6))

@@ -70,51 +70,14 @@ def test_an_avatar_of_fewer_splats(many: Path, tmp_path: Path, capsys: pytest.Ca
     np.testing.assert_allclose(load(plain).splats.means, merged(replace(whole, levels=()), 150).splats.means, atol=1e-6)
 
 
-def test_what_cannot_be_reduced(many: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    count = len(load(many).splats)
-    save(cloud(300), tmp_path / "s.ply")
-    (tmp_path / "text.glb").write_text("no avatar")
-    needs = f"a.glb: has {count} splats; --splats needs 100 or more and fewer than that, not "
-    for name, splats, message in (
-        ("a.glb", 99, needs + "99"),
-        ("a.glb", 0, needs + "0"),
-        ("a.glb", count, needs + str(count)),
-        ("a.glb", 10**9, needs + str(10**9)),
-        ("s.ply", 150, "s.ply: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes"),
-        ("text.glb", 150, "text.glb"),
-        ("absent.glb", 150, "absent.glb"),
-    ):
-        assert reduce(tmp_path / name, "-o", tmp_path / "out.glb", "--splats", splats) == 1
-        error = capsys.readouterr().err
-        assert message in error and error.count("\n") == 1
-    for words, message in (
-        (("-o", tmp_path / "out.ply", "--splats", 150), "written as .glb"),
-        (("-o", tmp_path / "no" / "out.glb", "--splats", 150), "there is no folder"),
-        (("-o", tmp_path / "out.glb", "--splats", "few"), "a whole number of at least 0 is needed, not 'few'"),
-        (("-o", tmp_path / "out.glb", "--splats", "-5"), "--splats"),
-        (("-o", tmp_path / "out.glb", "--splats", 150, "--steps", "-1"), "--steps"),
-        (("-o", tmp_path / "out.glb"), "--splats"),
-    ):
-        try:
-            code = reduce(many, *words)
-        except SystemExit as end:
-            code = int(end.code or 0)
-        error = capsys.readouterr().err
-        assert code in (1, 2) and message in error and error.strip().count("\n") == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.glb", "s.ply", "text.glb"]
-
-
 def test_nothing_is_reduced_without_numba(
     many: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_numba(monkeypatch)
     assert reduce(many, "-o", tmp_path / "out.glb", "--splats", 150) == 1
     said = capsys.readouterr()
-    assert (
-        said.err == f"glsplat avatar: {MISSING}; --steps 0 merges without it\n"
-        and said.out == ""
-        and not (tmp_path / "out.glb").exists()
-    )
+    assert said.err == f"glsplat avatar: {MISSING}; --steps 0 merges without it\n" and said.out == ""
+    assert not (tmp_path / "out.glb").exists()
 
 
 def test_what_is_missing_is_said_before_an_avatar_is_made(
@@ -155,12 +118,8 @@ def test_levels_of_avatars_are_fitted_and_those_of_scenes_merged(
     def measured(finest: Any, levels: Any, *words: Any) -> tuple[Level[Any], ...]:
         return tuple(Level(level, 100.0 / (number + 1)) for number, level in enumerate(levels))
 
-    for name, stub in (
-        ("fitted_levels", fitted_levels),
-        ("with_merged_levels", with_merged_levels),
-        ("measured", measured),
-    ):
-        monkeypatch.setattr(making, name, stub)
+    for stub in (fitted_levels, with_merged_levels, measured):
+        monkeypatch.setattr(making, stub.__name__, stub)
     save(cloud(300), tmp_path / "s.ply")
     out, count = tmp_path / "out.glb", len(load(many).splats)
 

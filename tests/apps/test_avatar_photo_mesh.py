@@ -14,7 +14,6 @@ from glsplat.authoring.photo.capture import Finding
 from glsplat.authoring.reconstruct import mesh_from_photos, registry
 from glsplat.errors import CaptureError, GlsplatError
 from glsplat.formats import load
-from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.mesh import MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -51,9 +50,8 @@ def photo(*words: object) -> int:
     return cli.main(["avatar", "photo", *map(str, words)])
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_a_mesh_is_made(seen, front, tmp_path, capsys, suffix) -> None:
-    out = tmp_path / f"me{suffix}"
+def test_a_mesh_is_made(seen, front, tmp_path, capsys) -> None:
+    out = tmp_path / "me.glb"
     words = (front, "--as", "mesh", "-o", out, "--texture", 256, "--consent", "my own")
     assert photo(*words) == 0
     said = capsys.readouterr().out
@@ -69,41 +67,6 @@ def test_a_mesh_is_made(seen, front, tmp_path, capsys, suffix) -> None:
     assert (facts["triangles"], facts["texture"], facts["bytes"]) == (27420, [256, 256], len(first))
     assert (facts["unseen"], facts["made_by"], facts["stature"], facts["overlap"]) == (0.43, "builtin", 1.7, [0.5])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in", out.name]
-    assert cli.main(["inspect", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "mesh, 27,420 triangles, 3 parts, 55 joints" in said and "skin 256 x 256" in said
-    assert "my own" in said and "43% of the surface" in said
-
-
-def test_splats_are_the_default(seen, front, tmp_path) -> None:
-    assert photo(front, "-o", tmp_path / "a.glb") == 0 and photo(front, "-o", tmp_path / "b.glb", "--as", "splats") == 0
-    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
-    assert len(load(tmp_path / "a.glb").splats) > 100
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--as", "mesh", "--cones"), "--cones has no meaning with --as mesh"),
-        (("--as", "mesh", "--splats", "500"), "--splats has no meaning with --as mesh"),
-        (("--as", "mesh", "--steps", "0"), "--steps has no meaning with --as mesh"),
-        (("--as", "mesh", "--seed", "0"), "--seed has no meaning with --as mesh"),
-        (("--texture", "512"), "--texture has no meaning with --as splats"),
-        (("--as", "mesh", "--texture", "255"), "256 to 8192 texels a side, not 255"),
-        (("--as", "mesh", "--with", "lhm"), "--with lhm makes splats, no mesh"),
-        (("--as", "scan"), "invalid choice: 'scan'"),
-    ],
-)
-def test_what_makes_no_sense_is_one_line(seen, front, tmp_path, monkeypatch, capsys, words, message) -> None:
-    monkeypatch.setitem(registry.OWN, "lhm", f"{STUBS}:Plain")
-    try:
-        code = photo(front, "-o", tmp_path / "me.glb", *words)
-    except SystemExit as end:
-        code = end.code
-    said = capsys.readouterr()
-    assert code == 2 and message in said.err and said.out == ""
-    assert said.err.strip().count("\n") == 0 or "usage:" in said.err
-    assert not (tmp_path / "me.glb").exists()
 
 
 def test_a_refused_picture_makes_no_mesh(seen, front, tmp_path, capsys) -> None:
@@ -123,6 +86,7 @@ def test_from_python(seen, front) -> None:
         mesh_from_photos(front, using=Meshed(problem="far off"), texture=256)
 
 
+@pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.shared
 @pytest.mark.slow
@@ -144,6 +108,3 @@ def test_a_capture_with_its_sheet(shared_data, tmp_path, capsys) -> None:
     assert inner.sum() > 5000 and np.median(away) < 6 and away.mean() < 15
     eyes = next(part for part in mesh.parts if part.name == "eyes")
     assert eyes.texture.shape == (128, 256, 4) and eyes.texture[..., :3].min() < 30
-    again = tmp_path / "again.glb"
-    save_gltf_mesh(mesh, again)
-    assert isinstance(load(again), RiggedMesh)

@@ -17,7 +17,7 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.authoring.captures import needs_networks
 
-pytestmark = [pytest.mark.shared, pytest.mark.slow]
+pytestmark = [pytest.mark.shared, pytest.mark.check]
 
 NAME, HEIGHT = "p04", 1.84
 
@@ -27,15 +27,12 @@ def made(shared_data, tmp_path_factory) -> Path:
     needs_networks()
     out = tmp_path_factory.mktemp("photo") / "me.glb"
     picture = shared_data / "participants" / "capture" / f"{NAME}.jpg"
-    words = ["avatar", "photo", picture, "-o", out, "--height", HEIGHT, "--splats", 20_000, "--steps", 20]
+    words = ["avatar", "photo", picture, "-o", out, "--height", HEIGHT, "--splats", 8_000, "--steps", 10]
     assert cli.main([*map(str, words), "--consent", "made up", "--debug", str(out.parent / "sheets")]) == 0
     return out
 
 
-def test_it_says_what_it_is(made, capsys) -> None:
-    assert cli.main(["inspect", str(made)]) == 0
-    said = capsys.readouterr().out
-    assert "63 %" in said or "guessed" in said or "unseen" in said
+def test_it_says_what_it_is(made) -> None:
     meta = load(made).meta
     assert meta["source"] == "1 photograph (front)" and meta["consent"] == "made up"
     assert 0.5 < meta["unseen"] < 0.75

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from apps.cli import main
-from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.formats import load
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
@@ -19,23 +18,13 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.authoring.gltf.built import FAMILIES, Family, build
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("quickly_made")]
 
 QUICK = ["--splats", "600", "--steps", "0", "--no-cones"]
 SILENT = replace(FAMILIES["Unreal"], names={joint: f"b{n:02d}" for n, joint in enumerate(FAMILIES["Unreal"].names)})
 ONE_ARMED = replace(
     SILENT, names={joint: name for joint, name in SILENT.names.items() if not joint.startswith(("right_el", "right_w"))}
 )
-
-
-@pytest.fixture(autouse=True)
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is seen is looked for in small pictures: these tests are about joints."""
-
-    def quickly(mesh, splats, seed, **more):
-        return make_avatar(mesh, splats, seed, SamplerConfig(probe=96), **more)
-
-    monkeypatch.setattr("apps.avatar.making.make_avatar", quickly)
 
 
 def written(tmp_path: Path, family: Family) -> Path:
@@ -51,7 +40,7 @@ def made(tmp_path: Path, person: Path, *more: str) -> Avatar:
     return avatar
 
 
-@pytest.mark.parametrize("name", ["Unreal", "VRM 0.x", "Mixamo, centimetres"])
+@pytest.mark.parametrize("name", [pytest.param("Unreal", marks=pytest.mark.check), "Mixamo, centimetres"])
 def test_an_avatar_walks_as_its_mesh_does(tmp_path, capsys, name) -> None:
     person = written(tmp_path, FAMILIES[name])
     avatar, mesh = made(tmp_path, person), read_gltf_person(person)
@@ -69,6 +58,7 @@ def test_an_avatar_walks_as_its_mesh_does(tmp_path, capsys, name) -> None:
             assert abs(means[:, axis].max() - vertices[:, axis].max()) < 0.02
 
 
+@pytest.mark.check
 def test_a_rig_that_says_nothing_is_told_by_its_shape_or_by_a_map(tmp_path, capsys) -> None:
     person = written(tmp_path, SILENT)
     avatar = made(tmp_path, person)
@@ -94,6 +84,7 @@ def test_what_no_person_is_keeps_its_joints(tmp_path, capsys) -> None:
     assert refused.count("\n") == 1 and "walk cannot drive this avatar: no joint for head, left_hip" in refused
 
 
+@pytest.mark.check
 def test_a_map_mends_one_joint(tmp_path) -> None:
     """What it leaves out is still told by names; null is a joint that the rig does not have."""
     person = written(tmp_path, FAMILIES["Unreal"])
@@ -104,40 +95,28 @@ def test_a_map_mends_one_joint(tmp_path) -> None:
     assert rig["left_thumb2"] == "thumb_02_l" and rig["head"] == "head"
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+@pytest.mark.check
+def test_wrong_maps_are_one_line(tmp_path, capsys) -> None:
+    person, names = written(tmp_path, FAMILIES["Unreal"]), tmp_path / "map.json"
+    make = ["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), *QUICK, "--rig-map", str(names)]
+    for text, words in (
         ("{", "map.json: a rig map is JSON"),
         ("[]", "map.json: a rig map is an object of names"),
-        ('{"left_leg": "thigh_l"}', 'map.json: a rig map names joints of SMPL-X .* not "left_leg"'),
+        ('{"left_leg": "thigh_l"}', "map.json: a rig map names joints of SMPL-X"),
         ('{"left_hip": 3}', "map.json: left_hip needs the name of a node"),
         ('{"left_hip": "nobody"}', 'left_hip the node "nobody", which the file does not have'),
         ('{"left_hip": "head", "head": "head"}', "gives the joint 'head' twice"),
-        ('{"head": null}', "head"),
-    ],
-)
-def test_wrong_maps_are_one_line(tmp_path, capsys, text, words) -> None:
-    person = written(tmp_path, FAMILIES["Unreal"])
-    (tmp_path / "map.json").write_text(text)
-    code = main(
-        ["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), *QUICK, "--rig-map", str(tmp_path / "map.json")]
-    )
-    said = capsys.readouterr().err
-    if text == '{"head": null}':  # a person without a head is made, and cannot be driven
-        assert code == 0 and "no joint for head" in said
-        return
-    assert code == 1 and said.count("\n") == 1 and not (tmp_path / "me.glb").exists()
-    import re
-
-    assert re.search(words, said), said
+    ):
+        names.write_text(text)
+        assert main(make) == 1 and not (tmp_path / "me.glb").exists()
+        assert words in (said := capsys.readouterr().err) and said.count("\n") == 1
+    names.write_text('{"head": null}')  # a person without a head is made, and cannot be driven
+    assert main(make) == 0 and "no joint for head" in capsys.readouterr().err
 
 
+@pytest.mark.check
 def test_sizes(tmp_path, capsys) -> None:
-    person = written(tmp_path, replace(FAMILIES["Unreal"], unit=1.0, names=FAMILIES["SMPL"].names))
-    data = person.read_bytes()
-    assert b'"matrix"' in data
-    huge = tmp_path / "huge.glb"
-    huge.write_bytes(data)
+    huge = written(tmp_path, replace(FAMILIES["Unreal"], unit=1.0, names=FAMILIES["SMPL"].names))
     avatar = made(tmp_path, huge, "--extra-scale", "2.5")
     said = capsys.readouterr().err
     assert "m tall; --extra-scale" in said and said.count("\n") == 1
@@ -145,10 +124,9 @@ def test_sizes(tmp_path, capsys) -> None:
     smaller = made(tmp_path, huge, "--extra-scale", "0.5")
     assert capsys.readouterr().err == ""
     assert np.ptp(smaller.skeleton.joints[:, 1]) == pytest.approx(high / 5)
-    assert main(["avatar", "make", str(huge), "-o", str(tmp_path / "x.glb"), "--extra-scale", "0"]) == 2
-    assert "--extra-scale needs a number above 0" in capsys.readouterr().err
 
 
+@pytest.mark.check
 def test_a_thing_of_no_size_that_things_have_and_its_axes(tmp_path, capsys) -> None:
     """Its joints are its own: nothing says how large it is, or which way is up, but the user."""
     person = written(tmp_path, ONE_ARMED)
@@ -164,14 +142,8 @@ def test_a_thing_of_no_size_that_things_have_and_its_axes(tmp_path, capsys) -> N
     assert np.abs(Pose.zero(len(large.skeleton)).bones(large.skeleton) - np.eye(4)[:3]).max() < 1e-4
 
 
-def test_who_has_joints_needs_no_axis(tmp_path, capsys) -> None:
-    person = written(tmp_path, FAMILIES["Unreal"])
-    plain, told = made(tmp_path, person), made(tmp_path, person, "--up", "z")
-    assert "--up z is not needed: a person's axes are told by the joints" in capsys.readouterr().err
-    assert np.array_equal(plain.skeleton.rest, told.skeleton.rest)
-
-
 @pytest.mark.shared
+@pytest.mark.check
 @pytest.mark.parametrize("name", ["mannequiny_gdquest.glb", "robot_expressive.glb", "cool_loops.vrm"])
 def test_real_files(shared_data: Path, tmp_path, name) -> None:
     avatar = made(tmp_path, shared_data / "real" / "models" / name)

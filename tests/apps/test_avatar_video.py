@@ -7,7 +7,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -81,32 +80,6 @@ def test_splats_are_made(asked: dict[str, Any], tmp_path: Path, capsys: pytest.C
     assert asked["sources"] == tuple(pictures) and asked["anyway"] and asked["form"] == "splats"
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--as", "mesh", "--splats", "5"), "--splats has no meaning with --as mesh: leave it out"),
-        (("--as", "splats", "--texture", "512"), "--texture has no meaning with --as splats: leave it out"),
-        (("--frames", "5"), "--frames needs 8 to 120, not 5"),
-        (("--height", "174"), "a height needs metres, 0.5 to 2.5, not 174; is it 1.74?"),
-        (("--as", "cloud"), "invalid choice"),
-    ],
-)
-def test_what_nobody_can_want(
-    asked: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
-) -> None:
-    try:
-        code = filmed("turn.mp4", "-o", tmp_path / "me.glb", *words)
-    except SystemExit as leave:
-        code = int(leave.code or 0)
-    assert code == 2 and said in capsys.readouterr().err and not asked
-
-
-def test_the_name_is_looked_at_first(asked: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert filmed("turn.mp4", "-o", tmp_path / "me.txt") == 2 and not asked
-    assert filmed("turn.mp4", "-o", tmp_path / "none" / "me.glb") != 0 and not asked
-    capsys.readouterr()
-
-
 def test_frames_that_will_not_do(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     def refuse(*sources: Path, **words: Any) -> None:
         raise CaptureError("the person turns by 12 degrees only; let them turn on the spot once, all around")
@@ -117,13 +90,3 @@ def test_frames_that_will_not_do(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().err.strip().endswith("all around; --anyway goes on all the same, where it can")
     assert filmed("turn.mp4", "-o", out, "--anyway") == 1
     assert capsys.readouterr().err.strip().endswith("all around") and not out.exists()
-
-
-def test_files_that_are_no_video(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, text, single = tmp_path / "me.glb", tmp_path / "a.mp4", tmp_path / "a.png"
-    text.write_text("no video at all")
-    cv2.imwrite(str(single), np.zeros((9, 9, 3), np.uint8))
-    for path in (text, single, tmp_path / "missing.mp4", tmp_path):
-        assert filmed(path, "-o", out) == 1
-        lines = capsys.readouterr().err.strip().splitlines()
-        assert len(lines) == 1 and str(path) in lines[0] and not out.exists()

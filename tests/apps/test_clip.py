@@ -32,8 +32,7 @@ def frames(path: Path) -> list[np.ndarray]:
     return found
 
 
-@pytest.mark.parametrize("ending", [".mp4", ".webm", ".WebM"])
-@pytest.mark.parametrize(("count", "fps"), [(1, 24.0), (31, 10.37), (9, 240.0)])
+@pytest.mark.parametrize(("ending", "count", "fps"), [(".mp4", 31, 10.37), (".WebM", 31, 10.37), (".mp4", 1, 240.0)])
 def test_every_frame_arrives_in_order(tmp_path, capfd, ending, count, fps):
     path = tmp_path / f"clip{ending}"
     with Clip(path, fps) as clip:
@@ -69,12 +68,9 @@ def test_an_opencv_without_vp9_says_what_it_wrote(tmp_path, monkeypatch):
         clip.add(picture(0))
 
 
-@pytest.mark.parametrize("ending", [".mp4", ".webm"])
-@pytest.mark.parametrize(
-    ("limit", "count", "code"),
-    # VP9 writes when it ends, so few frames are enough; VP8 and MPEG-4 as well at once, which may fail frame by frame
-    [(0, 6, ""), (1, 6, ""), (20, 90, "old")],
-)
+@pytest.mark.check
+# VP9 writes when it ends, so few frames are enough; MPEG-4 as well at once, which may fail frame by frame
+@pytest.mark.parametrize(("ending", "limit", "count", "code"), [(".webm", 1, 6, ""), (".mp4", 20, 90, "mp4v")])
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, ending, limit, count, code):
     script = (
         "import sys, numpy as np; from apps import clip; from glsplat.errors import FormatError\n"
@@ -86,7 +82,6 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, ending, limit, cou
         "except FormatError as error: print(error)\n"
     )
     limited = f'ulimit -f {limit}; exec {sys.executable} -c "$1" "$2" "$3" "$4"'
-    code = {".mp4": "mp4v", ".webm": "VP80"}[ending] if code else code
     command = ["bash", "-c", limited, "sh", script, tmp_path / f"a{ending}", str(count), code]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=120)
     assert done.stderr == "" and done.returncode == 0

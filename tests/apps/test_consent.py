@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
-import subprocess
-import sys
 import time
 from datetime import UTC, date, datetime, timedelta
-from pathlib import Path
 
 import pytest
 
-from apps import cli
 from apps.args import open_scene
 from apps.serve import command as serve
 from apps.serve.agreed import policy_of
@@ -22,16 +17,15 @@ from glsplat.consent.keys import public_key
 from glsplat.data import embedded_file
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
+from tests.apps.cli import parsed, run
 from tests.scenes import limb
 
-ROOT = Path(__file__).parents[2]
 LATER = (datetime.now(UTC).date() + timedelta(days=30)).isoformat()
 
-ASKED = ("--subject", "Ann", "--until", LATER, "--drivers", "*")
 
-
-def run(*words):
-    return cli.main([str(word) for word in words])
+def policy(*words):
+    args = parsed(serve, *words)
+    return policy_of(args, open_scene(args), serve.scene_name(args))
 
 
 @pytest.fixture
@@ -45,13 +39,6 @@ def ann(tmp_path):
 def sign(file, *more, drivers="*", until=LATER):
     words = ("--subject", "Ann", "--until", until, "--drivers", drivers, "--sign", file.parent / "key")
     return run("avatar", "consent", file, *words, *more)
-
-
-def policy(*words):
-    parser = argparse.ArgumentParser()
-    serve.add_arguments(parser)
-    args = parser.parse_args([str(word) for word in words])
-    return policy_of(args, open_scene(args), serve.scene_name(args))
 
 
 def test_sign_and_look(ann, capsys):
@@ -99,34 +86,6 @@ def test_inspect_says_when_it_ended_and_of_others(ann, capsys):
     assert "its consent ended on 2020-01-31" in lines[3] and "consent" not in lines[4]
     assert run("inspect", ann.parent / "cloud.ply") == 0 and "signed" not in capsys.readouterr().out
     assert run("inspect") == 0 and "it comes with glsplat and shows nobody" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "why"),
-    [
-        ((), 2, "give an avatar to sign, or --new-key KEY"),
-        (("--new-key", "another", "--subject", "Ann"), 2, "--subject needs an avatar to sign"),
-        (("ann.glb", *ASKED), 2, "a consent needs --sign"),
-        (("ann.glb", "--subject", "Ann", "--until", "soon"), 2, "a date is like 2026-12-31"),
-        (("ann.glb", *ASKED, "--until", "2020-01-01", "--sign", "key"), 2, "is before today"),
-        (("cloud.ply", *ASKED, "--sign", "key"), 1, ".glb files alone"),
-        (("no.glb", *ASKED, "--sign", "key"), 1, "no.glb"),
-        (("ann.glb", *ASKED, "--drivers", "a,,b", "--sign", "key"), 1, "drivers needs"),
-        (("ann.glb", *ASKED, "--sign", "key.pub"), 1, "Ed25519 private key"),
-        (("--new-key", "key"), 1, "never written over"),
-    ],
-)
-def test_mistakes_are_one_line(ann, capsys, monkeypatch, words, code, why):
-    monkeypatch.chdir(ann.parent)
-    save(limb(20).splats, "cloud.ply")
-    before = ann.read_bytes()
-    capsys.readouterr()
-    try:
-        assert run("avatar", "consent", *words) == code
-    except SystemExit as end:  # of argparse
-        assert end.code == code
-    error = capsys.readouterr().err
-    assert why in error and error.count("\n") == 1 and ann.read_bytes() == before
 
 
 def test_what_converting_does_to_it(ann, capsys):
@@ -199,10 +158,3 @@ def test_every_avatar_of_a_scene_needs_one(ann):
     assert sign(folder / "bob.glb", drivers="bob") == 0
     asked = policy(folder / "scene.json")
     assert asked.refusal("scene", "", now) is None  # nobody drives where several are shown
-
-
-def test_the_command_ends_with_one_line(ann):
-    words = [sys.executable, "-m", "apps.cli", "serve", str(ann), "--port", "0"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 1 and done.stdout == ""
-    assert done.stderr.startswith('glsplat serve: "ann": no consent on file; sign one') and done.stderr.count("\n") == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 
@@ -11,19 +10,15 @@ import pytest
 
 from apps import demo
 from glsplat.errors import GlsplatError
+from tests.apps.cli import parsed
 
 
-def arguments(*words):
-    parser = argparse.ArgumentParser()
-    demo.add_arguments(parser)
-    return parser.parse_args([str(word) for word in words])
-
-
+@pytest.mark.check
 @pytest.mark.gl
 def test_the_demo_measures_and_leaves_pictures_and_no_process(tmp_path, capsys):
     out, table = tmp_path / "out" / "demo", tmp_path / "performance.md"
     words = ["-o", out, "--seconds", 0.7, "--sizes", "96x96", "128x128", "--table", table, "--json"]
-    assert demo.run(arguments(*words)) == 0
+    assert demo.run(parsed(demo, *words)) == 0
     report = json.loads(capsys.readouterr().out)
     assert list(report["runs"]) == ["96x96", "128x128"]
     for numbers in report["runs"].values():
@@ -37,11 +32,8 @@ def test_the_demo_measures_and_leaves_pictures_and_no_process(tmp_path, capsys):
 
 def test_a_server_that_cannot_start_is_one_line(tmp_path):
     with pytest.raises(GlsplatError, match=r"nowhere\.glb"):
-        demo.run(arguments("-o", tmp_path, "--avatar", "nowhere.glb"))
-    with pytest.raises(GlsplatError, match=r"nowhere\.glb: no such file"):
-        with demo.running_server("nowhere.glb"):
-            pass
+        demo.run(parsed(demo, "-o", tmp_path, "--avatar", "nowhere.glb"))
     (tmp_path / "file").write_text("")
     with pytest.raises(GlsplatError, match="cannot make the folder"):
-        demo.run(arguments("-o", tmp_path / "file"))
+        demo.run(parsed(demo, "-o", tmp_path / "file"))
     assert not multiprocessing.active_children()

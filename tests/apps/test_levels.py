@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,37 +15,24 @@ from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
 from glsplat.splats import Splats
+from tests.apps.cli import ok, run
 from tests.formats.scenes import avatar_with_levels, edit_glb, glb_parts, splats_with_levels
 from tests.scenes import cloud
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str]:
-    assert cli.main([*map(str, arguments)]) == 0
-    out = capsys.readouterr()
-    return out.out, out.err
-
-
 def test_inspect_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(avatar_with_levels(), tmp_path / "a.glb")
-    report = json.loads(said(capsys, "inspect", tmp_path / "a.glb", "--json")[0])
+    report = json.loads(ok(capsys, "inspect", tmp_path / "a.glb", "--json"))
     first, second, _ = report["levels"]
-    assert first == {
-        "splats": 20,
-        "density": 200.0,
-        "metres": 2.56,
-        "psnr": 41.5,
-        "memory_bytes": first["memory_bytes"],
-    }
+    assert [first[key] for key in ("splats", "density", "metres", "psnr")] == [20, 200.0, 2.56, 41.5]
     avatar = avatar_with_levels()
     content = avatar.levels[0].content
     size = content.splats.nbytes + content.skin.joints.nbytes + content.skin.weights.nbytes
     assert first["memory_bytes"] == size and second["psnr"] is None and report["cones_psnr"] == 45.5
-    text, _ = said(capsys, "inspect", tmp_path / "a.glb")
+    text = ok(capsys, "inspect", tmp_path / "a.glb")
     assert "levels       20 splats from 2.6 m on at 1024 px and 90 degrees (200 px/m), 41.5 dB at worst" in text
     assert "10 splats from 5.1 m on at 1024 px and 90 degrees (100 px/m), error unknown" in text
     assert "the worst picture keeps 45.5 dB without what they hide" in text
-    save(cloud(9), tmp_path / "b.glb")
-    assert "levels" not in said(capsys, "inspect", tmp_path / "b.glb")[0]
 
 
 def test_inspect_says_which_are_broken(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -57,11 +43,11 @@ def test_inspect_says_which_are_broken(tmp_path: Path, caplog: pytest.LogCapture
     assert cli.main(["inspect", str(tmp_path / "a.glb"), "--strict"]) == 1
 
 
-@pytest.mark.parametrize("up", ["y", "-y", "z"])
+@pytest.mark.parametrize("up", ["-y", "z"])
 def test_convert_keeps_them_and_turns_them(tmp_path: Path, capsys: pytest.CaptureFixture[str], up: str) -> None:
     for name, scene in (("a", avatar_with_levels()), ("s", splats_with_levels())):
         save(scene, tmp_path / f"{name}.glb")
-        assert said(capsys, "convert", tmp_path / f"{name}.glb", tmp_path / f"{name}2.glb", "--up", up) == ("", "")
+        assert ok(capsys, "convert", tmp_path / f"{name}.glb", tmp_path / f"{name}2.glb", "--up", up) == ""
         found = load(tmp_path / f"{name}2.glb", strict=True)
         assert type(found) is type(scene) and len(found.levels) == 3
         whole = found.splats if isinstance(found, Avatar) else found
@@ -72,23 +58,17 @@ def test_convert_keeps_them_and_turns_them(tmp_path: Path, capsys: pytest.Captur
             np.testing.assert_allclose(splats.scales, whole.scales[: len(splats)], rtol=1e-6)
 
 
-def test_what_other_formats_drop_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save(splats_with_levels(), tmp_path / "a.glb")
-    for suffix in (".ply", ".spz", ".splat"):
-        _, err = said(capsys, "convert", tmp_path / "a.glb", tmp_path / f"a{suffix}")
-        assert "3 coarser levels of detail dropped, the file holds the finest" in err
-
-
 def test_export_poses_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(avatar_with_levels(), tmp_path / "a.glb")
-    said(capsys, "avatar", "export", tmp_path / "a.glb", "-o", tmp_path / "b.glb")
+    ok(capsys, "avatar", "export", tmp_path / "a.glb", "-o", tmp_path / "b.glb")
     found = load(tmp_path / "b.glb")
     assert isinstance(found, Splats) and [len(level.content) for level in found.levels] == [20, 10, 5]
     np.testing.assert_allclose(found.levels[0].content.means, found.means[:20], atol=1e-5)
-    _, err = said(capsys, "avatar", "export", tmp_path / "a.glb", "-o", tmp_path / "b.ply")
-    assert "3 coarser levels of detail dropped" in err
+    assert run("avatar", "export", tmp_path / "a.glb", "-o", tmp_path / "b.ply") == 0
+    assert "3 coarser levels of detail dropped" in capsys.readouterr().err
 
 
+@pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.usefixtures("current")
 def test_levels_are_added_to_a_file(
@@ -98,32 +78,13 @@ def test_levels_are_added_to_a_file(
     monkeypatch.setattr(detail, "MeasureConfig", quick)
     save(cloud(300, spread=0.2), tmp_path / "a.ply")
     command = ["avatar", "levels", tmp_path / "a.ply", "-o", tmp_path / "a.glb", "--psnr", "20"]
-    out, _ = said(capsys, *command, "--counts", "150", "75", "--json")
-    facts = json.loads(out)
+    facts = json.loads(ok(capsys, *command, "--counts", "150", "75", "--json"))
     found = load(tmp_path / "a.glb", strict=True)
     assert facts["splats"] == 300 and [one["splats"] for one in facts["levels"]] == [
         len(level.content) for level in found.levels if isinstance(level.content, Splats)
     ]
     assert found.levels and all(one["psnr"] >= 20 - MeasureConfig().slack for one in facts["levels"])
     first = (tmp_path / "a.glb").read_bytes()
-    out, _ = said(capsys, *command, "--counts", "150", "75")
+    out = ok(capsys, *command, "--counts", "150", "75")
     assert (tmp_path / "a.glb").read_bytes() == first and "from" in out and "dB at worst" in out
     assert len(glb_parts(first)[0]["nodes"]) == 1 + len(found.levels)
-
-
-def test_levels_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save(replace(cloud(40)), tmp_path / "a.ply")
-    save(splats_with_levels(), tmp_path / "b.glb")
-    for scene, options, message in (
-        ("b.glb", [], "b.glb: has 3 coarser levels already; --force makes them anew"),
-        ("a.ply", ["--counts", "40"], "a.ply: has 40 splats; --counts needs fewer, not 40"),
-        ("a.ply", ["--counts", "10", "20"], "--counts needs falling numbers above 0, not 10 20"),
-        ("a.ply", ["--counts", "0"], "--counts needs falling numbers above 0, not 0"),
-        ("a.ply", ["--psnr", "0"], "--psnr needs decibels"),
-        ("missing.ply", [], "missing.ply: cannot be read"),
-    ):
-        assert cli.main(["avatar", "levels", str(tmp_path / scene), "-o", str(tmp_path / "c.glb"), *options]) != 0
-        out = capsys.readouterr()
-        assert message in out.err and out.err.count("\n") <= 2 and not (tmp_path / "c.glb").exists()
-    assert cli.main(["avatar", "levels", str(tmp_path / "a.ply"), "-o", str(tmp_path / "c.ply")]) != 0
-    assert "an avatar is written as" in capsys.readouterr().err

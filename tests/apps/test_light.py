@@ -17,6 +17,7 @@ from glsplat.formats import load, save
 from glsplat.light.light import Light
 from glsplat.scenes import load_scene
 from glsplat.scenes.scene_file import upright
+from tests.apps.cli import mistake, ok
 from tests.light.lit import random_light, surfaced
 from tests.scenes import limb
 
@@ -49,13 +50,11 @@ def test_a_preset_a_file_and_a_scene_file_light_alike(avatar: Path, tmp_path: Pa
     assert (picture(tmp_path, tmp_path / "scene.json", "--light", "none") == plain).all()
 
 
-@pytest.mark.parametrize(("shaded", "said"), [(True, "as photographed"), (False, "albedo"), (None, "never lit")])
-def test_inspect_says_what_light_does(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], shaded: bool | None, said: str
-) -> None:
-    save(limb(20) if shaded is None else surfaced(limb(20), shaded=shaded), tmp_path / "a.glb")
-    assert main(["inspect", str(tmp_path / "a.glb")]) == 0
-    assert said in next(line for line in capsys.readouterr().out.splitlines() if line.split()[0] == "light")
+def test_inspect_says_what_light_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for shaded, said in ((True, "as photographed"), (False, "albedo"), (None, "never lit")):
+        save(limb(20) if shaded is None else surfaced(limb(20), shaded=shaded), tmp_path / "a.glb")
+        text = ok(capsys, "inspect", tmp_path / "a.glb")
+        assert said in next(line for line in text.splitlines() if line.split()[0] == "light")
 
 
 def test_the_outermost_scene_file_decides(avatar: Path, tmp_path: Path) -> None:
@@ -68,31 +67,16 @@ def test_the_outermost_scene_file_decides(avatar: Path, tmp_path: Path) -> None:
         assert found is None if light is None else found is not None and found.same(Light.from_json(light))
 
 
-@pytest.mark.parametrize("light", ["noon", {"ambient": [[1, 2, 3]]}, 4, {"sun": {}}, [1]])
-def test_a_scene_file_with_no_light_is_refused_by_name(avatar: Path, tmp_path: Path, light: object) -> None:
-    (tmp_path / "scene.json").write_text(json.dumps({"version": 1, "items": [{"path": "me.glb"}], "light": light}))
-    with pytest.raises(FormatError, match=r"scene\.json.*light"):
-        load_scene(tmp_path / "scene.json")
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [("{", "a light is JSON"), ('{"ambient": 3}', "ambient needs 9 x 3"), ("[" * 100_000, "a light is JSON")],
-)
-def test_a_broken_file_is_one_line(
-    avatar: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
-) -> None:
-    (tmp_path / "light.json").write_text(text)
-    arguments = ["render", str(avatar), "-o", str(tmp_path / "a.png"), "--light", str(tmp_path / "light.json")]
-    assert main(arguments) == 1
-    said = capsys.readouterr().err
-    assert words in said and "light.json" in said and said.count("\n") == 1
-    assert not (tmp_path / "a.png").exists()
-
-
-def test_an_unknown_name_lists_the_presets(avatar: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["render", str(avatar), "-o", str(tmp_path / "a.png"), "--light", "noon"]) == 1
-    assert "studio, day, evening" in capsys.readouterr().err
+def test_what_is_no_light_is_one_line(avatar: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for light in ("noon", {"ambient": [[1, 2, 3]]}, 4, {"sun": {}}, [1]):
+        (tmp_path / "scene.json").write_text(json.dumps({"version": 1, "items": [{"path": "me.glb"}], "light": light}))
+        with pytest.raises(FormatError, match=r"scene\.json.*light"):
+            load_scene(tmp_path / "scene.json")
+    path = tmp_path / "light.json"
+    for text, words in (("{", "JSON"), ('{"ambient": 3}', "ambient needs 9 x 3"), ("[" * 100_000, "JSON")):
+        path.write_text(text)
+        said = mistake(capsys, "render", avatar, "-o", tmp_path / "a.png", "--light", path)
+        assert words in said and "light.json" in said and not (tmp_path / "a.png").exists()
 
 
 def test_convert_turns_the_light_of_the_photograph(tmp_path: Path) -> None:

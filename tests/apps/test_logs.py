@@ -13,6 +13,7 @@ import pytest
 
 from apps.logs import start_logging
 from apps.serve import command as serve
+from tests.apps.cli import parsed
 
 STAMP = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z"
 
@@ -72,9 +73,6 @@ def test_the_server_logs_as_asked(capsys, monkeypatch):
             logging.getLogger("glsplat.net").warning("here")
 
     monkeypatch.setattr(serve, "make_server", lambda *_, **__: Quiet())
-    parser = argparse.ArgumentParser()
-    serve.add_arguments(parser)
-    words = ["--log-format", "json", "--host", "192.0.2.1", "--insecure"]
-    assert serve.run(parser.parse_args(words)) == 0
+    assert serve.run(parsed(serve, "--log-format", "json", "--host", "192.0.2.1", "--insecure")) == 0
     messages = [json.loads(line)["message"] for line in capsys.readouterr().err.splitlines()]
     assert messages == ["anybody who reaches this port can use it (--insecure)", "here"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from glsplat.consent.file import on_file
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
 from glsplat.net.guard.kept import known_key, state_folder
+from tests.apps.cli import parsed
 from tests.authoring.reconstruct.stubs import replace_check
 
 
@@ -37,9 +37,7 @@ def photo(*words: object) -> int:
 
 
 def policy(*words: object) -> ConsentPolicy:
-    parser = argparse.ArgumentParser()
-    serve.add_arguments(parser)
-    args = parser.parse_args([str(word) for word in words])
+    args = parsed(serve, *words)
     return policy_of(args, open_scene(args), serve.scene_name(args))
 
 
@@ -74,8 +72,3 @@ def test_elsewhere_the_key_is_nobodys(front, tmp_path, caplog, monkeypatch) -> N
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another"))
     policy(me)
     assert "which nobody told this server to trust" in caplog.text
-
-
-def test_what_carries_no_consent_is_said_before_the_work(front, tmp_path, capsys) -> None:
-    assert photo(front, "-o", tmp_path / "me.ply", "--mine") == 2
-    assert ".glb" in capsys.readouterr().err and not (tmp_path / "me.ply").exists()

@@ -48,17 +48,11 @@ def test_nobody_is_given_away_without_having_agreed(tmp_path: Path, capsys: pyte
     assert page(path, "-o", tmp_path / "out") == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "ann" in said and "consent" in said and not (tmp_path / "out").exists()
-
-
-def test_what_is_no_avatar_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     splats = tmp_path / "cloud.ply"
-    glsplat.save(cloud(20), splats)
+    glsplat.save(cloud(20), splats)  # nor what is no avatar
     for words in ([splats], [tmp_path / "nothing.glb"], ["--motion", "nonsense"]):
         assert page(*words, "-o", tmp_path / "out") in (1, 2) and not (tmp_path / "out").exists()
         assert capsys.readouterr().err.count("\n") == 1
-    (tmp_path / "file").write_text("")
-    assert page("-o", tmp_path / "file" / "below") == 1
-    assert "cannot make the folder" in capsys.readouterr().err
 
 
 def test_an_avatar_that_no_page_reads_makes_no_page(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 
@@ -14,15 +13,9 @@ import simplejpeg
 from apps.replay import command as replay
 from apps.replay.stage_table import table_markdown, table_text
 from apps.replay.streaming import POLICIES, STAGES, Result, observer
-from apps.usage import UsageError
 from glsplat.errors import GlsplatError
 from glsplat.net.reply import pack_reply, parse_reply
-
-
-def arguments(*words):
-    parser = argparse.ArgumentParser()
-    replay.add_arguments(parser)
-    return parser.parse_args([str(word) for word in words])
+from tests.apps.cli import parsed
 
 
 def recording(path, count=10):
@@ -33,7 +26,7 @@ def recording(path, count=10):
 
 def test_the_report_adds_up(stripes, capsys):
     url, backend = stripes
-    args = arguments("walk", "--url", url, "--frames", 40, "--fps", 60, "--size", "64x64", "--json")
+    args = parsed(replay, "walk", "--url", url, "--frames", 40, "--fps", 60, "--size", "64x64", "--json")
     assert replay.run(args) == 0
     out = json.loads(capsys.readouterr().out)
     assert out["sent"] == 40 and out["received"] + out["dropped"] == 40 and out["errors"] == 0
@@ -49,13 +42,14 @@ def test_the_report_adds_up(stripes, capsys):
     assert 0 < np.linalg.norm(spots[-1] - spots[0]) < 1  # the observer sways
 
 
+@pytest.mark.check
 def test_policies_and_links_are_compared(stripes, capsys):
     """Each policy over each link: what it is by definition shows in the numbers."""
     url, backend = stripes
     backend.delay = 0.02
     words = ["walk", "--url", url, "--frames", 70, "--fps", 70, "--size", 64, "--compare", "--json"]
     for _ in range(3):  # of which one is undisturbed
-        assert replay.run(arguments(*words, "--link", "0,1000", "--link", "30,50")) == 0
+        assert replay.run(parsed(replay, *words, "--link", "0,1000", "--link", "30,50")) == 0
         runs = json.loads(capsys.readouterr().out)
         near, far = runs[:3], runs[3:]
         if near[2]["age_ms"]["median"] > near[0]["age_ms"]["median"]:
@@ -75,16 +69,8 @@ def test_policies_and_links_are_compared(stripes, capsys):
     assert far[1]["fps"] < 1.1 * 1e3 / (20 + 29)  # stop-and-wait pays for it in pictures
 
 
-def test_the_comparison_for_people(stripes, capsys):
-    words = ["walk", "--url", stripes[0], "--frames", 20, "--size", 64, "--compare"]
-    assert replay.run(arguments(*words)) == 0
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
-    assert len({row.count("|") for row in rows}) == 1 and len(rows) == 2 + 3
-    assert [row.split("|")[2].strip() for row in rows[2:]] == list(POLICIES)
-
-
 def test_the_table_for_people(stripes, capsys):
-    assert replay.run(arguments("walk", "--url", stripes[0], "--frames", 5, "--size", 64)) == 0
+    assert replay.run(parsed(replay, "walk", "--url", stripes[0], "--frames", 5, "--size", 64)) == 0
     text = capsys.readouterr().out
     for _, name, _ in STAGES:
         assert name in text
@@ -93,12 +79,11 @@ def test_the_table_for_people(stripes, capsys):
 
 @pytest.mark.parametrize("name", ["sheet.png", "clip.mp4", "pairs/"])
 def test_pictures_are_saved(stripes, tmp_path, name):
-    target = f"{tmp_path}/{name}"
-    args = arguments("walk", "--url", stripes[0], "--frames", 12, "--fps", 30, "--size", 64, "--save", target)
-    assert replay.run(args) == 0
+    target, words = f"{tmp_path}/{name}", ("--frames", 8, "--fps", 60, "--size", 64)
+    assert replay.run(parsed(replay, "walk", "--url", stripes[0], *words, "--save", target)) == 0
     if name == "pairs/":
         files = sorted((tmp_path / "pairs").glob("*.png"))
-        assert 1 <= len(files) <= 12
+        assert 1 <= len(files) <= 8
         image = cv2.imread(str(files[0]))
         assert image.shape == (64, 128, 3) and image[32, 32, 2] > 180 and image[32, 96, 2] > 180
     elif name == "clip.mp4":
@@ -114,49 +99,15 @@ def test_a_recording_is_sent_as_tracking(stripes, tmp_path):
     url, backend = stripes
     path = recording(tmp_path / "head.jsonl")
     with pytest.raises(GlsplatError, match=r"^this server has no tracking solver: send pose instead of tracking$"):
-        replay.run(arguments(path, "--url", url, "--frames", 3, "--size", 64))
+        replay.run(parsed(replay, path, "--url", url, "--frames", 3, "--size", 64))
     assert not backend.requests
     drive, seconds = replay.load_drive(str(path))
     assert seconds == pytest.approx(0.3)
     assert drive.at(0.1).tracking["head"] == [0, 1.6, 0, 0, 0, 0, 1] and drive.at(99.0).pose is None
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--url", "ws://127.0.0.1:9/ws"], r"^no server at ws://127\.0\.0\.1:9/ws: start one with `glsplat serve`$"),
-        (["--url", "http://127.0.0.1:8000"], r"^http://127.0.0.1:8000: expected ws://HOST:PORT/ws"),
-        (["--url", "ws://"], "expected ws://HOST:PORT/ws"),
-        (["--url", "ws://host:port"], "expected ws://HOST:PORT/ws"),
-        (["nowhere.bvh"], "nowhere.bvh"),
-        (["nothing"], "no such motion; .*; embedded are idle"),
-        (["nowhere.jsonl"], "nowhere.jsonl"),
-        (["--avatar", "nowhere.glb"], "nowhere.glb"),
-        (["--save", "no/such/folder/sheet.png"], "there is no folder no/such/folder"),
-        (["--save", "clip.avi"], "expected a clip .mp4 or .webm, a contact sheet .png, or clip.avi/"),
-        (["--token-file", "nowhere"], "nowhere: cannot read the token"),
-        (["--tls-ca", "nowhere.pem", "--url", "wss://127.0.0.1:9"], "nowhere.pem: expected a certificate"),
-        (["--fps", "0"], "--fps needs 1 to 240"),
-        (["--frames", "0"], "--frames needs at least 1"),
-        (["--window", "9"], "--window needs 1 to 8"),
-        (["--compare", "--save", "sheet.png"], "--save goes with a single run"),
-        (["--link", "20,50", "--url", "wss://127.0.0.1:9/ws"], "--link goes with ws://"),
-        (["--link", "20,50", "--url", "ws://127.0.0.1:9/ws"], "no server at ws://127.0.0.1:9/ws"),
-    ],
-)
-def test_errors_are_one_line(words, message, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(GlsplatError, match=message) as caught:
-        replay.run(arguments("--frames", 2, *words) if "--frames" not in words else arguments(*words))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["", "{", '{"t": 0}', '{"head": [1]}', "[" * 5000])
-def test_broken_recordings_name_the_line(tmp_path, text):
-    path = tmp_path / "broken.jsonl"
-    path.write_text(text)
-    with pytest.raises(GlsplatError, match=r"broken\.jsonl"):
-        replay.load_drive(str(path))
+    for text in ("", "{", '{"t": 0}', '{"head": [1]}', "[" * 5000):
+        path.write_text(text)
+        with pytest.raises(GlsplatError, match=r"head\.jsonl"):
+            replay.load_drive(str(path))
 
 
 def test_the_observer_sees_the_whole_avatar():
@@ -194,17 +145,7 @@ def test_a_table_says_where_a_driver_draws_late():
     assert "(resolve)" not in table_text(Result(driver="NVIDIA H100/PCIe/SSE2"))
 
 
-def test_it_plays_for_so_long_over_and_over(stripes, capsys):
-    url, _ = stripes
-    common = ("walk", "--url", url, "--fps", 60, "--size", "64x64", "--json")
-    _, once = replay.load_drive("walk")
-    assert once < 1.5
-    assert replay.run(arguments(*common, "--seconds", 1.5)) == 0
-    assert json.loads(capsys.readouterr().out)["sent"] == 90
-    assert replay.run(arguments(*common, "--loop", "--seconds", 0.5)) == 0
-    assert json.loads(capsys.readouterr().out)["sent"] == 30
-
-
+@pytest.mark.check
 def test_a_loop_ends_by_a_key(stripes, monkeypatch, capsys):
     url, _ = stripes
     rounds = []
@@ -217,20 +158,8 @@ def test_a_loop_ends_by_a_key(stripes, monkeypatch, capsys):
         play(*what)
 
     monkeypatch.setattr(replay, "_play", third)
-    assert replay.run(arguments("walk", "--url", url, "--fps", 30, "--size", "64x64", "--loop")) == 0
+    assert replay.run(parsed(replay, "walk", "--url", url, "--fps", 30, "--size", "64x64", "--loop")) == 0
     assert rounds == [round(30 * replay.load_drive("walk")[1])] * 3 and capsys.readouterr().out == ""
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--seconds", 0), "--seconds"),
-        (("--seconds", "nan"), "--seconds"),
-        (("--frames", 4, "--loop"), "--frames"),
-        (("--frames", 4, "--seconds", 1), "--frames"),
-        (("--loop", "--save", "x.png"), "--seconds"),
-    ],
-)
-def test_how_long_is_said_once(words, said):
-    with pytest.raises(UsageError, match=said):
-        replay.run(arguments(*words))
+    monkeypatch.undo()
+    words = ("walk", "--url", url, "--fps", 60, "--size", "64x64", "--seconds", 0.5, "--json")
+    assert replay.run(parsed(replay, *words)) == 0 and json.loads(capsys.readouterr().out)["sent"] == 30

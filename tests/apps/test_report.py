@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import gc
 import json
 import re
-import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +21,9 @@ from glsplat.errors import GlsplatError
 from glsplat.evaluate import subjects as report_subjects
 from glsplat.evaluate.knobs import settings_of
 from glsplat.evaluate.sections import growth as report_growth
-from glsplat.evaluate.sections.batching import PAPER, batching
+from glsplat.evaluate.sections.batching import batching
 from glsplat.evaluate.sections.growth import Grid
-from glsplat.evaluate.sections.left_out import _buffers, features_of, left_out, unmoved
+from glsplat.evaluate.sections.left_out import features_of, left_out, unmoved
 from glsplat.evaluate.stability import frame as report_stability
 from glsplat.evaluate.stability import tracking as report_stability_tracking
 from glsplat.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case
@@ -43,15 +41,19 @@ pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.gl
 
 
-def arguments(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    report.add_arguments(parser)
-    return parser.parse_args(words)
+@pytest.fixture(autouse=True)
+def frozen() -> Iterator[None]:
+    """What other tests left is not looked through each time that buffers are counted."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 # ------------------------------------------------------------------------------------------------------- stability
 
 
+@pytest.mark.check
 def test_every_hard_case_holds(context: Context) -> None:
     rows = judge([*frame_cases(), *skin_cases(), *tracking_cases()], context)
     assert [r for r in rows if r["verdict"] != "holds"] == []
@@ -87,6 +89,7 @@ def test_a_case_that_does_not_behave_as_stated_fails(context: Context) -> None:
     assert rows[4]["seen"] == "RuntimeError: the driver is gone"
 
 
+@pytest.mark.check
 def test_a_tracker_that_ignores_time_fails_the_table(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that takes every sample for the next of a steady clock moves where it has to wait."""
     right = report_stability_tracking.Tracker
@@ -104,6 +107,7 @@ def test_a_tracker_that_ignores_time_fails_the_table(context: Context, monkeypat
     assert failed == {"time stamps repeat", "time runs backwards", "time not finite", "tracking stalls"}
 
 
+@pytest.mark.check
 def test_a_wrong_projection_fails_the_table(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verdicts come from running: a renderer that dilates by another amount is noticed."""
     right = report_stability.RenderConfig
@@ -120,6 +124,7 @@ def test_a_wrong_projection_fails_the_table(context: Context, monkeypatch: pytes
 # -------------------------------------------------------------------------------------------- batching and left out
 
 
+@pytest.mark.check
 def test_batching_adds_up(context: Context) -> None:
     subject = Subject("limb", limb(200), 32, moving=True)
     row = batching(context, subject, 4)
@@ -128,9 +133,9 @@ def test_batching_adds_up(context: Context) -> None:
     assert {"pose", "skin", "key", "sort", "project", "draw", "resolve", "read"} <= {s["stage"] for s in row["stages"]}
     for stage in row["stages"]:
         assert stage["saved_ms"] == pytest.approx(stage["two_ms"] - stage["pair_ms"], abs=2e-3)
-    assert [round(without / with_bb, 2) for with_bb, without in PAPER.values()] == [1.72, 1.65, 1.52]
 
 
+@pytest.mark.check
 def test_a_feature_left_out_changes_no_pixel(context: Context) -> None:
     subject = Subject("cloud", cloud(150, degree=1), 32)
     rows = left_out(context, subject, features_of(subject.scene, context), 3)
@@ -147,6 +152,7 @@ def test_a_feature_left_out_changes_no_pixel(context: Context) -> None:
         assert (by_name[name]["lean"]["variant"][flag], by_name[name]["full"]["variant"][flag]) == (0, 1)
 
 
+@pytest.mark.check
 def test_pictures_that_differ_are_not_called_one(context: Context) -> None:
     subject = Subject("cloud", cloud(150), 32)
     (feature, *_) = features_of(subject.scene, context)
@@ -178,79 +184,41 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_growth, "default_avatar", lambda: limb(200))
 
 
-def test_report_files(tmp_path: Path, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A page that needs nothing else, JSON without NaN, and a failed case that cannot be missed."""
-    short(monkeypatch)
-    subjects = [Subject("limb <b>", limb(60), 24, moving=True)]
-    result = report.measured(context, subjects, 3, True, sizes=(32,))
-    assert {"driver", "machine", "cores", "date", "versions", "commit"} <= set(result)
-    result["stability"][0] |= {"verdict": "failed", "error": np.inf, "seen": "<script>"}
-    files = report.write(result, tmp_path)
-    assert all(path.stat().st_size > 500 for path in files) and len(list(tmp_path.iterdir())) == len(files)
-    loaded = json.loads((tmp_path / "report.json").read_text())
-    assert loaded["stability"][0]["error"] is None and loaded["scenes"][0]["settings"][0]["ms"]["median"] > 0
-    text = (tmp_path / "report.html").read_text()
-    assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "limb &lt;b&gt;" in text
-    assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in re.sub(r"data:[^\"]+", "", text)
-    assert text.count("data:image/png;base64,") == 5
-    for name in files[:-2]:
-        assert name.read_bytes().startswith(b"\x89PNG")
-
-
+@pytest.mark.check
 def test_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One command, a scene with a camera of another folder: everything that it should say is in the JSON."""
+    """One command, a scene with a camera of another folder: everything that it should say is in the JSON.
+
+    The page needs nothing else, JSON holds no infinity, and a failed case cannot be missed.
+    """
     short(monkeypatch)
     monkeypatch.setattr(report_subjects, "default_avatar", lambda: limb(120))
+
+    def bad(_: Context) -> Outcome:
+        return Outcome(False, np.inf, seen="<script>")
+
+    cases = [*frame_cases()[:4], Case("g", "bad <b>", "i", "b", bad)]
+    monkeypatch.setattr(report, "frame_cases", lambda: cases)
     save(cloud(80), tmp_path / "a.ply")
-    view = tmp_path / "view.json"
+    view, out = tmp_path / "view.json", tmp_path / "out"
     view.write_text(json.dumps(camera(40).to_json()))
     words = ["report", str(tmp_path / "a.ply"), "--cameras", f"a={view}", "--quick", "--frames", "3", "--size", "32"]
-    assert main([*words, "-o", str(tmp_path / "out")]) == 0
-    out = capsys.readouterr().out.splitlines()
-    assert out[-1] == str(tmp_path / "out" / "report.html") and any(line.endswith("cases hold") for line in out)
-    assert sum("report" in line and "bench" in line and "ms" in line for line in out) == 2
-    result = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert [s["scene"] for s in result["scenes"]] == [
-        "default avatar, static",
-        "default avatar, its joints swaying",
-        "a.ply",
-    ]
-    assert [s["size"] for s in result["scenes"]] == [[32, 32]] * 3 and [s["views"] for s in result["scenes"]] == [
-        2,
-        2,
-        1,
-    ]
+    main([*words, "-o", str(out)])
+    said = capsys.readouterr().out.splitlines()
+    assert said[-1] == str(out / "report.html")
+    assert sum("report" in line and "bench" in line and "ms" in line for line in said) == 2
+    result = json.loads((out / "report.json").read_text())
+    scenes = ["default avatar, static", "default avatar, its joints swaying", "a.ply"]
+    assert [s["scene"] for s in result["scenes"]] == scenes and [s["views"] for s in result["scenes"]] == [2, 2, 1]
+    assert [s["size"] for s in result["scenes"]] == [[32, 32]] * 3
     assert result["driver"] and result["machine"] and result["cores"] >= 1 and result["date"] >= "2026"
     assert {"glsplat", "python", "numpy", "moderngl", "matplotlib", "flip-evaluator"} <= set(result["versions"])
-    assert len(result["agreement"]) == 2 and len(result["stability"]) > 20 and result["latency"]["runs"]
+    assert len(result["agreement"]) == 2 and result["latency"]["runs"]
     assert {row["splats"] for row in result["growth"]["splats"]} == {100, 400}
-    assert main(["report", str(tmp_path / "a.ply"), "--cameras", "nowhere", "-o", str(tmp_path / "out")]) == 1
-    assert "--cameras takes a folder" in capsys.readouterr().err
-
-
-def test_clear_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for words, message in (
-        (["--frames", "2"], "--frames needs 3 to 10000, not 2"),
-        (["--size", "8"], "--size needs 16 to 1024"),
-        ([str(tmp_path / "no.ply"), "-o", str(tmp_path / "out")], "no such file"),
-    ):
-        with pytest.raises(GlsplatError, match=message):
-            report.run(arguments(*words))
-    (tmp_path / "file").write_text("")
-    with pytest.raises(GlsplatError, match="cannot make the folder"):
-        report.run(arguments("-o", str(tmp_path / "file" / "x")))
-    monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
-    with pytest.raises(GlsplatError, match=r"needs flip_evaluator; install it with: pip install 'glsplat\[report\]'"):
-        report.run(arguments("-o", str(tmp_path)))
-
-
-def test_what_others_left_behind_is_no_buffer() -> None:
-    class Gone:
-        pass
-
-    gone = Gone()
-    left = weakref.proxy(gone)
-    del gone
-    assert any(item is left for item in gc.get_objects()) and _buffers() >= 0
+    (failed,) = [row for row in result["stability"] if row["verdict"] == "failed"]
+    assert failed["error"] is None and result["scenes"][0]["settings"][0]["ms"]["median"] > 0
+    text = (out / "report.html").read_text()
+    assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "bad &lt;b&gt;" in text
+    assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in re.sub(r"data:[^\"]+", "", text)
+    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 9

@@ -11,6 +11,7 @@ from apps.replay.streaming import STAGES
 from apps.report import latency as report_latency
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_a_short_stream_is_measured_stage_by_stage(monkeypatch):
     monkeypatch.setattr(report_latency, "_SIZES", ((64, 64), (96, 96)))
@@ -30,7 +31,3 @@ def test_a_short_stream_is_measured_stage_by_stage(monkeypatch):
     assert table[0] == ["stage", "where", "paper", "2 x 64x64: median", "p95", "2 x 96x96: median", "p95"]
     assert [row[:3] for row in table[1:]] == [[name, place, result["paper"][key]] for key, name, place in STAGES]
     assert all(len(row) == 7 and float(row[3]) >= 0 for row in table[1:])
-
-
-def test_quick_is_one_size():
-    assert report_latency.frames(quick=True) == 216 and report_latency.frames(quick=False) == 1152

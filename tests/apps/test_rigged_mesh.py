@@ -78,6 +78,7 @@ def test_what_an_option_takes_for_an_avatar(folder: Path) -> None:
             load_avatar(folder / name, "--avatar")
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_bench(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Static and in motion; a frame of a mesh is its mesh pass, and no splat is counted."""
@@ -93,14 +94,7 @@ def test_bench(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "660 triangles" in text and "batching gain" in text and "splats" not in text and "floor" not in text
 
 
-def test_inspect(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspect", str(folder / "both.json"), "--json"]) == 0
-    room, me = json.loads(capsys.readouterr().out)["items"]
-    assert (room["joints"], room["driven"], me["joints"], me["driven"]) == (1, False, 55, True)
-    assert main(["inspect", str(folder / "me.npz")]) == 0
-    assert "660 triangles" in (text := capsys.readouterr().out) and "55 joints" in text
-
-
+@pytest.mark.check
 @pytest.mark.gl
 def test_tracking_is_shown_on_the_mesh(folder: Path, tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.png"

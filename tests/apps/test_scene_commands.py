@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from apps.cli import main
 from glsplat import reference
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
@@ -27,6 +26,7 @@ from glsplat.scene import Item, Scene
 from glsplat.scenes import load_scene
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose
+from tests.apps.cli import mistake, ok, run
 from tests.compare import Difference
 from tests.scene.worlds import reference_of
 from tests.scenes import camera, cloud, eyes, limb
@@ -58,15 +58,6 @@ def written(folder: Path, *items: dict[str, Any], **more: Any) -> Path:
     return folder / "scene.json"
 
 
-def run(*arguments: object) -> None:
-    assert main([str(a) for a in arguments]) == 0
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main([str(a) for a in arguments]) in (1, 2)
-    return capsys.readouterr().err
-
-
 def test_render_a_scene_file(world: Path, tmp_path: Path) -> None:
     views = [camera(48, background=(0.1, 0.2, 0.3))]
     (tmp_path / "camera.json").write_text(json.dumps(views[0].to_json()))
@@ -80,46 +71,23 @@ def test_render_a_scene_file(world: Path, tmp_path: Path) -> None:
 
 def test_the_scene_file_says_the_background(world: Path, tmp_path: Path) -> None:
     away = ["--size", "32", "--eye", "0,0,30", "--target", "0,0,60", "-o", tmp_path / "a.png"]
-    run("render", world, *away)
-    assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [76, 51, 26]
-    run(
-        "render",
-        world,
-        "--size",
-        "32",
-        "--eye",
-        "0,0,30",
-        "--target",
-        "0,0,60",
-        "-o",
-        tmp_path / "a.png",
-        "--background",
-        "1,0,0",
-    )
-    assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [0, 0, 255]
+    for more, colour in (([], [76, 51, 26]), (["--background", "1,0,0"], [0, 0, 255])):
+        assert run("render", world, *away, *more) == 0
+        assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == colour
+    assert run("render", written(tmp_path, background=[0, 0, 1]), "--size", "8", "-o", tmp_path / "b.png") == 0
+    assert (cv2.imread(str(tmp_path / "b.png")) == (255, 0, 0)).all()  # an empty scene is its background
 
 
-@pytest.mark.parametrize("command", ["bench", "inspect"])
-def test_bench_and_inspect(world: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
-    more = ["--sizes", "32x32", "--frames", "3", "--json"] if command == "bench" else ["--json"]
-    run(command, world, *more)
-    report = json.loads(capsys.readouterr().out)
-    if command == "bench":
-        assert report["settings"][0]["kind"] == "static" and report["settings"][0]["splats"] == 400
-        return
+def test_bench_and_inspect(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = json.loads(ok(capsys, "bench", world, "--sizes", "32x32", "--frames", "3", "--json"))
+    assert report["settings"][0]["kind"] == "static" and report["settings"][0]["splats"] == 400
+    report = json.loads(ok(capsys, "inspect", world, "--json"))
     assert report["kind"] == "scene" and report["splats"] == 600 and report["background"] == [0.1, 0.2, 0.3]
     assert [entry["kind"] for entry in report["items"]] == ["splats", "avatar", "avatar", "mesh"]
     assert report["items"][0]["scale"] == pytest.approx(0.8) and report["items"][1]["posed"]
     assert not report["items"][2]["visible"] and report["items"][3]["triangles"] == 1
-    run(command, world)
-    text = capsys.readouterr().out
+    text = ok(capsys, "inspect", world)
     assert "4 items, 600 splats" in text and "hidden" in text and "1 triangles" in text
-
-
-def test_inspect_a_mesh(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run("inspect", world.parent / "wall.obj", "--json")
-    report = json.loads(capsys.readouterr().out)
-    assert report["kind"] == "mesh" and report["items"][0]["bounds"]["max"][0] == pytest.approx(0.98, abs=0.03)
 
 
 @pytest.fixture
@@ -150,8 +118,8 @@ def test_motions_play(walkers: Callable[..., Path], tmp_path: Path, capsys: pyte
     run("render", file, *view, "--fps", "2", "-o", f"{tmp_path}/clip/")
     assert len(list((tmp_path / "clip").iterdir())) == round(scene.duration * 2)
     for option in (["--motion", "idle"], ["--pose", tmp_path / "no.json"]):
-        assert "is for one avatar, this scene has several" in refused(capsys, "render", file, *option, "-o", "x.png")
-    assert "--frame needs 0 to" in refused(capsys, "render", file, "--frame", "99999", "-o", "x.png")
+        assert "is for one avatar, this scene has several" in mistake(capsys, "render", file, *option, "-o", "x.png")
+    assert "--frame needs 0 to" in mistake(capsys, "render", file, "--frame", "99999", "-o", "x.png")
 
 
 def test_a_client_poses_the_one_avatar(walkers: Callable[..., Path]) -> None:
@@ -187,7 +155,7 @@ def test_a_client_poses_the_one_avatar(walkers: Callable[..., Path]) -> None:
         backend.close()
 
 
-@pytest.mark.parametrize("up", ["-y", "z", "-z"])
+@pytest.mark.parametrize("up", ["-y", "z"])
 def test_up_is_the_same_drawn_and_converted(tmp_path: Path, up: str) -> None:
     """Against the float64 twin of the unturned splats seen by a camera that is turned the other way."""
     splats = cloud(300, 3)
@@ -239,32 +207,3 @@ def test_depth_and_alpha(world: Path, tmp_path: Path, stereo: bool) -> None:
     grey = cv2.imread(str(tmp_path / "mm.png"), cv2.IMREAD_UNCHANGED)
     wide = np.concatenate(list(metres.reshape(-1, 48, 48)), axis=1)
     assert grey.dtype == np.uint16 and np.abs(grey / 1000 - wide).max() < 6e-4 and ((grey == 0) == (wide == 0)).all()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--alpha", "-o", "a.npy"], "an .npy holds alpha anyway"),
-        (["--alpha", "-o", "a.mp4", "--turntable", "3"], "a clip has no alpha"),
-        (["--alpha", "--background", "1,1,1", "-o", "a.png"], "--alpha or --background"),
-        (["--depth", "d.exr", "-o", "a.png"], "--depth d.exr: expected .npy"),
-        (["--depth", "d.png", "-o", "a.mp4", "--turntable", "3"], "not for a clip"),
-        (["--depth", "a.png", "-o", "a.png"], "the same file"),
-        (["--frame", "3", "-o", "a.png"], "--frame needs --motion, or a scene file with motions"),
-        (["--up", "x", "-o", "a.png"], "invalid choice: 'x'"),
-    ],
-)
-def test_mistakes(
-    world: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
-) -> None:
-    monkeypatch.chdir(world.parent)
-    try:
-        err = refused(capsys, "render", "cloud.ply", *options)
-    except SystemExit:
-        err = capsys.readouterr().err
-    assert message in err and err.count("\n") == 1
-
-
-def test_an_empty_scene_is_its_background(tmp_path: Path) -> None:
-    run("render", written(tmp_path, background=[0, 0, 1]), "--size", "8", "-o", tmp_path / "a.png")
-    assert (cv2.imread(str(tmp_path / "a.png")) == (255, 0, 0)).all()

@@ -76,36 +76,7 @@ def test_check_says_what_an_analysis_will_lack(tmp_path: Path, capsys: pytest.Ca
     assert "no condition has delay = much:" in out and "no multiple of 2, the groups" in out
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--participant", "1"], "--study TOML"),
-        (["--study", "STUDY"], "--participant N"),
-        (["--study", "STUDY", "--participant", "7"], "1 to 6"),
-        (["--study", "STUDY", "--participant", "1", "x.glb"], "leave out SCENE"),
-        (["--study", "STUDY", "--participant", "1", "--room", "lab"], "leave out SCENE"),
-        (["--study", "none.toml", "--participant", "1"], "none.toml"),
-        (["--study", "STUDY", "--participant", "1", "--study-data", "nowhere"], "no plan yet"),
-    ],
-)
-def test_serve_says_what_does_not_fit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
-) -> None:
-    path = write(tmp_path)
-    assert main(["study", "plan", str(path)]) == 0
-    assert main(["serve", *(str(path) if word == "STUDY" else word for word in words)]) in (1, 2)
-    line = capsys.readouterr().err.splitlines()[-1]
-    assert said in line
-    assert not (tmp_path / "data" / label(1)).exists()
-
-
-def test_an_avatar_that_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write(tmp_path, SMALL.replace("latency = 150", 'avatar = "{participant}.glb"'))
-    assert main(["study", "plan", str(path)]) == 0
-    assert main(["study", "run", str(path), "2"]) == 2
-    assert f"no such avatar: {tmp_path / 'sub-002.glb'}" in capsys.readouterr().err
-
-
+@pytest.mark.check
 @pytest.mark.gl
 def test_run_is_a_server(tmp_path: Path) -> None:
     """Two links as JSON; the second server for the same participant is refused; SIGTERM ends it in order."""

@@ -25,8 +25,9 @@ def run(*words) -> int:
     return cli.main(["tracking", *map(str, words)])
 
 
-@pytest.fixture
-def derived(tmp_path):
+@pytest.fixture(scope="module")
+def derived(tmp_path_factory):
+    tmp_path = tmp_path_factory.mktemp("derived")
     assert run("from-motion", "idle", "-o", tmp_path / "r.jsonl", "--truth", tmp_path / "t.jsonl", "--rate", 30) == 0
     return tmp_path
 
@@ -42,12 +43,8 @@ def test_derive_solve_score(derived, capsys):
     assert scores["mpjpe"] < 3 and scores["hands"] < 0.5 and scores["mpjre"] < 8
     assert run("score", derived / "p.jsonl", derived / "t.jsonl") == 0
     assert "MPJPE" in capsys.readouterr().out
-
-
-def test_head_only_and_unfiltered(derived):
     assert run("solve", derived / "r.jsonl", "-o", derived / "p.jsonl", "--head-only", "--no-filter") == 0
-    line = json.loads((derived / "p.jsonl").read_text().splitlines()[0])
-    assert line["reach_error"] is None
+    assert json.loads((derived / "p.jsonl").read_text().splitlines()[0])["reach_error"] is None
 
 
 def test_disturbed_recordings(tmp_path):
@@ -69,8 +66,6 @@ def test_trackers_of_a_motion_are_calibrated_and_solved(tmp_path, capsys):
     capsys.readouterr()
     assert run("score", tmp_path / "p.jsonl", tmp_path / "t.jsonl", "--json") == 0
     assert json.loads(capsys.readouterr().out)["lower"] < 4  # how the feet stood while calibrating is not known better
-    assert run("from-motion", "idle", "-o", tmp_path / "r.jsonl", "--trackers", "tail") == 2
-    assert "waist, feet, body" in capsys.readouterr().err
 
 
 def test_calibrate_and_solve_for_another_user(derived, capsys):
@@ -83,6 +78,7 @@ def test_calibrate_and_solve_for_another_user(derived, capsys):
     assert json.loads((derived / "d.json").read_text())["scale"] == pytest.approx(1, abs=0.02)
 
 
+@pytest.mark.check
 def test_show_without_opengl(derived):
     words = ("--truth", derived / "t.jsonl", "--stick", "--size", "160x120")
     assert run("show", derived / "r.jsonl", "-o", derived / "sheet.png", *words) == 0
@@ -102,11 +98,6 @@ def test_show_draws_a_window_of_a_motion_beside_its_truth_and_the_naive_baseline
         assert (np.abs(sheet - colour).max(-1) < 40).any()
     assert run("show", "-o", f"{tmp_path}/frames/", *words, "--fps", 30) == 0
     assert sorted(path.stem for path in (tmp_path / "frames").iterdir())[:2] == ["000030", "000031"]
-    capsys.readouterr()
-    assert run("show", "-o", tmp_path / "late.png", *words[:4], "--from", 99) == 2
-    assert "nothing is left to draw" in capsys.readouterr().err
-    assert run("show", "r.jsonl", "-o", tmp_path / "late.png", *words) == 2
-    assert not (tmp_path / "late.png").exists()
 
 
 def test_bench_names_the_windows_that_are_worse_than_naive():
@@ -120,6 +111,7 @@ def test_bench_names_the_windows_that_are_worse_than_naive():
     assert "none." in table([row for row in rows if row.solver != "learned"] + [replace(rows[4], windows=(6.9, 6.9))])
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_show_draws_the_avatar(derived):
     assert run("show", derived / "r.jsonl", "-o", derived / "sheet.png", "--size", "128x128") == 0
@@ -139,47 +131,7 @@ def test_bench_writes_its_table(tmp_path, capsys):
     assert text.startswith("before\n") and text.endswith("after\n") and "former" not in text and "| idle | 30 |" in text
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("from-motion", "no-such-motion", "-o", "x.jsonl"),
-        ("from-motion", "idle", "-o", "x.jsonl", "--rate", "0"),
-        ("from-motion", "idle", "-o", "x.jsonl", "--dropout", "2"),
-        ("from-motion", "idle", "-o", "no/such/folder/x.jsonl"),
-        ("solve", "missing.jsonl", "-o", "x.jsonl"),
-        ("solve", "-o", "x.jsonl", "--height", "9"),
-        ("solve", "-o", "x.jsonl", "--height", "1.7", "--calibration", "me.json"),
-        ("solve", "-o", "x.jsonl", "--predict-ms", "900"),
-        ("calibrate", "-o", "x.json"),
-        ("score", "missing.jsonl", "missing.jsonl"),
-        ("show", "-o", "x.gif"),
-        ("show", "-o", "x.png", "--stick", "--size", "100000"),
-        ("show", "-o", "x.mp4", "--stick", "--fps", "1e9"),
-        ("bench", "idle", "--rates", "fast"),
-        ("bench", "idle", "--model", "none.npz"),
-        ("solve", "-o", "x.jsonl", "--avatar", "missing.npz"),
-    ],
-)
-def test_mistakes_are_one_line(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    code, error = run(*words), capsys.readouterr().err
-    assert code == (2 if error.endswith("--help\n") else 1)
-    assert error.startswith("glsplat tracking: ") and error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_rate_of_no_pictures_is_bad_usage(derived, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        run("show", derived / "r.jsonl", "-o", derived / "clip.mp4", "--stick", "--fps", 0)
-    assert "above 0" in capsys.readouterr().err
-
-
-def test_a_calibration_does_not_replace_its_recording(derived, capsys):
-    before = (derived / "r.jsonl").read_bytes()
-    assert run("calibrate", derived / "r.jsonl", "-o", derived / "r.jsonl") == 2
-    assert "different names" in capsys.readouterr().err and (derived / "r.jsonl").read_bytes() == before
-
-
+@pytest.mark.check
 def test_train_makes_a_network_that_solves_and_goes_on_learning(tmp_path, capsys):
     clips = tmp_path / "clips"
     clips.mkdir()

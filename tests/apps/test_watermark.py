@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import re
@@ -20,6 +19,7 @@ from glsplat.errors import GlsplatError
 from glsplat.net.guard.kept import WATERMARK, kept_watermark, state_folder
 from glsplat.watermark.keys import text_of
 from glsplat.watermark.mark import Watermark, WatermarkKey, marked
+from tests.apps.cli import mistake, parsed
 
 OWNER = WatermarkKey(0x1A2B, b"sixteen bytes 01")
 
@@ -46,15 +46,20 @@ def detect(*words):
 
 
 def test_a_clip_leads_to_its_session(tmp_path, pictures, key, capsys):
-    with Clip(tmp_path / "leaked.webm", 30) as clip:
-        for picture in pictures:
-            clip.add(picture)
-    assert detect(tmp_path / "leaked.webm", "--key", key, "--json") == 0
+    picture = tmp_path / "a.png"
+    cv2.imwrite(str(picture), pictures[0])
+    leaked = tmp_path / "leaked.webm"
+    with Clip(leaked, 30) as clip:
+        for one in pictures:
+            clip.add(one)
+    assert "give one clip at a time" in mistake(capsys, "watermark", "detect", leaked, picture, "--key", key)
+    assert detect(leaked, "--key", key, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told.pop("chance") <= 1e-6 and told.pop("scale") == pytest.approx(1, abs=0.01)
     assert told == {"found": True, "server": "1a2b", "session": "00c0ffee", "pictures": 8, "seen": 8}
 
 
+@pytest.mark.check
 def test_pictures_do_too_by_the_key_that_serve_keeps(tmp_path, pictures, state, capsys):
     (state_folder() / WATERMARK).write_text(text_of(OWNER))
     names = [tmp_path / f"{i}.png" for i in range(2)]
@@ -71,39 +76,15 @@ def test_pictures_do_too_by_the_key_that_serve_keeps(tmp_path, pictures, state, 
     assert json.loads(capsys.readouterr().out) == {"found": False, "seen": 2}
 
 
-def test_what_cannot_be_searched(tmp_path, pictures, key, state, capsys):
-    picture, text, clip = tmp_path / "a.png", tmp_path / "a.txt", tmp_path / "a.webm"
-    cv2.imwrite(str(picture), pictures[0])
-    text.write_text("no picture")
-    with Clip(clip, 30) as out:
-        out.add(pictures[0])
-    for words, code, message in (
-        ([picture], 1, f"{state}/glsplat/watermark: cannot read the watermark's key (No such file or directory)"),
-        ([tmp_path / "none.png", "--key", key], 1, "none.png"),
-        ([text, "--key", key], 1, f"{text}: expected a clip, or a picture"),
-        ([clip, picture, "--key", key], 2, "give one clip at a time"),
-        ([picture, "--key", key, "--window", "0"], 2, "--window needs at least 1 picture"),
-    ):
-        assert detect(*words) == code
-        err = capsys.readouterr().err
-        assert err.startswith("glsplat watermark: ") and message in err and err.count("\n") == 1
-
-
-def arguments(*words):
-    parser = argparse.ArgumentParser()
-    serve.add_arguments(parser)
-    return parser.parse_args(list(map(str, words)))
-
-
 def test_serve_marks_unless_told_otherwise(state, key, caplog):
-    assert watermark_of(arguments("--watermark", "off")) is None and not state.exists()
-    made = watermark_of(arguments())
+    assert watermark_of(parsed(serve, "--watermark", "off")) is None and not state.exists()
+    made = watermark_of(parsed(serve))
     file = state / "glsplat" / WATERMARK
     assert stat.S_IMODE(file.stat().st_mode) == 0o600 and not caplog.records
-    assert made == watermark_of(arguments("--watermark", "on")) == kept_watermark(state_folder())
-    assert watermark_of(arguments("--watermark", key)) == OWNER != made
-    config = serve.server_config(arguments(), watermark=OWNER)
-    assert config.session.watermark == OWNER and serve.server_config(arguments()).session.watermark is None
+    assert made == watermark_of(parsed(serve, "--watermark", "on")) == kept_watermark(state_folder())
+    assert watermark_of(parsed(serve, "--watermark", key)) == OWNER != made
+    config = serve.server_config(parsed(serve), watermark=OWNER)
+    assert config.session.watermark == OWNER and serve.server_config(parsed(serve)).session.watermark is None
 
 
 def test_serve_goes_on_unmarked_where_nothing_can_be_kept(tmp_path, monkeypatch, caplog):
@@ -111,8 +92,8 @@ def test_serve_goes_on_unmarked_where_nothing_can_be_kept(tmp_path, monkeypatch,
     blocked.write_text("")
     monkeypatch.setenv("XDG_STATE_HOME", str(blocked))
     with caplog.at_level(logging.WARNING):
-        assert watermark_of(arguments()) is None
+        assert watermark_of(parsed(serve)) is None
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.startswith("pictures are not marked: ") and line.endswith("or say --watermark off")
     with pytest.raises(GlsplatError, match="cannot be made"):
-        watermark_of(arguments("--watermark", "on"))
+        watermark_of(parsed(serve, "--watermark", "on"))

@@ -35,6 +35,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.browser)
+            item.add_marker(pytest.mark.check)  # tests/conftest.py leaves the folder out where these are not asked for
 
 
 # of this package, not of the session: playwright's loop occupies the main thread for as long as it lives

@@ -32,11 +32,7 @@ class Markers:
     """
 
     def __init__(
-        self,
-        places: Callable[[RenderJob], Places],
-        radius: float = 0.015,
-        delay: float = 0.0,
-        stamped: bool = False,
+        self, places: Callable[[RenderJob], Places], radius: float = 0.015, delay: float = 0.0, stamped: bool = False
     ) -> None:
         self._places = places
         self._radius = radius

@@ -18,6 +18,9 @@ OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=froze
 
 def test_vr_is_entered_without_a_headset(open_page: OpenPage, serve: Any) -> None:
     served = serve(StoredPairs(), offered=OFFERED)
+    plain = visit(open_page, served, xr=None)
+    plain.until("window.glsplat?.stats().shown > 0")
+    assert not [address for address in plain.requests if "emulate" in address]  # nobody else loads it
     page = visit(open_page, served, {"drawer": False}, xr=None, address=f"{served.page}?emulate")
     page.until("window.glsplat?.stats().shown > 0")
     page.until("!document.querySelector('#enter-vr').disabled")
@@ -31,9 +34,3 @@ def test_vr_is_entered_without_a_headset(open_page: OpenPage, serve: Any) -> Non
     assert all(address.startswith((served.origin, "ws://localhost", "blob:", "data:")) for address in page.requests)
     licence = page.js("fetch('/vr/emulate/LICENSE-iwer.txt').then((answer) => answer.text())")
     assert "MIT License" in licence and "Meta Platforms" in licence
-
-
-def test_it_is_loaded_by_nobody_else(open_page: OpenPage, serve: Any) -> None:
-    page = visit(open_page, serve(StoredPairs(), offered=OFFERED), xr=None)
-    page.until("window.glsplat?.stats().shown > 0")
-    assert not [address for address in page.requests if "emulate" in address]

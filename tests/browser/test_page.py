@@ -77,12 +77,6 @@ REACH = {
       script.src = u + '/script';
       document.body.append(script);
     })""",
-    "frame": """(u) => new Promise((done) => {
-      const frame = document.createElement('iframe');
-      frame.src = u + '/frame';
-      document.body.append(frame);
-      setTimeout(() => done('blocked'), 300);
-    })""",
     "form": """(u) => new Promise((done) => {
       const form = document.createElement('form');
       form.action = u + '/form';
@@ -91,13 +85,6 @@ REACH = {
       setTimeout(() => done('blocked'), 300);
     })""",
     "beacon": "(u) => { navigator.sendBeacon(u + '/beacon'); return 'blocked'; }",
-    "worker": """(u) => new Promise((done) => {
-      try {
-        const worker = new Worker(URL.createObjectURL(new Blob(['postMessage(1)'])));
-        worker.onmessage = () => done('reached');
-        worker.onerror = () => done('blocked');
-      } catch { done('blocked'); }
-    })""",
     "inline": """(u) => {
       const script = document.createElement('script');
       script.textContent = 'window.inlined = true';
@@ -118,7 +105,7 @@ def test_the_page_reaches_nothing_but_its_server(open_page: OpenPage, stored: An
     def violated() -> set[str]:
         return {line.split()[0] for line in page.js("watch.violations")}
 
-    page.meanwhile(lambda: {"connect-src", "img-src", "form-action"} <= violated() and len(violated()) >= 5)
+    page.meanwhile(lambda: {"connect-src", "img-src", "form-action"} <= violated() and len(violated()) >= 4)
     assert _Elsewhere.asked == []
     assert all(address.split("/")[2] == f"localhost:{stored.port}" for address in page.requests
                if address.startswith(("http", "ws")) and elsewhere not in address and
@@ -163,17 +150,6 @@ def test_vr_works_under_tls(open_page: OpenPage, serve: Any, tmp_path: Path) -> 
     page.until("window.glsplat.stats().shown > 6")
 
 
-def test_the_pages_headers_are_strict(open_page: OpenPage, stored: Any) -> None:
-    page = open_page(None, xr=None, allow=["Failed to load"])
-    answer = page.page.goto(f"{stored.page}")
-    assert answer.status == 200
-    headers = answer.headers
-    assert "default-src 'none'" in headers["content-security-policy"]
-    assert "unsafe" not in headers["content-security-policy"]
-    assert headers["x-content-type-options"] == "nosniff"
-    assert headers["referrer-policy"] == "no-referrer"
-
-
 def test_the_keyboard_alone_is_enough(open_page: OpenPage, stored: Any) -> None:
     page = visit(open_page, stored)
     page.until("window.glsplat.stats().shown > 0")
@@ -194,28 +170,6 @@ def test_the_keyboard_alone_is_enough(open_page: OpenPage, stored: Any) -> None:
     page.page.focus("#enter-vr")
     page.page.keyboard.press("Enter")
     page.until("window.glsplat.stats().session === 'vr'")
-
-
-def test_a_screen_reader_hears_what_there_is(open_page: OpenPage, stored: Any) -> None:
-    page = visit(open_page, stored)
-    page.until("window.glsplat.stats().shown > 0")
-    nameless = page.js("""() => [...document.querySelectorAll('button, select, input, canvas, a[href]')]
-      .filter((element) => element.checkVisibility())
-      .filter((element) => !(element.labels?.length || element.ariaLabel || element.textContent.trim()))
-      .map((element) => element.outerHTML)""")
-    assert nameless == []
-    roles = page.page.locator("body").aria_snapshot()
-    for line in ("main", "heading", 'button "Enter VR"', "status", 'combobox "View in VR"'):
-        assert line in roles, f"{line} is missing of\n{roles}"
-    assert page.js("[document.documentElement.lang, document.title.length > 0]") == ["en", True]
-
-
-def test_a_phone_has_room_for_it(open_page: OpenPage, stored: Any) -> None:
-    page = visit(open_page, stored, size=(360, 640), has_touch=True)
-    page.until("window.glsplat.stats().shown > 0")
-    assert page.js("document.documentElement.scrollWidth") <= 360
-    box = page.page.locator("#canvas").bounding_box()
-    assert box["width"] > 300 and box["height"] > 300
 
 
 def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: OpenPage, serve: Any) -> None:

@@ -85,7 +85,7 @@ def test_it_reads_what_python_reads(page: Any) -> None:
 
 
 def test_it_refuses_what_python_refuses_in_one_sentence(page: Any) -> None:
-    """5,000 damaged replies, all cuts, and junk. Bodies: the same verdict. Elsewhere JSON may be read differently."""
+    """1,500 damaged replies, all cuts, and junk. Bodies: the same verdict. Elsewhere JSON may be read differently."""
     rng = np.random.default_rng(12)
     packed = [pack_body(pose(i, stretched=i == 2), SHA, HERE, at=i, t=i, key=i) for i in (1, 2)]
     whole = pack_poses(3, {"want": "pose"}, packed)
@@ -93,7 +93,7 @@ def test_it_refuses_what_python_refuses_in_one_sentence(page: Any) -> None:
     cases = [whole[:size] for size in range(0, len(whole), 7)] + [rng.bytes(n) for n in range(0, 400, 3)]
     cases += [b"VR\x01\x00" + rng.bytes(n) for n in range(100)]
     same = len(cases)
-    for _ in range(5000 - same):
+    for _ in range(1500 - same):
         data = bytearray(whole)
         for at in rng.integers(first - 1, len(data), rng.integers(1, 5)):
             data[at] = rng.integers(0, 256)
@@ -106,8 +106,8 @@ def test_it_refuses_what_python_refuses_in_one_sentence(page: Any) -> None:
             assert not verdict or number < same, verdict
         except ProtocolError as error:
             assert verdict, error
-    assert 500 < said.count("") < 4500
-    header = [bytearray(whole) for _ in range(1000)]
+    assert 150 < said.count("") < 1350
+    header = [bytearray(whole) for _ in range(300)]
     for data in header:
         for at in rng.integers(0, first, 3):
             data[at] = rng.integers(0, 256)
@@ -192,7 +192,7 @@ def test_a_mouth_does_not_wait_as_the_rest_of_a_body_does(page: Any) -> None:
     )
 
 
-def test_who_left_is_forgotten_strangers_are_not_taken_in_and_memory_is_flat(page: Any) -> None:
+def test_who_left_is_forgotten_and_strangers_are_not_taken_in(page: Any) -> None:
     def body(key: int, at: float) -> bytes:
         return pack_body(pose(key % 50), SHA, HERE, at=at, t=None, key=key)
 
@@ -216,22 +216,12 @@ def test_who_left_is_forgotten_strangers_are_not_taken_in_and_memory_is_flat(pag
     assert seen == [[1, 2], [1, 2], [2], [2]]
     many = [reply(*(body(key, at) for key in range(at, at + 5)), now=at, room={"people": [{"key": at + 1}]})
             for at in range(200)]  # fmt: skip
-    grown = page.evaluate(
+    left = page.evaluate(
         """(replies) => {
           const people = new People();
-          const buffers = replies.map(bytes);
-          const turn = (n) => {
-            for (let i = 0; i < n; i++) {
-              people.arrived(parsePoses(buffers[i % buffers.length]), i);
-              people.at(i);
-            }
-            gc();
-            return performance.memory.usedJSHeapSize;
-          };
-          turn(8000);
-          const sizes = Array.from({ length: 5 }, () => turn(8000)); // compiled code grows now and then
-          return [Math.min(...sizes.slice(1).map((size, i) => size - sizes[i])), people.size, sizes];
+          replies.forEach((text, i) => { people.arrived(parsePoses(bytes(text)), i); people.at(i); });
+          return people.size;
         }""",
         many,
     )
-    assert grown[0] < 8 * 8000 and grown[1] == 1, grown  # bytes a reply: less than any object takes
+    assert left == 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from tests.browser.conftest import OpenPage
-from tests.browser.flat_page import flat_page
 from tests.browser.markers import Markers, offered
 from tests.browser.opened import Opened
 from tests.browser.vr import settings
@@ -57,66 +56,12 @@ def test_a_picture_is_painted_once_and_what_changes_at_once(open_page: OpenPage,
         change()
         page.until(f"window.painted > {before} || window.glsplat.stats().shown > {shown} + 1")
         assert page.js("window.painted") > before
-    assert page.canvas().std() > 5  # what is left is the picture, not an empty canvas
-
-
-def test_the_canvas_is_whole_after_it_was_lost_and_made_anew(open_page: OpenPage, serve: Any) -> None:
-    page = opened(open_page, serve)
     was = page.canvas()
+    assert was.std() > 5  # what is left is the picture, not an empty canvas
     page.js("window.lose = document.querySelector('#canvas').getContext('webgl2').getExtension('WEBGL_lose_context')")
     page.js("window.lose.loseContext()")
     page.wait(0.2)
     page.js("window.lose.restoreContext()")
     page.until("window.glsplat.stats().textures >= 2")
-    page.wait(1.5)
-    again = page.canvas()
-    assert was.std() > 10 and abs(again.astype(int) - was).mean() < 8
-
-
-BACKDROP = """
-import { Painter } from '/vr/show/painter.js';
-import { Orbit } from '/vr/show/orbit.js';
-const [width, height] = [120, 96];
-const fresh = () => {
-  const canvas = Object.assign(document.createElement('canvas'), { width, height });
-  const gl = canvas.getContext('webgl2', { antialias: false, alpha: false });
-  return { gl, painter: new Painter(gl) };
-};
-let copied = 0;
-const blit = WebGL2RenderingContext.prototype.blitFramebuffer;
-WebGL2RenderingContext.prototype.blitFramebuffer = function (...at) {
-  copied++;
-  return blit.apply(this, at);
-};
-const orbit = new Orbit();
-const kept = fresh();
-// of each step: pixels of the canvas that keeps which one that never painted before has not; shades; views copied
-window.painted = (stereo, steps) => steps.map(([turn, look, blobs]) => {
-  orbit.turn(turn, 0);
-  copied = 0;
-  const [one, other] = [kept, fresh()].map(({ gl, painter }) => {
-    painter.begin(null, false, null);
-    const how = { room: true, look, blobs, keeps: painter === kept.painter };
-    orbit.views(width, height, { stereo }).forEach((view, i) => painter.view(view, i, how));
-    const bytes = new Uint8Array(4 * width * height);
-    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
-    if (gl !== kept.gl) gl.getExtension('WEBGL_lose_context').loseContext(); // a page has sixteen
-    return bytes;
-  });
-  return [one.filter((value, i) => value !== other[i]).length, new Set(one).size, copied];
-});
-"""
-
-
-def test_a_room_that_is_copied_is_the_room_that_would_be_painted(chromium: Any) -> None:
-    shadow = [[0.0, 0.0, 0.3, 0.5]]
-    still: list[Any] = [[0, "day", []], [0, "day", shadow], [0, "day", shadow], [0, "day", []]]
-    moved: list[Any] = [[0.3, "day", []], [0.0, "night", []], [0.0, "night", []], [0.0, "night", shadow]]
-    with flat_page(chromium, BACKDROP) as page:
-        page.wait_for_function("window.painted !== undefined")
-        for stereo, views in ((False, 1), (True, 2)):
-            found = page.evaluate("([stereo, steps]) => painted(stereo, steps)", [stereo, still + moved])
-            assert [wrong for wrong, _, _ in found] == [0] * 8, found
-            assert all(shades > 30 for _, shades, _ in found), found  # there is something to see
-            # painted, painted and kept, then copied until the eye moves or the place is another
-            assert [copied for _, _, copied in found] == [views * n for n in (0, 0, 1, 1, 0, 0, 0, 1)]
+    page.wait(1.0)
+    assert abs(page.canvas().astype(int) - was).mean() < 8  # whole again

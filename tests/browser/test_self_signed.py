@@ -35,16 +35,6 @@ def test_the_printed_address_is_enough(secured, open_page):
     assert not any(token in url for url in opened.requests)
 
 
-def test_without_the_token_the_page_asks(secured, open_page):
-    served, token = secured
-    opened = open_page(served.page, allow=UNASKED)
-    opened.page.wait_for_selector("#token", state="visible")
-    opened.page.fill("#token", token)
-    opened.page.press("#token", "Enter")
-    opened.until("window.glsplat?.stats().shown > 2", timeout=60)
-    assert not any(token in url for url in opened.requests)
-
-
 def test_the_status_pages_code_is_read_from_the_screen(secured, open_page):
     served, token = secured
     who = {"username": "me", "password": token}

@@ -26,7 +26,7 @@ page.status('The server ended the connection: no valid request in time', 'error'
 page.title('A rather long name of somebody', 'Try again now');
 window.settings = settings;
 """
-MOST = {(320, 640): 0.27, (640, 320): 0.27, (360, 780): 0.25, (3840, 2160): 0.12, (2160, 3840): 0.12}
+MOST = {(320, 640): 0.27, (640, 320): 0.27, (3840, 2160): 0.12}
 
 
 @pytest.mark.parametrize("size", MOST, ids=lambda size: f"{size[0]}x{size[1]}")
@@ -57,7 +57,7 @@ window.tried = true;
 """
 
 
-@pytest.mark.parametrize("width", [320, 1280, 3840])
+@pytest.mark.parametrize("width", [320, 3840])
 def test_the_code_for_another_device_is_whole_at_any_size(chromium: Any, width: int) -> None:
     """As the dialog shows it it is read again: nothing of it is cut off."""
     address = "https://192.168.1.7:8000/vr"

@@ -61,7 +61,7 @@ def test_what_was_signed_is_on_file_and_nothing_else_changed(file, key):
 
 
 def test_any_altered_bit_is_noticed(key, tmp_path):
-    """Header, JSON, record, binary chunk: of every second byte the lowest bit.
+    """Header, JSON, record, binary chunk: of every fifth byte the lowest bit.
 
     Where a number is the same with another last digit, nothing was altered.
     """
@@ -70,26 +70,22 @@ def test_any_altered_bit_is_noticed(key, tmp_path):
     signed = bytes(data)
     assert on_file_data(signed).fault == ""
     refused = 0
-    for at in range(4, len(data), 2):
+    for at in range(4, len(data), 5):
         data[at] ^= 1
         fault = on_file_data(bytes(data)).fault
         assert fault or parts(bytes(data)) == parts(signed), f"byte {at} of {len(data)}"
         refused += bool(fault)
         data[at] ^= 1
-    assert refused > 0.99 * (len(data) - 4) / 2
+    assert refused > 0.99 * (len(data) - 4) / 5
 
 
-@pytest.mark.parametrize("change", ["subject", "until", "drivers", "key", "splats_sha256"])
-def test_an_altered_record_is_refused(signed, key, tmp_path, change):
+def test_an_altered_record_is_refused_and_holds_for_no_other_avatar(signed, key, tmp_path):
     document, rest = parts(signed.read_bytes())
-    other = new_key(tmp_path / "other")
-    value = {"subject": "Bob", "until": "2036-05-31", "drivers": ["*"], "key": other.public, "splats_sha256": "0" * 64}
-    note(document)["consent"][change] = value[change]
-    assert "signature does not fit" in on_file_data(put(document, rest)).fault
-
-
-def test_a_record_holds_for_no_other_avatar(signed, key, tmp_path):
-    record = note(parts(signed.read_bytes())[0])["consent"]
+    record = note(document)["consent"]
+    value = {"subject": "Bob", "until": "2036-05-31", "drivers": ["*"], "splats_sha256": "0" * 64}
+    for change in (value | {"key": new_key(tmp_path / "other").public}).items():
+        note(document)["consent"] = record | dict([change])
+        assert "signature does not fit" in on_file_data(put(document, rest)).fault
     glsplat.save(person(seed=1), tmp_path / "bob.glb")
     document, rest = parts((tmp_path / "bob.glb").read_bytes())
     note(document)["consent"] = record
@@ -161,16 +157,11 @@ def test_a_rigged_mesh_carries_one_too(key, tmp_path):
     assert "does not cover" in on_file_data(put(document, rest)).fault
 
 
-def test_a_line_of_text_is_no_consent(file):
-    document, rest = parts(file.read_bytes())
-    assert on_file_data(put(document, rest)).fault == "no consent on file"
-    note(document)["consent"] = "my own"
-    assert on_file_data(put(document, rest)).fault == "no consent on file"
-
-
 def test_signing_replaces_what_was_there_and_needs_a_glb(file, key):
     document, rest = parts(file.read_bytes())
-    note(document)["consent"] = "my own"
+    assert on_file_data(put(document, rest)).fault == "no consent on file"
+    note(document)["consent"] = "my own"  # a line of text is none
+    assert on_file_data(put(document, rest)).fault == "no consent on file"
     assert on_file_data(sign_data(put(document, rest), key, **FIELDS)).fault == ""
     del document["asset"]["extras"]
     once = sign_data(put(document, rest), key, **FIELDS)
@@ -183,26 +174,23 @@ def test_signing_replaces_what_was_there_and_needs_a_glb(file, key):
         sign_data(put(document, rest), key, **FIELDS)
 
 
-def test_it_survives_loading_and_saving(signed, tmp_path, caplog):
-    glsplat.save(glsplat.load(signed), tmp_path / "again.glb")
-    assert on_file(tmp_path / "again.glb").fault == "" and not caplog.records
-
-
-@pytest.mark.parametrize("what", ["splats", "levels", "cones", "notes", "gltf"])
-def test_it_is_left_out_with_a_word_where_the_file_is_another(signed, tmp_path, caplog, what):
+def test_it_survives_saving_and_is_left_out_with_a_word_where_the_file_is_another(signed, tmp_path, caplog):
     avatar = glsplat.load(signed)
+    glsplat.save(avatar, tmp_path / "again.glb")
+    assert on_file(tmp_path / "again.glb").fault == "" and not caplog.records
     coarse = replace(avatar, splats=avatar.splats.take(range(5)), skin=avatar.skin.take(range(5)))
-    made = {
-        "splats": lambda: replace(avatar, splats=replace(avatar.splats, opacities=avatar.splats.opacities * 0.5)),
-        "levels": lambda: replace(avatar, levels=(Level(coarse, 100.0),)),
-        "cones": lambda: replace(avatar, splats=replace(avatar.splats, cones=np.zeros((30, 4), np.int8))),
-        "notes": lambda: replace(avatar, meta={**avatar.meta, "licence": "CC0-1.0"}),
-        "gltf": lambda: avatar,
-    }[what]()
-    out = tmp_path / ("out.gltf" if what == "gltf" else "out.glb")
-    glsplat.save(made, out)
-    assert "consent" not in glsplat.load(out).meta
-    assert [str(out) in line and "the consent is left out" in line for line in caplog.messages] == [True]
+    for name, other in {
+        "splats.glb": replace(avatar, splats=replace(avatar.splats, opacities=avatar.splats.opacities * 0.5)),
+        "levels.glb": replace(avatar, levels=(Level(coarse, 100.0),)),
+        "cones.glb": replace(avatar, splats=replace(avatar.splats, cones=np.zeros((30, 4), np.int8))),
+        "notes.glb": replace(avatar, meta={**avatar.meta, "licence": "CC0-1.0"}),
+        "out.gltf": avatar,
+    }.items():
+        caplog.clear()
+        glsplat.save(other, tmp_path / name)
+        assert "consent" not in glsplat.load(tmp_path / name).meta
+        (line,) = caplog.messages
+        assert name in line and "the consent is left out" in line
 
 
 def test_what_comes_with_glsplat_shows_nobody(tmp_path):
@@ -225,23 +213,20 @@ STRANGE = {
     "control characters": ({"purpose": "a\x1b[2J"}, "purpose needs"),
     "no text": ({"purpose": "\ud800"}, "purpose needs"),
     "an upper case key": ({"key": "A" * 64}, "key needs 64 digits"),
+    "handing out": ({"hand_out": 1}, "hand_out needs true or false"),
     "a weak key": ({"key": "0" * 64}, "signature does not fit"),
 }
 
 
-@pytest.mark.parametrize("name", STRANGE)
-def test_strange_records_are_refused_in_one_line(key, name):
-    change, why = STRANGE[name]
-    record = signed_record(key, splats_sha256="0" * 64, file_sha256=None, **FIELDS)
-    read_record(record)
-    record = change if isinstance(change, str) else record | change
-    with pytest.raises(FormatError, match=why) as caught:
-        read_record(record)
-    assert str(caught.value).isprintable()
-    if isinstance(record, dict):
-        missing = {name: value for name, value in record.items() if name != "purpose" and name not in change}
-        with pytest.raises(FormatError, match=r"lacks|does not know"):
-            read_record({**missing, **(change if name.startswith("a key") else {})})
+def test_strange_records_are_refused_in_one_line(key):
+    good = signed_record(key, splats_sha256="0" * 64, file_sha256=None, **FIELDS)
+    read_record(good)
+    lacking = {name: value for name, value in good.items() if name != "purpose"}
+    for change, why in (*STRANGE.values(), (None, "lacks")):
+        record = lacking if change is None else change if isinstance(change, str) else good | change
+        with pytest.raises(FormatError, match=why) as caught:
+            read_record(record)
+        assert str(caught.value).isprintable()
 
 
 def test_a_record_can_be_checked_by_others(key):
@@ -302,13 +287,3 @@ def test_handing_out_the_splats_is_said_in_the_record_alone_and_cannot_be_added_
     forged = on_file_data(put(document, rest))
     assert not forged.hands_out and "signature does not fit" in forged.fault
     assert on_file(embedded_file("ben")).hands_out  # nobody is shown
-
-
-@pytest.mark.parametrize("value", [1, "yes", None, [True]])
-def test_hand_out_is_true_or_false(value, file, key):
-    record = note(parts(sign_data(file.read_bytes(), key, **FIELDS))[0])["consent"]
-    del record["signature"]
-    record["hand_out"] = value
-    record["signature"] = signature_of(key, canonical(record))
-    with pytest.raises(FormatError, match="hand_out needs true or false"):
-        read_record(record)

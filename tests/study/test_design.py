@@ -47,77 +47,55 @@ def test_the_papers_study() -> None:
     }
     assert {one.view for one in study.conditions} == {"mirror"}
     assert study.condition("self-ours").file("sub-007") == "avatars/sub-007-self-ours.glb"
-    assert {"look", "wave", "touch", "squat", "walk"} <= {task.name for task in study.tasks}
     counts = {name: len(study.questionnaires[name].items) for name in study.each}
-    assert counts == {
-        "veq": 12,
-        "veq-plus": 12,
-        "vhp-abp": 6,
-        "movement": 3,
-    }  # the paper, section "Dependent Variables"
+    assert counts == {"veq": 12, "veq-plus": 12, "vhp-abp": 6, "movement": 3}  # the paper, "Dependent Variables"
     assert len(study.untold) == 30
 
 
 WRONG = [
     ("seed = 5", "sead = 5", "sead", "is it seed"),
     ("participants = 6", "participants = 0", "participants", "1 to 999"),
-    ("participants = 6", "participants = true", "participants", "whole number"),
     ('name = "small"', 'name = "Small Study"', "name", "small letters"),
     ('consent = "You look at a body."', 'consent = " "', "consent", "text"),
-    ("[factors]", "[factors]\nparticipant = ['a', 'b']", "participant", "taken"),
     ('delay = ["none", "some"]', 'delay = ["none"]', "delay", "2 to 20"),
-    ('delay = ["none", "some"]', 'delay = ["none", "none"]', "delay", "twice"),
-    ('name = "slow"', 'name = "fast"', "condition", "two called"),
     ('delay = "some"', 'delay = "none"', "condition", "same levels"),
     ('delay = "some"', 'delay = "much"', "delay", "none, some"),
     ("latency = 150", "latency = nan", "latency", "0 to 2000"),
-    ("hands = false", "hands = 0", "hands", "true or false"),
     ("hands = false", 'view = "behind"', "view", "mirror"),
     ("light = [0.5, 0.25, 1]", 'light = "noon"', "light", "0 to 1"),
-    ("light = [0.5, 0.25, 1]", "light = 1.5", "light", "0 to 1"),
-    ("light = [0.5, 0.25, 1]", "light = [1, 1]", "light", "red, green, blue"),
     ("light = [0.5, 0.25, 1]", "light = [1, nan, 1]", "light", "0 to 1"),
     ("seconds = 10", "seconds = -1", "seconds", "0.1 to 3600"),
-    ('name = "walk"', 'name = "wave"', "task", "two called"),
     ('"own.toml"', '"none.toml"', "after", "none.toml"),
-    ('"own.toml"', '"unheard-of"', "after", "nasa-tlx"),
     ("seed = 5", "seed = 5\n[order]\nblock = 'group'", "block", "delay"),
-    ("seed = 5", "seed = 5\n[order]\nscheme = 'latin'", "scheme", "williams"),
     ("seed = 5", "seed = 5\n[text.own]\nnope = 'x'", "nope", "sex"),
-    ("seed = 5", "seed = 5\n[text.other]\nnope = 'x'", "other", "own"),
-    ("seed = 5", "seed = = 5", "TOML", ""),
-    ("seed = 5", "seed = 5\n[order]\nblock = 'hour'", "block", "expected one of delay, not"),
 ]
 
 
-@pytest.mark.parametrize(("before", "after", "key", "hint"), WRONG)
-def test_one_line_names_the_key(tmp_path: Path, before: str, after: str, key: str, hint: str) -> None:
-    text = SMALL.replace(before, after, 1) if not after.startswith("seed = 5\n[") else f"{SMALL}\n{after[9:]}"
-    assert text != SMALL
-    path = write(tmp_path, text)
-    with pytest.raises(FormatError) as refused:
-        read_study(path)
-    line = str(refused.value)
-    assert line.startswith(str(path)) and key in line and hint in line and "\n" not in line
+def test_one_line_names_the_key(tmp_path: Path) -> None:
+    for before, after, key, hint in WRONG:
+        text = SMALL.replace(before, after, 1) if not after.startswith("seed = 5\n[") else f"{SMALL}\n{after[9:]}"
+        assert text != SMALL
+        path = write(tmp_path, text)
+        with pytest.raises(FormatError) as refused:
+            read_study(path)
+        line = str(refused.value)
+        assert line.startswith(str(path)) and key in line and hint in line and "\n" not in line
 
 
 WRONG_OWN = [
     ('name = "odd"', 'name = "sex"', "two items"),
-    ("reversed = true", "reversed = 1", "true or false"),
     ('items = ["odd", "fine"]', 'items = ["odd", "words"]', "words"),
     ("weights = [1, -2]", "weights = [1]", "2 numbers"),
     ("from = -3, to = 3", "from = 3, to = -3", "steps"),
-    ("from = -3, to = 3", "from = 0, to = 40", "side by side"),
     ('labels = ["no", "yes"]', 'labels = ["no", "well", "yes"]', "labels"),
-    ('labels = ["one", "other"]', 'labels = ["one"]', "two options"),
     ('kind = "text"', 'kind = "words"', "points, slider"),
 ]
 
 
-@pytest.mark.parametrize(("before", "after", "hint"), WRONG_OWN)
-def test_questionnaires_are_checked_too(tmp_path: Path, before: str, after: str, hint: str) -> None:
-    with pytest.raises(FormatError, match=hint):
-        read_study(write(tmp_path, SMALL, OWN.replace(before, after, 1)))
+def test_questionnaires_are_checked_too(tmp_path: Path) -> None:
+    for before, after, hint in WRONG_OWN:
+        with pytest.raises(FormatError, match=hint):
+            read_study(write(tmp_path, SMALL, OWN.replace(before, after, 1)))
 
 
 def test_bytes_that_are_no_text(tmp_path: Path) -> None:
@@ -131,11 +109,10 @@ def test_bytes_that_are_no_text(tmp_path: Path) -> None:
 
 
 def test_every_instrument_can_be_read() -> None:
+    assert len(embedded()) == 8
     for name in embedded():
         one = questionnaire_of(name, Path())
-        assert one.name == name and one.source and one.licence and one.scores
-        assert bool(one.untold) == ("not free" in one.licence)
-    assert len(embedded()) == 8
+        assert one.name == name and one.source and one.scores and bool(one.untold) == ("not free" in one.licence)
 
 
 def test_scores_by_hand(tmp_path: Path) -> None:
@@ -154,14 +131,6 @@ def test_the_ssq_weighs_as_its_authors_do() -> None:
     ssq = questionnaire_of("ssq", Path())
     found = {one.name: one.of(ssq, {item.name: 3 for item in ssq.items}) for one in ssq.scores}
     assert found == pytest.approx({"nausea": 200.34, "oculomotor": 159.18, "disorientation": 292.32, "total": 235.62})
-
-
-def test_the_eeriness_index_has_two_parts() -> None:
-    """Ho and MacDorman (2017): 18 pairs from -3 to 3; of eeriness four eerie, five spine-tingling."""
-    one = questionnaire_of("uncanny", Path())
-    sizes = {score.name: len(score.items) for score in one.scores}
-    assert sizes == {"humanness": 5, "eerie": 4, "spine": 5, "eeriness": 9, "attractiveness": 4}
-    assert len(one.items) == 18 and {(item.scale.low, item.scale.high) for item in one.items} == {(-3, 3)}
 
 
 def test_the_embodiment_questionnaire_adds_up_as_published() -> None:

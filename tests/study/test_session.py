@@ -105,14 +105,12 @@ def test_a_log_leads_back_at_every_line(walk: Walk) -> None:
         assert Session(walk.study, walk.steps, walk.log[:lines]).state == state
 
 
-def test_consent_is_kept_with_its_text(walk: Walk) -> None:
-    walk.do(lambda t: walk.session.consent("001-consent", True, t))
-    values = walk.log[0].values
-    assert values["accepted"] is True and values["text"] == "You look at a body."
-    assert values["sha256"] == hashlib.sha256(b"You look at a body.").hexdigest()
-
-
-def test_without_consent_nothing_comes(walk: Walk) -> None:
+def test_without_consent_nothing_comes(walk: Walk, tmp_path: Path) -> None:
+    agreed = Walk(tmp_path)
+    agreed.do(lambda t: agreed.session.consent("001-consent", True, t))
+    values, text = agreed.log[0].values, "You look at a body."  # it is kept with its text
+    assert values["accepted"] is True and values["text"] == text
+    assert values["sha256"] == hashlib.sha256(text.encode()).hexdigest()
     walk.do(lambda t: walk.session.consent("001-consent", False, t))
     assert walk.session.state.ended == "declined" and walk.again().state.ended == "declined"
     for refused in (lambda: walk.do(walk.session.submit, "002-nasa-tlx"), lambda: walk.do(walk.session.repeat)):
@@ -122,7 +120,12 @@ def test_without_consent_nothing_comes(walk: Walk) -> None:
     assert walk.do(walk.session.pause) == walk.do(walk.session.lost) == walk.do(walk.session.tick) == []
 
 
-def test_a_crash_in_a_task_begins_it_anew(walk: Walk) -> None:
+def test_a_crash_in_a_task_begins_it_anew_and_in_a_questionnaire_keeps_the_answers(walk: Walk) -> None:
+    walk.to("questionnaire")
+    walk.do(walk.session.answer, walk.name, "mental", 35, 2.0)
+    walk.session = walk.again()
+    walk.open()
+    assert walk.session.state.answers == {"mental": 35} and walk.session.state.attempt == 1
     walk.to("task", "running")
     walk.t += 4
     walk.session = walk.again()
@@ -133,14 +136,6 @@ def test_a_crash_in_a_task_begins_it_anew(walk: Walk) -> None:
     walk.t += 3
     walk.do(walk.session.tick)
     assert walk.session.left(walk.t) == 10  # the whole of it
-
-
-def test_a_crash_in_a_questionnaire_keeps_the_answers(walk: Walk) -> None:
-    walk.to("questionnaire")
-    walk.do(walk.session.answer, walk.name, "mental", 35, 2.0)
-    walk.session = walk.again()
-    walk.open()
-    assert walk.session.state.answers == {"mental": 35} and walk.session.state.attempt == 1
 
 
 def test_what_is_sent_again_is_written_once(walk: Walk) -> None:
@@ -159,22 +154,21 @@ def test_what_is_sent_again_is_written_once(walk: Walk) -> None:
     assert walk.do(lambda t: walk.session.consent("001-consent", True, t)) == []
 
 
-@pytest.mark.parametrize("value", [-5, 101, 3, "35", True, None, float("nan"), float("inf"), [35], {"a": 1}, 10**400])
-def test_no_answer(walk: Walk, value: Any) -> None:
+def test_no_answer(walk: Walk) -> None:
     walk.to("questionnaire")
-    with pytest.raises(ProtocolError) as error:
-        walk.do(walk.session.answer, walk.name, "mental", value, 1.0)
-    assert error.value.code == "bad_answer" and not walk.session.state.answers
-
-
-@pytest.mark.parametrize(
-    ("item", "value"), [("sex", "third"), ("sex", 1), ("words", "x" * 4001), ("words", "\ud800"), ("nope", 1)]
-)
-def test_no_words(walk: Walk, item: str, value: Any) -> None:
+    for value in (-5, 101, 3, "35", True, None, float("nan"), float("inf"), [35], {"a": 1}, 10**400):
+        with pytest.raises(ProtocolError) as error:
+            walk.do(walk.session.answer, walk.name, "mental", value, 1.0)
+        assert error.value.code == "bad_answer" and not walk.session.state.answers
     while walk.name != "011-own":
         walk.step()
-    with pytest.raises(ProtocolError):
+    for item, value in (("sex", "third"), ("sex", 1), ("words", "x" * 4001), ("words", "\ud800"), ("nope", 1)):
+        with pytest.raises(ProtocolError):
+            walk.do(walk.session.answer, walk.name, item, value, 1.0)
+    for item, value in (("sex", "one"), ("odd", 1), ("fine", 0)):  # words need not be written
         walk.do(walk.session.answer, walk.name, item, value, 1.0)
+    walk.do(walk.session.submit, walk.name)
+    assert walk.session.state.ended == "done"
 
 
 def test_steps_are_done_in_their_order(walk: Walk) -> None:
@@ -192,16 +186,10 @@ def test_steps_are_done_in_their_order(walk: Walk) -> None:
         walk.do(walk.session.submit, walk.name)
 
 
-def test_words_need_not_be_written(walk: Walk) -> None:
-    while walk.name != "011-own":
-        walk.step()
-    for item, value in (("sex", "one"), ("odd", 1), ("fine", 0)):
-        walk.do(walk.session.answer, walk.name, item, value, 1.0)
-    walk.do(walk.session.submit, walk.name)
-    assert walk.session.state.ended == "done"
-
-
-def test_pause_stops_the_time(walk: Walk) -> None:
+def test_pause_stops_the_time_as_does_a_page_that_is_gone(walk: Walk) -> None:
+    walk.to("task", "countdown")
+    walk.do(walk.session.lost)
+    assert walk.session.state.phase == "instruction" and walk.do(walk.session.lost) == []
     walk.to("task", "running")
     walk.t += 9
     walk.do(walk.session.pause)
@@ -210,7 +198,7 @@ def test_pause_stops_the_time(walk: Walk) -> None:
     assert walk.do(walk.session.tick) == [] and walk.session.left(walk.t) is None
     assert walk.again().state.paused  # a server that comes back is still paused
     walk.do(walk.session.go_on)
-    assert (walk.session.state.phase, walk.session.state.attempt) == ("instruction", 2)
+    assert (walk.session.state.phase, walk.session.state.attempt) == ("instruction", 3)
     walk.to("questionnaire")
     walk.do(walk.session.pause)
     with pytest.raises(ProtocolError) as error:
@@ -240,15 +228,7 @@ def test_notes_and_the_end(walk: Walk) -> None:
     assert walk.again().state.ended == "aborted" and walk.log[-1].values == {"reason": "felt sick"}
 
 
-def test_a_page_that_is_gone(walk: Walk) -> None:
-    walk.to("task", "instruction")
-    assert walk.do(walk.session.lost) == []
-    walk.to("task", "countdown")
-    walk.do(walk.session.lost)
-    assert walk.session.state.phase == "instruction" and walk.do(walk.session.lost) == []
-
-
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_anything_anytime(tmp_path: Path, seed: int) -> None:
     """Whoever does what they like finds it refused or done; steps only go on, and the log tells the same."""
     walk, rng = Walk(tmp_path, 1 + seed % 6), np.random.default_rng(seed)

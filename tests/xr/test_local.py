@@ -14,7 +14,7 @@ import glsplat
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context, create_context
-from glsplat.scene import Item, Scene, similarity
+from glsplat.scene import Item, Scene
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.splats import Splats
 from glsplat.tracking.calibration import Calibration
@@ -43,7 +43,8 @@ def context() -> Iterator[Context]:
 
 @pytest.fixture(scope="module")
 def person() -> glsplat.Avatar:
-    return glsplat.default_avatar()
+    """The embedded avatar's coarsest level."""
+    return replace(glsplat.default_avatar().levels[-1].content, levels=())
 
 
 class Worn:
@@ -91,6 +92,14 @@ class Worn:
             self._plain = (self.show.scene, config), made
         return self._plain[1].render(self.show.cameras, depth=config.get("output") == "float32")
 
+    def metres(self) -> np.ndarray:
+        """The depth that the runtime is given, from OpenGL's perspective."""
+        projection = self.runtime.shown[-1][0]
+        assert projection is not None and projection.depth_range is not None
+        near, far = projection.depth_range.near, projection.depth_range.far
+        assert far == FAR
+        return near * far / (far - self.pair(deep=True) * (far - near))
+
     def _release_plain(self) -> None:
         if self._plain is not None:
             self._plain[1].release()
@@ -106,9 +115,11 @@ VIEWPOINTS = [  # heads, fields of view: none of them even, none symmetric
 @pytest.mark.parametrize(
     ("view", "arrays"), [("mirror", True), ("facing", True), ("facing", False), ("own", True)], ids=str
 )
-def test_images_are_what_render_gives_to_the_bit(context: Context, view: ViewName, arrays: bool) -> None:
+def test_images_are_what_render_gives_to_the_bit(
+    context: Context, person: glsplat.Avatar, view: ViewName, arrays: bool
+) -> None:
     runtime = FakeRuntime(context, size=SIZE, arrays=arrays)
-    with Worn(context, glsplat.default_avatar(), view, runtime) as worn:
+    with Worn(context, person, view, runtime) as worn:
         worn.frames(1)
         for head, fovs in VIEWPOINTS:
             unit = np.array(head[3:]) / np.linalg.norm(head[3:])
@@ -129,71 +140,37 @@ def test_images_are_what_render_gives_to_the_bit(context: Context, view: ViewNam
             else:
                 assert np.array_equal(pair, wanted)
             assert (wanted[..., 3] > 128).mean() > 0.01  # somebody is in it
+            assert (worn.show.renderer.stats.splats < len(person.splats)) == (view == "own")  # without a head
             projection = runtime.shown[-1][0]
             assert projection is not None and [v.pose for v in projection.views] == list(eyes)
             assert [v.fov for v in projection.views] == list(fovs)
     assert len(worn.runtime.swapchains) == (2 if arrays else 4) and all(c.closed for c in worn.runtime.swapchains)
 
 
-def test_the_own_body_has_no_head_and_the_others_have_one(context: Context) -> None:
-    avatar = glsplat.default_avatar()
-    with Worn(context, avatar, "own") as worn:
+@pytest.mark.parametrize(
+    ("known", "order", "scale"),
+    [(DEPTH32F, "shared", 1.0), (DEPTH24, "shared", 1.25), (DEPTH32F, "per_view", 1.0)],  # one eye after the other
+)
+def test_depth_is_the_renderers_in_the_wearers_metres(
+    context: Context, person: glsplat.Avatar, known: int, order: Any, scale: float
+) -> None:
+    runtime, size = FakeRuntime(context, size=SIZE, formats=(SRGB8, known)), Calibration(scale=scale, automatic=False)
+    config = RenderConfig(order=order)
+    with Worn(context, person, "facing", runtime, calibration=size, config=config) as worn:
         worn.frames()
-        assert worn.show.renderer.stats.splats == len(avatar.without("head").splats)
-        worn.show.wearer.show("facing")
-        worn.frames(1)
-        assert worn.show.renderer.stats.splats == len(avatar.splats)
-        assert np.array_equal(worn.pair(), worn.rendered())
-
-
-@pytest.mark.parametrize("known", [DEPTH32F, DEPTH24])
-def test_depth_is_the_renderers(context: Context, known: int) -> None:
-    runtime = FakeRuntime(context, size=SIZE, formats=(SRGB8, known))
-    with Worn(context, glsplat.default_avatar(), "facing", runtime) as worn:
-        worn.frames()
-        deep, (picture, z) = worn.pair(deep=True), worn.rendered(output="float32")
-        projection = runtime.shown[-1][0]
-        assert projection is not None and projection.depth_range is not None
-        near, far = projection.depth_range.near, projection.depth_range.far
-        covered = picture[..., 3] > 0.5
-        metres = near * far / (far - deep[covered] * (far - near))  # z from OpenGL's perspective
-        assert covered.sum() > 100 and np.allclose(metres, z[covered], rtol=2e-3)
-        assert 1.0 < np.median(metres) < 2.5 and far == FAR
-        assert np.all(deep[picture[..., 3] == 0] == 1)
-
-
-def test_depth_is_in_the_wearers_metres(context: Context) -> None:
-    known = Calibration(scale=1.25, automatic=False)
-    with Worn(context, glsplat.default_avatar(), "facing", calibration=known) as worn:
-        worn.frames()
-        _, z = worn.rendered(output="float32")
-        projection = worn.runtime.shown[-1][0]
-        assert projection is not None and projection.depth_range is not None
-        near, far = projection.depth_range.near, projection.depth_range.far
-        covered = z > 0
-        metres = near * far / (far - worn.pair(deep=True)[covered] * (far - near))
-        assert np.median(metres / z[covered]) == pytest.approx(1.25, rel=1e-3)
-
-
-def test_eyes_that_are_drawn_one_by_one(context: Context) -> None:
-    """Each in an order of its own: both layers of colour and of depth are there all the same."""
-    with Worn(context, glsplat.default_avatar(), "facing", config=RenderConfig(order="per_view")) as worn:
-        worn.frames()
-        assert np.array_equal(worn.pair(), worn.rendered(order="per_view"))
-        picture, z = worn.rendered(order="per_view", output="float32")
-        projection = worn.runtime.shown[-1][0]
-        assert projection is not None and projection.depth_range is not None
-        near, far = projection.depth_range.near, projection.depth_range.far
+        assert np.array_equal(worn.pair(), worn.rendered(order=order))
+        metres, (picture, z) = worn.metres(), worn.rendered(order=order, output="float32")
         for eye in (0, 1):
             covered = picture[eye, ..., 3] > 0.5
-            metres = near * far / (far - worn.pair(deep=True)[eye][covered] * (far - near))
-            assert covered.sum() > 50 and np.allclose(metres, z[eye][covered], rtol=2e-3)
+            assert covered.sum() > 50 and np.allclose(metres[eye][covered], scale * z[eye][covered], rtol=2e-3)
+        assert 1.0 < np.median(metres[picture[..., 3] > 0.5]) < 2.5
+        assert np.all(worn.pair(deep=True)[picture[..., 3] == 0] == 1)
 
 
-def test_no_depth_costs_none(context: Context) -> None:
+def test_no_depth_costs_none(context: Context, person: glsplat.Avatar) -> None:
     for formats, how in (((SRGB8,), {}), ((SRGB8, DEPTH32F), {"depth": False})):
         runtime = FakeRuntime(context, size=SIZE, formats=formats)
-        with Worn(context, glsplat.default_avatar(), "facing", runtime, **how) as worn:
+        with Worn(context, person, "facing", runtime, **how) as worn:
             worn.frames()
             assert not worn.chains(deep=True) and worn.show._target is not None and worn.show._target.depth is None
             assert not runtime.shown[-1][0].depth  # type: ignore[union-attr]
@@ -209,15 +186,12 @@ def test_images_that_hold_light_get_light(context: Context, person: glsplat.Avat
             light = np.clip(wanted[..., :3], 0, 1)
             light = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4)
             assert np.abs(pair[..., :3] - 255 * light).max() <= 1.01 and pair[..., :3].max() > 30
-
-
-def test_a_runtime_without_a_format_we_know_is_told(context: Context, person: glsplat.Avatar) -> None:
     with pytest.raises(ContextError, match="no images of a colour format"):
         Worn(context, person, "facing", FakeRuntime(context, size=SIZE, formats=(0x805B, DEPTH32F)))
 
 
-def test_a_floor_lies_below_and_the_avatar_stands_on_it(context: Context) -> None:
-    with Worn(context, glsplat.default_avatar(), "facing", floor=True) as worn:
+def test_a_floor_lies_below_and_the_avatar_stands_on_it(context: Context, person: glsplat.Avatar) -> None:
+    with Worn(context, person, "facing", floor=True) as worn:
         worn.frames()
         pair, wanted = worn.pair().astype(int), worn.rendered().astype(int)
         solid = wanted[..., 3] == 255
@@ -246,13 +220,13 @@ def test_passthrough_shows_by_alpha(context: Context, person: glsplat.Avatar) ->
         )  # type: ignore[union-attr]
 
 
-def test_a_scene_around_its_wearer(context: Context, rng: np.random.Generator) -> None:
+def test_a_scene_around_its_wearer(context: Context, person: glsplat.Avatar, rng: np.random.Generator) -> None:
     """A room that stands still, and a person in it who is moved."""
     places = rng.normal(size=(300, 3)) * [1, 0.5, 1] + [0, 1, -2]
     room = Splats.create(
         places, [[1.0, 0, 0, 0]] * 300, np.full((300, 3), 0.05), np.ones(300), rgb=rng.random((300, 3))
     )
-    items = [Item(room), Item(glsplat.default_avatar(), transform=similarity((0.0, 0.0, 0.0)))]
+    items = [Item(room), Item(person)]
     with Worn(context, SceneFile(Scene(items)), "own") as worn:
         worn.frames()
         assert worn.show.solved and np.array_equal(worn.pair(), worn.rendered())
@@ -263,32 +237,6 @@ def test_a_scene_around_its_wearer(context: Context, rng: np.random.Generator) -
     with Worn(context, room, "own") as still:  # nobody in it
         still.frames()
         assert not still.show.solved and np.array_equal(still.pair(), still.rendered())
-
-
-def test_a_lost_head_leaves_the_last_picture_where_it_was(context: Context, person: glsplat.Avatar) -> None:
-    with Worn(context, person) as worn:
-        worn.frames(4)
-        last = worn.runtime.shown[-1][0]
-        worn.runtime.eyes = None
-        acquired = worn.runtime.log.count("acquire")
-        worn.frames(2)
-        assert worn.runtime.shown[-1][0] is last and worn.runtime.log.count("acquire") == acquired
-
-
-@pytest.mark.parametrize("bad", [Fov(0, 0, 0, 0), Fov(nan, 1, 1, -1), Fov(-2, 2, 1, -1)], ids=["zeros", "NaN", "wide"])
-def test_eyes_that_see_nothing_are_no_eyes(context: Context, person: glsplat.Avatar, bad: Fov) -> None:
-    runtime = FakeRuntime(context, size=SIZE)
-    good = runtime.fovs
-    with Worn(context, person, runtime=runtime) as worn:
-        for fovs, eyes in (((bad, bad), runtime.eyes), (good, ((0.0,) * 7,) * 2)):
-            before = runtime.eyes
-            runtime.fovs, runtime.eyes = fovs, eyes
-            worn.frames()
-            assert all(projection is None for projection, _ in runtime.shown)
-            runtime.eyes = before
-        runtime.fovs = good
-        worn.frames(1)
-        assert runtime.shown[-1][0] is not None
 
 
 def test_runtimes_that_come_and_go_leave_nothing(context: Context, person: glsplat.Avatar) -> None:
@@ -318,9 +266,9 @@ def test_runtimes_that_come_and_go_leave_nothing(context: Context, person: glspl
     show.release()
 
 
-def test_a_window_shows_what_the_image_holds(context: Context) -> None:
+def test_a_window_shows_what_the_image_holds(context: Context, person: glsplat.Avatar) -> None:
     """At its size every byte of it; in another window as much as fits, upright, in the middle."""
-    with Worn(context, glsplat.default_avatar(), "mirror", floor=True) as worn:
+    with Worn(context, person, "mirror", floor=True) as worn:
         worn.frames()
         pair, (width, height) = worn.pair(), SIZE
         seen = {}
@@ -345,10 +293,25 @@ def test_a_window_shows_what_the_image_holds(context: Context) -> None:
             assert np.abs(small.astype(int) - exact[::2, ::2]).mean() < 20
 
 
+def test_a_lost_head_and_eyes_that_see_nothing_leave_the_last_picture(context: Context, person: glsplat.Avatar) -> None:
+    runtime = FakeRuntime(context, size=SIZE)
+    good, eyes = runtime.fovs, runtime.eyes
+    with Worn(context, person, runtime=runtime) as worn:
+        for bad in (Fov(0, 0, 0, 0), Fov(nan, 1, 1, -1), Fov(-2, 2, 1, -1)):
+            runtime.fovs = (bad, bad)
+            worn.frames()
+        runtime.fovs, runtime.eyes = good, ((0.0,) * 7,) * 2
+        worn.frames()
+        assert all(projection is None for projection, _ in runtime.shown)
+        runtime.eyes = eyes
+        worn.frames(1)
+        last, acquired = runtime.shown[-1][0], runtime.log.count("acquire")
+        runtime.eyes = None
+        worn.frames(2)
+        assert last is not None and runtime.shown[-1][0] is last and runtime.log.count("acquire") == acquired
+
+
 def test_sizes() -> None:
-    runtime = FakeRuntime(size=(2000, 2200))
-    assert fitting(runtime, 1.0, 16384) == (2000, 2200)  # type: ignore[arg-type]
-    assert fitting(runtime, 0.5, 16384) == (1000, 1100)  # type: ignore[arg-type]
-    assert fitting(runtime, 4.0, 16384) == (3723, 4096)  # type: ignore[arg-type]  # the runtime's most, its shape kept
-    assert fitting(runtime, 1.0, 1100) == (1000, 1100)  # type: ignore[arg-type]
-    assert fitting(runtime, 1e-9, 16384) == (1, 1)  # type: ignore[arg-type]
+    runtime: Any = FakeRuntime(size=(2000, 2200))
+    found = [fitting(runtime, *how) for how in ((1.0, 16384), (0.5, 16384), (4.0, 16384), (1.0, 1100), (1e-9, 16384))]
+    assert found == [(2000, 2200), (1000, 1100), (3723, 4096), (1000, 1100), (1, 1)]  # the shape is kept

@@ -34,6 +34,7 @@ def picture(data: bytes) -> np.ndarray:
     return image
 
 
+@pytest.mark.check
 def test_methods(monkeypatch: pytest.MonkeyPatch) -> None:
     figures = drawn(monkeypatch)
     image = picture(plots.methods_plot({"PSNR (dB)": VALUES, "L1": {"photo": {"p01": 1.0}}}))
@@ -49,18 +50,15 @@ def test_methods(monkeypatch: pytest.MonkeyPatch) -> None:
     assert means == pytest.approx([7 / 3, 2.5])
 
 
+@pytest.mark.check
 def test_groups(monkeypatch: pytest.MonkeyPatch) -> None:
     figures = drawn(monkeypatch)
     panels = {"by side": {"front": VALUES, "back": {"mesh": {"p01": 5.0}}}, "by part": {"face": VALUES}}
     picture(plots.groups_plot(panels, "PSNR (dB)"))
+    assert plots.methods_plot({}).startswith(b"\x89PNG") and plots.groups_plot({}, "L1").startswith(b"\x89PNG")
     sides, parts = figures[0].axes
     assert sorted(bar.get_height() for bar in sides.patches) == pytest.approx([7 / 3, 2.5, 5.0])
     assert [label.get_text() for label in sides.get_xticklabels()] == ["front", "back"]
     assert len(parts.patches) == 2 and sides.get_ylabel() == "PSNR (dB)"
     row = summarise(VALUES)[0]
     assert any(line.get_ydata() == pytest.approx([row.low, row.high]) for line in sides.lines)
-
-
-def test_nothing_to_draw() -> None:
-    assert plots.methods_plot({}).startswith(b"\x89PNG") and plots.groups_plot({}, "L1").startswith(b"\x89PNG")
-    picture(plots.methods_plot({"L1": {"photo": {}}}))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from apps.cli import main
-from apps.evaluate import timing
+from apps.evaluate import plots, timing
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison import measure
@@ -18,25 +18,25 @@ from glsplat.formats import save
 from tests.evaluate.comparison.conftest import Pixels
 from tests.net.legacy.test_legacy import thinned
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.check]
 
 
 @pytest.fixture
 def words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """A quick run over two people; a method has an avatar of the second alone."""
     monkeypatch.setattr(measure, "_network", lambda kind: Pixels())
+    monkeypatch.setattr(plots, "png_of", lambda figure: b"\x89PNG")
     monkeypatch.setattr(timing, "Lpips", lambda kind: Pixels())
     monkeypatch.setattr("apps.evaluate.ready.Lpips", lambda kind: None)
     monkeypatch.setattr(
-        "apps.evaluate.command.run_tasks",
-        lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks],
+        "apps.evaluate.command.run_tasks", lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks]
     )
     for name, people in (("both", ("p01", "p02")), ("second", ("p02",))):
         (tmp_path / name).mkdir()
         for one in people:
-            save(thinned(default_avatar(), 50), tmp_path / name / f"{one}.glb")
+            save(thinned(default_avatar(), 200), tmp_path / name / f"{one}.glb")
     methods = ",".join(f"{name}={tmp_path / name}" for name in ("both", "second"))
-    quick = ["--quick", "--only", "p01,p02", "--poses", "standing", "--views", "front", "--size", "96", "--jobs", "1"]
+    quick = ["--quick", "--only", "p01,p02", "--poses", "standing", "--views", "front", "--size", "64", "--jobs", "1"]
     return ["evaluate", "--methods", methods, *quick, "-o", str(tmp_path / "out")]
 
 
@@ -58,7 +58,7 @@ def test_who_has_most_avatars_is_timed(words, tmp_path, monkeypatch, capsys) -> 
     out = tmp_path / "out" / "avatars"
     assert seen == [out / "both" / "p02.glb", out / "second" / "p02.glb"]
     for row in found["costs"]:
-        assert row["kind"] == "splats" and row["count"] == len(thinned(default_avatar(), 50).splats)
+        assert row["kind"] == "splats" and row["count"] == len(thinned(default_avatar(), 200).splats)
         assert row["size"] == 512 and row["pair_ms"] > 0 and row["two_ms"] > 0 and row["bytes"] > 1000
         assert np.isfinite(row["lpips"]) and row["lpips"] > 0 and row["paper"]["gain"] > 1
     assert found["costs"][0]["lpips"] == found["costs"][1]["lpips"]  # the same avatar
@@ -66,12 +66,10 @@ def test_who_has_most_avatars_is_timed(words, tmp_path, monkeypatch, capsys) -> 
     assert "Table 2: rendering time and memory (p02)" in page and "Latency, second (ms)" in page
     assert "timing" not in capsys.readouterr().err
 
-
-def test_no_server_costs_the_timing_alone(words, tmp_path, monkeypatch, capsys) -> None:
     def refused(quick: bool, avatar: Path) -> dict[str, object]:
         raise GlsplatError("no server started")
 
-    monkeypatch.setattr(timing.latency, "measure", refused)
+    monkeypatch.setattr(timing.latency, "measure", refused)  # which costs the timing alone
     assert main(words) == 1
     assert "no timing: no server started" in capsys.readouterr().err
     found = json.loads((tmp_path / "out" / "evaluation.json").read_text())

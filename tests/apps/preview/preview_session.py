@@ -1,4 +1,4 @@
-"""What test_preview.py runs under Xvfb: one window led through keys, mouse, sizes and rest; findings as JSON.
+"""What test_preview.py runs under Xvfb: one window led through layouts, sizes and rest; findings as JSON.
 
 A process of its own: a window's GLX context and the EGL context of the other tests do not share a thread.
 """
@@ -31,8 +31,6 @@ def main(scene_file: str, out: str) -> None:
         handle = window._window
         # a callback can be had by setting another one
         key = glfw.set_key_callback(handle, None)
-        button = glfw.set_mouse_button_callback(handle, None)
-        cursor = glfw.set_cursor_pos_callback(handle, None)
         wheel = glfw.set_scroll_callback(handle, None)
 
         def show(frames: int = 1) -> None:
@@ -60,30 +58,15 @@ def main(scene_file: str, out: str) -> None:
             found["screen is capture"].append(bool(np.array_equal(screen(), images[name])))
         press(glfw.KEY_1)
 
-        yaw = viewer.view.yaw
-        cursor(handle, 50.0, 50.0)
-        viewer.drag("left")
-        cursor(handle, 90.0, 50.0)
-        found["orbit"] = (viewer.view.yaw - yaw + np.pi) % (2 * np.pi) - np.pi
-        button(handle, glfw.MOUSE_BUTTON_LEFT, glfw.RELEASE, 0)
-        yaw = viewer.view.yaw
-        cursor(handle, 20.0, 20.0)
-        found["orbit after release"] = viewer.view.yaw - yaw
         distance = viewer.view.distance
         wheel(handle, 0.0, 2.0)
         found["zoom"] = viewer.view.distance / distance
-        press(glfw.KEY_W)
-        eye = viewer.view.eye
-        show(3)
-        press(glfw.KEY_W, glfw.RELEASE)
-        found["flown"] = float(np.linalg.norm(viewer.view.eye - eye))
-        found["still after flight"] = not viewer.animating
         press(glfw.KEY_R)
         show()
         found["reset"] = bool(np.array_equal(viewer.capture(), images["mono"]))
 
         sizes = []
-        for size in ((1, 1), (1, 40), (201, 151), (200, 150)):
+        for size in ((1, 1), (201, 151), (200, 150)):
             for code in (glfw.KEY_1, glfw.KEY_2, glfw.KEY_3):
                 press(code)
                 window.resize(*size)

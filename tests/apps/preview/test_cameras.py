@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -19,7 +22,7 @@ def pixel(camera: Camera, point: np.ndarray) -> np.ndarray:
     return p[:2] / p[2]
 
 
-@pytest.mark.parametrize("eye", [(0, 1, 3), (2, -1, 0.5), (-3, 0.2, -1), (0, 1, -2)])
+@pytest.mark.parametrize("eye", [(0, 1, 3), (-3, 0.2, -1)])
 def test_view_is_what_render_looks_at(eye: tuple[float, float, float]) -> None:
     target = np.array([0.1, 0.9, -0.2])
     view = View.between(eye, target)
@@ -49,6 +52,18 @@ def test_orbit_keeps_target_and_distance_and_stops_overhead() -> None:
     assert np.allclose(above.orbited(0, -1).axes, view.orbited(0, np.pi / 2 - 1 - view.pitch).axes)
 
 
+def test_zoom_and_windows_stay_within_bounds() -> None:
+    view = View(np.zeros(3), 2.0)
+    assert view.zoomed(0.5).distance == 1
+    assert view.zoomed(1e-30, 0.1, 10).distance == 0.1 and view.zoomed(1e30, 0.1, 10).distance == 10
+    layouts: list[Any] = ["mono", "side-by-side", "anaglyph"]
+    for layout, window in itertools.product(layouts, [(1, 1), (2, 1), (3, 5)]):
+        cameras = cameras_of(view, layout, window, 65, 0.06, BLACK)
+        assert all(camera.width >= 1 and camera.height == window[1] for camera in cameras)
+    with pytest.raises(FormatError, match="the same point"):
+        View.between((1, 2, 3), (1, 2, 3))
+
+
 def test_look_and_flight() -> None:
     view = View(np.zeros(3), 3.0, 0.5, 0.2)
     looked = view.looked(0.3, 0.1)
@@ -61,12 +76,6 @@ def test_look_and_flight() -> None:
     assert np.allclose(moved.target - view.target, moved.eye - view.eye)
 
 
-def test_zoom_stays_within_bounds() -> None:
-    view = View(np.zeros(3), 2.0)
-    assert view.zoomed(0.5).distance == 1
-    assert view.zoomed(1e-30, 0.1, 10).distance == 0.1 and view.zoomed(1e30, 0.1, 10).distance == 10
-
-
 def test_anaglyph_has_the_target_in_the_plane_of_the_screen() -> None:
     view = View.between((0.5, 1.2, 2), (0, 1, 0))
     left, right = cameras_of(view, "anaglyph", SIZE, 60, 0.1, BLACK)
@@ -76,15 +85,3 @@ def test_anaglyph_has_the_target_in_the_plane_of_the_screen() -> None:
     assert pixel(left, near)[0] > pixel(right, near)[0] + 1 and pixel(left, far)[0] < pixel(right, far)[0] - 1
     parallel = cameras_of(view, "side-by-side", SIZE, 60, 0.1, BLACK)
     assert all(camera.K[0, 2] == 80 for camera in parallel)
-
-
-@pytest.mark.parametrize("layout", ["mono", "side-by-side", "anaglyph"])
-@pytest.mark.parametrize("window", [(1, 1), (2, 1), (3, 5)])
-def test_tiny_windows_have_cameras(layout: str, window: tuple[int, int]) -> None:
-    cameras = cameras_of(View(np.zeros(3), 1.0), layout, window, 65, 0.06, BLACK)  # type: ignore[arg-type]
-    assert all(camera.width >= 1 and camera.height == window[1] for camera in cameras)
-
-
-def test_eye_on_target_is_refused() -> None:
-    with pytest.raises(FormatError, match="the same point"):
-        View.between((1, 2, 3), (1, 2, 3))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -16,11 +15,10 @@ import numpy as np
 import pytest
 
 from apps.args import open_scene
-from apps.cli import main
 from apps.preview import command, headset
 from apps.preview.feed import Feed
 from apps.preview.headset_feed import FeedShow
-from glsplat.errors import ContextError, GlsplatError
+from glsplat.errors import ContextError
 from glsplat.gl.context import Context, create_context
 from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.messages import WireOptions
@@ -30,16 +28,11 @@ from glsplat.xr.cameras import camera_of
 from glsplat.xr.openxr.runtime import OpenXrRuntime
 from glsplat.xr.session import Session
 from glsplat.xr.wearer import Wearer
+from tests.apps.cli import mistake, parsed
 from tests.apps.preview.test_connect import feeding, serving
 from tests.xr.fake import HEAD, FakeRuntime
 
 pytestmark = pytest.mark.gl
-
-
-def arguments(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return parser.parse_args(["--xr", *words])
 
 
 def worn(*words: str, frames: int = 4, **made: Any) -> FakeRuntime:
@@ -50,7 +43,7 @@ def worn(*words: str, frames: int = 4, **made: Any) -> FakeRuntime:
         found.append(FakeRuntime(context, size=(64, 48), **made))
         return found[-1]
 
-    args = arguments(*words)
+    args = parsed(command, "--xr", *words)
     headset.check(args)
     assert headset.run(args, open_scene(args), frames, connect) == 0  # type: ignore[arg-type]
     return found[-1]
@@ -81,33 +74,6 @@ def test_what_can_be_asked_for() -> None:
         worn("--passthrough")
 
 
-@pytest.mark.parametrize(
-    ("words", "match"),
-    [
-        (["--motion", "walk"], "--motion does not go with --xr"),
-        (["--connect", "ws://x"], "there: --url"),
-        (["--scale", "0"], "0.05 to 4, not 0"),
-        (["--record", "x.json"], "end in .jsonl"),
-        (["--token-file", "x"], "go with --url"),
-        (["--height", "1.8", "--url", "ws://x"], "height=METRES"),
-        (["--level", "auto", "--url", "ws://x"], "a server decides"),
-        (["--lod-bias", "0", "--url", "ws://x"], "a server decides"),
-        (["--light", "day", "--url", "ws://x"], "a server decides"),
-        (["--solver", "analytic", "--url", "ws://x"], "a server decides"),
-        (["--passthrough", "--background", "1,1,1"], "--background does not go"),
-        (["--record", "/nowhere/at/all.jsonl"], "no such folder"),
-    ],
-)
-def test_what_does_not_go_together(words: list[str], match: str) -> None:
-    with pytest.raises(GlsplatError, match=match):
-        worn(*words)
-
-
-def test_its_options_need_it(capsys: pytest.CaptureFixture[str]) -> None:
-    for words in (["--url", "ws://x"], ["--window"], ["--height", "1.7"]):
-        assert main(["preview", *words]) in (1, 2) and f"{words[0]} goes with --xr" in capsys.readouterr().err
-
-
 # ------------------------------------------------------------------------------------------- nothing there: one line
 
 
@@ -116,7 +82,7 @@ class NoRuntime(ModuleType):
 
     def __init__(self, **fails: str) -> None:
         super().__init__("xr")
-        self.fails = fails
+        self.fails, self.names = fails, ("XR_KHR_opengl_enable", "XR_MNDX_egl_enable")
         base = type("ResultException", (Exception,), {})
         self.exception = SimpleNamespace(XrException=base, ResultException=base, QualifiedSuccessResult=())
         self.kinds: dict[str, Any] = {}
@@ -131,49 +97,30 @@ class NoRuntime(ModuleType):
             if name in self.fails:
                 raise getattr(self, self.fails[name])(self.fails[name])
             if name == "enumerate_instance_extension_properties":
-                names = ("XR_KHR_opengl_enable", "XR_MNDX_egl_enable")
-                return [SimpleNamespace(extension_name=known.encode()) for known in names]
+                return [SimpleNamespace(extension_name=known.encode()) for known in self.names]
             return SimpleNamespace(runtime_name=b"a runtime", HEAD_MOUNTED_DISPLAY=1)
 
         call.HEAD_MOUNTED_DISPLAY = 1  # type: ignore[attr-defined]  # FormFactor
         return call
 
 
-@pytest.mark.parametrize(
-    ("module", "match"),
-    [
-        (None, r"needs pyopenxr.*pip install 'glsplat\[openxr\]'"),
-        (
-            NoRuntime(enumerate_instance_extension_properties="RuntimeUnavailableError"),
-            "no OpenXR runtime is active.*Link",
-        ),
-        (NoRuntime(create_instance="RuntimeFailureError"), "does not answer.*start SteamVR"),
+def test_one_line_where_there_is_nothing(
+    context: Context, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vulkan = NoRuntime()
+    vulkan.names = ("XR_KHR_vulkan_enable2",)
+    for module, said in (
+        (None, "needs pyopenxr"),  # not installed
+        (NoRuntime(enumerate_instance_extension_properties="RuntimeUnavailableError"), "no OpenXR runtime is active"),
+        (NoRuntime(create_instance="RuntimeFailureError"), "start SteamVR"),
         (NoRuntime(get_system="FormFactorUnavailableError"), "a runtime sees no headset: connect it"),
         (NoRuntime(get_system="SystemInvalidError"), "a runtime has no system"),
-    ],
-)
-def test_one_line_where_there_is_nothing(
-    module: ModuleType | None, match: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "xr", module)  # None: not installed
-    assert main(["preview", "--xr", "--frames", "1"]) == 1
-    said = capsys.readouterr()
-    assert len(said.err.splitlines()) == 1 and said.out == ""
-    with pytest.raises(ContextError, match=match):
-        raise ContextError(said.err)
-
-
-def test_a_runtime_without_our_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Vulkan(NoRuntime):
-        def __getattr__(self, name: str) -> Any:
-            if name == "enumerate_instance_extension_properties":
-                return lambda: [SimpleNamespace(extension_name=b"XR_KHR_vulkan_enable2")]
-            return super().__getattr__(name)
-
-    monkeypatch.setitem(sys.modules, "xr", Vulkan())
-    with create_context() as context, pytest.raises(ContextError, match="takes no pictures of OpenGL"):
+    ):
+        monkeypatch.setitem(sys.modules, "xr", module)
+        assert said in mistake(capsys, "preview", "--xr", "--frames", "1")
+    monkeypatch.setitem(sys.modules, "xr", vulkan)
+    with pytest.raises(ContextError, match="takes no pictures of OpenGL"):
         OpenXrRuntime(context)
-    context.release()
 
 
 # ----------------------------------------------------------------------------------------------- a server's pictures
@@ -283,12 +230,11 @@ def test_pictures_are_shown_for_the_eyes_that_they_were_asked_for(context: Conte
         asked = {view.pose for view in projection.views}
         runtime.eyes = tuple((0.5 + x, 1.5, 0.0, 0.0, 0.3826834, 0.0, 0.9238795) for x in (-0.03, 0.03))
         count = show.pictures
-        until(
-            session,
-            lambda: any(
-                p is not None and {v.pose for v in p.views} == set(runtime.eyes or ()) for p, _ in runtime.shown
-            ),
-        )
+
+        def there() -> bool:
+            return any(p is not None and {v.pose for v in p.views} == set(runtime.eyes or ()) for p, _ in runtime.shown)
+
+        until(session, there)
         poses = [tuple(v.pose for v in p.views) for p, _ in runtime.shown if p is not None]
         assert set(poses[-1]) == set(runtime.eyes) and asked == set(poses[count]) and show.age_ms > 0
 

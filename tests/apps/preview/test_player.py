@@ -21,7 +21,6 @@ from glsplat.formats import save
 from glsplat.motion.motion import Motion
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
-from tests.motion.clips import glb, turned
 from tests.scenes import cloud, limb
 
 
@@ -47,9 +46,6 @@ def test_clock() -> None:
     assert player.frame == 4 and player.pose().rotations[1, 2] == pytest.approx(0.4)
     player.step(-5)
     assert player.frame == 9 and not player.playing
-    for expected in range(10):
-        player.step(1)
-        assert player.frame == expected
     player.hold(Pose.zero(4))
     player.step(1)
     assert player.motion is None and not player.pose().rotations.any()
@@ -87,16 +83,12 @@ def test_every_key_does_something_and_is_explained() -> None:
 
 def test_text() -> None:
     assert text_image(()) is None
-    image = text_image([("one line", "x"), ("longer than the first", "y"), ("alone",)])
-    assert image is not None and image.dtype == np.uint8 and image.shape[2] == 4
+    image, double = (text_image([("one line", "x"), ("longer than the first", "y")], scale) for scale in (1.0, 2.0))
+    assert image is not None and image.dtype == np.uint8 and double.shape[0] == 2 * image.shape[0]
     assert (image[..., :3] <= image[..., 3:]).all()  # premultiplied
     assert image[..., 0].max() > 200 and image[0, 0].tolist() == [0, 0, 0, 153]
-    ink = image[8:46, ..., 0]
-    x, y = (np.flatnonzero(rows.any(axis=0))[-1] for rows in (ink[:19], ink[19:]))
+    x, y = (np.flatnonzero(rows.any(axis=0))[-1] for rows in (image[8:27, ..., 0], image[27:46, ..., 0]))
     assert abs(int(x) - int(y)) <= 2  # "x" and "y" stand in one column
-    double = text_image([("one line", "x")], 2.0)
-    single = text_image([("one line", "x")])
-    assert double is not None and single is not None and double.shape[0] == 2 * single.shape[0]
     odd = text_image([("Zoë \u4eba" + "x" * 500,)])
     assert odd is not None and odd.shape[1] < 1400
 
@@ -133,42 +125,19 @@ def test_dropped_files_are_told_apart_by_content(tmp_path: Path) -> None:
     (tmp_path / "folder" / "1.json").write_text(json.dumps(pose))
     save(limb(), tmp_path / "limb.gltf")
     save(cloud(), tmp_path / "cloud.ply")
-    kinds = {
-        "pose.txt": Pose,
-        "motion": Motion,
-        "list": Motion,
-        "folder": Motion,
-        "limb.gltf": Avatar,
-        "cloud.ply": Splats,
-    }
-    for name, kind in kinds.items():
+    kinds = {"pose.txt": Pose, "motion": Motion, "list": Motion, "folder": Motion}
+    for name, kind in {**kinds, "limb.gltf": Avatar, "cloud.ply": Splats}.items():
         what = read_dropped(str(tmp_path / name), skeleton)
         assert isinstance(what.content, kind) and what.label == name
     with pytest.raises(GlsplatError, match="no skeleton to move"):
         read_dropped(str(tmp_path / "motion"), None)
-
-
-@pytest.mark.parametrize(
-    "text", [b"", b"{", b"{}", b"[1]", b'{"frames": 3}', b"PK\x03\x04", b"HIERARCHY", b"\xff\xfe nonsense", b"[" * 9999]
-)
-def test_bad_files_are_one_line(tmp_path: Path, text: bytes) -> None:
+    assert motion_names(skeleton) == [] and motion_names(None) == []  # embedded ones are for their own rig
     path = tmp_path / "bad.bin"
-    path.write_bytes(text)
-    with pytest.raises(GlsplatError) as error:
-        read_dropped(str(path), limb().skeleton)
-    assert "bad.bin" in str(error.value) and "\n" not in str(error.value)
-    with pytest.raises(GlsplatError, match="no such file"):
-        read_dropped(str(tmp_path / "missing"), None)
-
-
-def test_an_animation_that_shows_nothing_is_a_motion(tmp_path: Path) -> None:
-    still = np.tile(turned("head", Rotation.identity()).as_quat(), (2, 1))
-    file = glb(tmp_path / "nod.vrma", [{"channels": [("head", "rotation", "LINEAR", [0.0, 1.0], still)]}], vrm=True)
-    assert isinstance(read_dropped(str(file), default_avatar().skeleton).content, Motion)
-
-
-def test_embedded_motions_are_for_their_own_rig() -> None:
-    assert motion_names(limb().skeleton) == [] and motion_names(None) == []
+    for text in (b"", b"{", b"[1]", b'{"frames": 3}', b"PK\x03\x04", b"HIERARCHY", b"\xff\xfe nonsense", b"[" * 9999):
+        path.write_bytes(text)
+        with pytest.raises(GlsplatError) as error:
+            read_dropped(str(path), skeleton)
+        assert "bad.bin" in str(error.value) and "\n" not in str(error.value)
 
 
 def test_a_recording_of_head_and_hands_becomes_a_motion(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from apps.preview.cameras import Options
 from apps.preview.viewer import Viewer
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
+from glsplat.errors import FormatError
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -170,8 +171,6 @@ def test_drop(viewer_of: Callable[..., Viewer], tmp_path: Path, capsys: pytest.C
     save(cloud(), tmp_path / "cloud.ply")
     viewer.drop(str(tmp_path / "cloud.ply"))
     assert viewer.player is None and viewer.capture().any()
-    for key in ("space", ".", ",", "M", "[", "]", "left", "backspace"):
-        viewer.press(key)
     viewer.drop(str(tmp_path / "motion.json"))
     assert "no skeleton" in capsys.readouterr().err
 
@@ -185,20 +184,19 @@ def test_screenshot_key(viewer_of: Callable[..., Viewer], tmp_path: Path, monkey
     assert len(files) == 2
     for file in files:  # the message about the first is not in the second
         assert np.array_equal(cv2.imread(str(file))[..., ::-1], viewer.capture())
-    monkeypatch.setattr("apps.preview.viewer.save_png", _refuse)
+
+    def refuse(*_: object) -> None:
+        raise FormatError("cannot be written")
+
+    monkeypatch.setattr("apps.preview.viewer.save_png", refuse)
     viewer.press("P")
     assert viewer.overlay.lines(list)[-1] == ("cannot be written",)
-
-
-def _refuse(*_: object) -> None:
-    from glsplat.errors import FormatError
-
-    raise FormatError("cannot be written")
 
 
 # --------------------------------------------------------------------------------------------------- under Xvfb
 
 
+@pytest.mark.check
 def test_command_saves_what_render_renders(
     display: str, tmp_path: Path, context: Context, headless: Callable[..., np.ndarray]
 ) -> None:
@@ -222,6 +220,7 @@ def test_command_saves_what_render_renders(
     assert psnr(shot, expected) >= 45 > psnr(shot, rest)
 
 
+@pytest.mark.check
 def test_window_session(display: str, tmp_path: Path, context: Context, headless: Callable[..., np.ndarray]) -> None:
     save(limb(degree=1), tmp_path / "limb.glb")
     done = python(
@@ -237,15 +236,14 @@ def test_window_session(display: str, tmp_path: Path, context: Context, headless
             assert psnr(images[layout], viewer.capture()) >= 45, layout
         viewer.release()
     assert found["screen is capture"] == [True] * 3
-    assert -1.5 < found["orbit"] < -0.5 and found["orbit after release"] == 0
-    assert found["zoom"] == pytest.approx(0.81) and 0.05 < found["flown"] < 1
-    assert found["still after flight"] and found["reset"]
-    assert found["sizes"] == [[1, 1]] * 3 + [[1, 40]] * 3 + [[201, 151]] * 3 + [[200, 150]] * 3
+    assert found["zoom"] == pytest.approx(0.81) and found["reset"]
+    assert found["sizes"] == [[1, 1]] * 3 + [[201, 151]] * 3 + [[200, 150]] * 3
     assert found["after resizing"] and set(found["gl errors"]) == {"GL_NO_ERROR"}
     rest = found["rest"]
     assert rest["draws"] <= 1 and 1 <= len(rest["turns"]) <= 6, rest  # it sleeps: 40 turns where it looked each frame
 
 
+@pytest.mark.check
 def test_real_keys_and_mouse(display: str, tmp_path: Path) -> None:
     """The whole command as a user has it: window found, mouse moved, keys typed, closed by Esc."""
     needs.require("xdotool")
@@ -288,40 +286,9 @@ def test_real_keys_and_mouse(display: str, tmp_path: Path) -> None:
     assert halves[0] < 0.5 < 0.7 < halves[1]  # the pair's halves are one scene seen twice
 
 
-@pytest.mark.parametrize("display_name", [None, ":61234"])
-def test_without_a_display(display_name: str | None, tmp_path: Path) -> None:
+@pytest.mark.check
+def test_without_a_display(tmp_path: Path) -> None:
     save(cloud(20), tmp_path / "cloud.ply")
-    done = python("-m", "apps.cli", "preview", str(tmp_path / "cloud.ply"), display=display_name)
-    assert done.returncode == 1 and done.stdout == ""
-    lines = done.stderr.splitlines()
-    assert len(lines) == 1 and lines[0].startswith(
-        "glsplat preview: no display: glsplat preview needs a window; use `glsplat render` or run under xvfb-run"
-    )
-
-
-def test_bad_usage_is_said_before_a_window_opens(tmp_path: Path) -> None:
-    save(cloud(20), tmp_path / "cloud.ply")
-    from apps.cli import main
-
-    cases = {
-        "--frames=0": "at least 1",
-        "--screenshot=x.jpg": "end in .png",
-        "--screenshot=missing/x.png": "no folder",
-        "--fov=180": "between 0 and 180",
-    }
-    for argument, text in cases.items():
-        assert _fails(main, [str(tmp_path / "cloud.ply"), argument], text)
-    assert _fails(main, ["missing.ply"], "no such file")
-
-
-def _fails(main: Callable[[list[str]], int], arguments: list[str], text: str) -> bool:
-    import contextlib
-    import io
-
-    with contextlib.redirect_stderr(io.StringIO()) as error:
-        code = main(["preview", *arguments])
-    return (
-        code == (2 if error.getvalue().endswith("--help\n") else 1)
-        and text in error.getvalue()
-        and error.getvalue().count("\n") == 1
-    )
+    done = python("-m", "apps.cli", "preview", str(tmp_path / "cloud.ply"), display=":61234")
+    assert done.returncode == 1 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("glsplat preview: no display: glsplat preview needs a window; use `glsplat render`")

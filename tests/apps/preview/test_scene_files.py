@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from apps.preview.cameras import Options
-from apps.preview.files import read_dropped
 from apps.preview.viewer import Viewer
 from glsplat.data import default_avatar
 from glsplat.formats import save
@@ -19,31 +18,31 @@ from glsplat.gl.context import Context
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.renderer import Renderer
 from glsplat.scenes import load_scene
+from glsplat.scenes.scene_file import SceneFile
 from tests.scenes import cloud
 from tests.skinning.avatars import part
 
 pytestmark = pytest.mark.gl
-VIEW = Options(eye=(0.4, 1.0, 4.0), target=(0.4, 1.0, 0.0))
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Callable[..., Path]:
+def written(tmp_path: Path) -> Callable[..., SceneFile]:
     save(part(default_avatar(), np.arange(0, 40000, 400)), tmp_path / "body.glb")
     save(cloud(50), tmp_path / "cloud.ply")
 
-    def write(*items: dict[str, Any]) -> Path:
+    def write(*items: dict[str, Any]) -> SceneFile:
         (tmp_path / "scene.json").write_text(json.dumps({"version": 1, "items": items}))
-        return tmp_path / "scene.json"
+        return load_scene(tmp_path / "scene.json")
 
     return write
 
 
 @pytest.fixture
 def viewer_of(context: Context) -> Iterator[Callable[..., Viewer]]:
-    made: list[Viewer] = []
+    view, made = Options(eye=(0.4, 1.0, 4.0), target=(0.4, 1.0, 0.0)), list[Viewer]()
 
     def make(scene: Any) -> Viewer:
-        made.append(Viewer(scene, context, (64, 48), VIEW, "scene"))
+        made.append(Viewer(scene, context, (64, 48), view, "scene"))
         return made[-1]
 
     with context.ctx:
@@ -53,32 +52,33 @@ def viewer_of(context: Context) -> Iterator[Callable[..., Viewer]]:
 
 
 def test_the_one_avatar_plays_what_the_file_says(
-    viewer_of: Callable[..., Viewer], written: Callable[..., Path]
+    viewer_of: Callable[..., Viewer], written: Callable[..., SceneFile], tmp_path: Path
 ) -> None:
-    viewer = viewer_of(load_scene(written({"path": "cloud.ply"}, {"path": "body.glb", "motion": "walk"})))
+    viewer = viewer_of(written({"path": "cloud.ply"}, {"path": "body.glb", "motion": "walk"}))
     assert viewer.player is not None and viewer.player.motion is not None and viewer.animating
     viewer.advance(0.5)
     expected = load_embedded_motion("walk", viewer.player.skeleton).at(0.5)
     assert np.allclose(viewer.pose().rotations, expected.rotations)  # type: ignore[union-attr]
     viewer.press("space")
     assert not viewer.animating
-    posed = viewer_of(load_scene(written({"path": "body.glb", "pose": {"root_pose": [0, 1, 0]}})))
+    posed = viewer_of(written({"path": "body.glb", "pose": {"root_pose": [0, 1, 0]}}))
     assert posed.pose().rotations[0].tolist() == [0, 1, 0] and not posed.animating  # type: ignore[union-attr]
+    posed.drop(str(tmp_path / "scene.json"))
+    assert posed.player is not None and "scene.json" in posed.overlay._message
 
 
 def test_several_avatars_move_by_themselves(
-    viewer_of: Callable[..., Viewer], written: Callable[..., Path], context: Context
+    viewer_of: Callable[..., Viewer], written: Callable[..., SceneFile], context: Context
 ) -> None:
     bodies = [{"path": "body.glb", "motion": "walk"}, {"path": "body.glb", "translation": [0.8, 0, 0]}]
-    file = load_scene(written(*bodies))
-    viewer = viewer_of(file)
+    viewer = viewer_of(written(*bodies))
     assert viewer.player is None and viewer.animating
     before = viewer.capture()
     viewer.advance(0.4)
     assert viewer.dirty
     after = viewer.capture()
     assert (before != after).any()
-    still = load_scene(written(*bodies))
+    still = written(*bodies)
     still.pose_at(0.4)
     with Renderer(still.scene, size=(64, 48), context=context) as renderer:
         assert np.abs(renderer.render(viewer.cameras())[0, ..., :3].astype(int) - after).max() <= 1
@@ -86,12 +86,3 @@ def test_several_avatars_move_by_themselves(
     viewer.dirty = False
     viewer.advance(0.4)
     assert not viewer.animating and not viewer.dirty
-
-
-def test_scene_files_can_be_dropped(viewer_of: Callable[..., Viewer], written: Callable[..., Path]) -> None:
-    viewer = viewer_of(cloud(20))
-    file = written({"path": "cloud.ply"}, {"path": "body.glb"})
-    viewer.drop(str(file))
-    assert viewer.player is not None and "scene.json" in viewer.overlay._message
-    what = read_dropped(str(file.parent / "cloud.ply"), None)
-    assert type(what.content).__name__ == "Splats"

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import io
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -23,28 +21,22 @@ from glsplat.net.accounts.users import new_user, write_users
 from glsplat.net.client import Client
 from glsplat.net.guard import certificate
 from glsplat.net.guard.access import certificate_names, read_token, server_tls
+from tests.apps.cli import mistake, parsed
 
 ROOT = Path(__file__).parents[3]
 BEYOND = ("--host", "0.0.0.0", "--self-signed")
-
-
-def arguments(*words):
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return parser.parse_args([str(word) for word in words])
 
 
 def names_of(path):
     return certificate_names(path, server_tls(path, path))
 
 
-def test_without_options_there_is_none(state):
-    assert keys.keys_of(arguments()) == keys.Keys()
+def test_on_this_machine_a_certificate_is_made_where_it_is_asked_for_and_no_token(state):
+    assert keys.keys_of(parsed(command)) == keys.Keys()
+    with pytest.raises(UsageError):
+        command.run(parsed(command, *BEYOND, "--port", 70000))
     assert not state.exists()
-
-
-def test_on_this_machine_a_certificate_is_made_and_no_token(state):
-    found = keys.keys_of(arguments("--self-signed"))
+    found = keys.keys_of(parsed(command, "--self-signed"))
     assert found.tls == (state / "glsplat" / certificate.KEY,) * 2
     assert (found.token, found.token_file) == (None, None) and not (state / "glsplat" / "token").exists()
     assert "localhost" in names_of(found.tls[0])
@@ -53,7 +45,7 @@ def test_on_this_machine_a_certificate_is_made_and_no_token(state):
 def test_beyond_it_a_token_too_and_both_stay(state, monkeypatch):
     monkeypatch.setattr(keys, "machine_names", lambda: ("Box", "box.local", "näme"))
     monkeypatch.setattr(keys, "reachable_at", lambda host: ("192.0.2.7",) if host == "0.0.0.0" else ())
-    args = arguments(*BEYOND, "--allow-host", "lab.example")
+    args = parsed(command, *BEYOND, "--allow-host", "lab.example")
     found = keys.keys_of(args)
     assert found.token_file == state / "glsplat" / "token" and found.token == read_token(found.token_file)
     assert names_of(found.tls[0]) == ("localhost", "lab.example", "box", "box.local")
@@ -66,31 +58,21 @@ def test_beyond_it_a_token_too_and_both_stay(state, monkeypatch):
 def test_ones_own_token_is_taken(state, tmp_path):
     path = tmp_path / "token"
     path.write_text("correct-horse-battery\n")
-    found = keys.keys_of(arguments(*BEYOND, "--token-file", path))
+    found = keys.keys_of(parsed(command, *BEYOND, "--token-file", path))
     assert (found.token, found.token_file) == ("correct-horse-battery", path)
     assert not (state / "glsplat" / "token").exists()
 
 
-def test_insecure_means_no_token(state):
-    found = keys.keys_of(arguments(*BEYOND, "--insecure"))
-    assert found.tls is not None and found.token is None
-
-
-def test_nothing_is_made_for_a_command_that_is_wrong(state):
-    with pytest.raises(command.UsageError):
-        command.run(arguments(*BEYOND, "--port", 70000))
-    assert not state.exists()
-
-
 def test_why_a_certificate_is_made_anew_is_said(state, caplog):
-    keys.keys_of(arguments("--self-signed"))
+    keys.keys_of(parsed(command, "--self-signed"))
     assert caplog.messages == []
-    keys.keys_of(arguments("--self-signed", "--allow-host", "lab.example"))
+    keys.keys_of(parsed(command, "--self-signed", "--allow-host", "lab.example"))
     assert caplog.messages == [
         "a new certificate is made (the one that was kept lacks lab.example): browsers ask once more"
     ]
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_a_server_beyond_this_machine_just_works(state):
     """As a person would start it: ready, secure, and the token neither on standard output nor in the log."""
@@ -115,29 +97,26 @@ def test_a_server_beyond_this_machine_just_works(state):
     assert ready["page"].startswith("https://") and ready["page"].endswith(f":{ready['port']}/vr")
 
 
-def test_a_folder_that_cannot_be_written_is_one_line():
-    environment = os.environ | {"XDG_STATE_HOME": "/proc/nowhere"}
-    words = [sys.executable, "-m", "apps.cli", "serve", *BEYOND]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=60, env=environment)
-    assert done.returncode == 1 and done.stdout == "" and done.stderr.count("\n") == 1
-    assert done.stderr.startswith("glsplat serve: /proc/nowhere/glsplat: cannot be made (")
-
-
 def test_accounts_stand_in_for_the_token(state, tmp_path):
     user, token = new_user("ann")
     write_users(tmp_path / "users.json", {"ann": user})
     words = ("--host", "0.0.0.0", "--self-signed", "--users", tmp_path / "users.json")
-    made = keys.keys_of(arguments(*words))
+    made = keys.keys_of(parsed(command, *words))
     assert made.token is None and made.accounts is not None and made.tls is not None
     assert not (state / "glsplat" / "token").exists()
-    assert command.server_config(arguments(*words), made).access.accounts is made.accounts
+    assert command.server_config(parsed(command, *words), made).access.accounts is made.accounts
     assert token not in repr(made)
     out = io.StringIO()
     announce(Place("127.0.0.1", 8000, made), out, show_qr=True)
     assert "each account has its own" in out.getvalue() and "#token" not in out.getvalue()
     (tmp_path / "token").write_text("0123456789abcdef")
     with pytest.raises(UsageError, match="not both"):
-        keys.keys_of(arguments(*words, "--token-file", tmp_path / "token"))
+        keys.keys_of(parsed(command, *words, "--token-file", tmp_path / "token"))
     (tmp_path / "users.json").write_text("[]")
     with pytest.raises(GlsplatError, match=r"users\.json: no file of accounts"):
-        keys.keys_of(arguments(*words))
+        keys.keys_of(parsed(command, *words))
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(monkeypatch, capsys):
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc/nowhere")
+    assert "glsplat serve: /proc/nowhere/glsplat: cannot be made (" in mistake(capsys, "serve", *BEYOND)

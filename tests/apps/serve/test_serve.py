@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -19,10 +17,8 @@ import pytest
 
 from apps import cli
 from apps.serve import command as serve
-from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
-from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
@@ -34,91 +30,41 @@ from glsplat.net.messages import Decoder, eye_fields
 from glsplat.net.reply import decode_picture
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
+from tests.apps.cli import mistake, parsed
 from tests.apps.serve.viewers import parameters
 from tests.scenes import limb
 
 ROOT = Path(__file__).parents[3]
 
 
-def arguments(*words):
-    parser = argparse.ArgumentParser()
-    serve.add_arguments(parser)
-    return parser.parse_args([str(word) for word in words])
-
-
 def test_defaults_are_loopback_and_the_papers_setting():
-    config = serve.server_config(arguments())
+    config = serve.server_config(parsed(serve))
     assert (config.access.host, config.port, config.max_clients) == ("127.0.0.1", 8000, 8)
     assert (config.wire.size, config.wire.quality, config.wire.ipd, config.wire.fov) == ((1024, 1024), 80, 0.055, 65)
     assert not config.wire.mirror and config.tls is None and config.access.token is None
-    assert serve.server_config(arguments("--max-size", 256)).wire.size == (256, 256)
+    assert serve.server_config(parsed(serve, "--max-size", 256)).wire.size == (256, 256)
     assert config.limits == Limits() and config.access.hosts == ()
     words = ("--max-per-address", 3, "--max-waiting", 9, "--allow-host", "a.example", "--allow-host", "*.b.example")
-    config = serve.server_config(arguments(*words))
+    config = serve.server_config(parsed(serve, *words))
     assert config.limits == Limits(per_address=3, waiting=9) and config.access.hosts == ("a.example", "*.b.example")
 
 
 def test_pictures_fit_links_unless_they_are_fixed():
-    config = serve.server_config(arguments())
+    config = serve.server_config(parsed(serve))
     assert config.session.adapt and config.session.bitrate is None and not config.video
-    assert not serve.server_config(arguments("--fixed")).session.adapt
-    assert not serve.server_config(arguments("--study", "plan.toml")).session.adapt
-    assert serve.server_config(arguments("--bitrate", 8)).session.bitrate == 8e6
-    assert serve.server_config(arguments("--video")).video
-    assert serve.server_config(arguments("--webtransport")).webtransport and not config.webtransport
-    for words, message in (
-        (("--bitrate", 8, "--fixed"), "leave one out"),
-        (("--bitrate", 8, "--study", "plan.toml"), "--study the same to all: leave one out"),
-        (("--bitrate", 0), "0.1 to 100000"),
-        (("--video", "--workers", 2), "--workers out"),
-        (("--webtransport", "--fixed"), "--fixed the same to all: leave one out"),
-        (("--webtransport", "--study", "plan.toml"), "--study the same to all: leave one out"),
-        (("--video", "--study", "plan.toml"), "--study out"),
-    ):
-        with pytest.raises(UsageError, match=message):
-            serve.server_config(arguments(*words))
+    assert not serve.server_config(parsed(serve, "--fixed")).session.adapt
+    assert not serve.server_config(parsed(serve, "--study", "plan.toml")).session.adapt
+    assert serve.server_config(parsed(serve, "--bitrate", 8)).session.bitrate == 8e6
+    assert serve.server_config(parsed(serve, "--video")).video
+    assert serve.server_config(parsed(serve, "--webtransport")).webtransport and not config.webtransport
 
 
 def test_further_avatars_are_called_like_their_files(tmp_path):
     for name in ("ann.glb", "ben.glb"):
         save(limb(20), tmp_path / name)
-    args = arguments("--avatar", tmp_path / "ann.glb", "--avatar", tmp_path / "ben.glb")
+    args = parsed(serve, "--avatar", tmp_path / "ann.glb", "--avatar", tmp_path / "ben.glb")
     assert list(serve.other_avatars(args)) == ["ann", "ben"] and serve.scene_name(args) == "default"
-    assert serve.scene_name(arguments(tmp_path / "ben.glb")) == "ben" and serve.other_avatars(arguments()) == {}
-    save(limb(20).splats, tmp_path / "cloud.ply")
-    for words, message in (
-        (["--avatar", tmp_path / "eve.glb"], "eve.glb: no such file"),
-        (["--avatar", tmp_path / "cloud.ply"], "expected an avatar .* found splats without a skeleton"),
-        (["--avatar", tmp_path / "ann.glb"] * 2, 'there is a "ann" already'),
-        ([tmp_path / "ann.glb", "--avatar", tmp_path / "ann.glb"], 'there is a "ann" already'),
-    ):
-        with pytest.raises(UsageError, match=message):
-            serve.other_avatars(arguments(*words))
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--host", "0.0.0.0"], "--tls-cert, --tls-key and --token-file"),
-        (["--port", 70000], "--port needs 0 to 65535, not 70000"),
-        (["--quality", 0], "--quality needs 1 to 100"),
-        (["--max-clients", 0], "--max-clients needs 1 to 256"),
-        (["--max-per-address", 0], "--max-per-address needs 1 to 256"),
-        (["--max-waiting", 1], "--max-waiting needs 2 to 4096"),
-        (["--window", 0], "--window needs 1 to 8"),
-        (["--size", 4096], "raise --max-size"),
-        (["--fov", 180], "--fov 1 to 170"),
-        (["--tls-cert", "a.pem"], "TLS needs both --tls-cert and --tls-key"),
-        (
-            ["--self-signed", "--tls-cert", "a.pem", "--tls-key", "b.pem"],
-            "--self-signed makes a certificate",
-        ),
-        (["--token-file", "nowhere"], "nowhere: cannot read the token"),
-    ],
-)
-def test_options_are_checked(words, message):
-    with pytest.raises(GlsplatError, match=message):
-        serve.server_config(arguments(*words))
+    assert serve.scene_name(parsed(serve, tmp_path / "ben.glb")) == "ben" and serve.other_avatars(parsed(serve)) == {}
 
 
 def start(*words):
@@ -126,31 +72,14 @@ def start(*words):
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nowhere.glb"], "glsplat serve: nowhere.glb: no such file"),
-        (["--tls-cert", "nowhere.pem", "--tls-key", "nokey.pem"], "nowhere.pem: expected a PEM file for TLS"),
-        (["--port", "TAKEN"], "glsplat serve: port TAKEN is in use; choose another with --port"),
-    ],
-)
-def test_mistakes_of_a_first_user_are_one_line(words, message):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = str(taken.getsockname()[1])
-        process = start(*(word.replace("TAKEN", port) for word in words))
-        out, err = process.communicate(timeout=60)
-    assert process.returncode == (2 if err.endswith("--help\n") else 1) and out == ""
-    assert err.count("\n") == 1 and message.replace("TAKEN", port) in err
-
-
 @pytest.mark.gl
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
-def test_a_server_process_draws_and_ends_with_zero(end):
+@pytest.mark.parametrize("end", [pytest.param(signal.SIGINT, marks=pytest.mark.check), signal.SIGTERM])
+def test_a_server_process_draws_and_ends_with_zero(end, capsys):
     process = start("--port", 0, "--size", 64, "--json")
     try:
         ready = json.loads(process.stdout.readline())
+        taken = mistake(capsys, "serve", "--port", ready["port"])
+        assert f"glsplat serve: port {ready['port']} is in use; choose another with --port" in taken
         eyes = stereo_cameras(head_matrix((0, 1.0, 2.0), (0, 0, 0, 1)), size=(96, 96))
 
         async def main():
@@ -236,6 +165,7 @@ def psnr(a, b):
     return 10 * np.log10(255**2 / max(np.mean((a.astype(float) - b) ** 2), 1e-9))
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_viewers_get_their_own_pictures():
     """Clients of different pose, size and number of eyes in turn: each picture equals the one drawn for it alone."""
@@ -263,6 +193,7 @@ def test_viewers_get_their_own_pictures():
         assert all(pictures == expected for pictures in replies)
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_the_server_is_ready_within_two_seconds():
     """On the embedded avatar; of several starts, as other programs may be busy.

@@ -94,6 +94,7 @@ def test_a_lost_context_is_made_anew(backend, caplog):
     assert "the OpenGL context is lost; making a new one" in caplog.text
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_serving_leaves_no_opengl_object_behind(backend):
     viewers = list(parameters(48))

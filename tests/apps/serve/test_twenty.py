@@ -34,19 +34,14 @@ def written(folder: Path, **lines: str) -> Path:
 
 
 @pytest.mark.gl
+@pytest.mark.check
 def test_twenty_come_in_by_it_and_the_next_is_told_so(tmp_path: Path) -> None:
     kept_certificate(tmp_path, ("localhost",))
     pem = next(path for path in tmp_path.glob("*.pem") if path.name != CERTIFICATE)
     made = [new_user(f"user{n}") for n in range(21)]
     write_users(tmp_path / "users.json", {user.name: user for user, _ in made})
-    config = written(
-        tmp_path,
-        **{
-            "tls-cert": f'tls-cert = "{pem}"',
-            "tls-key": f'tls-key = "{pem}"',
-            "users": f'users = "{tmp_path}/users.json"',
-        },
-    )
+    lines = {"tls-cert": str(pem), "tls-key": str(pem), "users": f"{tmp_path}/users.json"}
+    config = written(tmp_path, **{key: f'{key} = "{value}"' for key, value in lines.items()})
     command = [sys.executable, "-m", "apps.cli", "serve", "--config", config, "--port", "0", "--json"]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     eyes = stereo_cameras(head_matrix((0, 1.0, 2.0), (0, 0, 0, 1)), size=(64, 64))

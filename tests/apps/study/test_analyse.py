@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import os
@@ -15,16 +14,11 @@ import numpy as np
 import pytest
 
 from apps.study import analyse
-from apps.usage import CommandParser, UsageError
+from apps.usage import UsageError
 from glsplat.errors import FormatError, GlsplatError
+from tests.apps.cli import parsed
 
 TYPES, METHODS = ("self", "other"), ("ours", "video", "image")
-
-
-def arguments(*words: str) -> argparse.Namespace:
-    parser = CommandParser(prog="glsplat study analyse")
-    analyse.add_arguments(parser)
-    return parser.parse_args(list(words))
 
 
 def table(
@@ -67,7 +61,7 @@ def table(
 
 def test_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path)
-    assert analyse.run(arguments(str(path), "-o", str(tmp_path / "results"))) == 0
+    assert analyse.run(parsed(analyse, str(path), "-o", str(tmp_path / "results"))) == 0
     said = capsys.readouterr()
     assert "vr.presence: type, method at p < .05, 12 participants" in said.out and "vr.before: not asked" in said.err
     numbers = json.loads((tmp_path / "results" / "results.json").read_text())
@@ -93,51 +87,49 @@ def test_an_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert 'd$type <- factor(d[["type"]], levels = c("self", "other"))' in script
 
 
-def test_the_same_twice(tmp_path: Path) -> None:
-    path = table(tmp_path)
-    for name in ("a", "b"):
-        analyse.run(arguments(str(path), "-o", str(tmp_path / name)))
-    for file in (tmp_path / "a").iterdir():
-        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes(), file.name
-    assert {file.name for file in (tmp_path / "a").iterdir()} == {
-        "results.md",
-        "results.json",
-        "boxplots.png",
-        "analysis.R",
-    }
+def test_a_row_that_is_there_twice_and_a_coarse_scale_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = table(tmp_path, measures=["presence"])
+    lines = path.read_text().splitlines()
+    rounded = [line.rsplit(",", 1)[0] + f",{round(float(line.rsplit(',', 1)[1]))}" for line in lines[1:]]
+    path.write_text("\n".join([lines[0], *rounded, rounded[0]]) + "\n")
+    assert analyse.run(parsed(analyse, str(path), "--measure", "vr.presence")) == 0
+    text = capsys.readouterr().out
+    assert "1 answer is of a condition that the participant had answered before" in text
+    assert "values only" in text and "with ties spread, F = " in text
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("model", ["rm", "mixed"])
+def test_odd_answers(tmp_path: Path, model: str) -> None:
+    """Nothing, or nothing else, varies; sizes that squares overflow on; names that no font and no table has."""
+    names = ("=a\u4e2d", "b\u202e" + "x" * 500, "c`d")
+    kinds: list[Callable[[int, int], float]] = [lambda p, w: 3, lambda p, w: p, lambda p, w: w]
+    kinds += [lambda p, w: 1e99 * (p * w % 3), lambda p, w: 1e15 + (7 * p + w) % 5]
+    for answer in kinds:
+        rows = [f'P{p},"{name}",{answer(p, w)}' for p in range(6) for w, name in enumerate(names)]
+        path = tmp_path / "odd.csv"
+        path.write_text("participant,w,value\n" + "\n".join(rows) + "\n", encoding="utf-8")
+        out = tmp_path / "out"
+        assert analyse.run(parsed(analyse, path, "--factors", "w", "--model", model, "-o", out)) == 0
+        (response,) = json.loads((out / "results.json").read_text())["responses"]
+        assert len(response["effects"]) == 1 and response["cells"][0]["n"] == 6
+        assert "nan" not in (out / "results.md").read_text().replace("unknown", "")
 
 
 def test_missing_answers_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path, gaps=True, measures=["presence"])
-    assert analyse.run(arguments(str(path))) == 0
+    assert analyse.run(parsed(analyse, str(path))) == 0
     text = capsys.readouterr().out
     assert "2 answers are missing; the mixed model uses all" in text and "linear mixed models" in text
     assert "without P01, P04, who lack a condition" in text and "The design is not balanced" in text
-    assert analyse.run(arguments(str(path), "--model", "rm")) == 0
+    assert analyse.run(parsed(analyse, str(path), "--model", "rm")) == 0
     text = capsys.readouterr().out
     assert "participants without every condition were left out (P01, P04)" in text and "F(1, 9)" in text
 
 
-def test_a_row_that_is_there_twice_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = table(tmp_path, measures=["presence"])
-    assert analyse.run(arguments(str(path), "--measure", "vr.presence")) == 0
-    assert "answered before" not in capsys.readouterr().out
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines, lines[1]]) + "\n")
-    assert analyse.run(arguments(str(path), "--measure", "vr.presence")) == 0
-    assert "1 answer is of a condition that the participant had answered before" in capsys.readouterr().out
-
-
-def test_a_coarse_scale_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = table(tmp_path, measures=["presence"])
-    lines = path.read_text().splitlines()
-    rounded = [line.rsplit(",", 1)[0] + f",{round(float(line.rsplit(',', 1)[1]))}" for line in lines[1:]]
-    path.write_text("\n".join([lines[0], *rounded]) + "\n")
-    analyse.run(arguments(str(path), "--measure", "vr.presence"))
-    text = capsys.readouterr().out
-    assert "values only" in text and "with ties spread, F = " in text
-
-
+@pytest.mark.check
 def test_wide_with_items(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A factor whose name R would not take, and levels that would break a table."""
     rng = np.random.default_rng(1)
@@ -149,7 +141,7 @@ def test_wide_with_items(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     path = tmp_path / "wide.csv"
     path.write_text("who,my view,i1,i2,i3,time\n" + "\n".join(rows) + "\n")
     words = [str(path), "--participant", "who", "--factors", "my view", "--response", "time", "--items", "i1,i2,i3"]
-    assert analyse.run(arguments(*words, "-o", str(tmp_path / "out"))) == 0
+    assert analyse.run(parsed(analyse, *words, "-o", str(tmp_path / "out"))) == 0
     text = (tmp_path / "out" / "results.md").read_text()
     assert "a\\|b" in text and "Of its 3 items (N = 27 complete rows)" in text
     script = (tmp_path / "out" / "analysis.R").read_text()
@@ -158,45 +150,25 @@ def test_wide_with_items(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert 'psych::alpha(sapply(whole[c("i1", "i2", "i3")], as.numeric))' in script
 
 
-@pytest.mark.parametrize("model", ["rm", "mixed"])
-@pytest.mark.parametrize(
-    "answer",
-    [
-        lambda p, w: 3,
-        lambda p, w: p,
-        lambda p, w: w,
-        lambda p, w: 1e99 * (p * w % 3),
-        lambda p, w: 1e15 + (7 * p + w) % 5,
-    ],
-    ids=["constant", "person", "condition", "huge", "offset"],
-)
-def test_odd_answers(tmp_path: Path, model: str, answer: Callable[[int, int], float]) -> None:
-    """Nothing, or nothing else, varies; sizes that squares overflow on; names that no font and no table has."""
-    names = ("=a\u4e2d", "b\u202e" + "x" * 500, "c`d")
-    rows = [f'P{p},"{name}",{answer(p, w)}' for p in range(6) for w, name in enumerate(names)]
-    path = tmp_path / "odd.csv"
-    path.write_text("participant,w,value\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    words = [str(path), "--factors", "w", "--model", model, "-o", str(tmp_path / "out")]
-    assert analyse.run(arguments(*words)) == 0
-    (response,) = json.loads((tmp_path / "out" / "results.json").read_text())["responses"]
-    assert len(response["effects"]) == 1 and response["cells"][0]["n"] == 6
-    assert "nan" not in (tmp_path / "out" / "results.md").read_text().replace("unknown", "")
-
-
+@pytest.mark.check
 def test_without_matplotlib(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert analyse.run(arguments(str(table(tmp_path)), "-o", str(tmp_path / "out"))) == 0
+    assert analyse.run(parsed(analyse, str(table(tmp_path)), "-o", str(tmp_path / "out"))) == 0
     assert not (tmp_path / "out" / "boxplots.png").exists() and (tmp_path / "out" / "results.md").exists()
     assert 'pip install "glsplat[report]"' in capsys.readouterr().err
 
 
+@pytest.mark.check
 def test_nothing_is_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A disk that is full when the second file is written: one is new, the others are as they were, no scraps."""
-    path, out = table(tmp_path), tmp_path / "out"
-    analyse.run(arguments(str(path), "-o", str(out)))
+    path, out = table(tmp_path, measures=["presence"]), tmp_path / "out"
+    analyse.run(parsed(analyse, path, "-o", tmp_path / "twice"))
+    analyse.run(parsed(analyse, path, "-o", out))
     before = {file.name: file.read_bytes() for file in out.iterdir()}
+    assert before == {file.name: file.read_bytes() for file in (tmp_path / "twice").iterdir()}
+    assert set(before) == {"results.md", "results.json", "boxplots.png", "analysis.R"}
     path.write_text(path.read_text().replace("P12", "P99"))
     real, calls = os.replace, itertools.count()
 
@@ -207,39 +179,33 @@ def test_nothing_is_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(FormatError, match="No space left on device"):
-        analyse.run(arguments(str(path), "-o", str(out)))
+        analyse.run(parsed(analyse, str(path), "-o", str(out)))
     after = {file.name: file.read_bytes() for file in out.iterdir()}
     assert set(after) == set(before) and sum(after[name] != before[name] for name in before) <= 1
     assert next(calls) > 1
 
 
-MISTAKES: list[tuple[list[str], str]] = [
-    (["--factors", "colour"], "no column 'colour'"),
-    (["--factors", "type,type"], "each once"),
-    (["--measure", "vr.none"], "no row has the measure"),
-    (["--response", "condition"], "needs a number"),
-    (["--participant", "who"], "no column 'who'"),
-    (["--items", "i1,i2"], "no column 'i1'"),
-]
-
-
-@pytest.mark.parametrize(("words", "said"), MISTAKES)
-def test_mistakes(tmp_path: Path, words: list[str], said: str) -> None:
-    with pytest.raises(GlsplatError, match=said) as caught:
-        analyse.run(arguments(str(table(tmp_path)), *words))
-    assert "\n" not in str(caught.value)
-
-
-def test_mistakes_of_files(tmp_path: Path) -> None:
+def test_mistakes(tmp_path: Path) -> None:
     path = table(tmp_path)
+    for words, said in (
+        ("--factors colour", "no column 'colour'"),
+        ("--factors type,type", "each once"),
+        ("--measure vr.none", "no row has the measure"),
+        ("--response condition", "needs a number"),
+        ("--participant who", "no column 'who'"),
+        ("--items i1,i2", "no column 'i1'"),
+    ):
+        with pytest.raises(GlsplatError, match=said) as caught:
+            analyse.run(parsed(analyse, path, *words.split()))
+        assert "\n" not in str(caught.value)
     with pytest.raises(UsageError, match="this is a file"):
-        analyse.run(arguments(str(path), "-o", str(path)))
+        analyse.run(parsed(analyse, str(path), "-o", str(path)))
     with pytest.raises(FormatError, match="there is no folder"):
-        analyse.run(arguments(str(path), "-o", str(tmp_path / "no" / "where")))
+        analyse.run(parsed(analyse, str(path), "-o", str(tmp_path / "no" / "where")))
     (tmp_path / "scores.json").unlink()
     with pytest.raises(UsageError, match=r"--factors is needed: there is no scores\.json"):
-        analyse.run(arguments(str(path)))
+        analyse.run(parsed(analyse, str(path)))
     for wrong in ("{", '{"Study": 3}', '{"Study": {"factors": {"type": {"levels": "x"}}}}', "[" * 100_000):
         (tmp_path / "scores.json").write_text(wrong)
         with pytest.raises(GlsplatError, match=r"scores\.json"):
-            analyse.run(arguments(str(path)))
+            analyse.run(parsed(analyse, str(path)))

@@ -48,9 +48,7 @@ def test_three_factors() -> None:
 
 def test_groups_of_different_size_and_four_factors() -> None:
     assert any("type III (car's Anova)" in line for line in script(Planned(TWO | THREE, 7, frozenset("a")), "rm"))
-    four = Planned(TWO | {"c": ("1", "2"), "d": ("1", "2"), "m": ("1", "2")}, 5)
-    lines = script(four)
-    assert any("look at summary(m)" in line for line in lines)
-    assert (
-        "m <- art(answer ~ a * c * factor3 * factor4 + Error(person / (a * c * factor3 * factor4)), data = d)" in lines
-    )
+    four = script(Planned(TWO | {"c": ("1", "2"), "d": ("1", "2"), "m": ("1", "2")}, 5))
+    factors = "a * c * factor3 * factor4"
+    assert f"m <- art(answer ~ {factors} + Error(person / ({factors})), data = d)" in four
+    assert any("look at summary(m)" in line for line in four)

@@ -46,34 +46,55 @@ def pictures(page: Opened, more: int = 3) -> None:
     page.until(f"window.glsplat.stats().shown >= {shown + more}")
 
 
-NOTE_FRAMES = """() => {
-  // after each XR frame: the id that the page says it shows, and the one that its textures hold
-  window.matches = [];
-  let seen = watch.count;
-  const step = fakeXR.step;
-  fakeXR.step = function spied(...args) {
-    const went = step.apply(this, args);
-    if (watch.count !== seen) {
-      seen = watch.count;
-      const stamps = watch.uploads.filter(({id}) => id !== null);
-      const held = [0, 1].map((eye) => stamps.findLast((upload) => upload.eye === eye)?.id);
-      matches.push([window.glsplat.stats().shownId, ...held]);
-    }
-    return went;
-  };
-}"""
-
-
-@pytest.mark.parametrize("view", ["mirror", "facing", "own"])
-def test_every_picture_is_the_one_that_was_asked_for(open_page: OpenPage, stored: Any, view: str) -> None:
-    page = inside(open_page, stored, values={"view": view})
-    page.js(NOTE_FRAMES)
-    pictures(page, 25)
-    page.js("fakeXR.stop()")
+def test_every_picture_is_the_one_that_was_asked_for_and_mishaps_are_no_end(open_page: OpenPage, stored: Any) -> None:
+    page = visit(open_page, stored)
+    page.until("window.glsplat.stats().shown > 0")
+    page.js("fakeXR.device.grants = false")  # a refused session leaves the page as it was
+    page.page.click("#enter-vr")
+    page.until("/headset/.test(document.querySelector('#status').textContent)")
+    page.page.close()
+    page = inside(open_page, stored)
+    # after each XR frame: the id that the page says it shows, and the ones that its textures hold
+    page.js("""() => {
+      window.matches = [];
+      let seen = watch.count;
+      const step = fakeXR.step;
+      fakeXR.step = function spied(...args) {
+        const went = step.apply(this, args);
+        if (watch.count !== seen) {
+          seen = watch.count;
+          const stamps = watch.uploads.filter(({id}) => id !== null);
+          const held = [0, 1].map((eye) => stamps.findLast((upload) => upload.eye === eye)?.id);
+          matches.push([window.glsplat.stats().shownId, ...held]);
+        }
+        return went;
+      };
+    }""")
+    pictures(page, 20)
     matches = page.js("matches")
-    assert len(matches) >= 20
-    assert all(told == left == right for told, left, right in matches), matches
+    assert len(matches) >= 15 and all(told == left == right for told, left, right in matches), matches
     assert [told for told, *_ in matches] == sorted(told for told, *_ in matches)
+    page.js("fakeXR.visibility('visible-blurred')")  # the system's menu: no hands, but frames
+    page.frames(4)
+    page.js("fakeXR.visibility('hidden')")  # the headset rests, and goes on
+    page.meanwhile(lambda: all(one["under_way"] + one["waiting"] == 0 for one in stored.stats()["clients"]))
+    sent = page.stats()["sentId"]
+    page.wait(0.3)
+    assert page.stats()["sentId"] <= sent + 1
+    page.js("fakeXR.visibility('visible')")
+    pictures(page)
+    page.js("() => { fakeXR.motion = null; }")
+    for lost in ({"hands": {"left": None, "right": None}}, {"hands": {}}, {"head": None}):
+        steer(page, **lost)
+        page.frames(4)
+    steer(page, head=pose([0, 1.6, 0]), input="controllers", controllers={"right": {"grip": pose([0.3, 1, -0.3])}})
+    pictures(page)
+    page.js("fakeXR.session.end()")  # by the headset's own button, and in again
+    page.until("window.glsplat.stats().session === 'none'")
+    pictures(page)
+    enter(page)
+    pictures(page)
+    assert page.stats()["reconnects"] == 0 and page.js("fakeXR.sessions") == 2
 
 
 def test_what_is_sent_is_what_the_device_says(open_page: OpenPage, serve: Any) -> None:
@@ -119,19 +140,6 @@ def test_a_server_that_comes_back_is_found_again(open_page: OpenPage, stored: An
     assert page.stats()["reconnects"] == 1 and page.stats()["session"] == "vr"
 
 
-def test_nothing_is_sent_into_a_closing_socket(open_page: OpenPage, stored: Any) -> None:
-    page = inside(open_page, stored)
-    (socket,) = [worker for worker in page.page.workers if worker.url.endswith("/socket.js")]
-    socket.evaluate("""() => {
-      self.sent = 0;
-      Object.defineProperty(WebSocket.prototype, 'readyState', {get: () => WebSocket.CLOSING});
-      WebSocket.prototype.send = () => { self.sent += 1; };
-    }""")
-    frames = page.js("fakeXR.frames")
-    page.until(f"fakeXR.frames > {frames + 5}")
-    assert socket.evaluate("self.sent") == 0
-
-
 def test_a_full_server_is_said_and_waited_for(open_page: OpenPage, serve: Any) -> None:
     served = serve(StoredPairs(), ServerConfig(port=0, max_clients=1), offered=OFFERED)
     first = visit(open_page, served)
@@ -159,69 +167,11 @@ def test_a_token_is_asked_for_until_it_is_right(open_page: OpenPage, serve: Any)
     page.page.reload()  # this tab knows it from now on
     page.until("window.glsplat.stats().shown > 0")
     assert page.js("document.querySelector('#token-form').hidden")
-    assert not [address for address in page.requests if "s3cret" in address]
-
-
-def test_a_token_in_the_link_goes_nowhere_else(open_page: OpenPage, serve: Any) -> None:
-    served = serve(StoredPairs(), ServerConfig(port=0, access=Access(token="s3cret")), offered=OFFERED)
-    page = visit(open_page, served, address=f"{served.page}#token=s3cret")
-    page.until("window.glsplat.stats().shown > 0")
-    assert "s3cret" not in page.page.url
-    assert not [address for address in page.requests if "s3cret" in address.partition("#")[0]]
-    assert "s3cret" not in page.js("JSON.stringify(localStorage)")
-
-
-def under_way(served: Any) -> int:
-    (client,) = served.stats()["clients"]
-    return client["under_way"] + client["waiting"]
-
-
-def test_a_hidden_headset_rests_and_goes_on(open_page: OpenPage, stored: Any) -> None:
-    page = inside(open_page, stored)
-    page.js("fakeXR.visibility('visible-blurred')")  # the system's menu: no hands, but frames
-    frames = page.js("fakeXR.frames")
-    page.until(f"fakeXR.frames > {frames + 3}")
-    page.js("fakeXR.visibility('hidden')")
-    page.meanwhile(lambda: not under_way(stored))
-    sent = page.stats()["sentId"]
-    page.wait(0.5)
-    assert page.stats()["sentId"] <= sent + 1
-    page.js("fakeXR.visibility('visible')")
-    pictures(page)
-
-
-def test_leaving_goes_back_to_the_flat_page_and_in_again(open_page: OpenPage, stored: Any) -> None:
-    page = inside(open_page, stored)
-    for _ in range(2):
-        page.js("fakeXR.session.end()")  # the headset's own button
-        page.until("window.glsplat.stats().session === 'none'")
-        pictures(page)
-        enter(page)
-        pictures(page)
-    assert page.stats()["reconnects"] == 0 and page.js("fakeXR.sessions") == 3
-
-
-def test_a_refused_session_leaves_the_page_as_it_was(open_page: OpenPage, stored: Any) -> None:
-    page = visit(open_page, stored)
-    page.until("window.glsplat.stats().shown > 0")
-    page.js("fakeXR.device.grants = false")
-    page.page.click("#enter-vr")
-    page.until("/headset/.test(document.querySelector('#status').textContent)")
-    pictures(page)
-    page.js("fakeXR.device.grants = true")
-    enter(page)
-    pictures(page)
-
-
-def test_a_lost_head_and_lost_hands_are_no_end(open_page: OpenPage, stored: Any) -> None:
-    page = inside(open_page, stored)
-    page.js("() => { fakeXR.motion = null; }")
-    for lost in ({"hands": {"left": None, "right": None}}, {"hands": {}}, {"head": None}):
-        steer(page, **lost)
-        frames = page.js("fakeXR.frames")
-        page.until(f"fakeXR.frames > {frames + 3}")
-    steer(page, head=pose([0, 1.6, 0]), input="controllers", controllers={"right": {"grip": pose([0.3, 1, -0.3])}})
-    pictures(page)
+    linked = visit(open_page, served, address=f"{served.page}#token=s3cret")
+    linked.until("window.glsplat.stats().shown > 0")
+    assert "s3cret" not in linked.page.url + linked.js("JSON.stringify(localStorage)")
+    asked = [address.partition("#")[0] for address in (*page.requests, *linked.requests)]
+    assert not [address for address in asked if "s3cret" in address]
 
 
 def test_a_button_and_two_pinches_change_the_view(open_page: OpenPage, stored: Any) -> None:
@@ -273,17 +223,3 @@ def test_another_emulated_headset_is_served_as_well(open_page: OpenPage, serve: 
     sent = [samples[job.frame_id] for job in backend.requests if job.frame_id in samples]
     assert len(np.ravel(sent[-1].right_joints)) in (75, 175)
     assert np.ptp([sample.right[1] for sample in sent if sample.right is not None]) > 0.01
-
-
-def test_the_panel_says_that_the_link_is_slow(modules: Opened) -> None:
-    """After what is worse, and before what is well."""
-    rows = """async ([notice, link, state]) => {
-      const { Menu } = await import('/vr/show/menu.js');
-      const { Settings } = await import('/vr/settings.js');
-      const menu = new Menu(new Settings(), { notice, link, connection: { state } }, { recording: false }, {});
-      return menu.rows({ untracked: [] }, 0).at(-1).label;
-    }"""
-    slow = "The connection is slow: pictures have 50 % of their size for now."
-    assert modules.js(rows, ["", slow, "open"]) == slow
-    assert modules.js(rows, ["The server is full.", slow, "open"]) == "The server is full."
-    assert modules.js(rows, ["", "", "open"]) == "Connected"

@@ -138,14 +138,6 @@ class XRFrame {
     });
     return all;
   }
-
-  fillJointRadii(joints, radii) {
-    const list = [...joints];
-    this.#check(...list);
-    if (radii.length < list.length) throw new TypeError('the array is too small for the radii');
-    list.forEach((joint, index) => { radii[index] = joint[INNER].origin() ? joint[INNER].radius() : NaN; });
-    return list.every((joint) => joint[INNER].origin());
-  }
 }
 
 class XRLightEstimate {}
@@ -166,8 +158,6 @@ class XRRenderState {
 }
 
 class XRWebGLLayer extends EventTarget {
-  static getNativeFramebufferScaleFactor() { return 1; }
-
   constructor(session, gl, options = {}) {
     super();
     if (session[INNER].ended || gl.isContextLost()) fail('InvalidStateError', 'session or context is gone');

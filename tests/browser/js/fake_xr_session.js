@@ -2,7 +2,7 @@
 'use strict';
 
 const EVENTS = ['end', 'inputsourceschange', 'select', 'selectstart', 'selectend', 'squeeze', 'squeezestart',
-  'squeezeend', 'visibilitychange', 'frameratechange'];
+  'squeezeend', 'visibilitychange'];
 const pageFrame = window.requestAnimationFrame.bind(window);
 const paused = []; // the page's own animation frames wait while a headset shows a session, as on a Quest
 
@@ -11,7 +11,7 @@ class XRSession extends EventTarget {
     super();
     readonly(this, {
       enabledFeatures: Object.freeze(features), environmentBlendMode: mode === 'immersive-ar' ? 'alpha-blend' : 'opaque',
-      interactionMode: 'world-space', supportedFrameRates: new Float32Array([72, 90]), isSystemKeyboardSupported: false,
+      interactionMode: 'world-space', isSystemKeyboardSupported: false,
     });
     EVENTS.forEach((type) => {
       this[`on${type}`] = null;
@@ -19,13 +19,12 @@ class XRSession extends EventTarget {
     });
     const start = device.head ?? [0, 1.6, 0];
     this[INNER] = {
-      mode, ended: false, visibility: 'visible', rate: 72, state: new XRRenderState({}), pending: null, callbacks: [],
+      mode, ended: false, visibility: 'visible', state: new XRRenderState({}), pending: null, callbacks: [],
       handle: 0, running: new Set(), sources: new Map(), list: new XRInputSourceArray([]), start: start.slice(0, 3),
     };
   }
 
   get visibilityState() { return this[INNER].visibility; }
-  get frameRate() { return this[INNER].rate; }
   get renderState() { return this[INNER].state; }
   get inputSources() { return this[INNER].list; }
 
@@ -36,12 +35,6 @@ class XRSession extends EventTarget {
     if (baseLayer && baseLayer[INNER].session !== this) fail('InvalidStateError', 'a layer of another session');
     const { depthNear, depthFar, baseLayer: layer } = inner.pending ?? inner.state;
     inner.pending = new XRRenderState({ depthNear, depthFar, baseLayer: layer, ...values });
-  }
-
-  async updateTargetFrameRate(rate) {
-    if (!this.supportedFrameRates.includes(rate)) throw new TypeError('not one of supportedFrameRates');
-    this[INNER].rate = rate;
-    this.dispatchEvent(new XRSessionEvent('frameratechange', { session: this }));
   }
 
   async requestReferenceSpace(type) {
@@ -69,10 +62,6 @@ class XRSession extends EventTarget {
     this[INNER].handle += 1;
     this[INNER].callbacks.push({ handle: this[INNER].handle, callback });
     return this[INNER].handle;
-  }
-
-  cancelAnimationFrame(handle) {
-    this[INNER].callbacks = this[INNER].callbacks.filter((item) => item.handle !== handle);
   }
 
   async end() {

@@ -59,8 +59,6 @@ function quaternion(m) {
 }
 
 class XRRigidTransform {
-  #inverse = null;
-
   constructor(position = {}, orientation = {}) {
     const { x = 0, y = 0, z = 0, w = 1 } = position;
     const q = { x: 0, y: 0, z: 0, w: 1, ...pick(orientation) };
@@ -74,14 +72,6 @@ class XRRigidTransform {
       orientation: new DOMPointReadOnly(...turn),
       matrix: new Float32Array(rigid([x, y, z], turn)),
     });
-  }
-
-  get inverse() {
-    if (this.#inverse === null) {
-      this.#inverse = transformOf(inverted(exact(this)));
-      this.#inverse.#inverse = this;
-    }
-    return this.#inverse;
   }
 }
 
@@ -148,8 +138,6 @@ class XRView {
     readonly(this, { eye, projectionMatrix, transform, recommendedViewportScale: null, isFirstPersonObserver: false });
     this[INNER] = { frame };
   }
-
-  requestViewportScale() {}
 }
 
 class XRViewport {
@@ -167,10 +155,7 @@ class XRHand {
 
   get size() { return this.#joints.size; }
   get(name) { return this.#joints.get(name); }
-  entries() { return this.#joints.entries(); }
-  keys() { return this.#joints.keys(); }
   values() { return this.#joints.values(); }
-  forEach(callback, self) { this.#joints.forEach((space, name) => callback.call(self, space, name, this)); }
   [Symbol.iterator]() { return this.#joints.entries(); }
 }
 
@@ -189,10 +174,6 @@ class XRInputSourceArray {
   }
 
   get length() { return this[INNER].length; }
-  entries() { return this[INNER].entries(); }
-  keys() { return this[INNER].keys(); }
-  values() { return this[INNER].values(); }
-  forEach(callback, self) { this[INNER].forEach((source, index) => callback.call(self, source, index, this)); }
   [Symbol.iterator]() { return this[INNER].values(); }
 }
 

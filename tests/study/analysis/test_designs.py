@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from apps.study.r_script import r_script
@@ -16,7 +13,6 @@ from glsplat.errors import FormatError
 from glsplat.study.analysis.align import ranked_for_contrasts
 from glsplat.study.analysis.analysis import analyse
 from glsplat.study.analysis.anova import Model, ModelName, art, art_contrasts, choose, name_of
-from glsplat.study.analysis.effects import effects_of
 from glsplat.study.analysis.mixed import fit
 from tests.study.analysis.designs import COUNT, design
 
@@ -26,10 +22,11 @@ SAID: dict[str, dict[str, dict[str, list[float]]]] = json.loads(
 FOUR_DIGITS = 5e-5
 
 
+@pytest.mark.check
 def test_no_study_crashes() -> None:
-    """Every 25th by all models with words, numbers and script; refusals are one line, and few."""
+    """Every 50th by all models with words, numbers and script; refusals are one line, and few."""
     refused = []
-    for number in range(3, COUNT, 25):
+    for number in range(3, COUNT, 50):
         table = design(number).table()
         for kind in ("auto", "rm", "mixed"):
             try:
@@ -45,7 +42,7 @@ def test_no_study_crashes() -> None:
             json.dumps(result.to_json(), allow_nan=False)
             assert "nan" not in results_text([result])
             assert "art(answer ~ " in r_script("t.csv", [result], participant="p", response="y", long=False)
-    one_each = [n for n in range(3, COUNT, 25) if not design(n).table().within]
+    one_each = [n for n in range(3, COUNT, 50) if not design(n).table().within]
     assert {(number, "mixed") for number in one_each} <= set(refused)  # a random intercept needs several answers
     assert all(kind != "auto" for _, kind in refused)
 
@@ -58,22 +55,34 @@ def numbers(model: Model, kind: str) -> dict[str, list[float]]:
     return {name: [x for c in own for x in (c.estimate, c.se, c.df, c.t)] for name, own in rows.items()}
 
 
-@pytest.mark.parametrize("kind", ["rm", "mixed", "rm_contrasts", "mixed_contrasts"])
-def test_where_r_has_a_figure(kind: str) -> None:
-    compared = 0
-    for number, kinds in SAID.items():
+def compare(kind: str, step: int) -> int:
+    """Every ``step``-th study by that model against R; how many effects were compared."""
+    compared, model_name = 0, kind.split("_")[0]
+    for number, kinds in list(SAID.items())[::step]:
         if not kinds[kind]:
             continue
-        model_name: Any = kind.split("_")[0]
-        made = design(int(number))
-        ours = numbers(choose(made.table(), model_name), kind)
+        ours = numbers(choose(design(int(number)).table(), model_name), kind)  # type: ignore[arg-type]
         for effect, theirs in kinds[kind].items():
             # of contrasts t may be a difference of 0: compare it by the size of an ordinary t
             assert ours[effect] == pytest.approx(theirs, rel=FOUR_DIGITS, abs=1e-5), (number, effect)
             compared += 1
-    assert compared >= {"rm": 700, "mixed": 1000, "rm_contrasts": 130, "mixed_contrasts": 240}[kind]
+    return compared
 
 
+@pytest.mark.check
+@pytest.mark.parametrize(
+    ("kind", "least"), [("rm", 370), ("mixed", 500), ("rm_contrasts", 60), ("mixed_contrasts", 110)]
+)
+def test_where_r_has_a_figure(kind: str, least: int) -> None:
+    assert compare(kind, 2) >= least
+
+
+def test_where_r_has_a_figure_in_short() -> None:
+    for kind in ("rm", "mixed", "rm_contrasts", "mixed_contrasts"):
+        assert compare(kind, 30) >= 4
+
+
+@pytest.mark.check
 def test_contrasts_across_strata() -> None:
     """One factor within, one between, balanced: strata and Satterthwaite are the mixed model, where people differ."""
     compared = 0
@@ -89,22 +98,6 @@ def test_contrasts_across_strata() -> None:
             assert ours == pytest.approx(kinds["mixed_contrasts"]["A:B"], rel=FOUR_DIGITS, abs=1e-5), number
             compared += 1
     assert compared >= 4
-
-
-def test_the_studies_are_of_all_kinds() -> None:
-    tables = [design(number).table() for number in range(COUNT)]
-    assert {len(table.factors) for table in tables} == {2, 3, 4}
-    assert sum(not table.within for table in tables) > 10 < sum(not table.between for table in tables)
-    assert sum(bool(table.incomplete) for table in tables) > 20 < sum(table.balanced for table in tables)
-    assert sum(bool(table.within) and bool(table.between) for table in tables) > 50
-    unequal = [table for table in tables if len(set(np.bincount(table.group).tolist())) > 1]
-    tied = [table for table in tables if len(np.unique(table.values)) < 10]
-    assert len(unequal) > 20 and len(tied) > 50 and all(math.isfinite(t.values.sum()) for t in tables)
-    assert design(7).rows == design(7).rows != design(8).rows
-
-
-def test_effects_have_rs_order() -> None:
-    assert effects_of(3) == [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)]
 
 
 def test_a_choice_of_models() -> None:

@@ -9,18 +9,16 @@ import scipy.stats
 from glsplat.study.analysis.effect_sizes import cliffs_delta, partial_eta_squared
 
 
-@pytest.mark.parametrize(
-    ("f", "df1", "df2"), [(66.127, 1, 23), (7.5225, 2, 46), (90.64, 2, 46), (2.8, 3, 17.3), (400, 4, 200)]
-)
-def test_limits_of_eta_squared(f: float, df1: float, df2: float) -> None:
+def test_limits_of_eta_squared() -> None:
     """2.5 and 97.5 % of the noncentral F with these limits lie beyond F."""
-    size = partial_eta_squared(f, df1, df2)
-    assert size.value == pytest.approx(f * df1 / (f * df1 + df2))
-    n = df1 + df2 + 1
-    for limit, share in ((size.low, 0.975), (size.high, 0.025)):
-        noncentrality = limit * n / (1 - limit)
-        below = scipy.stats.ncf.cdf(f, df1, df2, noncentrality) if noncentrality else scipy.stats.f.cdf(f, df1, df2)
-        assert below == pytest.approx(share, abs=1e-6) or (limit == 0 and below < share)
+    for f, df1, df2 in ((66.127, 1, 23), (7.5225, 2, 46), (90.64, 2, 46), (2.8, 3, 17.3), (400, 4, 200)):
+        size = partial_eta_squared(f, df1, df2)
+        assert size.value == pytest.approx(f * df1 / (f * df1 + df2))
+        for limit, share in ((size.low, 0.975), (size.high, 0.025)):
+            noncentrality = limit * (df1 + df2 + 1) / (1 - limit)
+            known = scipy.stats.ncf(df1, df2, noncentrality) if noncentrality else scipy.stats.f(df1, df2)
+            below = known.cdf(f)
+            assert below == pytest.approx(share, abs=1e-6) or (limit == 0 and below < share)
 
 
 def test_no_effect_and_no_error() -> None:
@@ -48,13 +46,3 @@ def test_delta_of_the_same_people(rng: np.random.Generator) -> None:
     paired, apart = (cliffs_delta(first, second, paired=kind) for kind in (True, False))
     assert paired.value == apart.value and paired.high - paired.low < 0.6 * (apart.high - apart.low)
     assert paired == cliffs_delta(first, second, paired=True) != cliffs_delta(first, second, paired=True, seed=1)
-
-
-def test_intervals_cover(rng: np.random.Generator) -> None:
-    """Of normal answers half a deviation apart, delta is 2 Phi(0.5 / sqrt 2) - 1."""
-    truth = 2 * scipy.stats.norm.cdf(0.5 / np.sqrt(2)) - 1
-    hits = 0
-    for _ in range(60):
-        size = cliffs_delta(rng.normal(0.5, 1, 30), rng.normal(0, 1, 30), paired=False)
-        hits += size.low <= truth <= size.high
-    assert hits >= 51

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -25,29 +22,6 @@ def test_as_r() -> None:
     assert (found.low, found.high) == pytest.approx((0.8320799, 0.9732836), rel=1e-6)
     assert found.omega == pytest.approx(0.93794626, rel=1e-5) and not found.at_bound
     assert (found.n, found.items, found.left_out) == (14, 4, 0)
-
-
-@pytest.mark.shared
-def test_as_psych_on_a_study(shared_data: Path) -> None:
-    folder = shared_data / "stats"
-    said = json.loads((folder / "synthetic_2x3_within_n24.artool_expected.json").read_text())
-    items = np.genfromtxt(folder / "synthetic_2x3_within_n24.csv", delimiter=",", skip_header=1, usecols=range(3, 7))
-    found = reliability(items)
-    assert (found.alpha, found.standardised) == pytest.approx((said["cronbach_raw"], said["cronbach_std"]), rel=1e-8)
-
-
-def test_omega_is_what_items_share(rng: np.random.Generator) -> None:
-    """Many answers of known loadings; with equal loadings omega is alpha."""
-    loading = np.array([0.9, 0.7, 0.5, 0.3])
-    factor = rng.normal(size=(20_000, 1))
-    items = factor * loading + rng.normal(size=(20_000, 4)) * np.sqrt(1 - loading**2)
-    expected = loading.sum() ** 2 / (loading.sum() ** 2 + (1 - loading**2).sum())
-    found = reliability(items)
-    assert (
-        found.omega == pytest.approx(expected, abs=0.01) and found.alpha is not None and found.alpha < expected - 0.01
-    )
-    even = reliability(factor * 0.7 + rng.normal(size=(20_000, 3)) * 0.7)
-    assert even.omega == pytest.approx(even.alpha, abs=0.003)
 
 
 def test_gaps_and_what_cannot_be_had() -> None:

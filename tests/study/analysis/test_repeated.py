@@ -37,27 +37,6 @@ def test_two_levels_are_a_t_test(rng: np.random.Generator) -> None:
     assert estimate[0] / se[0] == pytest.approx(t.statistic) and df[0] == pytest.approx(13)
 
 
-def test_one_factor_is_scipys_anova(rng: np.random.Generator) -> None:
-    table = with_values(Planned({"g": ("a", "b", "c")}, 17, frozenset({"g"})), rng.normal(size=17))
-    known = scipy.stats.f_oneway(*(table.values[table.cell == i] for i in range(3)))
-    f, df1, df2, p, _ = f_tests(table, (0,), table.values)
-    assert (f, df1, df2, p) == pytest.approx((known.statistic, 2, 14, known.pvalue))
-
-
-def test_a_difference_across_strata(rng: np.random.Generator) -> None:
-    """Group a in condition x against group b in condition y: Welch's formula for two strata, by hand."""
-    table = with_values(Planned({"g": ("a", "b"), "w": ("x", "y")}, 12, frozenset({"g"})), rng.normal(size=24))
-    Y = table.values.reshape(12, 2)
-    group = np.arange(12) % 2
-    left = Y - np.array([Y[group == g].mean(axis=0) for g in (0, 1)])[group]
-    outer = 2 * (left.mean(axis=1) ** 2).sum() / 10
-    inner = ((left - left.mean(axis=1, keepdims=True)) ** 2).sum() / 10
-    estimate, se, df = contrast_rows(table, (0, 1), table.values, np.array([[1.0, 0, 0, -1]]))
-    assert estimate[0] == pytest.approx(Y[group == 0, 0].mean() - Y[group == 1, 1].mean())
-    assert se[0] ** 2 == pytest.approx((outer + inner) / 6)
-    assert df[0] == pytest.approx((outer + inner) ** 2 / (outer**2 / 10 + inner**2 / 10))
-
-
 def test_epsilon() -> None:
     """Of answers that vary in one direction only it is 1 / (levels - 1), of equally correlated ones nearly 1."""
     plan = Planned({"w": ("a", "b", "c")}, 400)

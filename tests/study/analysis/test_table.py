@@ -34,12 +34,12 @@ def test_a_table(tmp_path: Path) -> None:
     assert turned.factors[0].levels == ("b", "a") and turned.codes[:, 0].tolist() == [1, 0, 1, 0]
 
 
-@pytest.mark.parametrize("cell", ["", "NA", "nan", " n/a "])
-def test_missing_answers(tmp_path: Path, cell: str) -> None:
-    text = GOOD.replace("4.5", cell) + "P3,a,x,m,5,\nP3,b,x,m,5,\nP4,a,y,m,5,\nP4,b,y,m,5,\n"
-    table = read_table(written(tmp_path, text), ["view", "group"])
-    assert table.incomplete == ("P10",) and not table.balanced and table.unanswered == 1 and len(table.values) == 7
-    assert table.of(["P2", "P3", "P4"]).incomplete == ()
+def test_missing_answers(tmp_path: Path) -> None:
+    for cell in ("", "NA", "nan", " n/a "):
+        text = GOOD.replace("4.5", cell) + "P3,a,x,m,5,\nP3,b,x,m,5,\nP4,a,y,m,5,\nP4,b,y,m,5,\n"
+        table = read_table(written(tmp_path, text), ["view", "group"])
+        assert table.incomplete == ("P10",) and not table.balanced and table.unanswered == 1 and len(table.values) == 7
+        assert table.of(["P2", "P3", "P4"]).incomplete == ()
 
 
 def test_a_table_of_any_size(tmp_path: Path) -> None:
@@ -60,28 +60,30 @@ MISTAKES = [
     (GOOD.replace("view", "sight"), "no column 'view'"),
     (GOOD.replace("4.5", "four"), "line 5: column 'value' needs a number, not 'four'"),
     (GOOD.replace("4.5", "inf"), "needs a number"),
-    (GOOD.replace("4.5", "1_000"), "needs a number"),
     (GOOD.replace("P10,b,y", "P10,,y"), "line 5: column 'view' is empty"),
     (GOOD.replace("P10,b,y,m,4.5,", "P10,b,y"), "line 5: 3 columns, but the header has 6"),
     (GOOD.replace(",m,3", ",k,3"), "found several; choose one of k, m"),
     (GOOD.replace("P10", "P2"), "at least two participants, found 1"),
     (GOOD.replace(",b,", ",a,"), "'view' needs two levels or more"),
     (GOOD.replace("P10,b,y,m,4.5,", ""), "nobody answered in view = b, group = y"),
-    (GOOD.replace("note", "view"), "header that names each column once"),
-    (GOOD.split("\n")[0], "rows below the header"),
     ("", "header"),
     (b"participant,view,group,value\n\xff,a,x,1\n", "UTF-8"),
-    (GOOD + '"open', "not a CSV file"),
     (GOOD.replace("a,x", "a\0,x"), ""),
 ]
 
 
-@pytest.mark.parametrize(("text", "said"), MISTAKES)
-def test_mistakes_are_said_in_one_line(tmp_path: Path, text: str | bytes, said: str) -> None:
-    path = written(tmp_path, text)
-    with pytest.raises(FormatError) as caught:
-        read_table(path, ["view", "group"])
-    assert said in str(caught.value) and "\n" not in str(caught.value) and str(path) in str(caught.value)
+def test_mistakes_are_said_in_one_line(tmp_path: Path) -> None:
+    for text, said in MISTAKES:
+        path = written(tmp_path, text)
+        with pytest.raises(FormatError) as caught:
+            read_table(path, ["view", "group"])
+        assert said in str(caught.value) and "\n" not in str(caught.value) and str(path) in str(caught.value)
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_table(tmp_path / "none.csv", ["view"])
+    with pytest.raises(FormatError, match="no row has the measure 'z'"):
+        read_table(written(tmp_path, GOOD), ["view"], measure="z")
+    with pytest.raises(FormatError, match="different columns"):
+        read_table(written(tmp_path, GOOD), ["view", "view"])
 
 
 def test_what_is_no_design() -> None:
@@ -93,12 +95,3 @@ def test_what_is_no_design() -> None:
     rows = [(name, tuple(str(i >> k & 1) for k in range(9)), 0.0) for name in "ab" for i in range(512)]
     with pytest.raises(FormatError, match="at most 256 conditions"):
         make_table("y", many, rows)
-
-
-def test_a_missing_file_and_measure(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="cannot be read"):
-        read_table(tmp_path / "none.csv", ["view"])
-    with pytest.raises(FormatError, match="no row has the measure 'z'"):
-        read_table(written(tmp_path, GOOD), ["view"], measure="z")
-    with pytest.raises(FormatError, match="different columns"):
-        read_table(written(tmp_path, GOOD), ["view", "view"])

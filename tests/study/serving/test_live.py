@@ -76,11 +76,11 @@ def test_time_passes_while_the_page_is_there(tmp_path: Path) -> None:
     run(tmp_path, test, clock=clock)
 
 
-@pytest.mark.parametrize(("away", "expected"), [(3600, 3600), (0, 100), (-1e6, 100), (1e12, 100), (float("nan"), 100)])
-def test_a_clock_that_leaps(away: float, expected: float) -> None:
+def test_a_clock_that_leaps() -> None:
     """The wall clock says how long a server was away; where it was set meanwhile, time still does not run backwards."""
     opened = Event(0.0, "x", "open", {"wall": "2027-01-15T08:00:00+00:00"})
-    assert resumed_at(100.0, opened, 1800000000 + away) == expected
+    for away, expected in ((3600, 3600), (0, 100), (-1e6, 100), (1e12, 100), (float("nan"), 100)):
+        assert resumed_at(100.0, opened, 1800000000 + away) == expected
 
 
 def test_a_restart_goes_on_in_time(tmp_path: Path) -> None:
@@ -94,6 +94,7 @@ def test_a_restart_goes_on_in_time(tmp_path: Path) -> None:
     assert opened == [0, 60, 60]
 
 
+@pytest.mark.check
 def test_a_condition_is_applied_to_the_client(tmp_path: Path) -> None:
     """The avatar whatever was asked for; hands to the solver or not, recorded all the same; put out at its end."""
 

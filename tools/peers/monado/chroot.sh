@@ -1,8 +1,8 @@
 #!/bin/sh
-# Make a Debian trixie root with Monado, software OpenGL and this checkout's Python packages, for GLSPLAT_MONADO=1.
+# Make a Debian trixie root with Monado, software OpenGL and this checkout's Python packages.
 #
-#     sudo sh tests/xr/scripts/chroot.sh /var/tmp/glsplat-monado      # 2 GB, five minutes; may be run again
-#     sudo env GLSPLAT_MONADO=1 GLSPLAT_MONADO_ROOT=/var/tmp/glsplat-monado pytest tests/xr/test_monado.py
+#     sudo sh tools/peers/monado/chroot.sh /var/tmp/glsplat-monado      # 2 GB, five minutes; may be run again
+#     sudo env GLSPLAT_MONADO_ROOT=/var/tmp/glsplat-monado pytest tools/peers/monado/test_monado.py
 #
 # Needs root, debootstrap, and a mirror of Debian and of PyPI as this machine has them. What it mounts goes with
 # `umount`: see the end.

@@ -23,7 +23,7 @@ from glsplat.gl.functions import gl_functions
 from glsplat.passes.eyes import EyeImages
 from glsplat.xr import LocalShow, OpenXrRuntime, Session, Wearer
 from glsplat.xr.runtime import State
-from tests.xr.scripts.remote import Script, Sender
+from tools.peers.monado.remote import Script, Sender
 
 VALIDATION = "XR_APILAYER_LUNARG_core_validation"
 RECORD = Path("/tmp/validation.txt")

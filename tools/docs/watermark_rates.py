@@ -1,6 +1,6 @@
 """Rates at which marks are found after JPEG, scaling, cropping and x264, over windows of rendered clips.
 
-    python -m tests.watermark.measure AVATAR... --motion MOTION... [--windows 10]
+    python -m tools.docs.watermark_rates AVATAR... --motion MOTION... [--windows 10]
 
 Each avatar is drawn with each motion at 512x512, whole, from the waist up and as head and shoulders; windows of 30
 pictures begin one picture after the other, each with a payload of its own. The mark is drawn by its twin, which the

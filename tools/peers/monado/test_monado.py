@@ -1,4 +1,4 @@
-"""Against Monado itself (opt-in: GLSPLAT_MONADO=1, and GLSPLAT_MONADO_ROOT from tests/xr/scripts/chroot.sh).
+"""Against Monado itself as root, in the root GLSPLAT_MONADO_ROOT that tools/peers/monado/chroot.sh makes.
 
 Its null compositor shows nothing and takes 20 frames a second; its "remote" driver is told where head, hands and
 fingers are, and what the eyes see. The validation layer of Khronos' SDK looks at every call but those that are timed.
@@ -20,20 +20,16 @@ import pytest
 ROOT = Path(os.environ.get("GLSPLAT_MONADO_ROOT", "/var/tmp/glsplat-monado"))
 LONGEST = 1800  # seconds of a scenario on a machine that does much else at the same time
 
-pytestmark = [
-    pytest.mark.skipif(os.environ.get("GLSPLAT_MONADO") != "1", reason="opt-in: GLSPLAT_MONADO=1"),
-    pytest.mark.root,
-    pytest.mark.timeout(LONGEST + 60),
-]
+pytestmark = pytest.mark.timeout(LONGEST + 60)
 
 CONFIG = {"active": "remote", "remote": {"version": 0, "port": 4242}}
 
 
 @cache
 def ran(scenario: str, module: str = "session") -> dict[str, Any]:
-    """What a module of tests/xr/scripts found within the chroot."""
+    """What a module of tools/peers/monado found within the chroot."""
     if not (ROOT / "usr/bin/monado-service").exists():
-        pytest.fail(f"no Monado in {ROOT}: sudo sh tests/xr/scripts/chroot.sh {ROOT}")
+        pytest.fail(f"no Monado in {ROOT}: sudo sh tools/peers/monado/chroot.sh {ROOT}")
     home = ROOT / "root/.config/monado"
     home.mkdir(parents=True, exist_ok=True)
     (home / "config_v0.json").write_text(json.dumps(CONFIG))
@@ -43,7 +39,7 @@ def ran(scenario: str, module: str = "session") -> dict[str, Any]:
         **{"LIBGL_ALWAYS_SOFTWARE": "1", "PYTHONDONTWRITEBYTECODE": "1"},
     }
     words = [f"{key}={value}" for key, value in settings.items()]
-    inside = ["sh", "-c", f"cd /src && exec /venv/bin/python -m tests.xr.scripts.{module} {scenario}"]
+    inside = ["sh", "-c", f"cd /src && exec /venv/bin/python -m tools.peers.monado.{module} {scenario}"]
     command = ["chroot", str(ROOT), "env", "-i", *words, *inside]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, **pipes, text=True, start_new_session=True) as done:  # type: ignore[call-overload]
