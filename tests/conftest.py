@@ -71,7 +71,7 @@ def pytest_configure() -> None:
     from hypothesis import settings
 
     settings.register_profile("few", max_examples=20, deadline=None)
-    settings.register_profile("check", max_examples=200, deadline=None)
+    settings.register_profile("check", max_examples=120, deadline=None)
     settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
 
 
