@@ -124,11 +124,16 @@ def glb_parts(data: bytes) -> tuple[dict[str, Any], bytes]:
     return json.loads(data[20 : 20 + size]), data[28 + size :]
 
 
-def write_glb(path: Path, document: dict[str, Any], blob: bytes) -> None:
+def glb_of(document: dict[str, Any], blob: bytes) -> bytes:
+    """A .glb; the blob ends on a multiple of four bytes unless the file is to be broken."""
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4sIIII", b"glTF", 2, 28 + len(text) + len(blob), len(text), 0x4E4F534A)
-    path.write_bytes(head + text + struct.pack("<II", len(blob), 0x004E4942) + blob)
+    return head + text + struct.pack("<II", len(blob), 0x004E4942) + blob
+
+
+def write_glb(path: Path, document: dict[str, Any], blob: bytes) -> None:
+    path.write_bytes(glb_of(document, blob))
 
 
 def edit_glb(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
