@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import settings
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a folder whose tests need neither OpenGL nor NumPy starts without them
     import numpy as np
 
     from glsplat.avatar import Avatar
@@ -72,6 +72,15 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return home
 
 
+def pytest_configure() -> None:
+    """Property tests draw few examples unless HYPOTHESIS_PROFILE=check asks for many."""
+    from hypothesis import settings
+
+    settings.register_profile("few", max_examples=20, deadline=None)
+    settings.register_profile("check", max_examples=120, deadline=None)
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("root") and os.geteuid() != 0:
         pytest.skip("only root can: sudo .venv/bin/pytest -m root")
@@ -103,10 +112,10 @@ def context() -> Iterator[Context]:
 
 
 @pytest.fixture
-def current(context: Context) -> Iterator[None]:
-    """Makes the shared context the thread's current one: another test may have ended with none or its own."""
+def gl(context: Context) -> Iterator[Context]:
+    """The shared context as the thread's current one: another test may have ended with none or its own."""
     with context.ctx:
-        yield
+        yield context
 
 
 @pytest.fixture

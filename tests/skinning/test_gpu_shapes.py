@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,7 +14,6 @@ from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.passes.item import shape_buffers
 from glsplat.renderer import Renderer
-from glsplat.shaders import SkinVariant, flatten
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level
@@ -75,40 +73,6 @@ def test_no_weight_is_the_same_bytes(renderer_of: Make, weights: dict[str, float
     assert not np.array_equal(moved, still)
     assert np.array_equal(renderer.render([view], turned(weights)), still)  # also after a frame with an expression
     assert np.array_equal(renderer.render([view], turned(FACE)), moved)
-
-
-def test_a_weight_above_the_limit_is_the_limit(renderer_of: Make) -> None:
-    avatar, view = expressive(), camera(96, 2.5)
-    renderer = renderer_of(avatar, (96, 96))
-    full = renderer.render([view], turned({"jawOpen": 1.0})).copy()
-    assert np.array_equal(renderer.render([view], turned({"jawOpen": 2.0})), full)
-
-
-def resolved(text: str, flag: str, value: bool) -> list[str]:
-    """The lines that a preprocessor leaves of ``#if FLAG`` ... ``#else`` ... ``#endif``."""
-    out: list[str] = []
-    stack: list[tuple[bool, bool]] = []  # is ours, is taken
-    for line in text.splitlines():
-        if re.match(r"#if\b", line):
-            stack.append((line.split()[1] == flag, value))
-        elif re.match(r"#else\b", line) and stack[-1][0]:
-            stack[-1] = (True, not stack[-1][1])
-            continue
-        mine = bool(stack) and stack[-1][0]
-        ours = re.match(r"#(if|endif)\b", line) and mine
-        if not ours and all(taken for known, taken in stack if known):
-            out.append(line)
-        if re.match(r"#endif\b", line):
-            stack.pop()
-    return out
-
-
-def test_the_shader_of_a_still_face_has_nothing_of_it() -> None:
-    plain = resolved(flatten("skin.vert.glsl", SkinVariant().defines()).text, "SHAPED", False)
-    shaped = resolved(flatten("skin.vert.glsl", SkinVariant(shaped=1).defines()).text, "SHAPED", True)
-    assert not any(word in line for line in plain for word in ("entries", "amounts", "expressed", "range"))
-    assert any("texelFetch(entries" in line for line in shaped) and len(shaped) > len(plain) + 30
-    assert "    mat3 rest = shape_matrix(quat, scale);" in plain
 
 
 def test_a_still_face_compiles_and_binds_nothing(renderer_of: Make) -> None:
