@@ -90,25 +90,12 @@ def test_a_typed_height_finds_the_floor(open_page: OpenPage, serve: Any, told: T
     assert tracking.head[1] == pytest.approx(0.936 * 1.75, abs=0.002)
 
 
-def test_only_arms_that_the_server_takes_are_told(modules: Opened) -> None:
-    spans = modules.js("""async () => {
-      const { Calibration } = await import('/vr/track/calibration.js');
-      return [2.4, 2.6].map((span) => {
-        const calibration = new Calibration(null);
-        calibration.begin(0);
-        const wrist = (side) => [(side * span) / 2, 2.2, 0, 0, 0, 0, 1];
-        for (let ms = 0; ms <= 2000; ms += 50) {
-          const found = calibration.add({ head: [0, 2.5, 0, 0, 0, 0, 1], left: wrist(-1), right: wrist(1) }, ms);
-          if (found.result) return found.result.span;
-        }
-      });
-    }""")
-    assert spans == [pytest.approx(2.4), None]  # /ws?span= takes 0.3 to 2.5 metres
-
-
-def test_a_recording_is_what_was_tracked(open_page: OpenPage, serve: Any, told: Told, tmp_path: Path) -> None:
-    body = {"hips": pose([0, 0.95, 0.02]), "left-foot-ball": pose([-0.1, 0.02, 0])}
+def test_what_was_tracked_is_sent_and_recorded(open_page: OpenPage, serve: Any, told: Told, tmp_path: Path) -> None:
+    """A body's places of the joints that drive the avatar, of a body that has more; without one there is no key."""
+    body = {"hips": pose([0, 0.95, 0.02]), "left-foot-ball": pose([-0.1, 0.02, 0]), "chest": pose([0, 1.3, 0])}
     page = inside(open_page, serve, told, {"body": body})
+    found = told.tracked(page).body
+    assert found == {name: pytest.approx(body[name][:3], abs=2e-6) for name in ("hips", "left-foot-ball")}
     page.js("""() => { fakeXR.motion = (time, device) => { device.head[0] = 0.1 * Math.sin(time / 300); }; }""")
     page.page.click("#record")
     frames = page.js("fakeXR.frames")
@@ -126,14 +113,6 @@ def test_a_recording_is_what_was_tracked(open_page: OpenPage, serve: Any, told: 
     heads = np.array([line["head"] for line in lines])
     assert np.ptp(heads[:, 0]) > 0.02 and np.allclose(heads[:, 1], 1.65, atol=1e-5)
     assert all(len(np.ravel(line["left_joints"])) == 75 for line in lines)
-
-
-def test_a_body_that_the_device_tracks_is_sent(open_page: OpenPage, serve: Any, told: Told) -> None:
-    """Places of the joints that drive the avatar, of a body that has more; without one there is no key."""
-    body = {"hips": pose([0, 0.95, 0.02]), "left-foot-ball": pose([-0.1, 0.02, 0]), "chest": pose([0, 1.3, 0])}
-    page = inside(open_page, serve, told, {"body": body})
-    found = told.tracked(page).body
-    assert found == {name: pytest.approx(body[name][:3], abs=2e-6) for name in ("hips", "left-foot-ball")}
     steer(page, body=None)
     count = len(told.backend.requests)
     page.until(f"window.glsplat.stats().shown > {page.stats()['shown'] + 3}")
