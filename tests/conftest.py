@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import settings
 
 if TYPE_CHECKING:  # a folder whose tests need neither OpenGL nor NumPy starts without them
     import numpy as np
@@ -18,11 +17,6 @@ if TYPE_CHECKING:  # a folder whose tests need neither OpenGL nor NumPy starts w
     from glsplat.evaluate.probe import Probe
     from glsplat.gl.context import Context
     from glsplat.splats import Splats
-
-# Few examples while one works, many in `make check` (HYPOTHESIS_PROFILE=check); no example has to be quick.
-settings.register_profile("default", max_examples=25, deadline=None)
-settings.register_profile("check", max_examples=150, deadline=None)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 SHARED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 

@@ -75,7 +75,7 @@ def test_errors_that_fall_are_one_step() -> None:
 
 
 @pytest.mark.gl
-@pytest.mark.slow
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.timeout(1200)
 @needs_networks

@@ -14,8 +14,12 @@ from glsplat.study.serving.recording import Recording
 from glsplat.study.store import FRAMES, SESSION, Log
 from tests.study.serving.client import OTHER, PAGE, Client, Clock, run, until
 
-FIRST = "002-questionnaire"
 FIGURES = {"fps": 50.0, "age_ms": 30.0, "session": "vr"}
+
+
+async def answered(client: Client, item: str, value: int) -> int:
+    """Status of an answer to an item of the questionnaire in hand."""
+    return (await client.do("answer", step=(await client.state())["step"], item=item, value=value))[0]
 
 
 async def refused(client: Client, what: str, page: str = PAGE, **more: Any) -> tuple[int, str, int | None]:
@@ -36,10 +40,11 @@ def test_answers_that_come_too_fast_wait(tmp_path: Path, monkeypatch: pytest.Mon
 
     async def test(client: Client) -> None:
         await client.begin()
+        step = (await client.state())["step"]
         kept, count = [], 0
         while True:
             value = 5 * (count % 2)
-            status, code, wait = await refused(client, "answer", step=FIRST, item="mental", value=value)
+            status, code, wait = await refused(client, "answer", step=step, item="mental", value=value)
             if status != 200:
                 break
             kept.append(value)
@@ -47,7 +52,7 @@ def test_answers_that_come_too_fast_wait(tmp_path: Path, monkeypatch: pytest.Mon
             assert count < 200
         assert (status, code) == (429, "rate") and count > 20
         for _ in range(20):
-            again = await refused(client, "answer", step=FIRST, item="effort", value=5)
+            again = await refused(client, "answer", step=step, item="effort", value=5)
             assert again == (429, "rate", wait)  # trying costs nothing
         found = [e.values["value"] for e in Log(client.live.store.folder / SESSION) if e.kind == "answer"]
         assert found == kept and (await client.state())["answers"] == {"mental": kept[-1]}
@@ -55,7 +60,7 @@ def test_answers_that_come_too_fast_wait(tmp_path: Path, monkeypatch: pytest.Mon
         assert (await client.post("command", {"do": "note", "text": "x"}, "experimenter"))[0] == 200
         assert wait is not None and wait > 0
         clock.now += wait
-        assert (await client.do("answer", step=FIRST, item="effort", value=5))[0] == 200
+        assert await answered(client, "effort", 5) == 200
         clock.now += 100
         await client.answer_all()
 
@@ -69,9 +74,10 @@ def test_a_full_log_takes_what_leads_on(tmp_path: Path, monkeypatch: pytest.Monk
 
     async def test(client: Client) -> None:
         await client.begin()
-        assert (await client.do("answer", step=FIRST, item="mental", value=5))[0] == 200
-        assert await refused(client, "answer", step=FIRST, item="mental", value=10) == (413, "full", None)
-        assert (await client.do("answer", step=FIRST, item="mental", value=5))[0] == 200  # sent again
+        step = (await client.state())["step"]
+        assert await answered(client, "mental", 5) == 200
+        assert await refused(client, "answer", step=step, item="mental", value=10) == (413, "full", None)
+        assert await answered(client, "mental", 5) == 200  # sent again
         assert (await client.state())["answers"] == {"mental": 5}
         await client.answer_all_but("mental")
         state = await client.state()
@@ -102,12 +108,13 @@ def test_a_log_beyond_the_size_is_taken_up(tmp_path: Path, monkeypatch: pytest.M
     async def first(client: Client) -> None:
         await client.begin()
         for value in (5, 10, 15):
-            assert (await client.do("answer", step=FIRST, item="mental", value=value))[0] == 200
+            assert await answered(client, "mental", value) == 200
 
     async def second(client: Client) -> None:
         await client.do("enter")
+        step = (await client.state())["step"]
         assert (await client.state())["answers"] == {"mental": 15}
-        assert (await refused(client, "answer", step=FIRST, item="mental", value=5))[:2] == (413, "full")
+        assert (await refused(client, "answer", step=step, item="mental", value=5))[:2] == (413, "full")
         await client.answer_all_but("mental")
 
     run(tmp_path, first)
