@@ -8,31 +8,34 @@ USER_THERE ?= newbie
 EVALUATE ?= # more options for `make evaluate`, such as EVALUATE=--quick
 BIN := $(VENV)/bin
 
-.PHONY: demo test install style types unit fresh goldens bench report docs evaluate clean
+.PHONY: demo test check install style types fresh goldens bench report docs evaluate clean
 
 demo: $(VENV)/.run
 	$(BIN)/glsplat demo -o out/demo $(DEMO)
 
-test: $(VENV)/.dev style types unit
+# style, types, and the tests that prove the core: minutes, with no more system packages than the demo
+test: style types
+	$(BIN)/pytest -m "not check" --numprocesses $(JOBS) --dist worksteal
+
+# every test, with more Hypothesis examples; wants a browser, a virtual display and other drivers
+check: $(VENV)/.dev style types
+	HYPOTHESIS_PROFILE=check $(BIN)/pytest --numprocesses $(JOBS) --dist worksteal
 
 install: $(VENV)/.run
 
-style: $(VENV)/.dev
+style: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(VENV)/.dev
+types: $(VENV)/.test
 	$(BIN)/mypy --num-workers 2
-
-unit: $(VENV)/.dev
-	$(BIN)/pytest --numprocesses $(JOBS) --dist worksteal
 
 # the same on a bare Debian of its own making, as a newcomer (USER_THERE=root: as root); needs root
 fresh:
 	.ci/fresh $(USER_THERE)
 
 # only after a change that is meant to change pictures: look at each one, give the reason in the commit message
-goldens: $(VENV)/.dev
+goldens: $(VENV)/.test
 	$(BIN)/pytest tests/golden --update-goldens
 
 bench: $(VENV)/.run
@@ -44,20 +47,25 @@ $(VENV)/.run: pyproject.toml .ci/system
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
 	touch $@
 
-$(VENV)/.dev: pyproject.toml .ci/system
-	PYTHON=$(PYTHON) .ci/system test
-	$(PYTHON) -m venv $(VENV)
+$(VENV)/.test: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	touch $@
+
+$(VENV)/.dev: $(VENV)/.test
+	PYTHON=$(PYTHON) .ci/system check
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
-	touch $@ $(VENV)/.run
+	touch $@
 
 report: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[report]'
 	$(BIN)/glsplat report -o out/report
 
-# the site of docs/ and the docstrings: open out/site/index.html, no server is needed; what is not right ends it.
-# The variable keeps a note on mkdocs-material's successor out of the log; --quiet would keep --strict from seeing faults.
+# The site of docs/ and the docstrings: open out/site/index.html, no server is needed; any fault ends it. The picture of
+# the architecture and the copies of measured tables are made from the code and the tables first. The variable keeps a note on mkdocs-material's successor out of the log; --quiet would keep --strict from seeing faults.
 docs: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m tests.house
+	$(BIN)/python -m tools.docs.measured --copies
 	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/mkdocs build --strict
 
 # PARTICIPANTS=DIR are people of your own; EVALUATE='--quick' and the like are passed on

@@ -110,6 +110,16 @@ class Morphs:
                 np.add.at(out, self.vertices[part], weight * self.offsets[part].astype(np.float64))
         return out
 
+    def farthest(self, pose: Pose) -> float:
+        """Metres by which no vertex moves farther with the pose's expression."""
+        total = 0.0
+        for target, name in enumerate(self.names):
+            weight = min(max(pose.expression.get(name, 0.0), 0.0), 1.0)
+            if weight:
+                moved = self.offsets[self.starts[target] : self.starts[target + 1]]
+                total += weight * float(np.linalg.norm(moved, axis=1).max(initial=0.0))
+        return total
+
     def turned(self, linear: NDArray[np.float64]) -> Morphs:
         """Those of a mesh that was moved by ``linear`` [3, 3]."""
         return replace(self, offsets=(self.offsets @ linear.T).astype(np.float32))

@@ -32,7 +32,7 @@ from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
 from glsplat.passes.views import Depths, Images, Views
 from glsplat.renderer_thread import ThreadProxy
-from glsplat.scene import Scene, SceneLike
+from glsplat.scene import Item, Scene, SceneLike
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
@@ -195,22 +195,22 @@ class Renderer:
             both = self._pictures(asked, out, depth)
         return both if depth else both[0]
 
-    def prepare(self, views: Views, pose: Pose | None = None) -> Prepared:
-        """Do all of ``render()`` that comes before drawing, and say what drawing costs. Raises what that raises.
+    def prepare(self, views: Views, pose: Pose | None = None, itemised: bool = False) -> Prepared:
+        """Do all of ``render()`` before the draw, and say what drawing costs, in all or ``itemised``. Raises the same.
 
         >>> with glsplat.Renderer(glsplat.default_avatar(), size=(32, 24), views=2) as renderer:
         ...     prepared = renderer.prepare(glsplat.stereo_cameras(np.eye(4), size=(32, 24)))
         ...     image = prepared.render() if prepared.cost < 1e9 else None
         """
-        asked, cost = self._views(views), 0
+        asked, costed = self._views(views), 1 + flag(itemised, "itemised", GlsplatError)
         with self._entered("prepare"):
             self._follow(asked, pose)
+            self._prepared = prepared = Prepared(self, asked)
             for ordinal, batch in enumerate(self._passes(asked)):
                 some = [asked[i] for i in batch]
                 self._scene.ground(some, ordinal, self.target_dtype, self.timer)
-                cost += self._ordered(some, ordinal, costed=True).cost or 0
-            self._prepared = Prepared(self, asked, cost)
-            return self._prepared
+                prepared.cost += self._scene.add_costs(self._ordered(some, ordinal, costed=costed), prepared.items)
+            return prepared
 
     def draw(self, views: Views, pose: Pose | None = None, *, depth: bool = False) -> Target:
         """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
@@ -336,7 +336,7 @@ class Renderer:
             self.stats = pipeline.added(self.stats)
 
     def _ordered(
-        self, views: Sequence[Camera], ordinal: int, depth: bool = False, costed: bool = False, done: bool = False
+        self, views: Sequence[Camera], ordinal: int, depth: bool = False, costed: int = 0, done: bool = False
     ) -> Pipeline:
         """What draws these views as pass number ``ordinal`` of a call, steps 1 to 3 done."""
         pipeline, shared = self._scene.pipeline(views, ordinal, depth), self._scene.shared(ordinal)
@@ -371,10 +371,11 @@ class Renderer:
 class Prepared:
     """Pictures of which all but the drawing is done; until the renderer does something else. ``Renderer.prepare()``."""
 
-    def __init__(self, renderer: Renderer, views: Sequence[Camera], cost: int) -> None:
+    def __init__(self, renderer: Renderer, views: Sequence[Camera]) -> None:
         self._renderer, self._views = renderer, views
-        self.cost: int = cost
+        self.cost: int = 0
         """Covered pixels: of all views and splats drawn those of the box around the splat, in whole blocks of 4x4."""
+        self.items: dict[Item, int] = {}  # the same of each item of splats that the views show, if ``itemised``
 
     def render(
         self,

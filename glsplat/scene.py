@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import bits, flag, instance, listed, number, plain
+from glsplat.arrays import bits, count, flag, instance, listed, number, plain
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.meshes import RiggedMesh
@@ -58,7 +58,7 @@ class Item:
     Item(Avatar 'Ann' at (0, 0, 2))
     """
 
-    __slots__ = ("_content", "_layers", "_name", "_opacity", "_pose", "_transform", "_visible")
+    __slots__ = ("_content", "_finest", "_layers", "_name", "_opacity", "_pose", "_transform", "_visible")
 
     def __init__(
         self,
@@ -70,6 +70,7 @@ class Item:
         opacity: float = 1.0,
         name: str = "",
         layers: int = 1,
+        finest: int = 0,
     ) -> None:
         if not isinstance(content, (Splats, Avatar, RiggedMesh)):
             raise GlsplatError(f"an item shows Splats, an Avatar or a RiggedMesh, not {type(content).__name__}")
@@ -79,6 +80,7 @@ class Item:
         self.visible = visible
         self.opacity = opacity
         self.layers = layers
+        self.finest = finest
         self._name: str = instance(name, str, "an item's name", GlsplatError)
 
     @property
@@ -134,6 +136,15 @@ class Item:
     @layers.setter
     def layers(self, layers: int) -> None:
         self._layers = bits(layers, "an item's layers", GlsplatError)
+
+    @property
+    def finest(self) -> int:
+        """Level of detail that is the finest drawn of it, however near it is; 0: all. The coarsest if it has fewer."""
+        return self._finest
+
+    @finest.setter
+    def finest(self, finest: int) -> None:
+        self._finest = count(finest, "an item's finest level", GlsplatError, 0)
 
     @property
     def opacity(self) -> float:

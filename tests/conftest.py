@@ -6,16 +6,17 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 
-from glsplat.avatar import Avatar
-from glsplat.config import RenderConfig
-from glsplat.evaluate.probe import Probe
-from glsplat.gl.context import Context, create_context
-from glsplat.splats import Splats
+if TYPE_CHECKING:  # a folder whose tests need neither OpenGL nor NumPy starts without them
+    import numpy as np
+
+    from glsplat.avatar import Avatar
+    from glsplat.evaluate.probe import Probe
+    from glsplat.gl.context import Context
+    from glsplat.splats import Splats
 
 SHARED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -52,6 +53,8 @@ def _patient_clients() -> Iterator[None]:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
+    import numpy as np
+
     return np.random.default_rng(20260)
 
 
@@ -61,6 +64,15 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     home = tmp_path / "state"
     monkeypatch.setenv("XDG_STATE_HOME", str(home))
     return home
+
+
+def pytest_configure() -> None:
+    """Property tests draw few examples unless HYPOTHESIS_PROFILE=check asks for many."""
+    from hypothesis import settings
+
+    settings.register_profile("few", max_examples=20, deadline=None)
+    settings.register_profile("check", max_examples=120, deadline=None)
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -86,21 +98,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session")
 def context() -> Iterator[Context]:
     """One context for all GL tests of the session: making one costs more than most tests."""
+    from glsplat.gl.context import create_context
+
     context = create_context()
     yield context
     context.release()
 
 
 @pytest.fixture
-def current(context: Context) -> Iterator[None]:
-    """Makes the shared context the thread's current one: another test may have ended with none or its own."""
+def gl(context: Context) -> Iterator[Context]:
+    """The shared context as the thread's current one: another test may have ended with none or its own."""
     with context.ctx:
-        yield
+        yield context
 
 
 @pytest.fixture
 def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     """Makes renderers on the shared context and releases them after the test."""
+    from glsplat.config import RenderConfig
+    from glsplat.evaluate.probe import Probe
+
     made: list[Probe] = []
 
     def make(scene: Splats | Avatar, size: tuple[int, int] = (64, 64), views: int = 1, **config: Any) -> Probe:

@@ -1,7 +1,7 @@
 """What glsplat and its tests need of the system: a probe that tries it and its Debian package, a row each.
 
     python3 tests/needs.py run             # the packages that `make demo` lacks, on one line
-    python3 tests/needs.py test browser    # a line for each of these tiers
+    python3 tests/needs.py check browser   # a line for each of these tiers
 
 .ci/system installs from these rows, fixtures skip by them (:func:`require`). The standard library alone: it runs before
 anything is installed.
@@ -45,9 +45,9 @@ def _loads(names: Iterable[str]) -> bool:
 def _starts(name: str) -> bool:
     """The program is there and runs, with the libraries that it was linked to."""
     path = shutil.which(name)
-    words = {"openssl": ["version"], "Xvfb": ["-help"], "ffprobe": ["-version"]}
+    words = {"openssl": ["version"], "Xvfb": ["-help"], "ffprobe": ["-version"], "nginx": ["-v"], "caddy": ["version"]}
     try:
-        command = [path or name, *words.get(name, ["--version"])]
+        command = [path or name, *words.get(os.path.basename(name), ["--version"])]
         return path is not None and subprocess.run(command, capture_output=True, timeout=120).returncode == 0
     except (OSError, subprocess.TimeoutExpired):
         return False
@@ -82,7 +82,7 @@ def devices() -> int:
 
 @dataclass(frozen=True)
 class Need:
-    """One row. ``tier``: run (drawing), test, browser (tests skip without it), extra (used where it is)."""
+    """One row. ``tier``: run (demo and test), check, browser (tests skip without it), extra (used where it is)."""
 
     what: str
     packages: tuple[str, ...]
@@ -109,19 +109,21 @@ NEEDS = {
     "gl": Need("OpenGL", ("libgl1",), "run", libraries=("libGL.so.1",)),
     # an NVIDIA driver serves as well as Mesa's
     "driver": Need("a driver behind EGL", ("libegl-mesa0", "libgl1-mesa-dri"), "run", probe=_draws),
-    "xvfb": Need("a virtual screen", ("xvfb",), "test", programs=("Xvfb",)),
-    "xdotool": Need("xdotool", ("xdotool",), "test", programs=("xdotool",)),
-    "glx": Need("GLX for the virtual screen", ("libglx-mesa0",), "test", libraries=("libGLX_mesa.so.0",)),
-    "osmesa": Need("OSMesa", ("libosmesa6",), "test", libraries=("libOSMesa.so.8",)),
-    "opengl": Need("libOpenGL", ("libopengl0",), "test", libraries=("libOpenGL.so.0",)),
-    "zink": Need("lavapipe, which zink draws on", ("mesa-vulkan-drivers",), "test", libraries=("libvulkan_lvp.so",)),
-    "openssl": Need("openssl", ("openssl",), "test", programs=("openssl",)),
+    "xvfb": Need("a virtual screen", ("xvfb",), "check", programs=("Xvfb",)),
+    "xdotool": Need("xdotool", ("xdotool",), "check", programs=("xdotool",)),
+    "glx": Need("GLX for the virtual screen", ("libglx-mesa0",), "check", libraries=("libGLX_mesa.so.0",)),
+    "osmesa": Need("OSMesa", ("libosmesa6",), "check", libraries=("libOSMesa.so.8",)),
+    "opengl": Need("libOpenGL", ("libopengl0",), "check", libraries=("libOpenGL.so.0",)),
+    "zink": Need("lavapipe, which zink draws on", ("mesa-vulkan-drivers",), "check", libraries=("libvulkan_lvp.so",)),
+    "openssl": Need("openssl", ("openssl",), "check", programs=("openssl",)),
+    "nginx": Need("nginx", ("nginx",), "check", programs=("nginx", "/usr/sbin/nginx")),
     "chromium": Need("Chromium", ("chromium",), "browser", programs=_CHROMIUM),
     # of the driver that the Python package playwright brings
     "atomic": Need("libatomic", ("libatomic1",), "browser", libraries=("libatomic.so.1",)),
     "npm": Need("npm", ("npm",), "browser", programs=("npm",)),
     "node": Need("node", ("nodejs",), "browser", programs=("node",)),
     "setpriv": Need("setpriv", ("util-linux",), "extra", programs=("setpriv",)),
+    "caddy": Need("Caddy", ("caddy",), "extra", programs=("caddy",)),
     "docker": Need("docker", ("docker.io",), "extra", programs=("docker",)),
     "pyright": Need("pyright", ("pyright",), "extra", programs=("pyright",)),
     "ffprobe": Need("ffprobe", ("ffmpeg",), "extra", programs=("ffprobe",)),

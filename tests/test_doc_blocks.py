@@ -30,6 +30,8 @@ from apps.usage import CommandParser
 from glsplat.data import person
 from glsplat.speech.sound import Sound, wav_bytes
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROGRAMS = {

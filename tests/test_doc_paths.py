@@ -9,7 +9,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from glsplat import reference
+
+pytestmark = pytest.mark.check
 
 ROOT = Path(__file__).resolve().parents[1]
 # the changelog names what is gone, too

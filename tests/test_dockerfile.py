@@ -16,6 +16,8 @@ import pytest
 from apps.serve import command as serve
 from tests import needs
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
 
@@ -43,7 +45,6 @@ def test_what_the_build_needs_is_not_ignored():
     assert all((ROOT / name).exists() for name in packages)
 
 
-@pytest.mark.slow
 def test_it_builds_and_serves():
     if not os.environ.get("GLSPLAT_TEST_DOCKER"):
         pytest.skip("building an image takes minutes and a registry: set GLSPLAT_TEST_DOCKER=1 to do it")

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CLIENT = ROOT / "docs" / "examples" / "client.mjs"
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.check]
 
 Run = Callable[..., str]
 

@@ -1,4 +1,4 @@
-"""What heavy libraries an import brings along: only those that the task needs. Serving has its own rows elsewhere."""
+"""What an import brings along, in a process of its own: only the libraries and the modules that the task needs."""
 
 from __future__ import annotations
 
@@ -7,74 +7,94 @@ import sys
 
 import pytest
 
-HEAVY = (
-    "cv2",
-    "trimesh",
-    "scipy",
-    "matplotlib",
-    "PIL",
-    "aiohttp",
-    "simplejpeg",
-    "glfw",
-    "moderngl",
-    "cryptography",
-    "segno",
-    "numba",
+import glsplat.formats
+import glsplat.net
+import glsplat.tracking
+
+LIBRARIES = (
+    *("PIL", "aiohttp", "cryptography", "cv2", "glfw", "matplotlib", "moderngl", "numba", "scipy", "segno"),
+    *("simplejpeg", "trimesh"),
 )
+ANY = 1000  # modules of glsplat: not bounded
 
-NEEDED = {
-    "import glsplat": set(),
-    "from glsplat import load, save": set(),
-    "from glsplat import Avatar, Camera, Item, Pose, Scene, Skeleton, Skin, Splats": set(),
-    "from glsplat import default_avatar; default_avatar()": set(),
-    "from glsplat import Renderer": {"moderngl"},
-    "import glsplat.motion.loading": set(),
-    "import glsplat.tracking.tracker": set(),
-    "import glsplat.scenes.scene_file": set(),
-    "import glsplat.net.messages": set(),
-    "from glsplat.net.client import Client": {"aiohttp", "simplejpeg"},
-    "import glsplat.authoring.posed": set(),
-    "import glsplat.authoring.cones": {"cv2", "scipy"},
-    "import glsplat.authoring.reconstruct.photos": {"cv2", "scipy", "simplejpeg"},  # of scipy where its OpenBLAS lies
-    "import glsplat.authoring.reconstruct.builtin": {
-        "PIL",
-        "cv2",
-        "scipy",
-        "trimesh",
-    },  # for no numba is waited
-    "import apps.args": set(),
-    "import apps.convert": set(),
-    "import apps.inspect": set(),
-    "import apps.render": {"moderngl", "cv2"},  # cv2 writes PNG and clips
-}
+ROWS = [  # statement, libraries, modules of glsplat at most
+    ("import glsplat", "", 1),
+    ("import glsplat.errors", "", 2),
+    ("import glsplat.io.npz", "", 5),
+    ("import glsplat.tracking.sample", "", 6),  # the names of expressions among them
+    ("import glsplat.net.messages", "", 30),
+    ("from glsplat import load, save", "", ANY),
+    ("from glsplat import default_avatar; default_avatar()", "", ANY),
+    ("from glsplat import Renderer", "moderngl", ANY),
+    ("from glsplat.net.client import Client", "aiohttp simplejpeg", 37),
+    ("import apps.render", "moderngl cv2", ANY),  # cv2 writes PNG and clips
+]
+EXTRAS = [
+    ("import glsplat.formats", "", 2),
+    ("import glsplat.tracking", "", 2),
+    ("from glsplat import Avatar, Camera, Item, Pose, Scene, Skeleton, Skin, Splats", "", ANY),
+    ("import glsplat.motion.loading", "", ANY),
+    ("import glsplat.tracking.tracker", "", ANY),
+    ("import glsplat.scenes.scene_file", "", ANY),
+    ("import glsplat.authoring.posed", "", ANY),
+    ("import glsplat.authoring.cones", "cv2 scipy", ANY),
+    ("import glsplat.authoring.reconstruct.photos", "cv2 scipy simplejpeg", ANY),
+    ("import glsplat.authoring.reconstruct.builtin", "PIL cv2 scipy trimesh", ANY),  # no numba: it loads in a thread
+    ("import apps.args, apps.convert, apps.inspect", "", ANY),
+]
+MOTIONS = """
+import glsplat
+from glsplat.motion.loading import embedded_motions, load_motion
+skeleton = glsplat.default_avatar().skeleton
+for name in embedded_motions():
+    motion = load_motion(name, skeleton)
+    motion.at(0.37), motion.resampled(11.0)
+assert len(embedded_motions()) > 1
+"""
 
 
-@pytest.mark.parametrize("statement", NEEDED)
-def test_only_what_is_needed_is_imported(statement: str) -> None:
-    code = f"{statement}\nimport sys; print(*({set(HEAVY)!r} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert set(done.stdout.split()) == NEEDED[statement]
+def loaded(statement: str) -> set[str]:
+    """Return the names of all modules that are loaded after a statement."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{statement}\nimport sys; print(*sys.modules)"],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return set(done.stdout.split())
 
 
+@pytest.mark.parametrize(
+    ("statement", "libraries", "most"),
+    [*ROWS, *(pytest.param(*row, marks=pytest.mark.check) for row in EXTRAS)],
+)
+def test_an_import_loads_what_it_needs(statement: str, libraries: str, most: int) -> None:
+    modules = loaded(statement)
+    own = {name for name in modules if name.split(".")[0] == "glsplat"}
+    assert set(LIBRARIES) & modules == set(libraries.split())
+    assert len(own) <= most, sorted(own)
+
+
+@pytest.mark.check
 def test_motions_of_every_kind_need_no_scipy() -> None:
-    code = (
-        "import sys, glsplat, numpy as np\n"
-        "from glsplat.motion.loading import embedded_motions, load_motion\n"
-        "skeleton = glsplat.default_avatar().skeleton\n"
-        "for name in embedded_motions():\n"
-        "    motion = load_motion(name, skeleton)\n"
-        "    motion.at(0.37), motion.resampled(11.0)\n"
-        "assert len(embedded_motions()) > 1 and 'scipy' not in sys.modules\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    assert "scipy" not in loaded(MOTIONS)
 
 
-def test_a_photograph_is_looked_at_before_all_is_imported_that_makes_an_avatar_of_it() -> None:
-    code = (
-        "import sys, apps.cli\n"
-        "apps.cli.parsed('avatar', ['photo', 'me.jpg', '-o', 'me.glb'])\n"
-        "print(*({'trimesh', 'numba', 'moderngl', 'scipy.optimize', 'glsplat.authoring.fit.fit',"
-        " 'glsplat.tracking.solvers', 'glsplat.authoring.reconstruct.photos'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == ["glsplat.authoring.reconstruct.photos"]
+@pytest.mark.check
+def test_a_photograph_is_checked_before_the_imports_that_make_an_avatar() -> None:
+    modules = loaded("import apps.cli\napps.cli.parsed('avatar', ['photo', 'me.jpg', '-o', 'me.glb'])")
+    assert not {"trimesh", "numba", "moderngl", "scipy.optimize"} & modules
+    assert not {"glsplat.authoring.fit.fit", "glsplat.tracking.solvers"} & modules
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(
+    "package", [glsplat, glsplat.formats, glsplat.net, glsplat.tracking], ids=lambda package: package.__name__
+)
+def test_a_lazy_package_has_all_that_it_lists(package: object) -> None:
+    name, names = package.__name__, package.__all__  # type: ignore[attr-defined]
+    assert set(names) == set(package._HOME)  # type: ignore[attr-defined]
+    found = loaded(f"from {name} import *\nimport {name}\nfor one in {name}.__all__: getattr({name}, one)")
+    assert {f"{name}.{home}" for home in package._HOME.values()} <= found  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match=f"module '{name}' has no attribute 'nonsense'"):
+        package.nonsense  # type: ignore[attr-defined]  # noqa: B018

@@ -14,8 +14,10 @@ import pytest
 from tests import needs
 from tests.needs import NEEDS, Need
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).resolve().parents[1]
-TIERS = ("run", "test", "browser", "extra")
+TIERS = ("run", "check", "browser", "extra")
 # of every Debian, of the README's first sentence, or names of files that the tests made themselves
 EVERYWHERE = {"/bin/bash", "/bin/sh", "sh", "bash", "chown", "chroot", "git", "make", "mount", "umount"}
 
@@ -107,28 +109,28 @@ def test_readme_and_docs_ask_for_what_drawing_needs() -> None:
 def test_probes_try_the_thing_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed = tmp_path / "libnot.so.1"
     listed.write_text("no library")
-    assert not Need("", ("x",), "test", libraries=(str(listed),)).met()
-    assert Need("", ("x",), "test", libraries=(str(listed), "libc.so.6")).met()
+    assert not Need("", ("x",), "check", libraries=(str(listed),)).met()
+    assert Need("", ("x",), "check", libraries=(str(listed), "libc.so.6")).met()
     monkeypatch.setenv("PATH", str(tmp_path))
     for name, text, starts in (("well", "exit 0", True), ("broken", "exit 127", False)):
         (tmp_path / name).write_text(f"#!/bin/sh\n{text}\n")
-        assert not Need("", ("x",), "test", programs=(name,)).met()  # may not be run
+        assert not Need("", ("x",), "check", programs=(name,)).met()  # may not be run
         (tmp_path / name).chmod(0o755)
-        assert Need("", ("x",), "test", programs=(name,)).met() is starts
-    assert not Need("", ("x",), "test", modules=("json", "no_such_module")).met()
+        assert Need("", ("x",), "check", programs=(name,)).met() is starts
+    assert not Need("", ("x",), "check", modules=("json", "no_such_module")).met()
 
 
 def test_what_is_missing_and_the_reason_of_a_skip(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = {
-        "a": Need("an A", ("a1", "a2"), "test", modules=("no_such_a",)),
-        "b": Need("a B", ("b",), "test", modules=("json",)),
+        "a": Need("an A", ("a1", "a2"), "check", modules=("no_such_a",)),
+        "b": Need("a B", ("b",), "check", modules=("json",)),
         "c": Need("a C", ("c",), "browser", modules=("no_such_c",)),
     }
     monkeypatch.setattr(needs, "NEEDS", rows)
     monkeypatch.delenv("GLSPLAT_NEEDS", raising=False)
     needs.met.cache_clear()
     try:
-        assert needs.missing("test") == ["a1", "a2"] and needs.missing("browser") == ["c"]
+        assert needs.missing("check") == ["a1", "a2"] and needs.missing("browser") == ["c"]
         needs.require("b")
         with pytest.raises(pytest.skip.Exception, match=r"^no an A, a C here: apt-get install a1 a2 c$"):
             needs.require("a", "b", "c")

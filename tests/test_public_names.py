@@ -6,8 +6,12 @@ import ast
 import importlib
 import re
 
+import pytest
+
 import glsplat
 from tests.test_layers import FILES, ROOT
+
+pytestmark = pytest.mark.check
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 PROGRAMS = sorted((ROOT / "docs" / "examples").glob("*.py"))

@@ -18,6 +18,8 @@ from tests.test_layers import FILES
 from tests.test_public_names import public_of
 from tools.docs.site.public import api_pages, homes, public_modules
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
 NAV = re.findall(r"(?m)^ +- .+: ([\w/.-]+\.md)$", CONFIG.partition("\nnav:")[2])

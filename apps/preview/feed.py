@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +66,8 @@ class Feed:
         self.late = 0  # pictures replaced by a newer one before they were taken
         self.reconnects = 0
         self.wake: Callable[[], None] = lambda: None  # called on the thread when there is something to see
-        self._connect: Callable[[], Client] = partial(Client, url, token, window=2, cafile=cafile, timeout=_TIMEOUT)
-        self._connect()  # a malformed address is told here
+        # one for all connections: in a room it comes back as the same person
+        self._client = Client(url, token, window=2, cafile=cafile, timeout=_TIMEOUT)
         self._quality = quality
         self._wish: tuple[int, Wish] | None = None
         self._asked = 0  # wishes so far
@@ -144,7 +143,7 @@ class Feed:
         backoff = Backoff()
         while True:
             try:
-                async with self._connect() as client:
+                async with self._client as client:
                     if self._up.is_set():
                         self.reconnects += 1
                         self._say("")

@@ -13,11 +13,13 @@ from pathlib import Path
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
 from glsplat.data import DEFAULT, PEOPLE, embedded_file
+from glsplat.errors import GlsplatError
 from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.backends.server import make_server
 from glsplat.net.face.feed import FaceFeed
 from glsplat.net.face.listener import FaceListener
 from glsplat.net.guard.access import Access
+from glsplat.net.guard.forwarded import Network, proxy_network
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.options import ServerConfig
@@ -78,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-per-address",
         type=int,
         metavar="N",
-        help="clients of one address (default: half of --max-clients, on loopback all; behind a proxy: all)",
+        help="clients of one address (default: half of --max-clients, on loopback without --trusted-proxy all)",
     )
     parser.add_argument(
         "--max-waiting", type=int, default=64, metavar="N", help="connections that are not yet clients (default 64)"
@@ -140,7 +142,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-idle", action="store_true", help="eyes of tracked users that no sensor sees neither look around nor blink"
     )
-    parser.add_argument("--private", action="store_true", help="keep what clients see off the status page")
+    parser.add_argument("--private", action="store_true", help="show nobody who the clients are and what they see")
     parser.add_argument(
         "--face-osc",
         type=int,
@@ -155,6 +157,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--origin", action="append", default=[], help="web page that may connect; may be repeated")
     parser.add_argument(
         "--allow-host", action="append", default=[], metavar="NAME", help="name it goes by; may be repeated, *.NAME too"
+    )
+    parser.add_argument(
+        "--trusted-proxy",
+        type=_proxy,
+        action="append",
+        default=[],
+        metavar="CIDR",
+        help="address or network of a reverse proxy; limits then count for the clients that its X-Forwarded-For or "
+        "Forwarded headers name; may be repeated",
     )
     parser.add_argument("--insecure", action="store_true", help="listen beyond this machine without TLS and token")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE); --workers: a,b")
@@ -218,6 +229,7 @@ def server_config(
         insecure=args.insecure,
         origins=tuple(args.origin),
         hosts=tuple(args.allow_host),
+        proxies=tuple(args.trusted_proxy),
     )
     wire = WireOptions(
         size=_pixels(args), max_side=args.max_size, quality=args.quality, ipd=args.ipd, fov=args.fov, mirror=args.mirror
@@ -243,6 +255,14 @@ def server_config(
         fit=args.size is None and args.workers is None,
         rooms={room.name: room.seats for room in args.room},
     )
+
+
+def _proxy(text: str) -> Network:
+    """argparse type: the network of a trusted proxy."""
+    try:
+        return proxy_network(text)
+    except GlsplatError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _pixels(args: argparse.Namespace) -> tuple[int, int]:
@@ -320,7 +340,7 @@ def run(args: argparse.Namespace) -> int:
             print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
             print(f"{config.scene}, drawn by {server.render_loop.driver}")
-            announce(place, sys.stdout, args.qr)
+            announce(place, sys.stdout, args.qr, status=study is None)
             if study is not None:
                 study.announce(place, sys.stdout)
             if config.fit:

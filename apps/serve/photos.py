@@ -43,7 +43,7 @@ def upload_config(args: argparse.Namespace) -> UploadConfig | None:
         path_of(model.name)
     # on its user's own machine drawing steps back (net/server.py); elsewhere others look on meanwhile, and go first
     config = UploadConfig(folder=args.allow_upload, make=make_avatar)
-    return replace(config, nice=0) if is_loopback(args.host) else config
+    return replace(config, nice=0) if is_loopback(args.host) and not args.trusted_proxy else config
 
 
 def make_avatar(order: Order, progress: Progress) -> Avatar:

@@ -63,12 +63,16 @@ def add_ready(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print addresses and driver as a JSON line once ready")
 
 
-def announce(place: Place, out: TextIO, show_qr: bool) -> None:
-    """Print how to get to the page. The token is shown to people only: on a terminal, or with ``show_qr``."""
+def announce(place: Place, out: TextIO, show_qr: bool, status: bool = True) -> None:
+    """Print how to get to the page. The token is shown to people only: on a terminal, or with ``show_qr``.
+
+    Without ``status`` the status page is nobody's to open.
+    """
     person = out.isatty()
     name, *others = place.names
     address = place.page(name, token=person or show_qr)
-    rows = [("page", address), ("status", place.url(name, "/")), ("WebSocket", place.url(name, "/ws", "ws"))]
+    rows = [("page", address)] + ([("status", place.url(name, "/"))] if status else [])
+    rows.append(("WebSocket", place.url(name, "/ws", "ws")))
     if others:
         rows.append(("also at", ", ".join(others)))
     if place.local:

@@ -29,6 +29,7 @@ _SAMPLES = {
     "allow-upload": "avatars",
     "trust": "authority.pub", "tls-cert": "cert.pem", "tls-key": "key.pem", "token-file": "token",
     "users": "users.json", "watermark": "on", "origin": "https://example.org", "allow-host": "avatars.example.org",
+    "trusted-proxy": "127.0.0.1",
     "face-osc": 9000, "study": "study.toml", "participant": 7, "study-data": "data", "device": "0", "workers": "2",
     "ray-address": "auto",
 }  # fmt: skip

@@ -12,7 +12,6 @@ from glsplat.study.plan import checked_plan, label
 from glsplat.study.serving.lead import KEYS, StudyLead
 from glsplat.study.serving.light import FULL
 from glsplat.study.serving.live import Live
-from glsplat.study.store import Store
 
 from ..study.files import DEFAULT, avatar_files, data_of
 from ..usage import UsageError
@@ -94,6 +93,5 @@ def study_of(args: argparse.Namespace) -> Running | None:
     first, *others = sorted(paths, key=lambda path: path is not None)  # the embedded one can only be the scene
     args.scene = None if first is None else str(first)
     args.avatar = [path for path in others if path is not None]
-    store = Store(data, args.participant)
-    live = Live(study, plan, args.participant, store)
+    live = Live(study, plan, args.participant, data)
     return Running(StudyLead(live, {name: DEFAULT if path is None else path.stem for name, path in files.items()}))

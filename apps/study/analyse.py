@@ -66,9 +66,7 @@ def run(args: argparse.Namespace) -> int:
     folder = _folder(args.output) if args.output else None
     book = read_codebook(path.with_suffix(".json"))
     factors = _factors(args.factors, book, path)
-    rows = read_rows(path)
-    long = "measure" in rows[0][1]
-    wanted = _measures(rows, args.measure, list(factors), long, path)
+    wanted, long = _measures(path, args.measure, list(factors))
     tables: list[Table] = [
         read_table(path, factors, participant=args.participant, response=args.response, measure=measure)
         for measure in wanted
@@ -131,24 +129,27 @@ def _factors(given: str | None, book: Codebook | None, path: Path) -> dict[str, 
     return {name: levels for name, levels in known.items() if len(levels) > 1}
 
 
-def _measures(
-    rows: list[tuple[int, dict[str, str]]], given: list[str] | None, factors: list[str], long: bool, path: Path
-) -> list[str | None]:
-    """Those that were asked for, else all that were asked in conditions."""
-    if given and not long:
+def _measures(path: Path, given: list[str] | None, factors: list[str]) -> tuple[list[str | None], bool]:
+    """Those that were asked for, else all that were asked in conditions; and whether a column tells them apart."""
+    found: dict[str, None] = {}
+    outside: set[str] = set()
+    for _, row in read_rows(path):
+        if "measure" in row:
+            found[row["measure"]] = None
+            if not all(row.get(name, "?") for name in factors):
+                outside.add(row["measure"])
+    if given and not found:
         raise UsageError(f"--measure is for tables with a column measure; {path} has none")
     if given:
-        return list(dict.fromkeys(given))
-    if not long:
-        return [None]
-    found = list(dict.fromkeys(row["measure"] for _, row in rows))
-    outside = {row["measure"] for _, row in rows if not all(row.get(name, "?") for name in factors)}
+        return list(dict.fromkeys(given)), True
+    if not found:
+        return [None], False
     for name in sorted(outside):
         print(f"{name}: not asked in conditions, left out", file=sys.stderr)
     kept: list[str | None] = [name for name in found if name not in outside]
     if not kept:
         raise FormatError(f"{path}: no measure was asked in conditions of {', '.join(factors)}")
-    return kept
+    return kept, True
 
 
 def _scales(

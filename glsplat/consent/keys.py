@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular, replace_file
+from glsplat.io.secret_files import warn_if_exposed
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -76,6 +77,7 @@ def private_key(path: Path) -> PrivateKey:
         raise FormatError(
             f"{path}: expected an Ed25519 private key (PEM, without a passphrase); make one with --new-key"
         )
+    warn_if_exposed(path)
     return _private(key)
 
 

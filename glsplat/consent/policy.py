@@ -44,6 +44,11 @@ class ConsentPolicy:
         """
         return None if self.without else self._refusal(avatar, driver, now)
 
+    def lets(self, avatar: str, driver: str) -> bool:
+        """Whether the records of ``avatar`` let the account ``driver`` drive it, whoever signed them and until when."""
+        consents = [one.consent for one in self._people.get(avatar, ()) if one.consent is not None]
+        return self.without or not self._driven.get(avatar) or all(one.lets(driver) for one in consents)
+
     def withheld(self, avatar: str, now: float) -> str | None:
         """Why the splats of ``avatar`` may not be given to those who are shown it; None where they may.
 

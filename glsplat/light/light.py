@@ -150,10 +150,13 @@ class Light:
         return out
 
     def turned(self, turn: F64) -> Light:
-        """The same light after everything that shines was turned by a rotation [3, 3]."""
+        """The same light after everything that shines was turned by a rotation [3, 3].
+
+        A turned coefficient may be larger than any before it; beyond the limit it is clamped.
+        """
         matrix = sh_rotations(np.asarray(turn, np.float64), 2) * _SIGNS * _SIGNS[:, None]
         way = None if self.sun_direction is None else np.asarray(turn, np.float64) @ self.sun_direction
-        return Light(matrix @ self.ambient, way, self.sun_colour)
+        return Light(np.clip(matrix @ self.ambient, -_LARGEST, _LARGEST), way, self.sun_colour)
 
     def same(self, other: Light | None) -> bool:
         """Whether the other one lights everything alike."""

@@ -39,6 +39,7 @@ class RenderJob:
     label: str = ""  # drawn near the head of the avatar
     notice: str = ""  # written into the picture
     mark: Watermark | None = None  # of the session
+    others: float = 1.0  # of what others in a room may add to the picture (budget.others_share); 0: none is drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)

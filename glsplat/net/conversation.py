@@ -200,7 +200,7 @@ class Conversation:
                     if not (posed or isinstance(packed, str)):
                         await self._ping(frame.request.frame_id)
             except TimeoutError:
-                log.warning("client %d does not read its pictures; cut off", self.channel.number)
+                self._gate.notices("unread", "a client does not read its pictures; cut off")
                 cut_off(self._request)
                 return
             except ConnectionError:
@@ -218,7 +218,6 @@ class Conversation:
             self._answers.due(self.channel)
             self._render_loop.wake(self.channel)
             if frame.ends:
-                log.warning("client %d is dropped: %s", self.channel.number, frame.ends)
                 with contextlib.suppress(TimeoutError):
                     await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))
                 return cut_off(self._request)
@@ -263,5 +262,4 @@ def make_socket(heartbeat: float, timeout: float) -> web.WebSocketResponse:
 
 def cut_off(request: web.Request) -> None:
     """End a connection at once."""
-    if request.transport is not None:
-        request.transport.abort()
+    connection_of(request).abort()

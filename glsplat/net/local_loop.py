@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
+from glsplat.errors import ContextError
 from glsplat.io.machine import cores
 from glsplat.net.backend import Backend, Interruptible, Rendered
 from glsplat.net.codec.encode import Encoded, Encoder
@@ -26,6 +27,7 @@ __all__ = ["LocalLoop", "encode"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
+_PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the render loop gives up
 _GRACE = 0.5  # seconds the picture in hand gets when the server stops
 _CODERS = max(1, cores() // 2)  # threads that code video, which takes long: JPEGs do not wait for it
 _CODED = _CODERS + 1  # pictures that are coded or wait for it, of all videos: each holds room that drawing needs
@@ -75,8 +77,23 @@ class LocalLoop(RenderLoop):
     async def _open(self) -> str:
         return await self._loop.run_in_executor(self._render_thread, self._backend.open)
 
-    async def _reopen(self) -> str:
-        return await self._loop.run_in_executor(self._render_thread, self._open_again)
+    async def _rebuild(self) -> None:
+        """A new context and everything in it; clients keep their connection.
+
+        Raises ContextError if none can be made that draws a plain picture: no client's requests bring that about.
+        """
+        log.warning("the OpenGL context is lost; making a new one")
+        for pause in _PAUSES:
+            await asyncio.sleep(pause)
+            try:
+                self.driver = await self._loop.run_in_executor(self._render_thread, self._open_again)
+                break
+            except ContextError as error:
+                log.warning("there is no new one: %s", error)
+                if pause == _PAUSES[-1]:
+                    raise
+        self.rebuilds += 1
+        self.failures = 0  # it has drawn a picture
 
     def _open_again(self) -> str:
         """On the render thread."""

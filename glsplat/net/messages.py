@@ -70,6 +70,7 @@ PARTS = ("head",)
 """What a request may leave out of an avatar: the splats of the joint of that name and of all that hangs from it."""
 
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
+_EXACT = ORTHONORMAL / 2  # beyond it the nearest rotation is taken: a place in a room rounds once more
 LONGEST = 60_000.0
 """Milliseconds that an ``arrival`` may speak of."""
 NEAREST = 1e-6  # metres; nearer than any near plane makes sense
@@ -263,7 +264,7 @@ class Decoder:
         return Request(
             frame_id=m.frame_id,
             cameras=_mirrored(cameras) if o.mirror else tuple(cameras),
-            pose=Pose.from_smplx(pose) if pose else None,
+            pose=self._pose(pose) if pose else None,
             options=PictureOptions(quality=o.quality),
             form="single-legacy" if old.camera is not None else "bundle-legacy",
             eyes=tuple(int(head.eye == "right") for head in heads),
@@ -295,7 +296,7 @@ class Decoder:
             raise ProtocolError(f"an eye needs {NEAREST:g} <= near < far <= {FAR:g} (metres)", "bad_camera")
         if not 0 <= eye.sh_degree <= SH_DEGREE:
             raise ProtocolError(f"sh_degree needs a whole number from 0 to {SH_DEGREE}", "bad_camera")
-        if off > ORTHONORMAL:  # the same eye looks from there, by the nearest rotation
+        if off > _EXACT:  # the same eye looks from there, by the nearest rotation
             exact = np.eye(4)
             exact[:3, :3] = nearest_rotations(rotation[None])[0]
             exact[:3, 3] = exact[:3, :3] @ np.linalg.solve(rotation, viewmat[:3, 3])

@@ -57,7 +57,7 @@ class ServerConfig:
     furnished: frozenset[str] = frozenset()  # those of them in which more is to be seen than people
     consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
-    private: bool = False  # what clients see is on no status page
+    private: bool = False  # nobody sees who the clients are, and what they are shown
     video: bool = False  # clients that ask for it get video instead of JPEGs (codec/video.py)
     webtransport: bool = False  # pictures go by datagrams over long ways to clients that can have them so
     fit: bool = False  # offer pictures of the largest size that is drawn often enough here (pace/fitting.py)
@@ -78,6 +78,7 @@ class RequestedOptions:
     span: float | None  # metres from wrist to wrist with the arms stretched; None: not told
     room: str | None = None
     name: str = ""  # of the user: the account's; else what the user says, or nothing
+    resume: str = ""  # token of the person in the room that the user comes back as; "": a newcomer
     label: bool = False  # over the head of who is shown alone, too
     place: NDArray[np.float64] | None = None  # [4, 4] room from user; None: the room chooses
 
@@ -93,7 +94,7 @@ def client_options(
     """What ``query`` asks for; of ``avatars``, the names offered, the first that ``user`` may drive by default.
 
     Raises ProtocolError naming the option that has no such value, of code NOT_ALLOWED for what the account may not
-    have; it names nothing that the account may not drive.
+    have; it is the same whether what the account may not see is there or not.
     """
     mirror, window = query.get("mirror"), query.get("window")
     if mirror is not None:
@@ -104,15 +105,15 @@ def client_options(
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
         session = replace(session, window=int(window), widest=int(window))
-    listed = [name for name in avatars if rights.may_drive(user, name)]
+    listed = [name for name in avatars if rights.sees(user, "avatar", name)]
     free = rights.drivable(user, listed)
     avatar = query.get("avatar", next(iter([*free, *listed]), ""))
     if avatar not in listed:
         text = f"avatar needs a name of those offered here: {', '.join(free)}" if free else _NOTHING
-        raise ProtocolError(text, "bad_request" if rights.may_drive(user, avatar) else NOT_ALLOWED)
+        raise ProtocolError(rights.unseen or text, "bad_request" if user is None else NOT_ALLOWED)
     if why := rights.refusal(user, avatar):
         raise ProtocolError(why, NOT_ALLOWED)
-    if user is not None and "room" in query and not user.may_enter(query["room"]):
+    if "room" in query and not rights.sees(user, "room", query["room"]):
         raise ProtocolError("this account may not enter this room", NOT_ALLOWED)
     if query.get("label", "0") not in ("0", "1"):
         raise ProtocolError("label needs 0 or 1")
@@ -124,6 +125,7 @@ def client_options(
         span=_metres(query, "span", 0.3, 2.5),
         room=query.get("room"),
         name=_name(query.get("name"), user),
+        resume=query.get("resume", ""),
         label=query.get("label") == "1",
         place=_place(query.get("at")),
     )
@@ -148,7 +150,7 @@ def _place(given: str | None) -> NDArray[np.float64] | None:
         x, z, degrees = map(float, given.split(","))
     except ValueError:
         x = z = degrees = inf
-    if not (max(abs(x), abs(z)) <= _FARTHEST and abs(degrees) <= 360):
+    if not (abs(x) <= _FARTHEST and abs(z) <= _FARTHEST and abs(degrees) <= 360):  # max() lets a NaN through
         raise ProtocolError(f"at needs x,z,degrees: metres up to {_FARTHEST:g} and an angle up to 360")
     from glsplat.net.rooms.seats import place_at  # here: most clients meet nobody
 

@@ -143,11 +143,11 @@ class PoseQueue:
             if request.fault:
                 raise PoseError(request.fault)
             result = self._solver.solve(request, arrived)
-        except BaseException as error:
-            solution.set_exception(error)
-        else:
             if self._heard is not None:
                 self._heard(request, result, arrived)
+        except BaseException as error:  # else the client's queue would stop for good
+            solution.set_exception(error)
+        else:
             solution.set_result((result, (self._clock() - start) * 1e3))
         took = self._cpu() - worked
         self._spend(took - cost)

@@ -16,7 +16,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
-from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, PoseError
+from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.gl.software import is_software
 from glsplat.net.backend import AvatarInfo, PoseSolver, Rendered, RenderJob
 from glsplat.net.codec.encode import Encoded
@@ -40,7 +40,6 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 _SICK = 3  # pictures in a row that failed before /healthz says so
 _BACK, _LONGEST_BACK = 9.0, 1.0  # of the time that a picture took, and seconds: the pause after it for others
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
-_PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to make a new context; then the render loop gives up
 
 
 class RenderLoop(ABC):
@@ -70,8 +69,8 @@ class RenderLoop(ABC):
         """Start what draws; returns the driver string. Raises GlsplatError."""
 
     @abstractmethod
-    async def _reopen(self) -> str:
-        """The same after it was lost. Raises ContextError."""
+    async def _rebuild(self) -> None:
+        """Bring back what draws, which is lost; clients keep their connection. Raises ContextError if that fails."""
 
     @abstractmethod
     async def _close(self) -> None:
@@ -259,27 +258,50 @@ class RenderLoop(ABC):
 
     async def _draw_one(self, channel: ClientStream) -> None:
         frame, channel.again = channel.again or self._next_frame(channel), None
-        request, lost = frame.request, False
-        frame.driver, frame.error = self.driver, ("", "")
-        try:
-            frame.encoded = await self._picture(frame)
-            self.failures = 0
-        except PoseError as error:
+        error = await self._attempt(frame)
+        if error is not None and self._suspects_others(frame, error):
+            self._suspect_others(frame, error)
+            if isinstance(error, ContextLostError):
+                await self._rebuild()
+            self._drawing_since = self._clock()
+            error = await self._attempt(frame)
+        if isinstance(error, PoseError):
             frame.error = ("bad_pose", str(error))
-        except BudgetError as error:
+        elif isinstance(error, BudgetError):
             self._adaptive_quality.refused(channel.number, self._clock())
             frame.error = (error.code, str(error))
-            frame.ends = self._over_budget(channel, request, error)
-        except Exception as error:
-            lost = isinstance(error, ContextLostError)
+            frame.ends = self._over_budget(channel, frame.request, error)
+        elif error is not None:
             self._failed(channel, frame, error)
         if frame.again is not None:
             if not frame.again.done():
                 frame.again.set_result(None)
         elif (channel.address, channel) in self._turns:
             channel.frames.put_nowait(frame)
-        if lost:
+        if isinstance(error, ContextLostError):
             await self._rebuild()
+
+    async def _attempt(self, frame: Frame) -> Exception | None:
+        """Draw a frame; returns what kept it from being drawn."""
+        frame.driver, frame.error = self.driver, ("", "")
+        try:
+            frame.encoded, self.failures = await self._picture(frame), 0
+        except Exception as error:
+            return error
+        return None
+
+    def _suspects_others(self, frame: Frame, error: Exception) -> bool:
+        """Whether a picture may have gone wrong because of the others of a room in it: it is then drawn without them.
+
+        What their splats cost is limited beforehand (backends/room.py), so ``too_costly`` is the viewer's own.
+        """
+        own = isinstance(error, (PoseError, FormatError)) or getattr(error, "code", "") in ("too_costly", "abandoned")
+        return frame.shows_others and not own
+
+    def _suspect_others(self, frame: Frame, error: Exception) -> None:
+        number, frame.alone = frame.request.frame_id, True
+        log.warning("frame %s of client %d is drawn without the others: %s", number, frame.channel.number, error)
+        self._blame.suspect_others(frame.channel.address, self._clock(), slow=isinstance(error, BudgetError))
 
     def _next_frame(self, channel: ClientStream) -> Frame:
         request, waited, solution = channel.take(self._clock())
@@ -304,7 +326,7 @@ class RenderLoop(ABC):
         log.error(
             "frame %s of client %d could not be drawn: %s",
             *(frame.request.frame_id, channel.number, error),
-            exc_info=not isinstance(error, GlsplatError),
+            exc_info=None if isinstance(error, GlsplatError) else error,
         )
         frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
 
@@ -316,24 +338,6 @@ class RenderLoop(ABC):
         if error.code == "too_costly":
             return "too many pictures that cost too much" if channel.session.overspent(self._clock()) else ""
         return ""
-
-    async def _rebuild(self) -> None:
-        """A new context and everything in it; clients keep their connection.
-
-        Raises ContextError if none can be made that draws a plain picture: no client's requests bring that about.
-        """
-        log.warning("the OpenGL context is lost; making a new one")
-        for pause in _PAUSES:
-            await asyncio.sleep(pause)
-            try:
-                self.driver = await self._reopen()
-                break
-            except ContextError as error:
-                log.warning("there is no new one: %s", error)
-                if pause == _PAUSES[-1]:
-                    raise
-        self.rebuilds += 1
-        self.failures = 0  # it has drawn a picture
 
     def _job(self, frame: Frame) -> tuple[RenderJob, float, float]:
         """What is to be drawn, at the pose that tracking came to, or everybody of the room; the user's scale and floor.
@@ -365,6 +369,7 @@ class RenderLoop(ABC):
             label=channel.label,
             notice=frame.notice,
             mark=channel.session.mark,
+            others=0.0 if frame.alone else self._blame.others(channel.address, self._clock()),
         )
         return job, scale, floor
 

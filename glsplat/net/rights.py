@@ -1,11 +1,11 @@
-"""Who may be shown what: the accounts' lists and the consent of those who are shown, asked at every request."""
+"""Who may see, drive and delete what: accounts' lists, consent and privacy, checked at every request."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from aiohttp import web
 
@@ -13,26 +13,48 @@ if TYPE_CHECKING:
     from glsplat.consent.policy import ConsentPolicy
     from glsplat.net.accounts.users import Accounts, User
 
-__all__ = ["USER", "Rights", "user_of"]
+__all__ = ["USER", "Rights", "Thing", "user_of"]
 
 USER: web.RequestKey[Any] = web.RequestKey("user", object)
 """Of a request: the account whose token came with it."""
 
+Thing = Literal["avatar", "room", "people", "client", "identity", "job"]
+"""What ``Rights.sees`` decides on: an avatar (name, picture, splats); a room; the names of the people in a room; a
+connection's figures; its identity (avatar, room, last picture, session in the watermark); a job that makes an avatar.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """Of one server; None: it has no accounts, or nobody asks for consent. A user of None may do everything."""
+    """The rights on one server. None: it has no accounts, or no consent is checked.
+
+    The user None is everybody on a server without accounts, and nobody on a server with them.
+    """
 
     accounts: Accounts | None = None
     consent: ConsentPolicy | None = None
+    private: bool = False  # without accounts: nobody sees the identity of a client, nor who is in a room
+    unseen: str = ""  # said instead of why an avatar may not be shown, where nobody may hear its name
 
-    def may_drive(self, user: User | None, avatar: str) -> bool:
-        """By the account's list; whoever had an avatar made may drive it, too."""
-        return user is None or user.may_drive(avatar) or self._maker(avatar) == user.name
+    def sees(self, user: User | None, thing: Thing, of: str) -> bool:
+        """Whether ``user`` may see a ``thing``. Every endpoint that speaks of others asks this.
+
+        ``of`` is the name of the avatar or of the room; for a client, an identity or a job the account it belongs to.
+        An avatar whose consent names other drivers is not seen, as if it were not there. Takes microseconds.
+        """
+        if user is None:
+            return self.accounts is None and not (self.private and thing in ("people", "identity"))
+        if thing == "avatar":
+            return self._may_drive(user, of) and (self.consent is None or self.consent.lets(of, user.name))
+        if thing == "room":
+            return user.may_enter(of)
+        return thing != "people" and user.name == of  # whoever is in the room hears who else is, and is seen
 
     def may_delete(self, user: User | None, avatar: str) -> bool:
         """Where it is known who had an avatar made, nobody else may."""
-        return user is None or ((self._maker(avatar) or user.name) == user.name and self.may_drive(user, avatar))
+        if user is None:
+            return self.accounts is None
+        return (self._maker(avatar) or user.name) == user.name and self._may_drive(user, avatar)
 
     def drivable(self, user: User | None, avatars: Iterable[str]) -> tuple[str, ...]:
         """Those of ``avatars`` that the account may be shown now, in their order."""
@@ -40,13 +62,8 @@ class Rights:
 
     def refusal(self, user: User | None, avatar: str) -> str:
         """Why ``avatar`` may not be shown to the account now; "" while it may. Takes microseconds."""
-        if user is not None and self.accounts is not None and not self.accounts.holds(user):
-            return "this account, or what it may do, was changed; connect again"
-        if not self.may_drive(user, avatar):
-            return "this account may not drive this avatar"
-        if self.consent is None:
-            return ""
-        return self.consent.refusal(avatar, "" if user is None else user.name, time.time()) or ""
+        why = self._refusal(user, avatar)
+        return (self.unseen or why) if why else ""
 
     def withheld(self, avatar: str) -> str:
         """Why the splats of ``avatar`` are not given to those who are shown it; "" where they are. Microseconds."""
@@ -60,7 +77,20 @@ class Rights:
 
     def enterable(self, user: User | None, rooms: Iterable[str]) -> tuple[str, ...]:
         """Those of ``rooms`` that the account may enter, in their order."""
-        return tuple(name for name in rooms if user is None or user.may_enter(name))
+        return tuple(name for name in rooms if self.sees(user, "room", name))
+
+    def _refusal(self, user: User | None, avatar: str) -> str:
+        if user is not None and self.accounts is not None and not self.accounts.holds(user):
+            return "this account, or what it may do, was changed; connect again"
+        if not self.sees(user, "avatar", avatar):
+            return "this account may not drive this avatar"
+        if self.consent is None:
+            return ""
+        return self.consent.refusal(avatar, "" if user is None else user.name, time.time()) or ""
+
+    def _may_drive(self, user: User, avatar: str) -> bool:
+        """By the account's list; whoever had an avatar made may drive it, too."""
+        return user.may_drive(avatar) or self._maker(avatar) == user.name
 
     def _maker(self, avatar: str) -> str:
         return "" if self.consent is None else self.consent.maker(avatar)

@@ -24,9 +24,8 @@ from glsplat.net.backends.labels import driven_by
 from glsplat.net.conversation import Conversation, cut_off, make_socket
 from glsplat.net.datagrams.start import datagram_listener
 from glsplat.net.datagrams.way import SecondWay
-from glsplat.net.guard.access import is_loopback, server_tls
+from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
-from glsplat.net.guard.headers import set_headers
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
 from glsplat.net.local_loop import LocalLoop
@@ -35,13 +34,15 @@ from glsplat.net.options import NOT_ALLOWED, ServerConfig, client_options
 from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.catalogue import Catalogue
+from glsplat.net.pages.clients import client_fields
+from glsplat.net.pages.headers import set_headers
 from glsplat.net.pages.history import History
 from glsplat.net.pages.lead import Lead
 from glsplat.net.pages.previews import Drawer, Previews
 from glsplat.net.pages.routes import Pages
 from glsplat.net.poses.answers import Answers
 from glsplat.net.poses.splat_files import SplatFiles
-from glsplat.net.rights import user_of
+from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
@@ -82,16 +83,18 @@ class Server:
         limits = self.config.limits
         if uploads is not None:
             limits = replace(limits, head=max(limits.head, limits.body))
-        self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, self.config.consent)
+        unseen = "" if lead is None else lead.unseen
+        rights = Rights(self.config.access.accounts, self.config.consent, self.config.private, unseen)
+        self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, rights)
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, lambda: self.render_loop.stages.lately())
         self._offers = Catalogue(offered)
         self._uploads, self._lead, self._history = uploads, lead, History(self.stats)
-        self._splat_files = SplatFiles(self._offers, self.gate.rights, self._worn)
+        self._splat_files = SplatFiles(self._offers, rights, self._worn)
         self._answers = Answers(self._splat_files.sha256, self._splat_files.why, clock)
         self._channels: dict[int, ClientStream] = {}
         self._drawer = Drawer(self.render_loop, self.config.wire, self.config.session, clock)
-        shown = self._drawer, self._offers, self.gate.rights, self._channels
-        self._previews = Previews(*shown, self.config.private, self.stats, self.offer, self._history.fields)
+        shown = self._drawer, self._offers, rights, self._channels
+        self._previews = Previews(*shown, self.stats, self.offer, self._history.fields)
         self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
         self.fitting: asyncio.Task[None] | None = None  # finds it
         self._later, self.all_offered = later, asyncio.Event()
@@ -131,16 +134,17 @@ class Server:
                 await self._datagrams.close()
             listening.close()
             raise
-        app = web.Application(middlewares=[self.gate.guard], client_max_size=MAX_BYTES)
+        guards = [self.gate.guard] + ([] if self._lead is None else [self._lead.guard])
+        app = web.Application(middlewares=guards, client_max_size=MAX_BYTES)
         pages = Pages(self.stats, self.offer, self._healthy, tls is not None, self._history, self.config.access.host)
         own = (*self._splat_files.routes(), *pages.routes(), *self._previews.routes())
         app.add_routes([web.get("/ws", self._websocket), *own])
         if (uploads := self._uploads) is not None:
             app.add_routes(uploads.open(self.gate, self._offers.add, self._withdraw))
-            if isinstance(self.render_loop, LocalLoop) and is_loopback(self.config.access.host):  # one's own
+            if isinstance(self.render_loop, LocalLoop) and self.config.access.local:  # one's own
                 self.render_loop.stands_back = lambda: uploads.works
         if self._lead is not None:
-            app.add_routes(self._lead.open(self._end))
+            app.add_routes(self._lead.open(self._end, [self._offers[name] for name in self._offers.names]))
             self.gate.knows = self._lead.knows
         app.on_response_prepare.append(set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
@@ -207,21 +211,18 @@ class Server:
         if not done.is_set():
             ends[1].result()
 
-    def stats(self) -> dict[str, Any]:
-        """The numbers of /stats."""
-        clients, totals = [], asdict(self._totals)
+    def stats(self, user: User | None = None) -> dict[str, Any]:
+        """The numbers of /stats, and of others what the account may see."""
+        rights, clients, totals = self.gate.rights, [], asdict(self._totals)
         for number, channel in self._channels.items():
-            status = channel.session.status()
-            form, size = channel.session.last_form, channel.session.last_size
-            room = None if channel.member is None else channel.member.room.name
-            told = (None, None) if self._previews.private else (channel.shown.name, room)
-            status["datagrams"] = None if channel.way is None else channel.way.status()
-            shown = dict(zip(("avatar", "room"), told, strict=True)) | {"picture": self._previews.shows(number)}
-            clients.append({"id": number, "form": form, "size": f"{size[0]}x{size[1]}", **shown, **status})
+            status, owner = channel.session.status(), channel.account
             for name in totals:
                 totals[name] += status[name]
+            if rights.sees(user, "client", owner):
+                picture = self._previews.shows(user, number)
+                clients.append(client_fields(number, channel, status, rights.sees(user, "identity", owner), picture))
         return {
-            "scene": self.config.scene,
+            "scene": self.config.scene if rights.sees(user, "avatar", self._offers.names[0]) else None,
             "driver": self.render_loop.driver,
             "healthy": self.render_loop.healthy,
             "uptime": round(clock() - self._started, 1),
@@ -235,7 +236,8 @@ class Server:
             "datagrams": None if self._datagrams is None else self._datagrams.status(),
             "totals": totals,
             "stages": self.render_loop.stages.summary(),
-            "rooms": self._rooms.status(clock()) if self.config.rooms else [],
+            "rooms": self._rooms.status(clock(), partial(rights.sees, user)) if self.config.rooms else [],
+            "connected": len(self._channels),
             "clients": clients,
         }
 
@@ -309,7 +311,7 @@ class Server:
             write_timeout=self.config.write_timeout,
         )
         try:
-            await ws.prepare(request)
+            await self.gate.accept(request, ws, entered)
             self._talks[channel.number] = talk
             await talk.run()
             return ws
@@ -324,8 +326,8 @@ class Server:
     def _open_channel(self, request: web.Request, quota: ClientQuota) -> ClientStream:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
         user, rights = user_of(request), self.gate.rights
-        asked = client_options(request.query, self._wire, self.config.session, self._offers.names, rights, user)
-        asked = asked if self._lead is None else self._lead.choose(asked, request.query)
+        query = request.query if self._lead is None else self._lead.query(request.query)
+        asked = client_options(query, self._wire, self.config.session, self._offers.names, rights, user)
         one = self._offers[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
         solver = solver if self._lead is None else self._lead.solver(solver)
@@ -335,11 +337,11 @@ class Server:
         member = None
         if asked.room is not None:
             again = partial(self._end, number, "connected anew elsewhere")
-            owner = f"account {user.name}" if user is not None else address
-            member = self._rooms.join(asked, one, number, owner, clock(), again, notice())
+            member = self._rooms.join(asked, one, number, clock(), again, notice())
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
         channel = self.render_loop.open(number, session, solver, address, one, member)
+        channel.account = "" if user is None else user.name
         channel.driver = asked.name if member is None else member.person.name
         channel.label, channel.notice = driven_by(asked.name) if asked.label else "", notice
         channel.tap = None if self._lead is None else self._lead.tap(number)

@@ -123,6 +123,12 @@ class Arena:
         return tuple(found)
 
     @property
+    def shown_starts(self) -> NDArray[np.intp]:
+        """[S] where each shown item begins among the indices of ``ranges``, taken one after the other."""
+        rows = np.diff(self.first)[list(self.shown)]
+        return (np.cumsum(rows) - rows) * ROW
+
+    @property
     def shown_splats(self) -> int:
         """Splats of what is shown."""
         return sum(self.items[index].count for index in self.shown)

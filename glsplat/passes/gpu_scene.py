@@ -126,7 +126,10 @@ class GpuScene:
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
         places = [self._placement(item, pose) for item in visible]
-        levels = self._choose(visible, places, views, selector)
+        levels = [
+            max(level, min(item.finest, self._levels_of(item).coarsest))
+            for item, level in zip(visible, self._choose(visible, places, views, selector), strict=True)
+        ]
         self._stage(visible, levels, places)
         self._stand(pose)
         if self._standing or any(place.bones is not None for place in places):
@@ -186,6 +189,14 @@ class GpuScene:
         assert self._drawable is not None
         parts = (self._context, self._programs, variant, self.arena, self._config)
         return self._drawable.pipeline(variant, (views[0].width, views[0].height), ordinal, lambda: Pipeline(*parts))
+
+    def add_costs(self, pipeline: Pipeline, costs: dict[Item, int]) -> int:
+        """Add what a pipeline has counted of each item that it shows, if it has; returns what it has counted of all."""
+        assert self._drawable is not None
+        for index, cost in zip(self.arena.shown, pipeline.item_costs, strict=False):
+            item = self._visible[self._drawable.parts[index][0]]
+            costs[item] = costs.get(item, 0) + cost
+        return pipeline.cost or 0
 
     def release(self) -> None:
         """Delete everything; may be called twice."""

@@ -15,7 +15,6 @@ from glsplat.splats import Splats
 
 __all__ = ["Extent"]
 
-_SIGMAS = 2.0  # of a splat's size that count
 _DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # [27, 3]; the middle one is no direction
 _STEPS = np.array([9, 3, 1])  # of a direction's index in that list, by the sign of x, y, z
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
@@ -26,35 +25,36 @@ class Extent:
     """How far what each joint carries reaches, in 26 directions of the zero pose.
 
     A splat, or a mesh's vertex, belongs to the joint in its first slot (an avatar's anchor). Blended ones lie between
-    the places where two joints would take them, which the boxes of both cover nearly always.
+    the places where two joints would take them, which the boxes of both cover nearly always, and always where
+    ``every`` joint that moves a splat counts: then the box holds all of it in any pose, at the price of a looser fit.
     """
 
     joints: NDArray[np.intp]  # [B] those that carry something
     reach: NDArray[np.float64]  # [B, 27] metres: largest x . d, of splats over two standard deviations
 
     @classmethod
-    def of(cls, splats: Splats, skin: Skin) -> Extent:
-        """Measure what can be drawn of ``splats``: finite, and not fully transparent."""
+    def of(cls, splats: Splats, skin: Skin, sigmas: float = 2.0, every: bool = False) -> Extent:
+        """Measure what can be drawn of ``splats``: finite, and not fully transparent; ``sigmas`` of their size."""
         rows = np.flatnonzero(splats.finite() & (splats.opacities > 0))
         shapes = quaternion_matrices(splats.quats[rows]) * splats.scales[rows, None, :]
-        return cls._of(splats.means[rows].astype(np.float64), skin.joints[rows, 0], _SIGMAS * shapes)
+        return cls._of(splats.means[rows].astype(np.float64), skin.take(rows), sigmas * shapes, every)
 
     @classmethod
-    def of_points(cls, points: NDArray[np.float64], skin: Skin) -> Extent:
+    def of_points(cls, points: NDArray[np.float64], skin: Skin, every: bool = False) -> Extent:
         """Measure points [N, 3] without a size."""
-        return cls._of(points, skin.joints[:, 0], np.zeros((len(points), 3, 1)))
+        return cls._of(points, skin, np.zeros((len(points), 3, 1)), every)
 
     @classmethod
-    def _of(cls, points: NDArray[np.float64], owners: NDArray[np.uint16], shapes: NDArray[np.float64]) -> Extent:
-        """Ellipsoids x + M u, |u| <= 1: ``points`` [N, 3], ``shapes`` M [N, 3, K], each of one joint."""
+    def _of(cls, points: NDArray[np.float64], skin: Skin, shapes: NDArray[np.float64], every: bool) -> Extent:
+        """Ellipsoids x + M u, |u| <= 1: ``points`` [N, 3], ``shapes`` M [N, 3, K]."""
+        squares = np.einsum("nik,njk->nij", shapes, shapes).reshape(-1, 9)
+        pairs = np.einsum("di,dj->dij", _DIRECTIONS, _DIRECTIONS).reshape(-1, 9)
+        reaches = points @ _DIRECTIONS.T + np.sqrt(np.maximum(squares @ pairs.T, 0.0))
+        rows, slot = np.nonzero(skin.weights > 0) if every else (np.arange(len(points)), 0)
+        owners = skin.joints[rows, slot]
         order = np.argsort(owners, kind="stable")
-        points, shapes = points[order], shapes[order]
-        across = shapes.transpose(1, 0, 2).reshape(3, -1)
         joints, starts = np.unique(owners[order], return_index=True)
-        reach = np.empty((len(joints), len(_DIRECTIONS)))
-        for index, direction in enumerate(_DIRECTIONS if len(points) else ()):
-            sizes = np.linalg.norm((direction @ across).reshape(len(points), -1), axis=1)
-            reach[:, index] = np.maximum.reduceat(points @ direction + sizes, starts)
+        reach = np.maximum.reduceat(reaches[rows[order]], starts, axis=0) if len(joints) else np.empty((0, 27))
         return cls(joints.astype(np.intp), frozen(reach))
 
     def box(self, bones: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -1,7 +1,8 @@
 """From the participants' folders to tidy tables: a CSV each with a sidecar in JSON that says what its columns are.
 
-Rows are participant x condition x measure; what is missing has no row. The sidecars follow BIDS (1.9, tabular files):
-a key a column with Description, Units and Levels, and one key ``Study`` for analyses.
+Rows are participant x condition x measure; what is missing has no row. Logs are read line by line; memory holds what
+the tables need of them. The sidecars follow BIDS (1.9, tabular files): a key a column with Description, Units and
+Levels, and one key ``Study`` for analyses.
 """
 
 from __future__ import annotations
@@ -10,19 +11,19 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from glsplat.errors import FormatError
-from glsplat.io.files import naming, replace_file
+from glsplat.io.files import naming, open_regular, replace_file
 from glsplat.study.design import Study
 from glsplat.study.plan import Plan, label
 from glsplat.study.questionnaires import Answer
-from glsplat.study.session import Session
+from glsplat.study.session import Event, Session
 from glsplat.study.steps import Step, steps_of
-from glsplat.study.store import FRAMES, SESSION, Log, folders, read_log
+from glsplat.study.store import FRAMES, SESSION, Log, folders, lines_of
 
 __all__ = ["BEFORE", "Exported", "export"]
 
@@ -31,6 +32,7 @@ BEFORE = ".before"
 
 Row = dict[str, Any]
 _RUNNING = ("phase", "running")
+_FIGURES = ("fps", "age_ms", "age_p95_ms")  # of the page's reports
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,17 +43,47 @@ class Exported:
     remarks: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Person:
+    """What the tables need of a participant's files; ``see`` every event of the log, in order."""
+
     number: int
-    log: Log
     session: Session
     group: Mapping[str, str]
-    frames: tuple[Row, ...]
+    last: float | None = None  # seconds, of the last event
+    opened: int = 0  # times that a server took the session up
+    notes: int = 0
+    torn: int = 0  # bytes at the log's end
+    took: dict[tuple[str, str], float | None] = field(default_factory=dict)  # seconds, by step and item
+    begun: dict[str, float] = field(default_factory=dict)  # when a task began to run last, by step
+    spans: dict[str, _Span] = field(default_factory=dict)  # of tasks that were done, by step
 
     @property
     def label(self) -> str:
         return label(self.number)
+
+    def see(self, event: Event) -> None:
+        self.session.replay(event)
+        self.last = event.t
+        self.opened += event.kind == "open"
+        self.notes += event.kind == "note"
+        if event.kind == "answer":
+            self.took[event.step, event.values["item"]] = event.values["seconds"]
+        elif (event.kind, event.values.get("phase")) == _RUNNING:
+            self.begun[event.step] = event.t
+        elif event.kind == "done" and event.step in self.begun:
+            self.spans[event.step] = _Span(self.begun[event.step], event.t, event.values["attempt"])
+
+
+@dataclass(slots=True)
+class _Span:
+    """A task's last attempt, and what the page reported during it."""
+
+    start: float  # seconds
+    end: float
+    attempt: int
+    samples: int = 0
+    values: Mapping[str, list[float]] = field(default_factory=lambda: {key: [] for key in _FIGURES})
 
 
 def export(
@@ -65,10 +97,7 @@ def export(
     found = folders(data)
     for done, (number, folder) in enumerate(found.items(), 1):
         if number <= len(plan.orders):
-            log = read_log(folder / SESSION)
-            with naming(folder / SESSION):
-                session = Session(study, steps_of(study, plan, number), log.events)
-            people.append(_Person(number, log, session, plan.groups[number - 1], tuple(_frames(folder / FRAMES))))
+            people.append(_read(study, plan, number, folder))
         progress(done, len(found))
     factors = [factor.name for factor in study.factors]
     place = ["participant", "position", "condition", *factors]
@@ -110,18 +139,33 @@ def export(
     return Exported({name: len(rows) for name, (_, rows) in tables.items()}, tuple(_remarks(people, plan)))
 
 
+def _read(study: Study, plan: Plan, number: int, folder: Path) -> _Person:
+    one = _Person(number, Session(study, steps_of(study, plan, number)), plan.groups[number - 1])
+    log = Log(folder / SESSION)
+    with naming(log.path):
+        for event in log:
+            one.see(event)
+    one.torn = log.torn
+    for line in _frames(folder / FRAMES):
+        span = one.spans.get(line["step"])
+        if span is not None and span.start <= line["t"] <= span.end:
+            span.samples += 1
+            for key, found in span.values.items():
+                if isinstance(value := line["values"].get(key), int | float):
+                    found.append(value)
+    return one
+
+
 def _person(one: _Person) -> Row:
-    events = one.log.events
-    opened = sum(event.kind == "open" for event in events)
     return {
         "participant": one.label,
         **one.group,
         "state": one.session.state.ended or "under way",
         "steps": one.session.state.at,
         "of": len(one.session.steps),
-        "seconds": events[-1].t if events else None,
-        "restarts": max(0, opened - 1),
-        "notes": sum(event.kind == "note" for event in events),
+        "seconds": one.last,
+        "restarts": max(0, one.opened - 1),
+        "notes": one.notes,
     }
 
 
@@ -141,7 +185,6 @@ def _questioned(one: _Person) -> Iterator[tuple[Step, Mapping[str, Answer], bool
 
 
 def _answers(study: Study, one: _Person) -> Iterator[Row]:
-    took = {(e.step, e.values["item"]): e.values["seconds"] for e in one.log.events if e.kind == "answer"}
     for step, answers, _ in _questioned(one):
         questionnaire = study.questionnaires[step.questionnaire]
         for item in questionnaire.items:
@@ -152,7 +195,7 @@ def _answers(study: Study, one: _Person) -> Iterator[Row]:
                     "item": item.name,
                     "value": answers[item.name],
                     "reversed": int(item.reversed),
-                    "seconds": took.get((step.name, item.name)),
+                    "seconds": one.took.get((step.name, item.name)),
                 }
 
 
@@ -172,23 +215,11 @@ def _scores(study: Study, one: _Person) -> Iterator[Row]:
 def _shown(study: Study, one: _Person) -> Iterator[Row]:
     """Frame rate and age of pictures for each task that was done, in its last attempt."""
     steps = {step.name: step for step in one.session.steps}
-    spans: dict[str, tuple[float, float, int]] = {}
-    begun: dict[str, float] = {}
-    for event in one.log.events:
-        if (event.kind, event.values.get("phase")) == _RUNNING:
-            begun[event.step] = event.t
-        elif event.kind == "done" and event.step in begun:
-            spans[event.step] = (begun[event.step], event.t, event.values["attempt"])
-    for name, (start, end, attempt) in spans.items():
-        lines = [line for line in one.frames if line["step"] == name and start <= line["t"] <= end]
-        values = {
-            key: [v for line in lines if (v := line["values"].get(key)) is not None]
-            for key in ("fps", "age_ms", "age_p95_ms")
-        }
+    for name, span in one.spans.items():
         yield (
             _place(study, one, steps[name])
-            | {"task": steps[name].task, "attempt": attempt, "samples": len(lines)}
-            | {key: round(median(found), 2) if found else None for key, found in values.items()}
+            | {"task": steps[name].task, "attempt": span.attempt, "samples": span.samples}
+            | {key: round(median(found), 2) if found else None for key, found in span.values.items()}
         )
 
 
@@ -196,13 +227,15 @@ def _frames(path: Path) -> Iterator[Row]:
     """The lines of a file that is written without waiting for the disk: what is torn or odd is left out."""
     if not path.exists():
         return
-    for line in path.read_bytes().splitlines():
-        try:
-            fields = json.loads(line)
-            if isinstance(fields["values"], dict) and isinstance(fields["t"], int | float):
+    with open_regular(path) as (file, _):
+        for line in lines_of(file):
+            try:
+                fields = json.loads(line)
+                good = isinstance(fields["values"], dict) and isinstance(fields["t"], int | float)
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
+            if good and isinstance(fields.get("step"), str):
                 yield fields
-        except (ValueError, KeyError, TypeError, RecursionError):
-            continue
 
 
 def _remarks(people: Sequence[_Person], plan: Plan) -> Iterator[str]:
@@ -213,8 +246,8 @@ def _remarks(people: Sequence[_Person], plan: Plan) -> Iterator[str]:
         if one.session.state.ended != "done":
             state = one.session.state.ended or "under way"
             yield f"{one.label}: {state} at step {one.session.state.at + 1} of {len(one.session.steps)}"
-        if one.log.torn:
-            yield f"{one.label}: {one.log.torn} bytes at the end were torn off by a crash, and never acknowledged"
+        if one.torn:
+            yield f"{one.label}: {one.torn} bytes at the end were torn off by a crash, and never acknowledged"
 
 
 def _csv(keys: Sequence[str], rows: Iterable[Row]) -> bytes:

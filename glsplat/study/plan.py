@@ -21,7 +21,7 @@ PLAN = "plan.json"
 """Its name in the data folder."""
 
 _VERSION = 1
-_LARGEST = 16 << 20  # bytes
+_LARGEST = 16 << 20  # bytes, read and written
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +66,14 @@ def write_plan(folder: Path, plan: Plan) -> Path:
         },
         "study": plan.study,
     }
+    text = json.dumps(fields, indent=1).encode()
+    if len(text) > _LARGEST:
+        raise FormatError(f"{path}: a plan has at most {_LARGEST >> 20} MiB, not {len(text) >> 20}; shorten the texts")
     partial = folder / f".{PLAN}.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with open(partial, "xb") as file:
-            file.write(json.dumps(fields, indent=1).encode())
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
         os.link(partial, path)  # unlike a renaming, this fails where the name is taken

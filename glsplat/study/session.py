@@ -8,7 +8,7 @@ the session began.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -49,15 +49,22 @@ class State:
 class Session:
     """One participant's way through ``steps``; with ``events``, from where they led, else a FormatError."""
 
-    def __init__(self, study: Study, steps: Sequence[Step], events: Sequence[Event] = ()) -> None:
+    def __init__(self, study: Study, steps: Sequence[Step], events: Iterable[Event] = ()) -> None:
         self.study, self.steps = study, tuple(steps)
         self.state = State(phase=_first_phase(self.steps[0]))
-        for number, event in enumerate(events, 1):
-            if event.step != self._name:
-                raise FormatError(
-                    f"line {number}: expected the step {self._name!r}, not {event.step!r:.60}: a log of another plan"
-                )
-            self.apply(event)
+        self._replayed = 0
+        for event in events:
+            self.replay(event)
+
+    def replay(self, event: Event) -> None:
+        """Apply the next event of a log. Raises FormatError naming its line in a log of another plan."""
+        self._replayed += 1
+        if event.step != self._name:
+            raise FormatError(
+                f"line {self._replayed}: expected the step {self._name!r}, not {event.step!r:.60}: "
+                "a log of another plan"
+            )
+        self.apply(event)
 
     @property
     def step(self) -> Step | None:
@@ -112,7 +119,7 @@ class Session:
             return past
         questionnaire = self.study.questionnaires[self.steps[self.state.at].questionnaire]
         if item not in [one.name for one in questionnaire.items]:
-            raise ProtocolError(f"{questionnaire.name} has no item of that name", "bad_answer")
+            raise ProtocolError("this questionnaire has no item of that name", "bad_answer")
         if why := questionnaire[item].scale.check(value):
             raise ProtocolError(f"{item}: {why}", "bad_answer")
         if item in self.state.answers and self.state.answers[item] == value:
@@ -169,6 +176,10 @@ class Session:
         if len(reason) > _LONGEST_NOTE or not is_text(reason):
             raise ProtocolError(f"a reason has at most {_LONGEST_NOTE} characters", "bad_note")
         return [Event(t, self._name, "abort", {"reason": reason})] if self.step is not None else []
+
+    def leads_on(self, event: Event) -> bool:
+        """Whether an event is needed to reach the end: not a changed answer, nor a task begun anew."""
+        return event.kind != "lost" and not (event.kind == "answer" and event.values["item"] in self.state.answers)
 
     def apply(self, event: Event) -> None:
         """Change the state by an event of the log. Kinds that change nothing are skipped."""

@@ -22,6 +22,11 @@ class Step:
     task: str = ""
     questionnaire: str = ""
 
+    @property
+    def alias(self) -> str:
+        """What the participant's page calls the step: its number and kind, nothing of the condition."""
+        return f"{self.name.partition('-')[0]}-{self.kind}"
+
 
 def steps_of(study: Study, plan: Plan, participant: int) -> tuple[Step, ...]:
     """All steps of a participant, numbered from 1."""

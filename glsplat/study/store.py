@@ -1,75 +1,90 @@
-"""A participant's folder: append-only JSON Lines, each line on disk before anybody hears that it is, and chained.
+"""A participant's folder: append-only JSON Lines, each line synced to disk before it is acknowledged, and chained.
 
-``session.jsonl`` has what decides: a line has ``n`` (from 0), ``t``, ``step``, ``kind``, ``values`` and ``sum``, the
-first 32 hex digits of SHA-256 over the sum before and the line without its own. A line changed, left out or put in
-breaks the chain. What a crash tore off at the end was never acknowledged: it is cut off, and said.
+``session.jsonl`` decides. A line has ``n`` (from 0), ``t``, ``step``, ``kind``, ``values`` and ``sum``: the first 32
+hex digits of SHA-256 over the sum of the line before and this line without its own. A line that was changed, removed
+or inserted breaks the chain. A file of any size is read, line by line. A torn end was never acknowledged: opening the
+file for writing cuts it off and counts it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from glsplat.errors import FormatError
-from glsplat.io.files import locked, open_regular
+from glsplat.io.files import locked, naming, open_regular
 from glsplat.study.plan import label
 from glsplat.study.session import Event
 
-__all__ = ["FRAMES", "SESSION", "TRACKING", "Log", "Store", "folders", "read_log", "remove"]
+__all__ = ["FRAMES", "SESSION", "TRACKING", "Log", "Store", "folders", "lines_of", "remove"]
 
 SESSION, TRACKING, FRAMES = "session.jsonl", "tracking.jsonl", "frames.jsonl"
 _LOCK = ".lock"
-_LARGEST = 256 << 20  # bytes of a session
 _KEYS = ("n", "t", "step", "kind", "values", "sum")
+MAX_LINE_BYTES = 1 << 20
+"""Of one line, read and written: a consent text of 20,000 characters takes a quarter of that."""
 
 
-@dataclass(frozen=True, slots=True)
 class Log:
-    """The events of a session. ``whole`` bytes of the file are good, ``torn`` ones behind them are not."""
+    """The events of a session's file, one at a time; none where there is no file.
 
-    events: tuple[Event, ...] = ()
-    sum: str = ""  # of the last line
-    whole: int = 0
-    torn: int = 0
+    Once all are read: how many there were, the last line's ``sum``, the ``whole`` bytes and the ``torn`` ones after
+    them. Iterating raises FormatError naming the line at which the chain breaks.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.sum = ""
+        self.count = self.whole = self.torn = 0
+
+    def __iter__(self) -> Iterator[Event]:
+        self.sum, self.count, self.whole, self.torn = "", 0, 0, 0
+        if not self.path.exists():
+            return
+        with open_regular(self.path) as (file, _):
+            lines = lines_of(file)
+            for line in lines:
+                event, sum_ = _parsed(line, self.count, self.sum)
+                if event is None:
+                    self.torn = self._end(itertools.chain([line], lines))
+                    return
+                self.sum, self.count, self.whole = sum_, self.count + 1, self.whole + len(line)
+                yield event
+
+    def _end(self, rest: Iterator[bytes]) -> int:
+        """Count the bytes of a torn end. Raises FormatError where a whole line is among them."""
+        torn = 0
+        for line in rest:
+            if _is_whole(line):
+                raise FormatError(
+                    f"{self.path}: line {self.count + 1}: it does not follow from the lines before: the file was "
+                    "changed, or the disk lost a part; take a copy back"
+                )
+            torn += len(line)
+        return torn
 
 
-def read_log(path: Path) -> Log:
-    """A session's file; empty where there is none. Raises FormatError naming the line at which the chain breaks."""
-    if not path.exists():
-        return Log()
-    with open_regular(path) as (file, size):
-        if size > _LARGEST:
-            raise FormatError(f"{path}: expected a session of at most {_LARGEST >> 20} MiB, not {size >> 20}")
-        data = file.read()
-    events: list[Event] = []
-    chain, at = "", 0
-    while at < len(data):
-        end = data.find(b"\n", at) + 1
-        event, chain_after = _parsed(data[at:end], len(events), chain) if end else (None, "")
-        if event is None:
-            if not any(map(_is_whole, data[at:].splitlines(keepends=True))):
-                return Log(tuple(events), chain, at, len(data) - at)
-            raise FormatError(
-                f"{path}, line {len(events) + 1}: it does not follow from the lines before: the file was changed, or "
-                "the disk lost a part; take a copy back"
-            )
-        events.append(event)
-        chain, at = chain_after, end
-    return Log(tuple(events), chain, at, 0)
+def lines_of(file: BinaryIO) -> Iterator[bytes]:
+    """The lines of a file with their ends; what is longer than MAX_LINE_BYTES comes in pieces."""
+    return iter(lambda: file.readline(MAX_LINE_BYTES), b"")
 
 
 class Store:
-    """The one writer of a participant's folder, which is made. Raises FormatError where another process has it."""
+    """The one writer of a participant's folder, which is made. Raises FormatError where another process has it.
 
-    def __init__(self, data: Path, participant: int) -> None:
+    ``replay`` is called with each event that is there already, in order.
+    """
+
+    def __init__(self, data: Path, participant: int, replay: Callable[[Event], object] = lambda event: None) -> None:
         self.folder = data / label(participant)
+        self._path = self.folder / SESSION
         self._stack = ExitStack()
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -77,13 +92,15 @@ class Store:
             raise FormatError(f"{self.folder}: cannot be made ({error.strerror or error})") from None
         try:
             self._stack.enter_context(locked(self.folder / _LOCK))
-            log = read_log(self.folder / SESSION)
-            self.events, self.torn = log.events, log.torn
-            self._sum, self._size, self._count = log.sum, log.whole, len(log.events)
-            self._file = _opened(self.folder / SESSION)
+            log = Log(self._path)
+            with naming(self._path):
+                for event in log:
+                    replay(event)
+            self.torn, self.size = log.torn, log.whole
+            self._sum, self._count, self._dirty = log.sum, log.count, log.torn > 0
+            self._file = _opened(self._path)
             self._stack.callback(os.close, self._file)
-            if log.torn:
-                _cut(self._file, log.whole, self.folder / SESSION)
+            self._write(b"")
             _sync_folder(self.folder)
         except BaseException:
             self._stack.close()
@@ -91,23 +108,38 @@ class Store:
 
     def append(self, events: Sequence[Event]) -> None:
         """Write events and wait for the disk. Raises FormatError: none of them is in the file then."""
-        lines, chain = [], self._sum
+        lines, sum_ = [], self._sum
         for number, event in enumerate(events, self._count):
-            line, chain = _line(event, number, chain)
+            line, sum_ = _line(event, number, sum_)
+            if len(line) > MAX_LINE_BYTES:
+                raise FormatError(f"{self._path}: a line has at most {MAX_LINE_BYTES} bytes, not {len(line)}")
             lines.append(line)
-        data = b"".join(lines)
-        try:
-            _write_all(self._file, data, self._size)
-            os.fsync(self._file)
-        except OSError as error:
-            with suppress(FormatError):  # what stays behind is torn, and cut off when the file is opened next
-                _cut(self._file, self._size, self.folder / SESSION)
-            raise FormatError(f"{self.folder / SESSION}: cannot be written ({error.strerror or error})") from None
-        self._sum, self._size, self._count = chain, self._size + len(data), self._count + len(events)
+        self._write(b"".join(lines))
+        self._sum, self._count = sum_, self._count + len(events)
 
     def close(self) -> None:
         """Let others have the folder."""
         self._stack.close()
+
+    def _write(self, data: bytes) -> None:
+        """Put ``data`` behind the good bytes, after cutting off what a failure has left there."""
+        try:
+            if self._dirty:
+                self._cut()
+            if data:
+                self._dirty = True
+                _write_all(self._file, data, self.size)
+                os.fsync(self._file)
+                self.size, self._dirty = self.size + len(data), False
+        except OSError as error:
+            with suppress(OSError):  # else it is cut off before the next write, or when the file is opened next
+                self._cut()
+            raise FormatError(f"{self._path}: cannot be written ({error.strerror or error})") from None
+
+    def _cut(self) -> None:
+        os.ftruncate(self._file, self.size)
+        os.fsync(self._file)
+        self._dirty = False
 
 
 def folders(data: Path) -> dict[int, Path]:
@@ -161,7 +193,7 @@ def _is_whole(line: bytes) -> bool:
     """Whether that is a line, as opposed to a piece of one."""
     try:
         return line.endswith(b"\n") and tuple(json.loads(line)) == _KEYS
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, RecursionError):
         return False
 
 
@@ -177,14 +209,6 @@ def _write_all(file: int, data: bytes, at: int) -> None:
     rest = memoryview(data)
     while len(rest):
         rest = rest[os.write(file, rest) :]
-
-
-def _cut(file: int, size: int, path: Path) -> None:
-    try:
-        os.ftruncate(file, size)
-        os.fsync(file)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 def _sync_folder(folder: Path) -> None:

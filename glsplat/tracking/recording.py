@@ -20,7 +20,6 @@ from glsplat.tracking.sample import Sample
 
 __all__ = ["PoseTrack", "embedded_recording", "read_poses", "record", "replay", "write_lines"]
 
-MAX_BYTES = 1 << 30
 MAX_LINE = 1 << 20
 
 
@@ -108,9 +107,7 @@ def read_poses(path: str | Path) -> PoseTrack:
 
 
 def _objects(path: str | Path) -> Iterator[tuple[int, Any]]:
-    with open_regular(path) as (file, size):
-        if size > MAX_BYTES:
-            raise FormatError(f"{path}: a recording has at most {MAX_BYTES >> 20} MiB, not {size >> 20}")
+    with open_regular(path) as (file, _):
         for number, line in enumerate(iter(lambda: file.readline(MAX_LINE + 1), b""), 1):
             if len(line) > MAX_LINE:
                 raise FormatError(f"{path}, line {number}: a line has at most {MAX_LINE >> 10} KiB")

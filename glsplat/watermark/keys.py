@@ -6,6 +6,7 @@ import secrets
 from pathlib import Path
 
 from glsplat.errors import GlsplatError
+from glsplat.io.secret_files import warn_if_exposed
 from glsplat.watermark.mark import KEY_BYTES, WatermarkKey
 
 __all__ = ["new_watermark", "read_watermark", "text_of"]
@@ -33,6 +34,7 @@ def read_watermark(path: str | Path) -> WatermarkKey:
         raise GlsplatError(f"{path}: cannot read the watermark's key ({error.strerror})") from None
     except UnicodeError:
         words = []
+    warn_if_exposed(path)
     try:
         server, key = words
         return WatermarkKey(int(server, 16), bytes.fromhex(key))

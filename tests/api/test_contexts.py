@@ -26,7 +26,7 @@ from tests.api.variants import BACK, KINDS, SIZE, VIEWS, Kind, bent, splats
 from tests.scenes import camera, cloud, limb
 from tests.xvfb import display, python  # noqa: F401  (a fixture)
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.check]
 
 
 @pytest.fixture(autouse=True)

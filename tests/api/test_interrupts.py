@@ -32,7 +32,7 @@ from tests.api.current_context import asked, nothing_current
 from tests.api.variants import KINDS, SIZE, VIEWS, Kind, bent, splats
 from tests.scenes import limb
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.check]
 
 TIMES = int(os.environ.get("GLSPLAT_INTERRUPTS", "240"))
 HOME = str(Path(glsplat.__file__).parent)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.gl, pytest.mark.slow]
+pytestmark = [pytest.mark.gl, pytest.mark.check]
 
 CHOSEN = "(pair_of_kinds and own) or every_call or (test_pictures_and_state and everything)"
 

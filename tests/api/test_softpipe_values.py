@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).resolve().parents[2]
 DRAWN = (
     "test_values.py::test_a_loop_that_moves_one_matrix_makes_different_cameras",

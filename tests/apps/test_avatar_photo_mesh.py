@@ -89,7 +89,7 @@ def test_from_python(seen, front) -> None:
 @pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.shared
-@pytest.mark.slow
+@pytest.mark.check
 def test_a_capture_with_its_sheet(shared_data, tmp_path, capsys) -> None:
     """The mesh shows what the photograph shows, and the eyes are not white."""
     needs_networks()

@@ -70,7 +70,7 @@ def test_export_poses_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 @pytest.mark.check
 @pytest.mark.gl
-@pytest.mark.usefixtures("current")
+@pytest.mark.usefixtures("gl")
 def test_levels_are_added_to_a_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

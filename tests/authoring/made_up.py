@@ -14,7 +14,7 @@ from glsplat.authoring.fit.outline import projected_mask
 from glsplat.authoring.fit.solver import BodySolver
 from glsplat.authoring.fit.view import View
 
-__all__ = ["FOCAL", "SIZE", "made", "posed_view"]
+__all__ = ["FOCAL", "SIZE", "made", "posed_view", "slope_error"]
 
 SIZE, FOCAL = (480, 320), 640.0
 
@@ -62,3 +62,12 @@ def posed_view(
     said = turn if told is None else told
     seen = View(mask, marks, np.ones(LANDMARK_COUNT), FOCAL, side=side, turn=said, world=world)
     return seen, posed, solver
+
+
+def slope_error(solver: BodySolver, rng: np.random.Generator) -> float:
+    """How far the derivatives of all equations are from differences, as a share of the largest."""
+    x = solver.x + rng.normal(0, 0.05, len(solver.x))
+    jacobian = solver._rows(x, True)[1]
+    steps = 1e-6 * np.eye(len(x))
+    both = [(solver._rows(x + step, False)[0] - solver._rows(x - step, False)[0]) / 2e-6 for step in steps]
+    return float(np.abs(jacobian - np.stack(both, axis=-1)).max() / np.abs(jacobian).max())

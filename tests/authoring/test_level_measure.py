@@ -16,7 +16,7 @@ from glsplat.renderer import Renderer
 from glsplat.splats import Splats
 from tests.scenes import cloud, limb
 
-pytestmark = [pytest.mark.usefixtures("current"), pytest.mark.gl]
+pytestmark = [pytest.mark.usefixtures("gl"), pytest.mark.gl]
 QUICK = MeasureConfig(directions=2, inside=1, size=160)
 
 

@@ -120,7 +120,7 @@ def test_halves() -> None:
     assert halves(6000) == [3000] and halves(1) == []
 
 
-@pytest.mark.usefixtures("current")
+@pytest.mark.usefixtures("gl")
 @pytest.mark.gl
 def test_levels_are_measured_and_replace_those_that_are_there(context: Context) -> None:
     scene = replace(cloud(400, spread=0.2), antialias=True)

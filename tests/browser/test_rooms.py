@@ -68,6 +68,35 @@ def test_a_page_says_that_a_name_is_taken_or_a_room_full(open_page: OpenPage, se
     assert sorted(people(served)) == ["Ann", "Bob"]
 
 
+def cut_off(served: Any) -> None:
+    """Break the connection of the first client, without a close."""
+
+    def abort() -> None:
+        talk = next(iter(served.server._talks.values()))
+        talk._request.transport.abort()
+
+    served._loop.call_soon_threadsafe(abort)
+
+
+def test_a_page_keeps_its_name_whatever_becomes_of_its_connection(open_page: OpenPage, served: Any) -> None:
+    """A connection that breaks, and a page that is loaded again; no other tab has it meanwhile."""
+    page = visit(open_page, served, {"room": "lab", "name": "Ann"})
+    page.until("window.glsplat.stats().shown > 0")
+    guest = served.server._rooms._rooms["lab"]._guests["Ann"]
+    seat, token = guest.person.seat, guest.person.resume
+    cut_off(served)
+    page.until("window.glsplat.stats().reconnects === 1 && window.glsplat.stats().shown > 0")
+    again = served.server._rooms._rooms["lab"]._guests["Ann"]
+    assert again is not guest and again.person.seat is seat and again.person.resume == token
+    second = visit(open_page, served, {"room": "lab", "name": "Ann"}, allow=["Unexpected response code: 409"])
+    second.until("document.querySelector('#status').textContent.includes('omebody called \"Ann\"')")
+    assert people(served) == ["Ann"] and page.stats()["reconnects"] == 1
+    second.page.close()
+    page.page.reload()
+    page.until("window.glsplat.stats().shown > 0")
+    assert people(served) == ["Ann"]
+
+
 def test_pictures_of_an_empty_room_are_of_its_people_alone(open_page: OpenPage, serve: Any) -> None:
     """Pixels go to that part of the view; who is in it is in it whole, words over heads, too."""
     drawn: list[RenderJob] = []

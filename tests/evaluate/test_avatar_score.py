@@ -35,23 +35,6 @@ def test_figures_of_known_differences(rng):
     assert compare(wanted, wanted, body, [])[1:] == (None, pytest.approx(1))
 
 
-def test_ssim_is_that_of_the_paper(rng):
-    """Wang et al. 2004 written out: means, variances and covariance under a Gaussian of sigma 1.5, 11 x 11."""
-    wanted = rng.random((32, 40, 3), np.float32)
-    picture = np.clip(0.7 * wanted + 0.2 * rng.random((32, 40, 3), np.float32), 0, 1)
-    x, y = wanted.astype(np.float64), picture.astype(np.float64)
-    bell = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
-
-    def blur(image):
-        return cv2.sepFilter2D(image, -1, bell / bell.sum(), bell / bell.sum(), borderType=cv2.BORDER_REFLECT_101)
-
-    mx, my = blur(x), blur(y)
-    vx, vy, vxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
-    exact = (2 * mx * my + 1e-4) * (2 * vxy + 9e-4) / ((mx * mx + my * my + 1e-4) * (vx + vy + 9e-4))
-    inside = (slice(6, 26), slice(6, 34))
-    assert compare(picture, wanted, inside, [])[2] == pytest.approx(exact[inside].mean(), abs=1e-4)
-
-
 def test_the_figure_fills_the_picture(rng):
     points = rng.normal(0, (0.3, 0.6, 0.2), (500, 3)) + (0, 1, 0)
     for azimuth in (0, 77, 180):
@@ -102,6 +85,7 @@ def test_default_avatar_looks_like_its_mesh(shared_data: Path, context):
         assert worse.body < 30 and worse.body < scores[0].body - 3
 
 
+@pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.shared
 def test_the_command(shared_data: Path, tmp_path, capsys):

@@ -69,13 +69,8 @@ def test_two_splats_drawn_in_the_wrong_order(context: Context) -> None:
     red, blue = np.array([0.9, 0.1, 0.2]), np.array([0.2, 0.3, 0.8])
 
     def pair(nearer: float) -> Splats:  # both fill the screen; which one is nearer is all that differs
-        return Splats.create(
-            [[0, 0, nearer], [0, 0, -nearer]],
-            [[1.0, 0, 0, 0]] * 2,
-            [[500.0] * 3] * 2,
-            [a, b],
-            rgb=[red, blue],
-        )
+        means = [[0, 0, nearer], [0, 0, -nearer]]
+        return Splats.create(means, [[1.0, 0, 0, 0]] * 2, [[500.0] * 3] * 2, [a, b], rgb=[red, blue])
 
     difference = a * b * (red - blue)
     row = measured(context, pair(-0.1), pair(0.1))
@@ -97,6 +92,7 @@ def test_8_bit_accumulation(context: Context) -> None:
     assert measured(context, flat, flat)["maximum"] < 1e-5
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_the_grid_of_a_scene(context: Context) -> None:
     """Only knobs the scene has; equal settings share one measurement; a cut-off costs what float64 says it does."""
@@ -147,14 +143,8 @@ def test_pareto_by_hand() -> None:
 
 def test_better_than_the_default_means_beyond_noise() -> None:
     def row(name: str, ms: float, psnr: float, default: bool = False) -> dict[str, Any]:
-        return {
-            "knob": name,
-            "setting": "x",
-            "ms": {"median": ms},
-            "psnr": psnr,
-            "default": default,
-            "truth": "shared",
-        }
+        row = {"knob": name, "setting": "x", "ms": {"median": ms}, "psnr": psnr}
+        return row | {"default": default, "truth": "shared"}
 
     rows = [row("default", 10.0, 60.0, True), row("a", 9.0, 60.0), row("b", 9.8, 70.0), row("c", 5.0, 59.0)]
     assert better_than_default(rows, noise=0.5) == ["a: x"]

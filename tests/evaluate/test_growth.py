@@ -73,6 +73,7 @@ def test_points_beyond_the_budget_are_left_out(context: Context, monkeypatch: py
     assert "GB of memory" in result["splats"][1]["left_out"]
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_memory_of_a_process_of_its_own() -> None:
     grown = report_growth._grown_apart(1000, 256, 2, None)
@@ -87,6 +88,7 @@ def test_a_quick_grid_is_part_of_the_whole() -> None:
     assert growth_cost(quick) < growth_cost(whole) / 5
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_agreement_with_bench(context: Context) -> None:
     """The same work by both; a report that took twice as long is not called equal."""

@@ -13,7 +13,7 @@ from glsplat.splats import Splats
 from tests.scenes import camera, cloud
 
 pytest.importorskip("flip_evaluator")
-pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("current")]
+pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("gl")]
 
 QUICK = Search(sizes=(48,), frames=3, moments=1, around=4, elevations=(0.0,), size=48)
 

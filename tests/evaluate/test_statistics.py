@@ -24,9 +24,8 @@ def test_a_table() -> None:
     assert [row.n for row in rows] == [7, 7, 6]
     assert [row.missing for row in rows] == [("p02", "p09"), ("p01", "p09"), ("p01", "p02", "p09")]
     first = rows[0]
-    assert first.mean == pytest.approx(1 + 0.01 * (0 + 2 + 3 + 4 + 5 + 6 + 7) / 7) and first.median == pytest.approx(
-        1.04
-    )
+    assert first.mean == pytest.approx(1 + 0.01 * (0 + 2 + 3 + 4 + 5 + 6 + 7) / 7)
+    assert first.median == pytest.approx(1.04)
     assert first.effect == 1 and first.p == 2 / 128 and first.low < first.mean < first.high
     # against scan the differences are 2 -3 4 -5 6 -7 8
     assert rows[1].effect == pytest.approx((1 - 2 + 3 - 4 + 5 - 6 + 7) / 28)

@@ -10,78 +10,73 @@ import subprocess
 import sys
 import sysconfig
 import time
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.faults.probes import with_probes
 from tests.faults.sites import Fault
-
-HERE = Path(__file__).parent
-INSTALL = """\
-import sys
-from importlib.machinery import PathFinder
-from importlib.util import spec_from_file_location
-
-FOLDERS = {folders!r}
-
-
-class Finder:
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        if name in FOLDERS:
-            folder = FOLDERS[name]
-            return spec_from_file_location(name, folder + "/__init__.py", submodule_search_locations=[folder])
-
-
-sys.meta_path.insert(0, Finder)
-"""
 
 
 @dataclass
 class Run:
-    """What came of one call of pytest."""
+    """Results of one call of pytest, read from its log."""
 
-    failed: list[str] = field(default_factory=list)  # node ids; a file's, where collecting it failed
     passed: dict[str, float] = field(default_factory=dict)  # node id -> seconds
+    failed: list[str] = field(default_factory=list)  # a file's id where collecting it failed; ended or hung ones last
     collected: list[str] = field(default_factory=list)
-    code: int | None = None  # None: it ran out of time
-    seconds: float = 0.0
+    code: int | None = None  # None: out of time
+
+    @classmethod
+    def read(cls, log: Path, code: int | None = 0) -> Run:
+        run = cls(code=code)
+        started: list[str] = []
+        for kind, *entry in map(json.loads, log.read_text().splitlines() if log.exists() else []):
+            if kind == "passed":
+                run.passed[entry[0]] = entry[1]
+            elif kind == "collected":
+                run.collected = entry[0]
+            else:
+                (run.failed if kind == "failed" else started).append(entry[0])
+        run.failed += [test for test in started if test not in run.passed and test not in run.failed]
+        for test in run.failed:
+            run.passed.pop(test, None)
+        return run
 
 
 class Copy:
     """Clone of a tree beside a link to its reference data. Its interpreter imports the clone, in whatever process."""
 
-    def __init__(self, tree: Path, ref: str, folder: Path) -> None:
+    def __init__(self, tree: Path, ref: str, folder: Path, hits: Path) -> None:
         self.root = folder / "tree"
-        self._folder = folder
+        self._folder, self._hits = folder, hits
         self._clock = 0
-        if self.root.exists():
-            shutil.rmtree(self.root)
+        self._originals: dict[Path, str] = {}
+        shutil.rmtree(self.root, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
         subprocess.run(["git", "clone", "--quiet", "--shared", "--no-checkout", tree, self.root], check=True)
         subprocess.run(["git", "checkout", "--quiet", "--detach", ref], cwd=self.root, check=True)
         shared = folder / "shared"
         if not shared.is_symlink() and (tree.parent / "shared").is_dir():
             shared.symlink_to((tree.parent / "shared").resolve())
-        if not (self.root / "tests" / "faults").is_dir():  # a tree from before this script
-            shutil.copytree(HERE, self.root / "tests" / "faults")
-        self.python = self._environment(folder / "venv")
+        self._python = self._environment(folder / "venv")
 
     def _environment(self, folder: Path) -> Path:
         """A virtual environment with the packages of ours, but not its editable install: -I and env= make no hole."""
         shutil.rmtree(folder, ignore_errors=True)
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
         paths = {"base": str(folder), "platbase": str(folder)}
-        site = Path(sysconfig.get_path("purelib", "venv", vars=paths))
-        ours = sysconfig.get_path("purelib")
+        site, ours = Path(sysconfig.get_path("purelib", "venv", vars=paths)), Path(sysconfig.get_path("purelib"))
         folders = {"glsplat": str(self.root / "glsplat"), "glsplat_apps": str(self.root / "apps")}
-        (site / "the_copy.py").write_text(INSTALL.format(folders=folders))
-        started = "import os; os.getenv('COVERAGE_PROCESS_START') and __import__('coverage').process_startup()"
-        (site / "the_copy.pth").write_text(f"{ours}\nimport the_copy\n{started}\n")
+        shutil.copy(Path(__file__).with_name("planted.py"), site)
+        (site / "planted.json").write_text(json.dumps({"folders": folders, "hits": str(self._hits)}))
+        others = [line for path in ours.glob("*.pth") for line in path.read_text().splitlines() if line.startswith("/")]
+        (site / "planted.pth").write_text("\n".join([str(ours), *others, "import planted", ""]))
         for script in Path(sys.executable).parent.iterdir():
             if script.is_file() and script.read_bytes()[:2] == b"#!" and not (folder / "bin" / script.name).exists():
-                lines = script.read_text().split("\n", 1)
                 target = folder / "bin" / script.name
+                lines = script.read_text().split("\n", 1)
                 target.write_text(f"#!{folder}/bin/python\n{lines[1]}")
                 target.chmod(0o755)
         python = folder / "bin" / "python"
@@ -91,56 +86,80 @@ class Copy:
             raise SystemExit(f"tests would import {found}, not the copy")
         return python
 
-    def plant(self, fault: Fault) -> int:
-        """The number of the line that was changed; 0 where the tree has no such line."""
-        path = self._place(fault)
-        lines = path.read_text().splitlines(keepends=True) if path else []
-        alike = [i for i, line in enumerate(lines) if line.strip() == fault.before]
-        if path is None or len(alike) <= fault.occurrence:
-            return 0
-        at = alike[fault.occurrence]
+    def plant(self, fault: Fault) -> bool:
+        """Plant the fault; False where the tree has no such line."""
+        if not (place := self._place(fault)):
+            return False
+        path, at = place
+        lines = path.read_text().splitlines(keepends=True)
         lines[at] = lines[at].replace(fault.before, fault.after)
         self._write(path, "".join(lines))
-        return at + 1
+        return True
 
-    def _place(self, fault: Fault) -> Path | None:
-        """Its file; where that has the line no longer, the one file of the package that has it."""
+    def probe(self, faults: Sequence[Fault]) -> None:
+        """Plant a probe for each fault, with its number in the sequence."""
+        marks: dict[Path, list[tuple[int, int, str, str]]] = defaultdict(list)
+        for number, fault in enumerate(faults):
+            if place := self._place(fault):
+                marks[place[0]].append((number, place[1] + 1, fault.before, fault.after))
+        for path, of in marks.items():
+            text = path.read_text()
+            if path.suffix == ".py":
+                self._write(path, with_probes(text, of))
+            else:
+                lines = text.splitlines()
+                for number, line, _, _ in of:
+                    lines[line - 1] += f"  // fault-probe {number}"
+                self._write(path, "\n".join(lines) + "\n")
+
+    def _place(self, fault: Fault) -> tuple[Path, int] | None:
+        """Its file and line from 0; where the file has the line no longer, the one file that has it."""
+        alike: dict[Path, list[int]] = {}
+        for path in (self.root / "glsplat").rglob(f"*{Path(fault.file).suffix}"):
+            lines = path.read_text().splitlines()
+            if found := [i for i, line in enumerate(lines) if line.strip() == fault.before]:
+                alike[path] = found
         path = self.root / fault.file
-        if path.exists() and fault.before in map(str.strip, path.read_text().splitlines()):
-            return path
-        others = (self.root / "glsplat" / fault.package).rglob(f"*{path.suffix}")
-        having = [p for p in others if fault.before in map(str.strip, p.read_text().splitlines())]
-        return having[0] if len(having) == 1 else None
+        if path not in alike and len(alike) == 1:
+            path = next(iter(alike))
+        numbers = alike.get(path, [])
+        return (path, numbers[fault.occurrence]) if len(numbers) > fault.occurrence else None
 
     def restore(self) -> None:
-        changed = subprocess.check_output(["git", "diff", "--name-only"], cwd=self.root, text=True).split()
-        for name in changed:
-            text = subprocess.check_output(["git", "show", f"HEAD:{name}"], cwd=self.root, text=True)
-            self._write(self.root / name, text)
+        """Write every changed file as it was."""
+        for path, text in list(self._originals.items()):
+            self._write(path, text)
+        self._originals.clear()
 
     def _write(self, path: Path, text: str) -> None:
         """With a time of its own: compiled modules are told apart by whole seconds and size."""
+        self._originals.setdefault(path, path.read_text())
         path.write_text(text)
         self._clock += 2
         now = int(time.time()) + self._clock
         os.utime(path, (now, now))
 
-    def call(self, *words: str) -> None:
-        subprocess.run([self.python, *words], cwd=self.root, check=False, stdout=subprocess.DEVNULL)
+    def collect(self, paths: Sequence[str], select: str = "") -> list[str]:
+        """Node ids of the tests at ``paths`` that the marker expression selects, in pytest's order."""
+        run = self.run([*paths, "--collect-only", *(["-m", select] if select else [])], {}, 600.0)
+        if run.code not in (0, 5):
+            raise SystemExit(f"pytest cannot collect {' '.join(paths)}: {self._folder}/output.txt")
+        return run.collected
 
-    def run(self, words: Sequence[str], limit: float, before: Sequence[str] = (), **variables: str) -> Run:
-        """Pytest with these arguments; everything that it started is gone afterwards."""
-        log, arguments = self._folder / "run.jsonl", self._folder / "arguments.txt"
-        log.unlink(missing_ok=True)
-        arguments.write_text("".join(f"{word}\n" for word in words))
-        options = ["-q", "-p", "no:cacheprovider", "-p", "tests.faults.recorder", "--timeout", "120", f"@{arguments}"]
-        command = [str(self.python), *before, "-m", "pytest", *options]
-        start = time.monotonic()
+    def run(self, words: Sequence[str], tests: Mapping[str, float], limit: float, log: Path | None = None) -> Run:
+        """Run pytest with ``tests`` (id -> seconds until it counts as hung); what it started is ended afterwards."""
+        if log is None:
+            log = self._folder / "run.jsonl"
+            log.unlink(missing_ok=True)
+        chosen = self._folder / "tests.json"
+        chosen.write_text(json.dumps(dict(tests)))
+        files = dict.fromkeys(test.split("::")[0] for test in tests)
+        command = [str(self._python), "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "planted", *words, *files]
         with (self._folder / "output.txt").open("w") as output:
             process = subprocess.Popen(
                 command,
                 cwd=self.root,
-                env={**os.environ, "PYTHONPATH": "", "FAULTS_LOG": str(log), **variables},
+                env={**os.environ, "PYTHONPATH": "", "FAULTS_LOG": str(log), "FAULTS_TESTS": str(chosen)},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -152,14 +171,7 @@ class Copy:
                 code = None
             finally:
                 _end(process)
-        run = Run(code=code, seconds=time.monotonic() - start)
-        for line in log.read_text().splitlines() if log.exists() else []:
-            entry = json.loads(line)
-            run.failed += [entry["failed"]] if "failed" in entry else []
-            run.collected += entry.get("collected", [])
-            if "passed" in entry:
-                run.passed[entry["passed"]] = entry["seconds"]
-        return run
+        return Run.read(log, code)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -25,7 +25,7 @@ TEXT = (ast.JoinedStr, ast.List, ast.ListComp, ast.Tuple, ast.Dict)
 
 @dataclass(frozen=True)
 class Fault:
-    """One line changed; the number of the line is no part of its name, so that it fits a tree where lines moved."""
+    """One line changed; found again by its text in a tree where lines moved."""
 
     package: str
     kind: str
@@ -34,11 +34,6 @@ class Fault:
     after: str
     occurrence: int  # among the lines of the file that read the same
     line: int  # where it was drawn
-    statement: int  # line on which its statement starts
-
-    @property
-    def name(self) -> tuple[str, str, int, str, str]:
-        return self.file, self.before, self.occurrence, self.kind, self.after
 
 
 Site = tuple[str, int, int, int, str]  # kind, line, first and last column in bytes, what stands there instead
@@ -51,7 +46,7 @@ def _annotations(node: ast.AST) -> list[ast.AST]:
 
 def _skipped(node: ast.AST) -> bool:
     match node:
-        case ast.Raise() | ast.JoinedStr():
+        case ast.Raise() | ast.JoinedStr() | ast.pattern():
             return True
         case ast.FunctionDef(name=name):
             return name in ("__repr__", "__str__")
@@ -83,15 +78,13 @@ def _called(node: ast.Call) -> str:
 class _Finder:
     def __init__(self, text: str) -> None:
         self.lines = [line.encode() for line in text.splitlines()]
-        self.sites: list[tuple[Site, int]] = []
-        self._statement = 1
+        self.sites: list[Site] = []
         self._visit(ast.parse(text), None)
 
     def _add(self, kind: str, node: ast.expr | ast.stmt, new: str, upto: ast.expr | None = None) -> None:
         last = upto or node
         if node.lineno == last.end_lineno:
-            site = (kind, node.lineno, node.col_offset, last.end_col_offset or 0, new)
-            self.sites.append((site, self._statement))
+            self.sites.append((kind, node.lineno, node.col_offset, last.end_col_offset or 0, new))
 
     def _text(self, node: ast.expr) -> str:
         return self.lines[node.lineno - 1][node.col_offset : node.end_col_offset].decode()
@@ -103,20 +96,16 @@ class _Finder:
             at = self.lines[right.lineno - 1][start : right.col_offset].find(old.encode())
             if at >= 0:
                 place = start + at
-                self.sites.append(((kind, right.lineno, place, place + len(old), new), self._statement))
+                self.sites.append((kind, right.lineno, place, place + len(old), new))
 
     def _visit(self, node: ast.AST, parent: ast.AST | None) -> None:
         if _skipped(node):
             return
-        outer = self._statement
-        if isinstance(node, ast.stmt):
-            self._statement = node.lineno
         self._sites_at(node, parent)
         left_out = _annotations(node)
         for child in ast.iter_child_nodes(node):
             if not any(child is other for other in left_out):
                 self._visit(child, node)
-        self._statement = outer
 
     def _sites_at(self, node: ast.AST, parent: ast.AST | None) -> None:
         match node:
@@ -130,7 +119,7 @@ class _Finder:
                 self._operator("sign", node.target, node.value, "-=", "+=")
             case ast.UnaryOp(op=ast.USub()):
                 at = node.col_offset
-                self.sites.append((("sign", node.lineno, at, at + 1, ""), self._statement))
+                self.sites.append(("sign", node.lineno, at, at + 1, ""))
             case ast.Compare():
                 self._bounds(node)
             case ast.Constant(value=int() as value) if not isinstance(value, bool) and self._counts(node, parent):
@@ -186,21 +175,17 @@ class _Finder:
 def _faults_of(root: Path, file: str, package: str) -> Iterator[Fault]:
     text = (root / file).read_text()
     lines = text.splitlines()
-    if file.endswith(".py"):
-        found = _Finder(text).sites
-    else:
-        found = [(site, site[1]) for site in glsl_sites(lines)]
-    for (kind, number, first, last, new), statement in sorted(found):
+    found = _Finder(text).sites if file.endswith(".py") else glsl_sites(lines)
+    for kind, number, first, last, new in sorted(found):
         line = lines[number - 1].encode()
         before, after = line.decode().strip(), (line[:first] + new.encode() + line[last:]).decode().strip()
         earlier = sum(other.strip() == before for other in lines[: number - 1])
-        yield Fault(package, kind, file, before, after, earlier, number, statement)
+        yield Fault(package, kind, file, before, after, earlier, number)
 
 
 def all_faults(root: Path, package: str) -> list[Fault]:
-    pattern = "*.glsl" if package == "shaders" else "*.py"
-    files = sorted(p.relative_to(root).as_posix() for p in (root / "glsplat" / package).rglob(pattern))
-    kept = [f for f in files if not f.startswith(LEFT_OUT)]
+    files = sorted(p.relative_to(root).as_posix() for p in (root / "glsplat" / package).rglob("*"))
+    kept = [f for f in files if f.endswith((".py", ".glsl")) and not f.startswith(LEFT_OUT)]
     return [fault for file in kept for fault in _faults_of(root, file, package)]
 
 

@@ -14,9 +14,8 @@ __all__ = ["bends", "chain", "coloured", "corners"]
 def coloured(width: int, height: int) -> np.ndarray:
     """A smooth picture."""
     y, x = np.mgrid[:height, :width]
-    return np.stack([x * 255 // width, y * 255 // height, (x + y) * 255 // (width + height), 255 + 0 * x], -1).astype(
-        np.uint8
-    )
+    channels = [x * 255 // width, y * 255 // height, (x + y) * 255 // (width + height), 255 + 0 * x]
+    return np.stack(channels, -1).astype(np.uint8)
 
 
 def chain(influences: int = 4, seed: int = 3) -> RiggedMesh:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import json
 import struct
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -31,24 +30,6 @@ def random_splats(count: int = 50, degree: int = 0, seed: int = 1) -> Splats:
         rng.uniform(0.01, 0.99, count),
         rng.normal(0, 0.4, (count, (degree + 1) ** 2, 3)),
     )
-
-
-def times_as_long(load: Callable[[Path], object], path: Path) -> float:
-    """As an exponential of each byte of the file, in chunks: processor time, each in its best of five rounds."""
-
-    def plain(path: Path) -> None:
-        for part in np.array_split(np.fromfile(path, np.uint8), 100):
-            np.exp(part.astype(float))
-
-    def least(call: Callable[[Path], object]) -> float:
-        times = []
-        for _ in range(5):
-            began = time.process_time()
-            call(path)
-            times.append(time.process_time() - began)
-        return min(times)
-
-    return least(load) / least(plain)
 
 
 def awkward_splats() -> Splats:
@@ -143,11 +124,16 @@ def glb_parts(data: bytes) -> tuple[dict[str, Any], bytes]:
     return json.loads(data[20 : 20 + size]), data[28 + size :]
 
 
-def write_glb(path: Path, document: dict[str, Any], blob: bytes) -> None:
+def glb_of(document: dict[str, Any], blob: bytes) -> bytes:
+    """A .glb; the blob ends on a multiple of four bytes unless the file is to be broken."""
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4sIIII", b"glTF", 2, 28 + len(text) + len(blob), len(text), 0x4E4F534A)
-    path.write_bytes(head + text + struct.pack("<II", len(blob), 0x004E4942) + blob)
+    return head + text + struct.pack("<II", len(blob), 0x004E4942) + blob
+
+
+def write_glb(path: Path, document: dict[str, Any], blob: bytes) -> None:
+    path.write_bytes(glb_of(document, blob))
 
 
 def edit_glb(path: Path, change: Callable[[dict[str, Any]], None]) -> None:

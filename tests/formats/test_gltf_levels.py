@@ -16,15 +16,12 @@ from glsplat.errors import FormatError
 from glsplat.formats import FORMATS, load, load_gltf, losses, save
 from glsplat.formats.gltf.levels import MOST_LEVELS
 from glsplat.formats.transform import transformed
-from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.skin import Skin
 from glsplat.splats import Level, Splats
 from tests.formats.scenes import (
     assert_equal,
     avatar_with_levels,
     edit_glb,
     glb_parts,
-    random_avatar,
     random_splats,
     splats_with_levels,
 )
@@ -74,7 +71,7 @@ def test_what_cones_keep_is_kept(tmp_path: Path) -> None:
         assert ("extras" in primitive) is (psnr is not None)  # a file that says nothing is one of before
 
 
-@pytest.mark.parametrize("value", ["45", True, float("nan"), 10**400, [], None])
+@pytest.mark.parametrize("value", ["45", True, 10**400, [], None])
 def test_cones_psnr_that_is_no_number(tmp_path: Path, value: object) -> None:
     path = tmp_path / "a.glb"
     save(replace(random_splats(8), cones=np.full((8, 4), 5, np.int8), cones_psnr=40.0), path)
@@ -82,8 +79,6 @@ def test_cones_psnr_that_is_no_number(tmp_path: Path, value: object) -> None:
     def change(document: Document) -> None:
         document["meshes"][0]["primitives"][0]["extras"]["glsplat"]["cones_psnr"] = value
 
-    if value != value:
-        return  # JSON has no NaN
     edit_glb(path, change)
     found = load(path)
     assert isinstance(found, Splats) and found.cones_psnr is None and found.cones is not None
@@ -287,13 +282,6 @@ def test_a_rig_on_a_level_of_a_static_scene(tmp_path: Path, caplog: pytest.LogCa
     assert sizes == [] and len(said) == 3 and "it has a skin, the finest has none" in said[0]
 
 
-def test_one_level(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    scene = avatar_with_levels()
-    path = tmp_path / "a.glb"
-    save(replace(scene, levels=scene.levels[1:2]), path)
-    assert left_out(path, caplog) == ([10], [])
-
-
 def test_levels_of_others_do_not_break(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Without densities; with the coarser nodes in the scene; naming each other; of several nodes."""
     path = tmp_path / "a.glb"
@@ -371,11 +359,7 @@ def test_levels_stand_where_the_finest_stands(tmp_path: Path) -> None:
         np.testing.assert_allclose(one.content.scales, expected.scales, rtol=1e-5)
     edit_glb(path, lambda document: document["nodes"][1].pop("scale"))
     found = load(path)
-    np.testing.assert_allclose(
-        np.abs(found.levels[0].content.scales),
-        scene.levels[0].content.scales,
-        rtol=1e-5,  # type: ignore[union-attr]
-    )
+    np.testing.assert_allclose(np.abs(found.levels[0].content.scales), scene.levels[0].content.scales, rtol=1e-5)
 
 
 def test_other_formats_say_that_levels_are_dropped(tmp_path: Path) -> None:
@@ -389,20 +373,3 @@ def test_other_formats_say_that_levels_are_dropped(tmp_path: Path) -> None:
             save(scene, tmp_path / f"a{known.suffixes[0]}")
             found = load(tmp_path / f"a{known.suffixes[0]}")
             assert not found.levels
-
-
-def test_a_level_of_another_skeleton_is_no_avatar() -> None:
-    """What the file's reader leaves out, the value refuses."""
-    avatar = random_avatar(40)
-    other = Skeleton(tuple("abcde"), avatar.skeleton.parents, avatar.skeleton.rest)
-    few = Avatar(random_splats(5), other, Skin(avatar.skin.joints[:5], avatar.skin.weights[:5]))
-    with pytest.raises(FormatError, match="another skeleton"):
-        replace(avatar, levels=[Level(few, 10.0)])
-
-
-def test_what_a_level_says_of_itself(tmp_path: Path) -> None:
-    save(avatar_with_levels(), tmp_path / "a.glb")
-    document, _ = glb_parts((tmp_path / "a.glb").read_bytes())
-    note = level(document, 3)["extras"]["glsplat"]
-    assert note.pop("skin_weights").keys() == {"lost", "repaired"} and note == {"density": 1 / 3, "psnr": 40.0}
-    assert "psnr" not in level(document, 2)["extras"]["glsplat"]

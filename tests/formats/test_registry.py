@@ -134,14 +134,6 @@ def test_commands_know_a_new_format(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert recognise(tmp_path / "pose.toy") == "toy"
 
 
-def test_without_it_nothing_knows_it(tmp_path: Path) -> None:
-    (tmp_path / "a.toy").write_bytes(b"toy\n1 2 3\n")
-    with pytest.raises(FormatError, match="none of them"):
-        load(tmp_path / "a.toy")
-    with pytest.raises(FormatError, match="needs to end in"):
-        save(random_splats(), tmp_path / "b.toy")
-
-
 def test_what_formats_lose_is_theirs_to_say(tmp_path: Path) -> None:
     avatar = random_avatar()
     assert not list(losses(avatar, "a.glb")) and not list(losses(avatar, io.BytesIO(), format="gltf"))

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from tests.golden import stored
 from tests.golden.test_goldens import CASES
 
+pytestmark = [pytest.mark.gl, pytest.mark.check]
+
 ROOT = Path(__file__).resolve().parents[2]
 
 DRIVERS = {
@@ -78,8 +80,6 @@ def pictures_here(tmp_path_factory: pytest.TempPathFactory) -> dict[str, NDArray
     return lean_pictures(tmp_path_factory.mktemp("here"), here)
 
 
-@pytest.mark.gl
-@pytest.mark.slow
 @pytest.mark.parametrize("driver", DRIVERS)
 def test_levels_and_hidden_splats(driver: str, tmp_path: Path, pictures_here: dict[str, NDArray[Any]]) -> None:
     """The same levels and the same pictures everywhere, with records pulled where a driver can, and without."""
@@ -91,8 +91,6 @@ def test_levels_and_hidden_splats(driver: str, tmp_path: Path, pictures_here: di
     assert -10 * np.log10(np.maximum(error, 1e-12)).max() > 80
 
 
-@pytest.mark.gl
-@pytest.mark.slow
 @pytest.mark.parametrize("driver", DRIVERS)
 def test_pictures(driver: str) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "not 16f", *PICTURES]

@@ -17,7 +17,10 @@ from tests.compare import assert_contract
 pytestmark = pytest.mark.gl
 
 
-@pytest.mark.parametrize(("motion", "frame"), [("walk", 11), ("wave-and-turn", 97), ("idle", 30)])
+@pytest.mark.parametrize(
+    ("motion", "frame"),
+    [("walk", 11), *(pytest.param(*row, marks=pytest.mark.check) for row in (("wave-and-turn", 97), ("idle", 30)))],
+)
 def test_the_person_in_motion(renderer_of: Callable[..., Renderer], motion: str, frame: int) -> None:
     avatar = default_avatar()
     pose = load_motion(motion, avatar.skeleton).pose(frame)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from tests.formats.scenes import write_glb
 
 # bone of VRM: parent, where it is in the T-pose, metres
 BONES = {
@@ -58,14 +58,10 @@ def glb(path: Path, animations: list[dict[str, Any]], vrm: bool = False, names: 
     for k, (bone, (parent, place)) in enumerate(BONES.items()):
         above = np.zeros(3) if parent is None else np.array(BONES[parent][1])
         frame = Rotation.identity() if parent is None else FRAMES[NODES.index(parent)]
-        nodes.append(
-            {
-                "name": (names or {}).get(bone, f"node {k}" if vrm else bone),
-                "translation": frame.inv().apply(np.array(place) - above).tolist(),
-                "rotation": turned(bone, Rotation.identity()).as_quat().tolist(),
-                "children": [i for i, name in enumerate(NODES) if BONES[name][0] == bone],
-            }
-        )
+        node = {"name": (names or {}).get(bone, f"node {k}" if vrm else bone)}
+        node |= {"translation": frame.inv().apply(np.array(place) - above).tolist()}
+        node |= {"rotation": turned(bone, Rotation.identity()).as_quat().tolist()}
+        nodes.append(node | {"children": [i for i, name in enumerate(NODES) if BONES[name][0] == bone]})
     written = []
     for animation in animations:
         channels, samplers = [], []
@@ -73,13 +69,10 @@ def glb(path: Path, animations: list[dict[str, Any]], vrm: bool = False, names: 
             samplers.append({"input": add(times), "output": add(values), "interpolation": how})
             node = NODES.index(bone) if isinstance(bone, str) else bone
             channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": kind}})
-        written.append(
-            {"channels": channels, "samplers": samplers} | ({"name": animation["name"]} if "name" in animation else {})
-        )
-    tree: dict[str, Any] = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": nodes,
+        named = {"name": animation["name"]} if "name" in animation else {}
+        written.append({"channels": channels, "samplers": samplers} | named)
+    tree: dict[str, Any] = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": nodes}
+    tree |= {
         "animations": written,
         "accessors": accessors,
         "bufferViews": views,
@@ -92,9 +85,5 @@ def glb(path: Path, animations: list[dict[str, Any]], vrm: bool = False, names: 
 
 
 def write(path: Path, tree: dict[str, Any], blob: bytes) -> Path:
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    blob += b"\0" * (-len(blob) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    write_glb(path, tree, blob + b"\0" * (-len(blob) % 4))
     return path

@@ -6,12 +6,12 @@ channels. glTF 2.0: M_node = M_parent T R S with the animation's samplers (3.11,
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
+
+from tests.formats.scenes import glb_parts
 
 
 def bvh_positions(path: Path, every: int = 1, added: bool = False) -> tuple[dict[str, np.ndarray], float]:
@@ -111,12 +111,6 @@ def acclaim_positions(skeleton: Path, motion: Path, every: int = 1) -> dict[str,
     return {name: np.array([world(name, frame)[0] for frame in frames[::every]]) for name in bones}
 
 
-def gltf_json(path: Path) -> tuple[dict, bytes]:
-    data = path.read_bytes()
-    size = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + size]), data[28 + size :]
-
-
 def accessor(tree: dict, blob: bytes, index: int) -> np.ndarray:
     entry = tree["accessors"][index]
     view = tree["bufferViews"][entry["bufferView"]]
@@ -129,7 +123,7 @@ def accessor(tree: dict, blob: bytes, index: int) -> np.ndarray:
 
 def gltf_positions(path: Path, times: np.ndarray, animation: int = 0) -> list[np.ndarray]:
     """Node -> [T, 3] in the world at ``times`` (seconds of the file); linear samplers only."""
-    tree, blob = gltf_json(path)
+    tree, blob = glb_parts(path.read_bytes())
     moved = {}
     for channel in tree["animations"][animation]["channels"]:
         sampler = tree["animations"][animation]["samplers"][channel["sampler"]]

@@ -128,6 +128,7 @@ def test_good_motions(skeleton: Skeleton, walk: Motion, name: str) -> None:
     assert doubt(motion or load_motion(name, skeleton), skeleton, name) == ""
 
 
+@pytest.mark.check
 @pytest.mark.shared
 def test_captured_motions_are_not_doubted(shared_data: Path, skeleton: Skeleton) -> None:
     files = [p for p in (shared_data / "real/motions").iterdir() if p.suffix in (".bvh", ".vrma")]
@@ -137,6 +138,7 @@ def test_captured_motions_are_not_doubted(shared_data: Path, skeleton: Skeleton)
         assert doubt(load_motion(path, skeleton), skeleton, path.name) == "", path.name
 
 
+@pytest.mark.check
 @pytest.mark.shared
 def test_animations_of_games(shared_data: Path, skeleton: Skeleton) -> None:
     """Of some makers' models; in Godot's player knees do bend forwards."""
@@ -147,6 +149,7 @@ def test_animations_of_games(shared_data: Path, skeleton: Skeleton) -> None:
     assert doubt(player, skeleton, "p").endswith("p#sides=swapped")
 
 
+@pytest.mark.check
 @pytest.mark.shared
 def test_people_who_climb_and_stand_on_their_hands(shared_data: Path, skeleton: Skeleton) -> None:
     """Clips of the CMU database drawn by lot, and of those in which people do odd things; all 328 were looked at."""

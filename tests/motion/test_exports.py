@@ -21,13 +21,6 @@ BONES = [
     for side in SIDES
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
-BANDAI_NAMES = {"pelvis": "Hips", "spine1": "Spine", "spine3": "Chest", "neck": "Neck", "head": "Head"}
-for _side in SIDES:
-    _mark = _side[0].upper()
-    BANDAI_NAMES |= {f"{_side}_hip": f"UpperLeg_{_mark}", f"{_side}_knee": f"LowerLeg_{_mark}"}
-    BANDAI_NAMES |= {f"{_side}_ankle": f"Foot_{_mark}", f"{_side}_foot": f"Toes_{_mark}"}
-    BANDAI_NAMES |= {f"{_side}_collar": f"Shoulder_{_mark}", f"{_side}_shoulder": f"UpperArm_{_mark}"}
-    BANDAI_NAMES |= {f"{_side}_elbow": f"LowerArm_{_mark}", f"{_side}_wrist": f"Hand_{_mark}"}
 
 
 def named(trunk: str, limbs: str, left: str, right: str) -> dict[str, str]:
@@ -39,24 +32,29 @@ def named(trunk: str, limbs: str, left: str, right: str) -> dict[str, str]:
     return out
 
 
+BANDAI_NAMES = named(
+    "Hips Spine - Chest Neck Head",
+    "UpperLeg_# LowerLeg_# Foot_# Toes_# Shoulder_# UpperArm_# LowerArm_# Hand_#",
+    "L",
+    "R",
+)
 BANDAI = Export(BANDAI_NAMES, ("spine2",), root="joint_Root", rest="x-", channels="position")
+TRUNK = "Hips Spine Spine1 Spine2 Neck Head"
 MIXAMO = "#UpLeg #Leg #Foot #ToeBase #Shoulder #Arm #ForeArm #Hand"
 POSER = named("hip abdomen - chest neck head", "#Thigh #Shin #Foot #Toe #Collar #Shldr #ForeArm #Hand", "l", "r")
 XSENS = "#Hip #Knee #Ankle #Toe #Collar #Shoulder #Elbow #Wrist"
+SEGMENTS = "#UpperLeg #LowerLeg #Foot #Toe #Shoulder #UpperArm #Forearm #Hand"
 MOTIVE = "#Thigh #Shin #Foot #Toe #Shoulder #UArm #FArm #Hand"
 NEWTON = "#Thigh #Shin #Foot #Toe #Shoulder #Arm #ForeArm #Hand"
 EXPORTS = {
     "Bandai-Namco": BANDAI,
     "Bandai-Namco, offsets all zero": dataclasses.replace(BANDAI, offsets=False),
-    "LaFAN": Export(named("Hips Spine Spine1 Spine2 Neck Head", MIXAMO, "Left", "Right"), rest="x", order="ZYX"),
+    "LaFAN": Export(named(TRUNK, MIXAMO, "Left", "Right"), rest="x", order="ZYX"),
     "Rokoko": Export(named("Hips Spine1 Spine2 Spine4 Neck Head", NEWTON, "Left", "Right"), rest="x", order="YXZ"),
     "Mixamo": Export(named("m:Hips m:Spine m:Spine1 m:Spine2 m:Neck m:Head", MIXAMO, "m:Left", "m:Right")),
     "Mixamo by Blender": Export(
-        named("Hips Spine Spine1 Spine2 Neck Head", MIXAMO, "Left", "Right"),
-        unit=1.0,
-        order="XYZ",
-        channels="position",
-        world=Z_UP,
+        named(TRUNK, MIXAMO, "Left", "Right"),
+        unit=1.0, order="XYZ", channels="position", world=Z_UP,
     ),
     "Poser": Export(POSER, ("spine2", "left_foot", "right_foot"), unit=39.37, rest="A"),
     "Poser, from Second Life": Export(POSER, ("spine2", "left_foot", "right_foot"), unit=39.37, order="XZY"),
@@ -65,45 +63,23 @@ EXPORTS = {
         named("Hips Spine - Spine1 Neck Head", MIXAMO, "Left", "Right"), ("spine2",), root="reference"
     ),
     "Vicon": Export(
-        named(
-            "Solving:Hips Solving:Spine Solving:Spine1 Solving:Spine2 Solving:Neck Solving:Head",
-            MIXAMO,
-            "Solving:Left",
-            "Solving:Right",
-        ),
-        root="reference",
-        hips="added",
-        unit=1000.0,
-        world=Z_UP,
+        named("V:Hips V:Spine V:Spine1 V:Spine2 V:Neck V:Head", MIXAMO, "V:Left", "V:Right"),
+        root="reference", hips="added", unit=1000.0, world=Z_UP,
     ),
     "Xsens": Export(named("Hips Chest Chest2 Chest4 Neck Head", XSENS, "Left", "Right"), order="YXZ"),
     "Xsens, segments": Export(
-        named(
-            "Pelvis L5 T12 T8 Neck Head",
-            "#UpperLeg #LowerLeg #Foot #Toe #Shoulder #UpperArm #Forearm #Hand",
-            "Left",
-            "Right",
-        ),
-        order="YXZ",
-        world=Z_UP,
+        named("Pelvis L5 T12 T8 Neck Head", SEGMENTS, "Left", "Right"), order="YXZ", world=Z_UP
     ),
     "Perception Neuron": Export(
-        named(
-            "Robot_Hips Robot_Spine Robot_Spine1 Robot_Spine2 Robot_Neck Robot_Head",
-            MIXAMO,
-            "Robot_Left",
-            "Robot_Right",
-        ),
-        order="YXZ",
-        channels="position",
-        rest="A",
+        named(" ".join(f"Robot_{name}" for name in TRUNK.split()), MIXAMO, "Robot_Left", "Robot_Right"),
+        order="YXZ", channels="position", rest="A",
     ),
     "Qualisys": Export(
         named("Q_Hips Q_Spine Q_Spine1 Q_Spine2 Q_Neck Q_Head", MIXAMO, "Q_Left", "Q_Right"), world=Z_UP
     ),
     "MakeHuman": Export(channels="added", unit=10.0, order="XYZ"),
-    "no end sites": Export(named("Hips Spine Spine1 Spine2 Neck Head", MIXAMO, "Left", "Right"), ends=False),
-}
+    "no end sites": Export(named(TRUNK, MIXAMO, "Left", "Right"), ends=False),
+}  # fmt: skip
 
 
 def posed(motion: Motion, skeleton: Skeleton) -> np.ndarray:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import io
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.formats.format import opened
 from glsplat.motion.kinds import is_motion
@@ -19,15 +16,11 @@ from glsplat.motion.loading import load_motion
 from glsplat.scenes import load
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
+from tests.formats.scenes import glb_parts
 from tests.motion.clips import NODES, glb, turned, write
 
 AT = {name: i for i, name in enumerate(JOINT_NAMES)}
 QUARTER = Rotation.from_euler("z", 90, degrees=True)  # lifts the left arm
-
-
-@pytest.fixture(scope="module")
-def skeleton() -> Skeleton:
-    return default_avatar().skeleton
 
 
 def lift(how: str = "LINEAR", times=(0.0, 1.0), bone: str = "leftUpperArm"):
@@ -47,10 +40,7 @@ def lifted(motion, skeleton, frame: int) -> float:
 
 
 @pytest.mark.parametrize("vrm", [False, True])
-@pytest.mark.parametrize(
-    ("how", "quarter"),
-    [("LINEAR", 22.5), ("STEP", 0.0), ("CUBICSPLINE", None)],
-)
+@pytest.mark.parametrize(("how", "quarter"), [("LINEAR", 22.5), ("STEP", 0.0), ("CUBICSPLINE", None)])
 def test_samplers(tmp_path: Path, skeleton: Skeleton, how: str, quarter: float | None, vrm: bool) -> None:
     path = glb(tmp_path / "a.bin", [{"channels": [lift(how)]}], vrm=vrm)
     motion = load_motion(path, skeleton)
@@ -68,9 +58,8 @@ def test_samplers(tmp_path: Path, skeleton: Skeleton, how: str, quarter: float |
 
 def test_the_shorter_way(tmp_path: Path, skeleton: Skeleton) -> None:
     bone, kind, how, times, values = lift()
-    motion = load_motion(
-        glb(tmp_path / "a.glb", [{"channels": [(bone, kind, how, times, values * [[1], [-1]])]}]), skeleton
-    )
+    path = glb(tmp_path / "a.glb", [{"channels": [(bone, kind, how, times, values * [[1], [-1]])]}])
+    motion = load_motion(path, skeleton)
     assert lifted(motion, skeleton, 15) == pytest.approx(45, abs=0.01)
 
 
@@ -96,13 +85,8 @@ def test_hips_go_where_the_file_says(tmp_path: Path, skeleton: Skeleton) -> None
 
 
 def test_one_of_several(tmp_path: Path, skeleton: Skeleton) -> None:
-    still = (
-        "head",
-        "rotation",
-        "LINEAR",
-        np.array([0.0, 1]),
-        np.array([turned("head", Rotation.identity()).as_quat()] * 2),
-    )
+    rest = np.array([turned("head", Rotation.identity()).as_quat()] * 2)
+    still = ("head", "rotation", "LINEAR", np.array([0.0, 1]), rest)
     path = glb(tmp_path / "all.glb", [{"name": "Idle", "channels": [still]}, {"name": "Rig|Up", "channels": [lift()]}])
     first = load_motion(path, skeleton)
     assert first.label == "all#Idle" and "Rig|Up" in first.note and lifted(first, skeleton, 30) < 0.01
@@ -138,12 +122,6 @@ def test_an_animation_is_a_motion_and_no_scene(tmp_path: Path) -> None:
             assert is_motion(start) is moves
 
 
-def parts(path: Path) -> tuple[dict, bytes]:
-    data = path.read_bytes()
-    size = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + size]), data[28 + size :]
-
-
 def broken(tree: dict, key: str) -> None:
     sampler, channel = tree["animations"][0]["samplers"][0], tree["animations"][0]["channels"][0]
     arm = tree["nodes"][NODES.index("leftUpperArm")]
@@ -171,7 +149,7 @@ def broken(tree: dict, key: str) -> None:
     + ["sparse", "names", "circle", "overflow", "point"],
 )
 def test_malformed(tmp_path: Path, skeleton: Skeleton, key: str) -> None:
-    tree, blob = parts(glb(tmp_path / "good.glb", [{"channels": [lift()]}]))
+    tree, blob = glb_parts(glb(tmp_path / "good.glb", [{"channels": [lift()]}]).read_bytes())
     broken(tree, key)
     with pytest.raises(PoseError) as caught:
         load_motion(write(tmp_path / "bad.glb", tree, blob), skeleton)
@@ -196,9 +174,7 @@ def test_every_truncation_is_one_line(tmp_path: Path, skeleton: Skeleton) -> Non
 
 def test_frames_are_bounded_before_anything_is_made(tmp_path: Path, skeleton: Skeleton) -> None:
     joints = "".join(f"JOINT j{i} {{ OFFSET 0 0 0 CHANNELS 0 " for i in range(1000)) + "} " * 1000
-    text = (
-        f"HIERARCHY ROOT r {{ OFFSET 0 0 0 CHANNELS 1 Xrotation {joints} }}\nMOTION\nFrames: 100000\nFrame Time: 0.1\n"
-    )
-    (tmp_path / "bomb.bvh").write_text(text + "0 " * 100000)
+    text = f"HIERARCHY ROOT r {{ OFFSET 0 0 0 CHANNELS 1 Xrotation {joints} }}\nMOTION\n"
+    (tmp_path / "bomb.bvh").write_text(text + "Frames: 100000\nFrame Time: 0.1\n" + "0 " * 100000)
     with pytest.raises(PoseError, match="at most"):
         load_motion(tmp_path / "bomb.bvh", skeleton)

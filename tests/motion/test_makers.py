@@ -11,7 +11,8 @@ from glsplat.motion.loading import load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.motion.independent import accessor, acclaim_positions, bvh_positions, gltf_json, gltf_positions
+from tests.formats.scenes import glb_parts
+from tests.motion.independent import accessor, acclaim_positions, bvh_positions, gltf_positions
 
 AT = {name: i for i, name in enumerate(JOINT_NAMES)}
 PARTS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
@@ -34,11 +35,7 @@ MAKEHUMAN = "upperleg01.# lowerleg01.# foot.# upperarm01.# lowerarm01.# wrist.#"
 FILES = {
     "real/motions/cmu_131_01.bvh": (CMU, "Left Right", "y"),
     "real/motions/makehuman_fight01.bvh": (MAKEHUMAN, "L R", "z"),
-    "real/motions/mixamo_freebvh.bvh": (
-        "mixamorig:#UpLeg mixamorig:#Leg mixamorig:#Foot mixamorig:#Arm mixamorig:#ForeArm mixamorig:#Hand",
-        "Left Right",
-        "y",
-    ),
+    "real/motions/mixamo_freebvh.bvh": (MIXAMO.replace("#", "mixamorig:#"), "Left Right", "y"),
     "real/motions/pybvh_test3.bvh": (MIXAMO, "Left Right", "z"),  # rests with y up
     "real/motions/rokoko_jesse_dance.bvh": (MIXAMO, "Left Right", "y"),  # rests with all bones along x
     "real/motions/viverse_sample.bvh": (MIXAMO, "Left Right", "y"),
@@ -48,10 +45,7 @@ FILES = {
 KAYKIT = "upperleg.# lowerleg.# foot.# upperarm.# lowerarm.# wrist.#"
 QUATERNIUS = "UpperLeg.# LowerLeg.# Foot.# UpperArm.# LowerArm.# #"
 ANIMATED = {
-    ("real/motions/three_vrm_test.vrma", 0): (
-        "#UpperLeg #LowerLeg #Foot #UpperArm #LowerArm #Hand",
-        "left right",
-    ),
+    ("real/motions/three_vrm_test.vrma", 0): ("#UpperLeg #LowerLeg #Foot #UpperArm #LowerArm #Hand", "left right"),
     ("real/models/mannequiny_gdquest.glb", 9): ("thigh.# calf.# foot.# upperarm.# lowerarm.# hand.#", "l r"),
     ("real/models/kaykit_mage.glb", 20): (KAYKIT, "l r"),
     ("real/models/kaykit_mage.glb", 24): (KAYKIT, "l r"),  # lies on the floor, feet above the origin
@@ -90,13 +84,7 @@ def worst_angle(theirs: dict[str, np.ndarray], ours: np.ndarray) -> float:
     return min(worst)
 
 
-@pytest.fixture(scope="module")
-def skeleton() -> Skeleton:
-    from glsplat.data import default_avatar
-
-    return default_avatar().skeleton
-
-
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.parametrize("name", FILES)
 def test_captured_motions(shared_data: Path, skeleton: Skeleton, name: str) -> None:
@@ -125,6 +113,7 @@ def test_captured_motions(shared_data: Path, skeleton: Skeleton, name: str) -> N
     assert across[0] > 0.5 * np.linalg.norm(across)
 
 
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["cmu_02_01.amc", "cmu_02_03.amc", "cmu_02_04.amc", "cmu_131_03.bvh"])
 def test_soles_of_captured_people_are_flat(shared_data: Path, skeleton: Skeleton, name: str) -> None:
@@ -139,12 +128,13 @@ def test_soles_of_captured_people_are_flat(shared_data: Path, skeleton: Skeleton
         assert stands.sum() >= 3 and abs(np.median(tilt)) < 6
 
 
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "number"), ANIMATED)
 def test_animations(shared_data: Path, skeleton: Skeleton, name: str, number: int) -> None:
     path, (names, marks) = shared_data / name, ANIMATED[name, number]
     motion = load_motion(path, skeleton, animation=str(number))
-    tree, blob = gltf_json(path)
+    tree, blob = glb_parts(path.read_bytes())
     start = min(accessor(tree, blob, sampler["input"])[0, 0] for sampler in tree["animations"][number]["samplers"])
     frames = np.arange(0, len(motion), max(1, len(motion) // 20))
     at = gltf_positions(path, start + frames / motion.fps, number)

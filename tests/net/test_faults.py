@@ -15,7 +15,7 @@ import aiohttp
 import pytest
 
 from glsplat.errors import ContextError, ContextLostError, FormatError, ProtocolError
-from glsplat.net import render_loop
+from glsplat.net import local_loop
 from glsplat.net.client import Client, request_message
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
@@ -281,7 +281,7 @@ def test_the_client_reports_a_server_that_goes_away(cameras):
 @pytest.mark.parametrize("kind", ["comes back", "no new one"])
 def test_a_lost_context(fake_backend, cameras, kind, caplog, monkeypatch):
     """It is made anew under the clients' feet; where that fails the server stops in order, with a message."""
-    monkeypatch.setattr(render_loop, "_PAUSES", (0.0, 0.01, 0.02))
+    monkeypatch.setattr(local_loop, "_PAUSES", (0.0, 0.01, 0.02))
 
     class Losing(fake_backend):
         opens = 0

@@ -314,7 +314,7 @@ async def visits(url, connections, frames):
         return sum(await asyncio.gather(*(user(http) for _ in range(4))))
 
 
-@pytest.mark.slow
+@pytest.mark.check
 def test_memory_after_hundreds_of_connections_and_thousands_of_frames():
     """The server's resident memory within 3 % of what it was after a quarter of that, then an orderly end."""
     process = subprocess.Popen([sys.executable, "-c", SERVER, str(ROOT)], stdout=subprocess.PIPE, text=True)

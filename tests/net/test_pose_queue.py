@@ -67,6 +67,19 @@ def test_samples_are_solved_in_order_and_the_one_that_is_drawn_is_taken(thread):
         solving.take(3).result(HANG)
 
 
+def test_a_solution_that_cannot_be_passed_on_costs_its_own_answer(thread):
+    def heard(request, solved, at):
+        if request.frame_id == 1:
+            raise PoseError("nobody can stand there")
+
+    solving = PoseQueue(Solver(), thread, time.perf_counter, heard=heard)
+    solving.add(request(1))
+    with pytest.raises(PoseError, match="nobody can stand there"):
+        solving.take(1).result(HANG)
+    solving.add(request(2))
+    assert solving.take(2).result(HANG)[0].notes == ("2",)
+
+
 def test_what_waits_is_bounded_and_the_newest_are_kept(thread):
     gate = threading.Event()
     solver = Solver(gate)

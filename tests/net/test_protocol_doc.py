@@ -108,29 +108,8 @@ def test_every_error_code_is_in_the_table():
 
 
 def test_the_numbers_of_the_limits():
-    """Both pages and the help of the command hold the defaults."""
+    """The page and the help of the command hold the defaults; deploying.md: tests/net/guard/test_limits_doc.py."""
     limits, mib = Limits(), 2**20
-    deploying = " ".join(DEPLOYING.read_text(encoding="utf-8").split())
-    for phrase in (
-        f"(`--max-clients`) | {ServerConfig().max_clients} |",
-        f"(`--max-waiting`) | {limits.waiting} |",
-        f"HTTP requests of an address | {limits.visits:g} a second | {limits.visits_burst:g} |",
-        f"between requests | {limits.head // 1024} KiB |",
-        f"TLS handshake | {SessionConfig().handshake:g} |",
-        f"tokens of an address | {limits.guesses}, then one after 1, 2, 4 ... {limits.hold_off_most:g} s |",
-        f"frames of a client | {limits.frames:g} a second | {limits.frames_burst:g} |",
-        f"closes of a client | {limits.control:g} a second | {limits.control_burst:g} |",
-        f"bytes of a client | {limits.bytes / mib:g} MiB a second | {limits.bytes_burst / mib:g} MiB |",
-        f"messages of a client | {SessionConfig().rate:g} a second | {SessionConfig().burst} |",
-        f"tracking of all clients | {limits.work:g} s a second | {limits.work:g} s |",
-        f"samples of a client | {limits.samples:g} a second | {limits.samples_burst:g} |",
-        f"of an address | {limits.hold_off:g} s, doubling up to {limits.hold_off_most:g} s | | 429; forgotten after "
-        f"{limits.forget:g} s",
-        f"addresses remembered | {limits.addresses} |",
-        f"the same with `--allow-upload` | {limits.body // 1024} KiB |",
-        f"to make an avatar, of an address | {limits.uploads:g} a second | {limits.uploads_burst:g} |",
-    ):
-        assert phrase in deploying, phrase
     for phrase in (
         f"{limits.frames:g} frames a second ({limits.frames_burst:g} at once), {limits.control:g} control frames",
         f"({limits.control_burst:g}) and {limits.bytes / mib:g} MiB ({limits.bytes_burst / mib:g} MiB)",
@@ -149,7 +128,8 @@ def test_the_numbers_of_photographs():
     deploying = " ".join(DEPLOYING.read_text(encoding="utf-8").split())
     config, limits = UploadConfig(folder=Path(), make=lambda order, progress: None), Limits()
     for phrase in (
-        f"{config.stall:g} s without a byte, or {config.receive:g} s in all",
+        f"at less than {config.rate / 1000:g} kB a second, of which {config.stall:g} s are forgiven, or in more than "
+        f"{config.receive:g} s",
         f"more than {config.picture_bytes / 1e6:g} MB a picture or {config.body_bytes / 1e6:g} MB in all",
         f"more than {limits.uploads_burst:g} requests to make an avatar from one address; one more every "
         f"{1 / limits.uploads:g} s",
@@ -159,11 +139,18 @@ def test_the_numbers_of_photographs():
         assert phrase in WORDS, phrase
     assert config.waiting == 2 and "three avatars are being made, wait, or are being sent" in TEXT
     assert config.per_address == 2 and "or two from this address" in TEXT
+    assert config.senders == 1 and "other pictures from it are on their way" in TEXT
+    assert limits.uploads_unfinished == 1 / 4 and "counts as a quarter of one" in TEXT
     for phrase in (
         f"`nice` {config.nice}, which holds",
         f"ended after {config.seconds:g} s",
         f"{config.picture_bytes / 1e6:g} MB a picture and {config.body_bytes / 1e6:g} MB in all",
         f"{config.most_files} avatars and {config.folder_bytes / 1e9:g} GB in DIR",
+        f"keeps up {config.rate / 1000:g} kB a second, may be {config.stall:g} s behind that at any time, and has "
+        f"{config.receive:g} s in all",
+        f"a second, of a sender | {config.rate:g} at least | {config.stall:g} s behind | 408",
+        f"pictures of an avatar | {config.receive:g} | | 408",
+        f"of one address | {config.senders} | | 503",
     ):
         assert phrase in deploying, phrase
 

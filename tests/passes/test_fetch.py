@@ -99,9 +99,9 @@ def test_parts_and_slices(renderer_of: Make, storage: None, monkeypatch: pytest.
         return False
 
     budget = PictureBudget(slice_cost=5000, abandoned=count)
-    assert np.array_equal(budget.render(renderer, views), expected) and len(asked) > 3
+    assert np.array_equal(budget.render(renderer.prepare(views)), expected) and len(asked) > 3
     with pytest.raises(BudgetError):
-        PictureBudget(slice_cost=5000, abandoned=lambda: True).render(renderer, views)
+        PictureBudget(slice_cost=5000, abandoned=lambda: True).render(renderer.prepare(views))
     assert np.array_equal(renderer.render(views), expected)  # what was broken off leaves nothing behind
 
 

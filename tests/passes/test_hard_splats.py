@@ -65,3 +65,11 @@ def test_what_cannot_be_drawn_is_counted(renderer_of: Make, name: str) -> None:
     assert not image.any()
     counts = {"skipped": renderer.stats.skipped, **renderer.stats.culled}
     assert counts.pop(reason) == 1 and not any(counts.values()) and renderer.stats.drawn == 0
+
+
+@pytest.mark.parametrize("scales", [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.0, 0.1]])
+def test_without_a_low_pass_a_line_is_degenerate(renderer_of: Make, scales: list[float]) -> None:
+    """One of these has no width on the screen, whatever it is seen from."""
+    renderer = renderer_of(one_splat(scales=[scales]), eps2d=0.0)
+    assert not renderer.render([camera()]).any()
+    assert renderer.stats.culled["degenerate"] == 1

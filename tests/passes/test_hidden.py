@@ -39,13 +39,13 @@ def coned(splats: Splats, seed: int = 5) -> Splats:
     return replace(splats, cones=np.random.default_rng(seed).integers(-128, 128, (len(splats), 4)).astype(np.int8))
 
 
-def ball(count: int = 4000) -> Splats:
+def ball(count: int = 1000) -> Splats:
     """An opaque ball of discs, and a few splats inside it that nothing shows."""
     i = np.arange(count) + 0.5
     z, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     normal = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
     half = np.stack([1 + normal[:, 2], -normal[:, 1], normal[:, 0], np.zeros(count)], axis=1)  # turns z to the normal
-    inside = 0.3 * normal[:: count // 200]
+    inside = 0.3 * normal[::20]
     quats = np.concatenate([half, np.tile([1.0, 0, 0, 0], (len(inside), 1))])
     means = np.concatenate([0.5 * normal, inside])
     disc = 0.03 * np.sqrt(4000 / count)  # close the surface
@@ -88,7 +88,7 @@ def test_eight_bit_pictures_are_lifted_alike(renderer_of: Make) -> None:
     assert np.abs(rounded - np.rint(255 * np.clip(exact, 0, 1))).max() <= 1
 
 
-def test_lift_keeps_background_and_opaque_pixels() -> None:
+def test_lift_keeps_background_opaque_pixels_and_infinite_colours() -> None:
     background = (0.25, 0.5, 0.75)
     nothing, solid = np.array([[[*background, 0.0]]]), np.array([[[0.1, 0.2, 0.3, 1.0]]])
     assert np.allclose(reference.lifted(nothing, background), nothing)
@@ -99,8 +99,6 @@ def test_lift_keeps_background_and_opaque_pixels() -> None:
         reference.lifted(thin, background), [[[alpha * 0.9 + (1 - alpha) * b for b in background] + [alpha]]]
     )
 
-
-def test_lift_keeps_infinite_colours() -> None:
     pixel = np.array([[[np.inf, 0.5, 0.5, 1.0]]], np.float32)  # a colour beyond 65504 on a target of half floats
     assert np.array_equal(reference.lifted(pixel, (0.1, 0.2, 0.3)), pixel)
 
@@ -129,33 +127,42 @@ def test_the_lowest_byte_is_minus_one_as_gltf_says(renderer_of: Make) -> None:
     assert renderer.stats.culled["hidden"] == 1
 
 
+@pytest.fixture(scope="module")
+def coned_ball() -> Splats:
+    """With a splat, the fourth, that cannot be drawn."""
+    scene = ball()
+    means = scene.means.copy()
+    means[3] = np.nan
+    return with_cones(replace(scene, means=means), QUICK)
+
+
 @pytest.mark.gl
-def test_half_a_ball_is_hidden_and_the_picture_stays(renderer_of: Make) -> None:
-    splats = with_cones(ball(), QUICK)
+def test_half_a_ball_is_hidden_and_the_picture_stays(renderer_of: Make, coned_ball: Splats) -> None:
+    splats = coned_ball
     whole, culled = renderer_of(splats), renderer_of(splats, cull_hidden=True)
-    for angle in (0.3, 1.4, 2.9, 4.1):
+    for angle in (0.3, 2.9):
         view = replace(camera(64), viewmat=look_at((3 * np.sin(angle), 0.7, 3 * np.cos(angle)), (0, 0, 0)))
         expected = whole.render([view])
-        assert (
-            Difference.of(culled.render([view]), expected).psnr > 36
-        )  # from 32 directions, the ball fills a fifth of the picture
+        # from 32 directions, the ball fills a fifth of the picture
+        assert Difference.of(culled.render([view]), expected).psnr > 36
         assert 0.38 < culled.stats.culled["hidden"] / len(splats) < 0.6
-    inside = splats.take(np.arange(len(splats)) >= 4000)
-    assert hidden(inside, [np.array([0, 0, 3.0])]).mean() > 0.9
+    inside = splats.take(np.arange(len(splats)) >= 1000)
+    assert hidden(inside, [np.array([0, 0, 3.0])]).mean() > 0.8
     turned = Splats.create(
         splats.means, splats.quats * -1, splats.scales, splats.opacities, splats.sh, cones=splats.cones
     )  # -q is the same rotation
     assert np.array_equal(hidden(turned, [np.array([0, 0, 3.0])]), hidden(splats, [np.array([0, 0, 3.0])]))
 
 
+@pytest.mark.check
 def test_a_wanted_psnr_is_kept_by_hiding_less() -> None:
     eye = [np.array([0.5, 0.4, 4.0])]
-    shares = [hidden(with_cones(ball(600), replace(QUICK, psnr=psnr)), eye).mean() for psnr in (25, 38, 160)]
+    shares = [hidden(with_cones(ball(), replace(QUICK, psnr=psnr)), eye).mean() for psnr in (25, 38, 160)]
     assert shares[0] > shares[1] > 0.1
     assert shares[2] == 0  # more than the lift itself lets through: everything is kept
 
 
-def missing_at_worst(scene: Splats | Avatar, renderer_of: Make, views: int = 24) -> float:
+def missing_at_worst(scene: Splats | Avatar, renderer_of: Make, views: int = 12) -> float:
     """dB of the worst picture without what the cones hide, drawn by the renderer, from directions of its own."""
     pictures = [renderer_of(scene, size=(44, 44), cull_hidden=culled) for culled in (True, False)]
     found = []
@@ -167,6 +174,7 @@ def missing_at_worst(scene: Splats | Avatar, renderer_of: Make, views: int = 24)
     return min(found)
 
 
+@pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.parametrize("antialias", [False, True])
 def test_what_cones_keep_is_what_the_renderer_keeps(renderer_of: Make, antialias: bool) -> None:
@@ -176,10 +184,11 @@ def test_what_cones_keep_is_what_the_renderer_keeps(renderer_of: Make, antialias
     assert missing_at_worst(splats, renderer_of) > splats.cones_psnr - 3  # the worst of other pictures
 
 
+@pytest.mark.check
 def test_cones_that_are_too_narrow_are_widened(monkeypatch: pytest.MonkeyPatch) -> None:
     cut = cones._cut
     monkeypatch.setattr(cones, "_cut", lambda *args: np.minimum(cut(*args) + 0.12, 1.0))
-    left, mended = (with_cones(ball(), replace(QUICK, psnr=40, tests=6, rounds=rounds)) for rounds in (0, 5))
+    left, mended = (with_cones(ball(), replace(QUICK, rounds=rounds)) for rounds in (0, 4))
     assert left.cones_psnr is not None and mended.cones_psnr is not None
     assert left.cones_psnr < 36 and mended.cones_psnr > left.cones_psnr + 2
 
@@ -194,11 +203,8 @@ def test_what_a_broken_bake_loses_is_said(renderer_of: Make, monkeypatch: pytest
     assert abs(missing_at_worst(broken, renderer_of) - broken.cones_psnr) < 4
 
 
-def test_splats_that_cannot_be_drawn_have_no_cone() -> None:
-    scene = ball(600)
-    means = scene.means.copy()
-    means[3] = np.nan
-    broken = with_cones(replace(scene, means=means), QUICK)
+def test_splats_that_cannot_be_drawn_have_no_cone(coned_ball: Splats) -> None:
+    broken = coned_ball
     assert broken.cones is not None and broken.cones[3].tolist() == [0, 0, 0, -127]
     assert np.isfinite(broken.cones).all() and not hidden(broken, [np.array([0, 0, 3.0])])[3]
     with pytest.raises(GlsplatError, match="at least one finite splat"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import moderngl
 import numpy as np
 import pytest
 
@@ -76,13 +77,27 @@ def test_an_old_order_draws_nothing_outside_the_covered_box(renderer_of: Make) -
     assert not lazy.stats.sorted and lazy.stats.culled["hidden"] == 1
 
 
-@pytest.mark.parametrize("knob", [{"antialias": "yes"}, {"cull_hidden": 2}])
-def test_switches_are_checked(knob: dict[str, object]) -> None:
-    with pytest.raises(GlsplatError, match="needs one of"):
-        RenderConfig(**knob)  # type: ignore[arg-type]
+def test_knobs_are_checked() -> None:
+    for knob in ({"antialias": "yes"}, {"cull_hidden": 2}):
+        with pytest.raises(GlsplatError, match="needs one of"):
+            RenderConfig(**knob)
+    for period in (0, -1, 1001, 1.5):
+        with pytest.raises(GlsplatError, match="sort_period needs"):
+            RenderConfig(sort_period=period)
 
 
-@pytest.mark.parametrize("period", [0, -1, 1001, 1.5])
-def test_sort_period_is_checked(period: float) -> None:
-    with pytest.raises(GlsplatError, match="sort_period needs"):
-        RenderConfig(sort_period=period)  # type: ignore[arg-type]
+@pytest.mark.parametrize("software", [True, False])
+def test_orders_are_written_into_new_memory(
+    renderer_of: Make, context: Context, monkeypatch: pytest.MonkeyPatch, software: bool
+) -> None:
+    """On a GPU the order's memory is given up before it is written anew: the same pictures, whoever still reads."""
+    orphaned = []
+    real = moderngl.Buffer.orphan
+    monkeypatch.setattr(moderngl.Buffer, "orphan", lambda self, size=-1: orphaned.append(self) or real(self, size))
+    expected = [renderer_of(cloud(800), views=2).render(eyes(distance=d)) for d in (2.0, 3.0, 2.5)]
+    config = RenderConfig(output="float32", target="32f", shape="triangle", sorter="cpu")
+    gpu = replace(context, software=software)  # as if
+    with Renderer(cloud(800), size=(64, 64), views=2, config=config, context=gpu) as renderer:
+        for distance, wanted in zip((2.0, 3.0, 2.5), expected, strict=True):
+            assert np.array_equal(renderer.render(eyes(distance=distance)), wanted)
+    assert len(orphaned) == (0 if software else 3)

@@ -24,12 +24,9 @@ from tests.scenes import cloud, eyes, limb
 pytestmark = pytest.mark.gl
 
 SIZE = 40
-MAKES = ("buffer", "texture", "texture_array", "texture3d", "depth_texture", "renderbuffer", "depth_renderbuffer") + (
-    "framebuffer",
-    "vertex_array",
-    "query",
-    "sampler",
-)  # programs are kept by the renderer for the next scene
+# programs are kept by the renderer for the next scene
+MAKES = "buffer texture texture_array texture3d depth_texture renderbuffer depth_renderbuffer".split()
+MAKES += "framebuffer vertex_array query sampler".split()
 
 
 class Short:
@@ -101,6 +98,8 @@ SHOWN: dict[str, Callable[[], Splats | Avatar | Scene]] = {
     "scene": several,
 }
 CONFIGS = {"cones": RenderConfig(cull_hidden=True)}
+# the scene has everything that the others have
+EACH = [pytest.param(name, marks=() if name == "scene" else pytest.mark.check) for name in SHOWN]
 
 
 def made(context: Context, shown: str) -> Renderer:
@@ -108,7 +107,7 @@ def made(context: Context, shown: str) -> Renderer:
     return Renderer(SHOWN[shown](), size=(SIZE, SIZE), views=2, config=config, context=context)
 
 
-@pytest.mark.parametrize("shown", SHOWN)
+@pytest.mark.parametrize("shown", EACH)
 def test_a_renderer_that_is_not_made_leaves_nothing(driver: tuple[Context, Short], shown: str) -> None:
     context, short = driver
     times = 0
@@ -117,8 +116,8 @@ def test_a_renderer_that_is_not_made_leaves_nothing(driver: tuple[Context, Short
     assert times >= 3 and not short.left()
 
 
-@pytest.mark.parametrize("shown", SHOWN)
-@pytest.mark.parametrize("stands", ["splats", "scene"])
+@pytest.mark.parametrize("shown", EACH)
+@pytest.mark.parametrize("stands", ["splats", pytest.param("scene", marks=pytest.mark.check)])
 def test_load_that_fails_leaves_the_old_scene(driver: tuple[Context, Short], stands: str, shown: str) -> None:
     context, short = driver
     with made(context, stands) as renderer:
@@ -134,7 +133,7 @@ def test_load_that_fails_leaves_the_old_scene(driver: tuple[Context, Short], sta
 
 
 @pytest.mark.parametrize("depth", [False, True], ids=["colour", "depth"])
-@pytest.mark.parametrize("shown", SHOWN)
+@pytest.mark.parametrize("shown", EACH)
 def test_a_frame_that_fails_is_drawn_the_next_time(driver: tuple[Context, Short], shown: str, depth: bool) -> None:
     """First frames make pipelines, grounds and targets; each attempt begins with a renderer that has none."""
     context, short = driver
@@ -166,7 +165,7 @@ def test_a_frame_that_fails_is_drawn_the_next_time(driver: tuple[Context, Short]
     assert fails > 8
 
 
-@pytest.mark.parametrize("shown", ["splats", "avatar", "mesh"])
+@pytest.mark.parametrize("shown", [*EACH[:2], "mesh"])
 def test_an_item_that_does_not_fit_can_be_taken_out_again(driver: tuple[Context, Short], shown: str) -> None:
     context, short = driver
     scene = Scene([Item(limb(60)), Item(cloud(40))])

@@ -12,7 +12,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import CULL_PSNR, LEAN
 from glsplat.data import default_avatar
 from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import BAND, Selector
+from glsplat.detail.selector import BAND
 from glsplat.evaluate.metrics.pixels import psnr
 from glsplat.motion.loading import load_motion
 from glsplat.renderer import Renderer
@@ -63,6 +63,7 @@ def test_there_are_levels_and_a_price_of_what_is_hidden() -> None:
         assert one.splats.cones_psnr is not None and one.splats.cones_psnr >= CULL_PSNR
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("turn", [20.0, 200.0])
 def test_a_sweep_of_distance_shows_no_switch(renderer_of: Make, turn: float) -> None:
     avatar, pose = default_avatar(), standing()
@@ -70,7 +71,7 @@ def test_a_sweep_of_distance_shows_no_switch(renderer_of: Make, turn: float) -> 
     lean = renderer_of(avatar, size=(SIZE, SIZE), output="uint8", **knobs)
     exact = renderer_of(avatar, size=(SIZE, SIZE), output="uint8")
     seen = []
-    for distance in np.geomspace(0.5, 20, 24):
+    for distance in np.geomspace(0.5, 20, 12):
         view = [seen_from(float(distance), turn)]
         kept = difference(lean.render(view, pose), exact.render(view, pose))
         assert kept >= LEAST, distance
@@ -78,6 +79,7 @@ def test_a_sweep_of_distance_shows_no_switch(renderer_of: Make, turn: float) -> 
     assert seen == sorted(seen) and seen[0] == 0 and seen[-1] == len(avatar.levels)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("turn", [-35.0, 120.0])
 def test_at_each_limit_both_levels_look_the_same(renderer_of: Make, turn: float) -> None:
     avatar, pose = default_avatar(), standing()
@@ -85,17 +87,3 @@ def test_at_each_limit_both_levels_look_the_same(renderer_of: Make, turn: float)
     for k, level in enumerate(avatar.levels):
         view = [seen_from(limit_of(avatar, level.density, turn) / BAND, turn)]
         assert difference(renderers[k].render(view, pose), renderers[k + 1].render(view, pose)) >= LEAST, k
-
-
-def test_somebody_who_stands_still_never_sees_it_change(renderer_of: Make, rng: np.random.Generator) -> None:
-    """A millimetre of noise on the head, wherever it stands; each limit is crossed once on the way."""
-    avatar, pose = default_avatar(), standing()
-    renderer = renderer_of(avatar, size=(64, 64), output="uint8", level="auto")
-    for level in avatar.levels:
-        edge = limit_of(avatar, level.density * 8, 0.0)  # pictures of 64 pixels: as dense from an eighth of the way
-        for start in (edge / 1.001, edge, edge * 1.001):
-            seen, renderer.selector = set(), Selector()
-            for noise in rng.normal(0, 1e-3, 12):
-                renderer.render([seen_from(start + float(noise), 0.0, size=64)], pose)
-                seen.add(renderer.stats.levels)
-            assert len(seen) == 1

@@ -113,21 +113,6 @@ def test_an_item_is_posed_once_for_all_viewers(renderer_of: Make) -> None:
 
 
 @pytest.mark.gl
-def test_levels_side_by_side_draw_what_each_draws_alone(renderer_of: Make) -> None:
-    items = [Item(leveled()), Item(leveled(), transform=similarity((0, 0, -4)))]
-    renderer = renderer_of(Scene(items), level="auto")
-    for distance in (2.0, 12.0, -6.0, 4.02, 2.0):
-        view = [seen_from(distance)]
-        image = renderer.render(view)
-        contents = [item.content for item in items]
-        shown = [
-            Item(content if level == 0 else content.levels[level - 1].content, transform=item.transform)  # type: ignore[union-attr]
-            for item, content, level in zip(items, contents, renderer.stats.levels, strict=True)
-        ]
-        assert np.array_equal(image, renderer_of(Scene(shown)).render(view))
-
-
-@pytest.mark.gl
 def test_who_comes_does_not_make_the_others_flicker(renderer_of: Make) -> None:
     """Between two levels the one it had counts, also when another item has come meanwhile."""
     scene = Scene([Item(leveled())])

@@ -14,9 +14,8 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import BAND, Selector, chosen
+from glsplat.detail.selector import BAND, chosen
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.gl.context import Context
 from glsplat.passes import gpu_scene
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
@@ -146,34 +145,6 @@ def test_levels_can_be_asked_for(renderer_of: Make) -> None:
 
 
 @pytest.mark.gl
-def test_viewers_do_not_undo_each_others_levels(renderer_of: Make, context: Context) -> None:
-    """One near, one far, one between two levels, in any order: each keeps its own, and nothing is made again."""
-    renderer = renderer_of(leveled(), level="auto")
-    places = {"near": 2.0, "far": 12.0, "between": 4.02}
-    first: dict[str, tuple[int, ...]] = {}
-    selectors = {name: Selector() for name in places}
-    for name in ("near", "between", "far"):
-        renderer.selector = selectors[name]
-        renderer.render([seen_from(places[name])])
-        first[name] = renderer.stats.levels
-    assert renderer._staged is not None
-    made = renderer._staged.arenas
-    for name in np.random.default_rng(3).choice(list(places), 60):
-        renderer.selector = selectors[name]
-        renderer.render([seen_from(places[name])])
-        assert renderer.stats.levels == first[name]
-    assert renderer._staged.arenas == made
-
-
-@pytest.mark.gl
-def test_what_is_no_selector_is_refused(renderer_of: Make) -> None:
-    renderer = renderer_of(leveled(), level="auto")
-    renderer.selector = ["left"]  # type: ignore[assignment]
-    with pytest.raises(GlsplatError, match="selector needs a Selector, not list"):
-        renderer.render([seen_from(2.0)])
-
-
-@pytest.mark.gl
 def test_what_nobody_sees_keeps_its_level(renderer_of: Make) -> None:
     renderer = renderer_of(leveled(), level="auto")
     away = Camera(look_at((0, 0, 2), (0, 0, 9)), pinhole(64, 64), 64, 64)
@@ -264,11 +235,9 @@ def test_levels_that_are_none_are_refused(change: dict[str, Any], message: str) 
 
 def test_levels_of_another_kind_are_refused() -> None:
     avatar = limb(100)
-    other = limb(50, joints=3)
-    with pytest.raises(FormatError, match="another skeleton"):
-        replace(avatar, levels=(Level(other, 10.0),))
-    with pytest.raises(FormatError, match="holds the same, not Splats"):
-        replace(avatar, levels=(Level(cloud(50), 10.0),))
+    for other, message in ((limb(50, joints=3), "another skeleton"), (cloud(50), "holds the same, not Splats")):
+        with pytest.raises(FormatError, match=message):
+            replace(avatar, levels=(Level(other, 10.0),))
     with pytest.raises(FormatError, match="belong to the avatar"):
         replace(avatar, splats=replace(avatar.splats, levels=(Level(cloud(50), 10.0),)))
     inner = replace(cloud(50), levels=(Level(cloud(10), 5.0),))
@@ -299,27 +268,27 @@ def _shift(metres: float) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("value", [-1, 17, 1.5, True, None, "finest"])
-def test_config_refuses_what_is_no_level(value: Any) -> None:
-    with pytest.raises(GlsplatError, match="level"):
-        RenderConfig(level=value)
-
-
-@pytest.mark.parametrize("value", [9, -9, np.nan, "1"])
-def test_config_refuses_what_is_no_bias(value: Any) -> None:
-    with pytest.raises(GlsplatError, match="lod_bias"):
-        RenderConfig(lod_bias=value)
+def test_config_refuses_what_is_no_level_and_no_bias() -> None:
+    for level in (-1, 17, 1.5, True, None, "finest"):
+        with pytest.raises(GlsplatError, match="level"):
+            RenderConfig(level=level)
+    for bias in (9, -9, np.nan, "1"):
+        with pytest.raises(GlsplatError, match="lod_bias"):
+            RenderConfig(lod_bias=bias)
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("value", [1e5, -1e5, np.nan, "1"])
-def test_a_selector_refuses_what_is_no_bias(renderer_of: Make, value: Any) -> None:
+def test_a_selector_refuses_what_is_no_bias(renderer_of: Make) -> None:
     renderer = renderer_of(leveled(), level="auto")
-    with pytest.raises(GlsplatError, match="bias needs"):
-        renderer.selector.bias = value
+    for value in (1e5, -1e5, np.nan, "1"):
+        with pytest.raises(GlsplatError, match="bias needs"):
+            renderer.selector.bias = value
     renderer.selector.bias = -8
     renderer.render([seen_from(5.0)])
     assert renderer.stats.levels == (2,)
+    renderer.selector = ["left"]
+    with pytest.raises(GlsplatError, match="selector needs a Selector, not list"):
+        renderer.render([seen_from(2.0)])
 
 
 @pytest.mark.gl

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import subprocess
 import sys
@@ -131,26 +130,6 @@ def test_real_meshes_in_a_scene(shared_data: Path, renderer_of, path: str, joint
     least = 0.02 if path.endswith("fox.glb") else 0.08  # twice as long as it is high, and seen from the front
     assert least < (alone[..., 3] > 0.5).mean() < 0.9 and alone[..., :3].max() > 0.1  # all of it, and no speck
     assert renderer_of(scene).render([view])[0].shape == (64, 64, 4)
-
-
-@pytest.mark.shared
-def test_a_real_model_whose_skin_is_dropped_stands(shared_data: Path, tmp_path: Path) -> None:
-    """A rigged file without its skins is a standing mesh with the same triangles, where its nodes put them."""
-    data = (shared_data / "real/models/cesium_man.glb").read_bytes()
-    size = int.from_bytes(data[12:16], "little")
-    gltf = json.loads(data[20 : 20 + size])
-    for node in gltf["nodes"]:
-        node.pop("skin", None)
-    text = json.dumps(gltf).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + size :]
-    head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text) + len(rest)).to_bytes(4, "little")
-    (tmp_path / "man.glb").write_bytes(head + len(text).to_bytes(4, "little") + b"JSON" + text + rest)
-    mesh, rigged = load(tmp_path / "man.glb"), load(shared_data / "real/models/cesium_man.glb")
-    assert isinstance(mesh, RiggedMesh) and isinstance(rigged, RiggedMesh)
-    assert len(mesh.skeleton) == 1 and len(mesh.faces) == len(rigged.faces)
-    expected = trimesh.load(tmp_path / "man.glb", force="scene").to_geometry()
-    assert np.allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], expected.bounds, atol=1e-5)
 
 
 def test_a_scene_of_one(tmp_path: Path) -> None:

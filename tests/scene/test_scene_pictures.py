@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from glsplat.camera import Camera, stereo_cameras
 from glsplat.config import RenderConfig
-from glsplat.data import default_avatar
-from glsplat.formats import load
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from tests.compare import Difference, assert_contract
 from tests.scene.worlds import random_pose, reference_of, upright, wall
 from tests.scenes import camera, cloud, eyes, limb
-from tests.skinning.avatars import part
 
 pytestmark = pytest.mark.gl
 
@@ -122,17 +118,6 @@ def test_depth_does_not_change_the_picture(renderer_of: Make) -> None:
         assert np.array_equal(alone, beside) and depth.shape == beside.shape[:3]
 
 
-def test_a_pair_equals_its_single_renders(renderer_of: Make) -> None:
-    scene = mixed_scene()
-    scene.add(Item(upright(0.1, 0.6, (30, 200, 90))))
-    renderer = renderer_of(scene, views=2)
-    cameras = list(eyes())
-    together, depths = renderer.render(cameras, depth=True)
-    for index, view in enumerate(cameras):
-        alone, depth = renderer.render([view], depth=True)
-        assert np.array_equal(alone[0], together[index]) and np.allclose(depth[0], depths[index], atol=1e-6)
-
-
 @pytest.mark.parametrize("far", [0.0, 5e4])
 def test_far_from_the_origin(renderer_of: Make, far: float) -> None:
     """The same scene 50 km away: float64 on the host keeps it exact."""
@@ -164,27 +149,3 @@ def test_a_scene_of_one_is_that_thing_bit_for_bit(renderer_of: Make, thing: obje
     alone = renderer_of(thing, views=2).render(eyes())
     assert np.array_equal(renderer_of(Scene([Item(thing)]), views=2).render(eyes()), alone)  # type: ignore[arg-type]
     assert np.array_equal(renderer_of(Item(thing), views=2).render(eyes()), alone)  # type: ignore[arg-type]
-
-
-@pytest.mark.shared
-def test_two_people_embrace_in_a_garden(renderer_of: Make, shared_data: Path) -> None:
-    """Two parts of the default person arm in arm inside a captured plant, which nothing here was made for."""
-    rng = np.random.default_rng(11)
-    person = default_avatar()
-    some = part(person, np.sort(rng.choice(len(person.splats), 700, replace=False)))
-    plant = load(shared_data / "splats" / "plant.ply")
-    plant = plant.take(np.sort(rng.choice(len(plant), 700, replace=False)))  # type: ignore[union-attr]
-    scene = Scene(
-        [
-            Item(some, pose=random_pose(55, 5)),
-            Item(some, pose=random_pose(55, 6), transform=similarity((0.15, 0, 0.1), (0, 0.7, 0, 0.7))),
-            Item(plant, transform=similarity((0.1, 0.9, 0), (0.1, 0.2, 0.1, 0.9), 0.4)),
-        ]
-    )
-    head = np.eye(4)
-    head[:3, 3] = (0.1, 1.0, 2.0)
-    cameras = list(stereo_cameras(head, size=(96, 96)))
-    expected, _ = reference_of(scene, cameras)
-    image = renderer_of(scene, (96, 96), 2).render(cameras)
-    assert (expected[..., 3] > 0.2).mean() > 0.01
-    assert_contract(image, expected)

@@ -13,10 +13,9 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.scene import Item, Scene
+from glsplat.scene import Scene
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.splats import Splats
 
 STANDING = Skeleton.from_joints(("root",), [-1], [[0.0, 0, 0]])
 
@@ -73,7 +72,3 @@ def ground_of(scene: Scene, camera: Camera) -> reference.MeshLayer:
 def random_pose(joints: int, seed: int, size: float = 0.3) -> Pose:
     rng = np.random.default_rng(seed)
     return Pose(rng.normal(0, size, (joints, 3)), rng.normal(0, 0.05, 3))
-
-
-def at(item: Splats | Avatar | RiggedMesh, transform: NDArray[np.float64], pose: Pose | None = None) -> Item:
-    return Item(item, transform=transform, pose=pose)

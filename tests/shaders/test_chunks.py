@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -18,14 +16,9 @@ from glsplat.shaders import Variant
 from glsplat.shaders.variant import COLOUR_TEXELS
 from glsplat.splats import Splats
 from tests.glsl import run_chunk
+from tests.skinning.avatars import turn
 
 pytestmark = pytest.mark.gl
-
-
-@pytest.fixture
-def gl(context: Context) -> Iterator[Context]:
-    with context.ctx:
-        yield context
 
 
 def unit(values: np.ndarray) -> np.ndarray:
@@ -164,12 +157,6 @@ def blended(gl: Context, matrices: np.ndarray, strongest: np.ndarray, shift: flo
     return run_chunk(gl, ROTATION, inputs, {"q": 4})["q"].astype(np.float64)
 
 
-def turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle between rotations [N, 3, 3] in degrees."""
-    chord = np.linalg.norm(a - b, axis=(1, 2)) / np.sqrt(8)  # sin of half the angle: exact where it is small
-    return np.degrees(2 * np.arcsin(np.clip(chord, 0, 1)))
-
-
 def test_blended_rotation_is_the_reference(gl: Context, rng: np.random.Generator) -> None:
     bones = rotation_matrices(rng.normal(0, 1.2, (20000, 4, 3)))
     weights = -np.sort(-rng.dirichlet([1.0] * 4, 20000), axis=1)
@@ -220,9 +207,8 @@ def test_extent(gl: Context) -> None:
     camera = Camera(look_at((0, 0, 3), (0, 0, 0)), np.array([[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]), 64, 64)
     out = run_chunk(gl, text, {"a": alphas}, {"e": 1}, Variant(), frame_of(camera, RenderConfig(), gl))["e"][:, 0]
     expected = np.minimum(3.33, np.sqrt(2 * np.log(np.maximum(alphas.astype(np.float32) * np.float64(255), 1))))
-    assert (
-        np.abs(out - expected)[2:].max() < 1e-4 and np.abs(out - expected).max() < 2e-3
-    )  # log near 1 is steep under a root
+    assert np.abs(out - expected)[2:].max() < 1e-4
+    assert np.abs(out - expected).max() < 2e-3  # log near 1 is steep under a root
     edge = alphas[1:] * np.exp(-(out[1:].astype(np.float64) ** 2) / 2)
     assert np.abs(edge * 255 - 1).max() < 0.01  # the quad ends where alpha is 1/255
 

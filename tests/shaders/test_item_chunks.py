@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,12 +28,6 @@ pytestmark = pytest.mark.gl
 
 COUNT, JOINTS = 3000, 40
 POSED = {"posed_mean": 4, "posed_x": 4, "posed_y": 4, "posed_z": 4}
-
-
-@pytest.fixture
-def gl(context: Context) -> Iterator[Context]:
-    with context.ctx:
-        yield context
 
 
 def chunk_text(name: str) -> str:
@@ -325,19 +316,6 @@ def test_a_view_picks_its_part_of_a_record(
     }
     for name, values in expected.items():
         np.testing.assert_array_equal(out[name], values.astype(np.float32), name)
-
-
-def test_every_chunk_has_a_function_test() -> None:
-    """A chunk counts when a text of these files includes it, or includes one that does. radix.glsl: tests/passes."""
-    include = re.compile(r'#include "(\w+\.glsl)"')
-    folder = resources.files("glsplat.shaders")
-    chunks = {file.name for file in folder.iterdir() if file.name.count(".") == 1 and file.name.endswith(".glsl")}
-    texts = [path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("test_*chunks.py")]
-    tested, new = set(), {name for text in texts for name in include.findall(text)}
-    while new:
-        tested |= new
-        new = {name for chunk in new for name in include.findall(chunk_text(chunk))} - tested
-    assert chunks - tested == {"radix.glsl"} and len(chunks) > 10
 
 
 def test_step(gl: Context, rng: np.random.Generator) -> None:

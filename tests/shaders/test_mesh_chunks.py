@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -18,12 +17,6 @@ from glsplat.shaders import MeshVariant, Variant
 from tests.glsl import run_chunk
 
 pytestmark = pytest.mark.gl
-
-
-@pytest.fixture
-def gl(context: Context) -> Iterator[Context]:
-    with context.ctx:
-        yield context
 
 
 @pytest.mark.parametrize("lowest", [0.0, 0.125, 0.5])

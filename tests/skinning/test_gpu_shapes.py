@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,12 +10,15 @@ import pytest
 
 from glsplat import reference
 from glsplat.config import RenderConfig
+from glsplat.errors import ContextError
+from glsplat.gl.context import Context
+from glsplat.passes.item import shape_buffers
 from glsplat.renderer import Renderer
-from glsplat.shaders import SkinVariant, flatten
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level
 from tests.compare import assert_contract
-from tests.scenes import camera
+from tests.scenes import camera, limb
 from tests.skinning.avatars import VIEW, covariances
 from tests.skinning.faces import NAMES, expressive
 
@@ -73,40 +75,6 @@ def test_no_weight_is_the_same_bytes(renderer_of: Make, weights: dict[str, float
     assert np.array_equal(renderer.render([view], turned(FACE)), moved)
 
 
-def test_a_weight_above_the_limit_is_the_limit(renderer_of: Make) -> None:
-    avatar, view = expressive(), camera(96, 2.5)
-    renderer = renderer_of(avatar, (96, 96))
-    full = renderer.render([view], turned({"jawOpen": 1.0})).copy()
-    assert np.array_equal(renderer.render([view], turned({"jawOpen": 2.0})), full)
-
-
-def resolved(text: str, flag: str, value: bool) -> list[str]:
-    """The lines that a preprocessor leaves of ``#if FLAG`` ... ``#else`` ... ``#endif``."""
-    out: list[str] = []
-    stack: list[tuple[bool, bool]] = []  # is ours, is taken
-    for line in text.splitlines():
-        if re.match(r"#if\b", line):
-            stack.append((line.split()[1] == flag, value))
-        elif re.match(r"#else\b", line) and stack[-1][0]:
-            stack[-1] = (True, not stack[-1][1])
-            continue
-        mine = bool(stack) and stack[-1][0]
-        ours = re.match(r"#(if|endif)\b", line) and mine
-        if not ours and all(taken for known, taken in stack if known):
-            out.append(line)
-        if re.match(r"#endif\b", line):
-            stack.pop()
-    return out
-
-
-def test_the_shader_of_a_still_face_has_nothing_of_it() -> None:
-    plain = resolved(flatten("skin.vert.glsl", SkinVariant().defines()).text, "SHAPED", False)
-    shaped = resolved(flatten("skin.vert.glsl", SkinVariant(shaped=1).defines()).text, "SHAPED", True)
-    assert not any(word in line for line in plain for word in ("entries", "amounts", "expressed", "range"))
-    assert any("texelFetch(entries" in line for line in shaped) and len(shaped) > len(plain) + 30
-    assert "    mat3 rest = shape_matrix(quat, scale);" in plain
-
-
 def test_a_still_face_compiles_and_binds_nothing(renderer_of: Make) -> None:
     renderer = renderer_of(expressive(), (32, 32))
     renderer.render([camera(32)], turned())
@@ -150,3 +118,15 @@ def test_levels_move_with_the_face_or_keep_still(renderer_of: Make) -> None:
         alone = renderer_of(content, (64, 64))
         for face in (FACE, None):
             assert np.array_equal(renderer.render([view], turned(face)).copy(), alone.render([view], turned(face)))
+
+
+def test_more_entries_than_a_texture_holds(
+    renderer_of: Make, context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shape_buffers, "_ROW", 1)
+    count = context.ctx.info["GL_MAX_TEXTURE_SIZE"] + 1
+    shapes = Shapes.create(
+        ["grin"], count, splats=np.arange(count), targets=np.zeros(count, int), moves=np.ones((count, 3))
+    )
+    with pytest.raises(ContextError, match=f"{count} entries of shapes, but this driver's textures hold {count - 1}"):
+        renderer_of(replace(limb(count), shapes=shapes), (1, 1))

@@ -13,7 +13,6 @@ from glsplat.study.design import read_study
 from glsplat.study.plan import checked_plan
 from glsplat.study.serving.lead import StudyLead
 from glsplat.study.serving.live import Live
-from glsplat.study.store import Store
 from tests.browser.markers import as_tracked
 from tests.browser.stored import Picture, StoredPairs
 
@@ -22,7 +21,7 @@ def main(study_path: str, data: str, participant: str, port: str) -> None:
     """Serve until a signal; prints the port and the secrets as a line of JSON."""
     study = read_study(study_path)
     plan = checked_plan(Path(data), study)
-    live = Live(study, plan, int(participant), Store(Path(data), int(participant)))
+    live = Live(study, plan, int(participant), Path(data))
     lead = StudyLead(live, {one.name: "default" for one in study.conditions})
     offered = (AvatarInfo(name="default", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
     backend = StoredPairs(paint=lambda images, job: _mark(images) if "head" in job.options.hide else None)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.study import plan as plan_module
 from glsplat.study.design import read_study
 from glsplat.study.orders import carryover, cycle, groups_of, orders_of, positions, williams
 from glsplat.study.plan import PLAN, checked_plan, label, make_plan, read_plan, write_plan
@@ -108,6 +109,18 @@ def test_a_plan_stays(tmp_path: Path) -> None:
     assert read_plan(tmp_path / "data") == plan == checked_plan(tmp_path / "data", study)
     people = json.loads(before)["participants"]
     assert list(people) == [label(n) for n in range(1, 7)]
+
+
+def test_no_plan_is_written_that_would_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, plan = planned(tmp_path)
+    size = write_plan(tmp_path / "data", plan).stat().st_size
+    monkeypatch.setattr(plan_module, "_LARGEST", size - 1)
+    with pytest.raises(FormatError, match="a plan has at most"):
+        write_plan(tmp_path / "other", plan)
+    assert not (tmp_path / "other").exists()
+    monkeypatch.setattr(plan_module, "_LARGEST", size)
+    write_plan(tmp_path / "other", plan)
+    assert read_plan(tmp_path / "other") == plan
 
 
 def test_a_changed_design_is_refused(tmp_path: Path) -> None:

@@ -7,13 +7,14 @@ import json
 import os
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
 from glsplat.errors import FormatError
 from glsplat.study.session import Event
-from glsplat.study.store import SESSION, Store, folders, read_log, remove
+from glsplat.study.store import MAX_LINE_BYTES, SESSION, Log, Store, folders, remove
 
 EVENTS = [Event(float(n), f"{n:03d}-x", "answer", {"item": "é", "value": n / 3, "seconds": 1.5}) for n in range(20)]
 
@@ -28,7 +29,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_what_is_written_is_read(path: Path, tmp_path: Path) -> None:
-    assert read_log(path).events == tuple(EVENTS)
+    assert list(Log(path)) == EVENTS
     lines = [json.loads(line) for line in path.read_text().splitlines()]
     assert [line["n"] for line in lines] == list(range(20))
     assert set(lines[0]) == {"n", "t", "step", "kind", "values", "sum"}
@@ -36,7 +37,7 @@ def test_what_is_written_is_read(path: Path, tmp_path: Path) -> None:
     store = Store(tmp_path, 7)
     store.append([Event(99.0, "y", "note", {"text": "more"})])
     store.close()
-    assert read_log(path).events[-1].t == 99 and folders(tmp_path) == {7: path.parent}
+    assert list(Log(path))[-1].t == 99 and folders(tmp_path) == {7: path.parent}
 
 
 def test_every_cut_is_survived(path: Path, tmp_path: Path) -> None:
@@ -46,22 +47,25 @@ def test_every_cut_is_survived(path: Path, tmp_path: Path) -> None:
     for cut in [*range(0, len(whole), 37), *ends, *(end - 1 for end in ends), len(whole)]:
         path.write_bytes(whole[:cut])
         complete = sum(end <= cut for end in ends)
-        log = read_log(path)
-        assert len(log.events) == complete and log.torn == cut - ([0, *ends][complete])
+        log = Log(path)
+        assert list(log) == EVENTS[:complete] and log.torn == cut - ([0, *ends][complete])
     path.write_bytes(whole[: ends[3] + 20])
-    store = Store(tmp_path, 7)
-    assert len(store.events) == 4 and store.torn == 20
+    replayed: list[Event] = []
+    store = Store(tmp_path, 7, replayed.append)
+    assert replayed == EVENTS[:4] and store.torn == 20 and path.stat().st_size == ends[3]
     store.append([Event(50.0, "y", "note", {})])
     store.close()
-    assert [event.t for event in read_log(path).events] == [0, 1, 2, 3, 50]
+    assert [event.t for event in Log(path)] == [0, 1, 2, 3, 50]
 
 
-@pytest.mark.parametrize("tail", [b"\0" * 100, b"\0" * 100 + b"\n", b'{"n":', b"\xff\xfe\n", b"\n\n"])
+@pytest.mark.parametrize(
+    "tail", [b"\0" * 100, b"\0" * 100 + b"\n", b'{"n":', b"\xff\xfe\n", b"\n\n", b"[" * 200_000 + b"\n"]
+)
 def test_rubbish_at_the_end_is_torn(path: Path, tail: bytes) -> None:
     with open(path, "ab") as file:
         file.write(tail)
-    log = read_log(path)
-    assert log.events == tuple(EVENTS) and log.torn == len(tail)
+    log = Log(path)
+    assert list(log) == EVENTS and log.torn == len(tail)
 
 
 def edited(lines: list[bytes]) -> dict[str, list[bytes]]:
@@ -83,8 +87,8 @@ def edited(lines: list[bytes]) -> dict[str, list[bytes]]:
 @pytest.mark.parametrize("how", edited([b""] * 20))
 def test_an_edited_log_is_refused(path: Path, tmp_path: Path, how: str) -> None:
     path.write_bytes(b"".join(edited(path.read_bytes().splitlines(keepends=True))[how]))
-    with pytest.raises(FormatError, match=r"session.jsonl, line \d+: it does not follow"):
-        read_log(path)
+    with pytest.raises(FormatError, match=r"session.jsonl: line \d+: it does not follow"):
+        list(Log(path))
     before = path.read_bytes()
     with pytest.raises(FormatError):
         Store(tmp_path, 7)
@@ -110,7 +114,136 @@ def test_a_full_disk_takes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (store.folder / SESSION).read_bytes() == before
     store.append(EVENTS[2:3])
     store.close()
-    assert read_log(store.folder / SESSION).events == tuple(EVENTS[:3])
+    assert list(Log(store.folder / SESSION)) == EVENTS[:3]
+
+
+def test_a_disk_that_fills_at_every_byte(tmp_path: Path) -> None:
+    """A limit of the system's at each byte of two lines: what was acknowledged is there, and nothing else."""
+    code = f"""
+import resource
+from pathlib import Path
+from glsplat.errors import FormatError
+from glsplat.study.session import Event
+from glsplat.study.store import SESSION, Log, Store
+
+events = [Event(float(n), "x", "answer", {{"item": "words", "value": "é" * n}}) for n in range(3)]
+store = Store(Path({str(tmp_path)!r}), 3)
+store.append(events[:1])
+path, size = store.folder / SESSION, store.size
+store.append(events[1:])
+length, kept = store.size - size, events[:]
+for more in range(1, length):
+    size = store.size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + more, resource.RLIM_INFINITY))
+    try:
+        store.append(events[1:])
+    except FormatError as error:
+        assert "File too large" in str(error), error
+    else:
+        raise AssertionError(more)
+    assert path.stat().st_size == size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    store.append(events[:1])
+    kept += events[:1]
+store.close()
+assert list(Log(path)) == kept and len(kept) > 200
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_cannot_be_cut_off_is_not_written_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that fails in the middle of an append, and again where that is undone."""
+    store = Store(tmp_path, 1)
+    store.append(EVENTS[:2])
+    write, cut = os.write, os.ftruncate
+
+    def failing(file: int, data: bytes) -> int:
+        if len(data) > 100:
+            return write(file, bytes(data)[: len(data) - 50])
+        raise OSError(errno.EIO, "Input/output error")
+
+    def refused(file: int, size: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(os, "write", failing)
+    monkeypatch.setattr(os, "ftruncate", refused)
+    with pytest.raises(FormatError, match="Input/output"):
+        store.append(EVENTS[2:9])
+    monkeypatch.setattr(os, "write", write)
+    with pytest.raises(FormatError, match="Input/output"):
+        store.append(EVENTS[2:3])
+    monkeypatch.setattr(os, "ftruncate", cut)
+    store.append(EVENTS[2:3])
+    store.close()
+    assert list(Log(store.folder / SESSION)) == EVENTS[:3]
+
+
+def test_a_line_that_would_not_be_read_is_not_written(tmp_path: Path) -> None:
+    store = Store(tmp_path, 1)
+    most = Event(0.0, "x", "note", {"text": "x" * (MAX_LINE_BYTES - 200)})
+    store.append([most])
+    with pytest.raises(FormatError, match="a line has at most"):
+        store.append([Event(0.0, "x", "note", {"text": "x" * MAX_LINE_BYTES})])
+    store.append(EVENTS[:1])
+    store.close()
+    assert list(Log(store.folder / SESSION)) == [most, EVENTS[0]]
+
+
+def test_a_log_is_read_in_constant_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """10 MB of answers, and as many bytes torn behind them."""
+    monkeypatch.setattr(os, "fsync", lambda file: None)
+    store = Store(tmp_path, 1)
+    words = Event(1.0, "x", "answer", {"item": "words", "value": "\U00010000" * 4000})  # 48 kB of JSON
+    while store.size < 10 << 20:
+        store.append([words] * 20)
+    store.close()
+    path, count = store.folder / SESSION, store.size // 48_000
+    with open(path, "ab") as file:
+        for _ in range(10):
+            file.write(b"\0" * (1 << 20))
+    tracemalloc.start()
+    seen = 0
+
+    def replay(event: Event) -> None:
+        nonlocal seen
+        seen += 1
+
+    store = Store(tmp_path, 1, replay)
+    store.append([words])
+    store.close()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert seen >= count - 1 and store.torn == 10 << 20
+    assert peak < 8 << 20  # a few lines and their parsing; a line has at most 1 MiB
+
+
+def test_a_reader_beside_the_writer(tmp_path: Path) -> None:
+    """Another process reads while lines are appended: always whole lines from the first, more and more of them."""
+    code = f"""
+from pathlib import Path
+from glsplat.study.session import Event
+from glsplat.study.store import Store
+store = Store(Path({str(tmp_path)!r}), 3)
+print("open", flush=True)
+for n in range(10**6):
+    store.append([Event(float(n), "x", "answer", {{"value": n}}), Event(float(n), "x", "begin", {{}})])
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=Path(__file__).parents[2])
+    assert process.stdout is not None
+    try:
+        process.stdout.readline()
+        before = 0
+        while before < 400:
+            found = [event.values["value"] for event in Log(tmp_path / "sub-003" / SESSION) if event.kind == "answer"]
+            assert found == list(range(len(found))) and len(found) >= before
+            before = len(found)
+        with pytest.raises(FormatError, match="another process holds it"):
+            Store(tmp_path, 3)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
 
 
 def test_a_disk_that_does_not_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,7 +258,7 @@ def test_a_disk_that_does_not_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.undo()
     store.append(EVENTS[:1])
     store.close()
-    assert read_log(store.folder / SESSION).events == tuple(EVENTS[:1])
+    assert list(Log(store.folder / SESSION)) == EVENTS[:1]
 
 
 def test_one_writer(tmp_path: Path) -> None:
@@ -159,9 +292,9 @@ for n in range(10**6):
     said += [int(line) for line in process.stdout.read().split() if line]
     process.wait()
     process.stdout.close()
-    log = read_log(tmp_path / "sub-003" / SESSION)
-    assert [event.values["value"] for event in log.events][: len(said)] == said
-    assert len(said) <= len(log.events) <= len(said) + 1
+    found = [event.values["value"] for event in Log(tmp_path / "sub-003" / SESSION)]
+    assert found[: len(said)] == said
+    assert len(said) <= len(found) <= len(said) + 1
 
 
 def test_deleted_whole(path: Path, tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def bounded(result: Run, body: Body, most: float) -> None:
     assert (speeds[:, list(FEET)] * still).max() < 0.1
 
 
-@pytest.mark.parametrize("rate", [30.0, 72.0, 90.0])
+@pytest.mark.parametrize("rate", [30.0, *(pytest.param(rate, marks=pytest.mark.check) for rate in (72.0, 90.0))])
 @pytest.mark.parametrize("seed", range(4))
 def test_strolls_with_stops_squats_and_turns(body: Body, track: Track, seed: int, rate: float) -> None:
     result = track(stroll(body, seed, rate))
@@ -91,7 +91,7 @@ def test_strolls_with_stops_squats_and_turns(body: Body, track: Track, seed: int
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0, 4.0])
-@pytest.mark.parametrize("rate", [30.0, 72.0])
+@pytest.mark.parametrize("rate", [30.0, pytest.param(72.0, marks=pytest.mark.check)])
 def test_recordings_that_begin_in_mid_stride(body: Body, track: Track, speed: float, rate: float) -> None:
     for seed in range(3):
         bounded(track(stroll(body, 10 + seed, rate, begin=speed)), body, 24.0)
@@ -127,16 +127,19 @@ def test_rough_noise(body: Body, track: Track, seed: int) -> None:
     bounded(track(stroll(body, 30 + seed, 72.0, noise=0.02)), body, 40.0)
 
 
-@pytest.mark.parametrize("rate", [30.0, 72.0, 90.0])
+@pytest.mark.parametrize("rate", [30.0, 90.0])
 def test_heads_that_are_nowhere_twice(body: Body, track: Track, rate: float) -> None:
-    for seed in range(3):
-        bounded(track(nowhere(seed, rate)), body, 60.0)
+    """The limit of a joint's speed holds through the joint limits, too."""
+    for seed in range(2):
+        result = track(nowhere(seed, rate))
+        bounded(result, body, 60.0)
+        assert 10 < result.rates()[:, 1:].max() < 1.02 * TrackerConfig().joint_speed
 
 
 def test_walking_that_begins_in_mid_step_goes_on_with_the_step(stage: Stage, track: Track) -> None:
     """A sway becomes a walk while a foot is in the air, at every moment of its swing."""
     x, y, z = stage.eye
-    for late in np.linspace(0.3, 0.9, 7):
+    for late in np.linspace(0.3, 0.9, 4):
         samples = []
         for i in range(180):
             t = i / 72

@@ -98,16 +98,12 @@ def test_a_real_jump_leaves_the_floor_and_lands(stage: Stage, track: Track) -> N
 
 def test_head_on_the_floor(stage: Stage, track: Track) -> None:
     x, y, z = stage.eye
-    samples = [stage.sample(t, head=(x, max(0.05, y - 1.2 * t), z), left=None, right=None) for t in seconds(3)]
-    result = track(samples)
-    assert settled(result)
-    assert result.joints[-1, :22, 1].min() > -0.05  # nothing sinks into the floor
-    assert result.joints[-1, 0, 1] > 0.15  # the pelvis neither
-
-
-def test_head_below_the_floor_counts_as_on_it(stage: Stage, track: Track) -> None:
-    result = track([stage.sample(t, head=(0.0, -1.0, 0.1)) for t in seconds(1)])
-    assert result.joints[-1, :22, 1].min() > -0.1
+    for lowest in (0.05, -1.0):  # below the floor counts as on it
+        samples = [stage.sample(t, head=(x, max(lowest, y - 1.2 * t), z), left=None, right=None) for t in seconds(3)]
+        result = track(samples)
+        assert settled(result)
+        assert result.joints[-1, :22, 1].min() > -0.05  # nothing sinks into the floor
+        assert result.joints[-1, 0, 1] > 0.15  # the pelvis neither
 
 
 @pytest.mark.parametrize("pitch", [-math.pi / 2, math.pi / 2])
@@ -129,11 +125,6 @@ def test_upside_down_keeps_the_last_heading(stage: Stage, track: Track) -> None:
     across = result.joints[-1, 1] - result.joints[-1, 2]
     assert abs(math.degrees(math.atan2(-across[2], across[0]))) < 15
     assert "head_limit" in result.flags[-1] and settled(result)
-
-
-def test_rolled_by_half_a_turn_is_still(stage: Stage, track: Track) -> None:
-    result = track([stage.sample(t, turn=head_turn(0.0, 0.0, math.pi * min(1.0, t))) for t in seconds(4)])
-    assert settled(result)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -304,26 +295,23 @@ def test_noise_of_every_kind_at_once(stage: Stage, track: Track, rng: np.random.
     for _ in range(400):
         t += float(rng.choice([0.0, 1e-6, 0.002, DT, 0.05, 0.3, 10.0, -0.02]))
         values = rng.normal(0, 1, (5, 4))
-        samples.append(
-            stage.sample(
-                t,
-                head=tuple(values[0, :3]),
-                turn=tuple(values[1]),
-                left=None if rng.random() < 0.2 else tuple(values[2, :3]),
-                right=tuple(values[3, :3] * 3),
-                left_turn=tuple(values[4]),
-            )
-        )
+        left = None if rng.random() < 0.2 else tuple(values[2, :3])
+        hands = {"left": left, "right": tuple(values[3, :3] * 3), "left_turn": tuple(values[4])}
+        samples.append(stage.sample(t, head=tuple(values[0, :3]), turn=tuple(values[1]), **hands))
     track(samples)
 
 
-def test_the_same_samples_give_the_same_bytes(stage: Stage, track: Track, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("solver", ["analytic", "learned"])
+def test_the_same_samples_give_the_same_bytes(
+    stage: Stage, track: Track, rng: np.random.Generator, solver: str
+) -> None:
     samples = [stage.sample(t, left=tuple(rng.normal(0, 0.1, 3) + (0.2, 1.2, 0.3))) for t in seconds(1)]
-    one, two = track(samples), track(samples)
+    one, two = (track(samples, solver=solver) for _ in range(2))
     assert one.rotations.tobytes() == two.rotations.tobytes() and one.trans.tobytes() == two.trans.tobytes()
     again = one.tracker
     again.reset()
-    assert again.update(samples[0]).rotations[:22].tobytes() == one.rotations[0, :22].tobytes()
+    for sample, rotations in zip(samples[:20], one.rotations, strict=False):
+        assert again.update(sample).rotations[:22].tobytes() == rotations[:22].tobytes()
 
 
 def test_memory_does_not_grow(stage: Stage, track: Track) -> None:

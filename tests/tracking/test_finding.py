@@ -126,10 +126,8 @@ def test_an_explicit_calibration_wins_and_its_file_keeps_what_is_found(
 
 def test_a_size_is_found_in_a_recording_of_who_does_not_stand_still(skeleton: Skeleton, stage: Stage) -> None:
     eyes = POSTURE * 0.85 * stage.body.eye_height
-    walks = [
-        stage.sample(t, head=(0.8 * t, eyes + 0.02 * np.sin(12 * t), 0.1), left=None, right=None)
-        for t in seconds(4.0, 1 / RATE)
-    ]
+    places = [(t, (0.8 * t, eyes + 0.02 * np.sin(12 * t), 0.1)) for t in seconds(4.0, 1 / RATE)]
+    walks = [stage.sample(t, head=head, left=None, right=None) for t, head in places]
     with pytest.raises(PoseError, match="the head moved"):
         calibrate(walks, skeleton)
     assert found_size(walks, skeleton).scale == pytest.approx(0.85, rel=0.03)
@@ -167,12 +165,12 @@ def test_a_hand_raised_beside_a_still_head_moves_no_foot(
     assert np.ptp(feet, axis=0).max() < 0.01
 
 
+@pytest.mark.check
 @pytest.mark.shared
 def test_sizes_of_captured_people(shared_data: Path) -> None:
     """02 and 14 stand, 16 walks; none of them calibrates."""
-    clips = [
-        path for subject in ("02", "16", "14_0") for path in (shared_data / "mocap_cmu").glob(f"cmu_{subject}*.npz")
-    ]
+    folder = shared_data / "mocap_cmu"
+    clips = [path for subject in ("02", "16", "14_0") for path in folder.glob(f"cmu_{subject}*.npz")]
     results = found(persons(clips))
     sessions = [one for some in results.values() for one in some]
     assert len({one.subject for one in sessions}) == 3 and len(results) == 5

@@ -18,6 +18,7 @@ def posed(skeleton: Skeleton, rng: np.random.Generator, size: float = 1.0) -> tu
     """A standing body with bent fingers: flexion, a little spreading of the knuckles."""
     rotations = np.zeros((1, 55, 3))
     rotations[:, 16:18, 2] = (-1.2, 1.2)
+    rotations[:, 20:22] = (0.3, 0.4, 0.2)
     rest = skeleton.joints
     for joints in HANDS.values():
         knuckles = rest[joints].reshape(5, 3, 3)

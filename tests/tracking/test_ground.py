@@ -72,6 +72,7 @@ def test_a_new_user_begins_on_the_floor(stage: Stage, skeleton: Skeleton, solver
     assert "raised" not in tracker.flags and joints[list(FEET), 1].max() < stage.body.sole + 0.1
 
 
+@pytest.mark.check
 @pytest.mark.shared
 @EACH
 def test_captured_climbs(skeleton: Skeleton, shared_data: Path, solver: SolverName) -> None:

@@ -79,9 +79,9 @@ def test_what_is_no_face_to_meet_is_not_looked_at(face):
 
 
 def test_lids_close_fifteen_times_a_minute_and_fall_faster_than_they_rise():
-    closed = np.array([(one.expression or {}).get("eyeBlinkLeft", 0.0) for one in played(600)])
+    closed = np.array([(one.expression or {}).get("eyeBlinkLeft", 0.0) for one in played(300)])
     begins = np.flatnonzero((closed[1:] > 0) & (closed[:-1] == 0))
-    assert 12 <= len(begins) / 10 <= 18
+    assert 12 <= len(begins) / 5 <= 18
     assert np.diff(begins).min() / RATE > 0.5
     first = closed[begins[0] : begins[0] + RATE // 2]
     assert first.max() == 1
@@ -91,11 +91,8 @@ def test_lids_close_fifteen_times_a_minute_and_fall_faster_than_they_rise():
 def test_while_the_head_turns_the_eyes_stay_on_their_point():
     """At 30 degrees a second a gaze that is fixed to the head would move as fast; this one moves in leaps alone."""
     samples = played(20, yaw=lambda t: 30 * np.sin(t))
-    still = [
-        degrees_between(in_world(a), in_world(b)) * RATE
-        for a, b in pairwise(samples)
-        if degrees_between(in_world(a), in_world(b)) * RATE < 30
-    ]
+    speeds = [degrees_between(in_world(a), in_world(b)) * RATE for a, b in pairwise(samples)]
+    still = [speed for speed in speeds if speed < 30]
     assert len(still) > 0.8 * len(samples)
     assert np.median(still) < 1.0
 

@@ -35,15 +35,17 @@ def measured(skeleton: Skeleton, name: str, rate: float, solver: str, how: Distu
     return score(positions, truth.positions, rate, Body.of(skeleton).sole, rotations, truth.rotations)
 
 
-def test_head_and_reachable_hands_are_exact(stage: Stage, track: Track) -> None:
+@pytest.mark.parametrize("solver", ["learned", "analytic"])
+def test_head_and_reachable_hands_are_exact(stage: Stage, track: Track, solver: str) -> None:
     forward = {"left_turn": hand_turn("left", (0, -1.4, 0)), "right_turn": hand_turn("right", (0, 1.4, 0))}
     hands = {"left": (0.2, 0.72 * stage.body.eye_height, 0.4), "right": (-0.3, 0.9 * stage.body.eye_height, 0.3)}
     samples = [stage.sample(t, turn=head_turn(0.2, 0.2), **hands, **forward) for t in seconds(1.0)]
-    result = track(samples, solver="learned")
+    result = track(samples, solver=solver)
+    assert max(result.reach[-1]) < 2e-3
     np.testing.assert_allclose(result.joints[-1, WRISTS[0]], hands["left"], atol=2e-3)
     np.testing.assert_allclose(result.joints[-1, WRISTS[1]], hands["right"], atol=2e-3)
     eyes = result.joints[-1, 23:25].mean(0)
-    np.testing.assert_allclose(eyes, stage.eye, atol=1e-6)
+    np.testing.assert_allclose(eyes, stage.eye, atol=1e-6 if solver == "learned" else 2e-3)
 
 
 @pytest.mark.parametrize("name", ["walk", "wave-and-turn", "idle"])
@@ -53,12 +55,14 @@ def test_feet_stand_and_motion_is_no_rougher_than_it_should_be(skeleton: Skeleto
     assert result.jitter < max(2 * result.jitter_truth, 1.5)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("name", ["walk", "wave-and-turn"])
 def test_every_rate_gives_the_same_body(skeleton: Skeleton, name: str) -> None:
     found = [measured(skeleton, name, rate, "learned").mpjpe for rate in (30.0, 72.0, 90.0)]
     assert max(found) - min(found) < 0.5
 
 
+@pytest.mark.check
 @pytest.mark.shared
 def test_dances_of_somebody_it_has_not_learned_from(skeleton: Skeleton, shared_data: Path) -> None:
     """Of three, two come out better than analytically and one worse; feet and hands are right in all."""
@@ -76,29 +80,14 @@ def test_noise_at_rest_does_not_shake_the_body(skeleton: Skeleton) -> None:
     assert noisy.jitter < 2 * max(clean.jitter_truth, 1.0)
 
 
-def test_the_same_samples_give_the_same_bytes(skeleton: Skeleton) -> None:
-    motion = load_motion("wave-and-turn", skeleton)
-    truth = truth_from_motion(skeleton, motion.rotations[:90], motion.trans[:90], motion.fps, 72.0)
-    samples = derive(skeleton, truth)
-    one, two = Tracker(skeleton, solver="learned"), Tracker(skeleton, solver="learned")
-    first = [one.update(sample) for sample in samples]
-    one.reset()
-    for again in (one, two):
-        for sample, pose in zip(samples, first, strict=True):
-            other = again.update(sample)
-            np.testing.assert_array_equal(other.rotations, pose.rotations)
-            np.testing.assert_array_equal(other.trans, pose.trans)
-
-
 def test_hands_lost_and_found_head_only_and_teleports(stage: Stage, track: Track) -> None:
     samples = []
     for i, t in enumerate(seconds(6.0)):
         gone = 1.0 < t < 3.0
         far = 3.0 if t > 4.0 else 0.0
         head = (far + 0.05 * np.sin(t), stage.eye[1] - 0.1 * max(0.0, np.sin(t)), 0.13)
-        samples.append(
-            stage.sample(i * DT, head=head, left=None if gone or far else "rest", right=None if gone else "rest")
-        )
+        left, right = None if gone or far else "rest", None if gone else "rest"
+        samples.append(stage.sample(i * DT, head=head, left=left, right=right))
     result = track(samples, solver="learned")
     assert any("teleport" in flags for flags in result.flags)
 
@@ -108,13 +97,8 @@ def test_any_network_at_all_is_kept_in_bounds(skeleton: Skeleton, stage: Stage, 
     rng = np.random.default_rng(4)
     known = embedded_network()
     for size in (1.0, 100.0):
-        wild = PoseNetwork(
-            *[
-                rng.normal(0, size, getattr(known, n).shape).astype(np.float32)
-                for n in PoseNetwork.__slots__
-                if n != "note"
-            ]
-        )
+        shapes = [getattr(known, name).shape for name in PoseNetwork.__slots__ if name != "note"]
+        wild = PoseNetwork(*[rng.normal(0, size, shape).astype(np.float32) for shape in shapes])
         samples = [
             stage.sample(t, head=(np.sin(t), stage.eye[1] * (0.6 + 0.4 * np.cos(3 * t)), t), turn=head_turn(2 * t))
             for t in seconds(3.0)

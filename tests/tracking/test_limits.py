@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from glsplat.tracking.solve.body import ANKLES, ELBOWS, HIPS, KNEES, SHOULDERS, WRISTS
@@ -14,7 +14,6 @@ from glsplat.tracking.solve.quat import mul, rotate, to_quat
 D = math.pi / 180
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.integers(1, 21), st.tuples(*[st.floats(-3.1, 3.1) for _ in range(3)]))
 def test_clamping_lands_inside_and_stays(joint: int, vector: tuple[float, float, float]) -> None:
     inside = clamp_joint(joint, to_quat(vector))
@@ -23,7 +22,6 @@ def test_clamping_lands_inside_and_stays(joint: int, vector: tuple[float, float,
     assert abs(sum(a * b for a, b in zip(inside, again, strict=True))) > 1 - 1e-6
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 5), st.tuples(*[st.floats(-3.0, 3.0) for _ in range(3)]))
 def test_left_and_right_are_mirror_images(which: int, vector: tuple[float, float, float]) -> None:
     pair = (SHOULDERS, ELBOWS, WRISTS, HIPS, KNEES, ANKLES)[which]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
@@ -13,7 +13,6 @@ from glsplat.tracking.solve import quat
 vectors = st.tuples(*[st.floats(-3.0, 3.0) for _ in range(3)])
 
 
-@settings(max_examples=60, deadline=None)
 @given(vectors, vectors, vectors)
 def test_products_and_rotations_agree_with_matrices(a: quat.Vec, b: quat.Vec, v: quat.Vec) -> None:
     qa, qb = quat.to_quat(a), quat.to_quat(b)
@@ -25,7 +24,6 @@ def test_products_and_rotations_agree_with_matrices(a: quat.Vec, b: quat.Vec, v:
     np.testing.assert_allclose(rotation_matrices(quat.rotation_vector(quat.from_axes(x, y, z))), ma, atol=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
 @given(vectors, vectors)
 def test_between_takes_one_direction_to_the_other(a: quat.Vec, b: quat.Vec) -> None:
     a, b = quat.unit(a), quat.unit(b)

@@ -10,7 +10,7 @@ import pytest
 from glsplat.errors import FormatError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, record, replay
-from glsplat.tracking.recording import embedded_recording, read_poses, write_lines
+from glsplat.tracking.recording import MAX_LINE, embedded_recording, read_poses, write_lines
 from tests.tracking.moves import Stage, seconds
 
 
@@ -49,6 +49,18 @@ def test_bad_lines_name_file_and_line(tmp_path: Path, text: str) -> None:
         list(replay(path))
     with pytest.raises(FormatError, match=r"rec\.jsonl, line 1"):
         read_poses(path)
+
+
+@pytest.mark.check
+def test_a_recording_of_any_size_is_replayed(tmp_path: Path) -> None:
+    """Line by line: what was recorded is read, however long it went on."""
+    path = tmp_path / "rec.jsonl"
+    with open(path, "wb") as file:
+        for _ in range(1040):
+            file.write(b" " * (MAX_LINE - 1) + b"\n")
+        file.write(b'{"t": 0, "head": [0, 1, 0, 0, 0, 0, 1]}\n')
+    assert path.stat().st_size > 1 << 30
+    assert [sample.t for sample in replay(path)] == [0]
 
 
 def test_missing_and_empty_files(tmp_path: Path) -> None:

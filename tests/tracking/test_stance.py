@@ -100,16 +100,8 @@ def test_metres_are_the_users_and_the_analytic_solver_says_nothing(stage: Stage,
     whole = Tracker(skeleton)
     whole.update(sample)
     small = Tracker(skeleton, Calibration(scale=0.5))
-    half = [
-        replace(
-            sample,
-            **{
-                n: (*np.multiply(getattr(sample, n)[:3], 0.5), *getattr(sample, n)[3:])
-                for n in ("head", "left", "right")
-            },
-        )
-    ]
-    small.update(half[0])
+    poses = {name: getattr(sample, name) for name in ("head", "left", "right")}
+    small.update(replace(sample, **{name: (*np.multiply(p[:3], 0.5), *p[3:]) for name, p in poses.items()}))
     np.testing.assert_allclose(small.expected_error, np.multiply(whole.expected_error, 0.5), rtol=1e-6)
     plain = Tracker(skeleton, solver="analytic")
     plain.update(sample)

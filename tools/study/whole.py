@@ -48,9 +48,11 @@ class Mind:
     def __init__(self, participant: int) -> None:
         self.rng = np.random.default_rng([41, participant])
         self.participant, self.person = participant, float(self.rng.normal(0, PERSON))
+        self.names: dict[str, str] = {}  # of steps in the log, by what the page calls them
         self.given: dict[tuple[str, str], float] = {}
 
     def __call__(self, step: str, item: dict[str, Any]) -> float:
+        step = self.names[step]
         key = (step, item["name"])
         if key not in self.given:
             condition = step[4:].removesuffix("-asked") if step.endswith("-asked") else ""
@@ -66,6 +68,7 @@ def session(
     mind = Mind(participant)
     service = Service(study, participant, _real if real else None)
     service.start()
+    mind.names = service.names()
     try:
         _go_through(service, mind, opened, trouble)
     finally:

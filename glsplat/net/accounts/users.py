@@ -24,6 +24,7 @@ import msgspec
 
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.io.files import naming, open_regular, replace_file
+from glsplat.io.secret_files import warn_if_exposed
 
 __all__ = ["ANY", "Accounts", "User", "new_user", "read_users", "write_users"]
 
@@ -35,9 +36,13 @@ _N, _R, _P, _SALT, _HASH = 2**14, 8, 1, 16, 32  # of scrypt: 16 MiB, some 50 ms;
 _SECRET = 18  # bytes of chance in a token, 144 bits
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_~-]{0,31}")
 _LONGEST = 64  # characters of an avatar's or a room's name
-_LARGEST = 1 << 20  # bytes of the file
+_LARGEST = 1 << 20  # bytes of the file, read and written
 _MOST_KNOWN = 1024  # tokens that were verified and are remembered
-_LOOK = 1.0  # seconds between two looks at the file, while nobody comes in
+_LOOK = 1.0  # seconds between two looks at the file while nobody comes in, and between two tries to read it
+_CLOCK_STEP = 2.0  # seconds in which two changes of a file may bear the same time
+
+_Stamp = tuple[int, int, int, int]
+"""Of a file: when its bytes and when anything of it changed (ns), its bytes, its inode."""
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -85,11 +90,22 @@ def new_user(name: str, avatars: Iterable[str] = (ANY,), rooms: Iterable[str] = 
 
 def read_users(path: Path) -> dict[str, User]:
     """The accounts in a file, by name. Raises FormatError naming it, in a line that says nothing of any hash."""
+    return _parsed(path, _read(path)[0])
+
+
+def _read(path: Path) -> tuple[bytes, _Stamp]:
+    """The bytes of the file, and its stamp from before they were read: a later change has another one."""
     with naming(path), open_regular(path) as (file, size):
         if size > _LARGEST:
             raise FormatError(f"a file of accounts has at most {_LARGEST} bytes, this one {size}")
+        stamp = _stamp(os.fstat(file.fileno()))
+        return file.read(_LARGEST + 1), stamp
+
+
+def _parsed(path: Path, data: bytes) -> dict[str, User]:
+    with naming(path):
         try:
-            held = msgspec.json.decode(file.read(), type=_File)
+            held = msgspec.json.decode(data, type=_File)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise FormatError(f"no file of accounts of 'glsplat users': {str(error)[:120]}") from None
         if held.version != _VERSION:
@@ -113,8 +129,10 @@ def write_users(path: Path, users: Mapping[str, User]) -> None:
         _Entry(u.name, base64.b64encode(u.salt).decode(), base64.b64encode(u.hash).decode(), [*u.avatars], [*u.rooms])
         for u in users.values()
     ]
-    text = msgspec.json.format(msgspec.json.encode(_File(_VERSION, entries)), indent=1)
-    replace_file(path, [text, b"\n"], private=True)
+    text = msgspec.json.format(msgspec.json.encode(_File(_VERSION, entries)), indent=1) + b"\n"
+    if len(text) > _LARGEST:
+        raise FormatError(f"{path}: a file of accounts has at most {_LARGEST} bytes, not {len(text)}; remove some")
+    replace_file(path, [text], private=True)
 
 
 class Accounts:
@@ -122,12 +140,16 @@ class Accounts:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._seen = _stamp(path)
-        self._users = read_users(path)
-        self._looked = time.monotonic()
+        self._users: dict[str, User] = {}
+        self._data: bytes | None = None  # of the file, as it was read last ...
+        self._seen: _Stamp | None = None  # ... with this stamp ...
+        self._read_at = 0.0  # ... at this time of day, which stamps are in
+        self._looked = self._tried = time.monotonic()
+        self._failed: tuple[_Stamp | None, str] | None = None  # stamp and error of the last try, if that failed
         self._secret = secrets.token_bytes(32)  # of this process: what is remembered of tokens is no use elsewhere
         self._known: OrderedDict[bytes, str] = OrderedDict()
         self._nobody = User("", (), (), secrets.token_bytes(_SALT), secrets.token_bytes(_HASH))
+        self._load()
 
     def __repr__(self) -> str:
         return f"Accounts({len(self._users)} of {self._path})"
@@ -159,16 +181,39 @@ class Accounts:
         return self._users.get(user.name) == user
 
     def _refresh(self) -> None:
+        """Read the file again if it may have changed. What cannot be read is tried again: it may remove somebody."""
         self._looked = time.monotonic()
-        seen = _stamp(self._path)
-        if seen == self._seen:
-            return
-        self._seen = seen
         try:
-            self._users = read_users(self._path)
-            self._known.clear()
+            stamp = _stamp(os.stat(self._path))
+        except OSError:
+            stamp = None
+        if stamp is not None and stamp == self._seen and abs(self._read_at - max(stamp[:2]) / 1e9) > _CLOCK_STEP:
+            self._failed = None  # it was away, and is back as it was
+            return
+        if self._failed is not None and self._failed[0] == stamp and self._looked - self._tried < _LOOK:
+            return
+        self._tried = self._looked
+        try:
+            self._load()
         except GlsplatError as error:
-            log.error("%s; the accounts that were read before stay", error)
+            if self._failed is None or self._failed[1] != str(error):
+                log.error("%s; the accounts that were read before stay until it can be read", error)
+            self._failed = stamp, str(error)
+            return
+        if self._failed is not None:
+            log.warning("%s: is read again", self._path)
+        self._failed = None
+
+    def _load(self) -> None:
+        """Raises GlsplatError; then everything is as it was."""
+        now = time.time()
+        data, stamp = _read(self._path)
+        if data != self._data:
+            self._users = _parsed(self._path, data)
+            self._known.clear()
+        if stamp != self._seen:
+            warn_if_exposed(self._path)
+        self._data, self._seen, self._read_at = data, stamp, now
 
     def _mark(self, token: str) -> bytes:
         return hmac.digest(self._secret, token.encode(errors="replace"), "sha256")
@@ -201,9 +246,5 @@ def _bytes(text: str, count: int) -> bytes | None:
     return data if len(data) == count else None
 
 
-def _stamp(path: Path) -> tuple[int, int, int] | None:
-    try:
-        info = os.stat(path)
-    except OSError:
-        return None
-    return info.st_mtime_ns, info.st_size, info.st_ino
+def _stamp(info: os.stat_result) -> _Stamp:
+    return info.st_mtime_ns, info.st_ctime_ns, info.st_size, info.st_ino

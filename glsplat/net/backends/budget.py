@@ -9,13 +9,25 @@ from typing import TYPE_CHECKING
 
 from glsplat.camera import Camera
 from glsplat.errors import BudgetError
-from glsplat.skinning.pose import Pose
 
 if TYPE_CHECKING:
     from glsplat.passes.views import Images
-    from glsplat.renderer import Renderer
+    from glsplat.renderer import Prepared
 
-__all__ = ["PictureBudget"]
+__all__ = ["PictureBudget", "others_share"]
+
+_LARGE = 2 * 2048 * 2048  # pixels of a picture to which others may add all that it may cost; smaller ones in proportion
+_SPLAT_PIXELS = 64  # covered pixels of a splat in a view that are granted however small the picture is: four blocks
+
+
+def others_share(max_cost: float, views: Sequence[Camera], splats: int) -> float:
+    """Return the covered pixels that all other people of a room, of so many splats, may add to one member's picture.
+
+    Somebody whose eyes are nearly in one's own takes two fifths of it, a circle of eight people as much, so that nobody
+    meets it who does not force themselves on others (docs/protocol.md, section 5).
+    """
+    pixels = sum(view.width * view.height for view in views)
+    return max(max_cost * pixels / _LARGE, float(_SPLAT_PIXELS * len(views) * splats))
 
 
 class PictureBudget:
@@ -33,11 +45,8 @@ class PictureBudget:
         self._abandoned, self._clock = abandoned, clock
         self._start = clock()
 
-    def render(
-        self, renderer: Renderer, views: Sequence[Camera], pose: Pose | None = None, out: Images | None = None
-    ) -> Images:
-        """``renderer.render()`` within these limits. Raises BudgetError (too_costly, abandoned, too_slow)."""
-        prepared = renderer.prepare(views, pose)
+    def render(self, prepared: Prepared, out: Images | None = None) -> Images:
+        """``prepared.render()`` within these limits. Raises BudgetError (too_costly, abandoned, too_slow)."""
         if prepared.cost > self._max_cost:
             raise BudgetError(
                 f"the picture covers {prepared.cost:.3g} pixels splat by splat, at most {self._max_cost:.3g} are drawn;"

@@ -121,15 +121,14 @@ class RendererBackend:
             one.follow(request, seconds)
             renderer.selector, renderer.step = one.selector(request.viewer), request.mark
             renderer.selector.bias = request.detail
-            views = one.views(request)
-            images = budget.render(renderer, views, request.pose, self.place)
+            images = budget.render(one.prepare(request, self._max_cost), self.place)
             stats, timings = renderer.stats, dict(renderer.timings)
             depth: tuple[DepthGrid, ...] = ()
             if request.options.depth:
                 from glsplat.net.backends.depth import depth_grids  # here: it needs a driver, as above
 
                 start = time.perf_counter()
-                depth = depth_grids(renderer, views, request.pose)
+                depth = depth_grids(renderer, one.views(request), request.pose)
                 timings["depth"] = (time.perf_counter() - start) * 1e3
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")

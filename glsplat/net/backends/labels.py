@@ -1,48 +1,37 @@
-"""Words in a picture: the label over a person's head, and notices. What they say and where they stand.
+"""Words that belong into a picture: the label of a person, and notices. What they say and where they belong.
 
-A label is a board that stands in the room and faces who looks, so both eyes see it at its distance. It is never hidden
-by what is in front of it: it has to be read. What a client asks for cannot leave it out. lettering.py draws them.
+lettering.py writes them into finished pictures; docs/consent.md has the rule.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.camera import Camera
-
-__all__ = ["HEIGHT", "Label", "driven_by", "notice"]
+__all__ = ["HEIGHT", "Label", "driven_by"]
 
 HEIGHT = 0.045
-"""Metres from the lower to the upper edge of a label at least."""
-_NOTICE_DISTANCE = 1.5  # metres from the eyes
-_NOTICE_PLACE = 0.8  # of the way from the middle of the picture to its lower edge
-_NOTICE_SHARE = 0.03  # of the picture's height
+"""Metres from the lower to the upper edge of a line of a label, unless that is too small or too large to be read."""
+
+Box = NDArray[np.float64]
+"""[2, 3] metres: lowest and highest corner."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Label:
-    """Words at a place: ``place`` [3] is the middle of the board, in metres; ``height`` metres, at least."""
+    """Words for a thing: in every picture that shows any of it, over ``place`` [3] (metres) where that is in sight."""
 
     text: str
     place: NDArray[np.float64]
-    height: float = HEIGHT
+    height: float = HEIGHT  # metres of a line
     opacity: float = 1.0
+    box: Callable[[], Box | None] | None = None
+    """The box that holds the thing, None: there is nothing of it. Without one the thing is no more than ``place``."""
 
 
 def driven_by(name: str, notice: str = "") -> str:
-    """What stands over the head of a person who is not there in the flesh, and what else has to be said of them."""
+    """Return the label of a person who is not there in the flesh; ``notice`` is added to it."""
     return ", ".join([f"driven by {name or 'somebody'}", "synthetic", *([notice] if notice else [])])
-
-
-def notice(text: str, cameras: Sequence[Camera]) -> Label:
-    """Words at the lower edge of a picture, in front of everything."""
-    first = cameras[0]
-    fy, cy = float(first.K[1, 1]), float(first.K[1, 2])
-    down = (_NOTICE_PLACE * (first.height - cy)) / fy
-    eyes = np.mean([camera.position for camera in cameras], axis=0)
-    place = eyes + _NOTICE_DISTANCE * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
-    return Label(text, place, _NOTICE_SHARE * first.height / fy * _NOTICE_DISTANCE)

@@ -1,9 +1,16 @@
-"""Lettering: the words of labels.py into finished 8-bit pictures, on the host."""
+"""Lettering: writes the words of labels.py into finished 8-bit pictures, on the host.
+
+Words are composited in the picture, after projection: each board of words lies in the picture as a whole, upright, and
+at a size that can be read, whatever the cameras are.
+"""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import cv2
 import numpy as np
@@ -15,131 +22,201 @@ from glsplat.passes.stats import union
 
 __all__ = ["draw_labels"]
 
-_LEAST, _SHARE = 11.0, 1 / 40  # pixels, and of the picture's height, that a label has at least, however far away it is
-_ROWS = 40  # pixels of a label before it is projected
-_MARGIN = 10
-_WIDEST = 4096
-_GAP, _FADED = 2.0, 0.8  # pixels between two labels, and what is left of one that had to give way
-_BACK, _INK = 0.55, 235  # alpha of the board, grey of the letters
+_MIN_PIXELS, _MIN_SHARE = 12.0, 1 / 40  # of a line: pixels, and of the picture's height, however far away it is
+_MAX_SHARE = 1 / 8  # of the picture's height: a line at most, however near it is
+_MAX_BOARD = 0.5  # of the picture's height: all lines at most
+_MAX_LINES = 8
+_NEAREST = 0.3  # metres from the eyes: labels stand no nearer, so that both eyes can read them
+_NOTICE_DISTANCE = 1.5  # metres from the eyes, where the picture allows it
+_NOTICE_PLACE = 0.8  # of the way from the middle of the picture to its lower edge
+_NOTICE_SHARE = 0.03  # of the picture's height, a line
+_BEYOND = 1e7  # pixels from the picture, farther than which nothing is placed
+_ROUNDING = 1e-3  # pixels
+_RIM = 2.0  # pixels around a picture that count as in it: so far what is smaller than a pixel is spread
+_ROWS, _FONT, _WEIGHT = 40, 29, 500  # pixels of a line and of its letters before they are scaled; of their strokes
+_MARGIN = 8
+_WIDEST = 8192
+_GAP, _FADED = 2.0, 0.8  # pixels between two boards, and the opacity of one that had to give way
+_BACK, _INK = 0.6, 240  # alpha of the board, grey of the letters
+_CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 Box = tuple[int, int, int, int]  # x, y, width, height
+F64 = NDArray[np.float64]
 
 
-def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Sequence[Label]) -> Box:
-    """Write labels into images [V, H, W, 4], premultiplied, farthest first; returns the box that holds what changed.
+@dataclass(slots=True, eq=False)
+class _Board:
+    """Words in a picture: ``boxes`` [V, 4] are their left, upper, right and lower edge in each view, in pixels."""
 
-    Empty where nothing did. Where two would cover each other the farther one stands above the nearer, and fainter.
+    patch: NDArray[np.uint8]
+    boxes: F64
+    opacity: float
+
+
+def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Sequence[Label], notice: str = "") -> Box:
+    """Write labels and a notice into images [V, H, W, 4], premultiplied; returns the box that holds what changed.
+
+    Empty where nothing did. A label is in all views if any view shows its thing. Where two would cover each other the
+    farther one stands above the nearer, below or beside it, and fainter; the notice stands where it is.
     """
+    size = cameras[0].width, cameras[0].height
+    boards: list[_Board] = []
+    if notice:
+        place, line = _notice_place(cameras), max(_least(size), _NOTICE_SHARE * size[1])
+        boards.append(_placed(notice, _seen(cameras, place)[0], line, size, 1.0, []))
+    middle = np.mean([camera.position for camera in cameras], axis=0)
+    for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.place - middle))):
+        if label.opacity > 0 and _shown(label, cameras):
+            centres, depth = _seen(cameras, label.place)
+            line = max(_least(size), min(_MAX_SHARE * size[1], label.height * float(cameras[0].K[1, 1]) / depth))
+            boards.append(_placed(label.text, centres, line, size, label.opacity, [one.boxes for one in boards]))
     changed: Box = (0, 0, 0, 0)
-    for label, corners, opacity in _placed(labels, cameras):
-        for image, camera in zip(images, cameras, strict=True):
-            changed = union(changed, _draw(image, camera, corners, _patch(label.text), opacity))
+    for board in reversed(boards):  # the farthest first, the notice last
+        for image, (left, top, right, bottom) in zip(images, board.boxes, strict=True):
+            changed = union(changed, _draw(image, board, left, top, right - left, bottom - top))
     return changed
 
 
-def _placed(labels: Sequence[Label], cameras: Sequence[Camera]) -> list[tuple[Label, NDArray[np.float64], float]]:
-    """Each label that is in front of all eyes with its corners [4, 3] and its opacity, the farthest first."""
-    middle = np.mean([camera.position for camera in cameras], axis=0)
-    taken: list[NDArray[np.float64]] = []
-    found = []
-    for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.place - middle))):
-        corners = _corners(label, cameras)
-        if corners is None:
-            continue
-        moved = _apart(corners, cameras, taken)
-        taken.append(_boxes(moved, cameras))
-        found.append((label, moved, label.opacity * (1.0 if moved is corners else _FADED)))
-    return found[::-1]
+def _least(size: tuple[int, int]) -> float:
+    """Pixels of a line that can be read in a picture of that size."""
+    return max(_MIN_PIXELS, _MIN_SHARE * size[1])
 
 
-def _apart(
-    corners: NDArray[np.float64], cameras: Sequence[Camera], taken: Sequence[NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """``corners`` [4, 3] raised so far that no eye sees them over one of ``taken``; lowered where up is out of sight.
+def _notice_place(cameras: Sequence[Camera]) -> F64:
+    """[3] where a notice is, before both eyes and near the lower edge of what the first sees."""
+    first = cameras[0]
+    down = _NOTICE_PLACE * (first.height - float(first.K[1, 2])) / float(first.K[1, 1])
+    eyes = np.mean([camera.position for camera in cameras], axis=0)
+    place: F64 = eyes + _NOTICE_DISTANCE * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
+    return place
 
-    The board stays at its distance, so both eyes see it there. Unmoved where there is no room for it at all.
+
+def _seen(cameras: Sequence[Camera], place: F64) -> tuple[F64, float]:
+    """[V, 2] pixels where the cameras see a place, and its mean depth in metres.
+
+    What is nearer than ``_NEAREST``, or behind the eyes, is taken to be at that depth, in its direction.
     """
-    first, seen = cameras[0], _boxes(corners, cameras)
-    down = np.mean([camera.viewmat[1, :3] for camera in cameras], axis=0)
-    deep = np.mean([(corners @ camera.viewmat[2, :3] + camera.viewmat[2, 3]).mean() for camera in cameras])
-    for way in (-1.0, 1.0):
-        moved, boxes = corners, seen
-        for _ in range(len(taken) + 1):  # one that is passed is not met again
-            hit = next((other for other in taken if _cover(boxes, other)), None)
-            if hit is None:
-                break
-            pixels = (boxes[:, 3] - hit[:, 1] if way < 0 else hit[:, 3] - boxes[:, 1]).max() + _GAP
-            moved = moved + way * down * pixels * deep / float(first.K[1, 1])
-            boxes = _boxes(moved, cameras)
-        inside = boxes[:, 1].min() >= min(0.0, seen[:, 1].min()) and boxes[:, 3].max() <= max(
-            first.height, seen[:, 3].max()
-        )
-        if moved is corners or inside:
-            return moved
-    return corners
+    points = np.array([camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3] for camera in cameras])
+    depths = np.maximum(points[:, 2], _NEAREST)
+    pixels = [
+        (camera.K[0, 0] * x / depth + camera.K[0, 2], camera.K[1, 1] * y / depth + camera.K[1, 2])
+        for camera, (x, y, _), depth in zip(cameras, points, depths, strict=True)
+    ]
+    return np.clip(np.array(pixels), -_BEYOND, _BEYOND), float(depths.mean())
 
 
-def _boxes(corners: NDArray[np.float64], cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """[V, 4] pixels: left, upper, right and lower edge of a board in each picture."""
-    found = []
-    for camera in cameras:
-        seen = corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-        pixels = (seen @ camera.K.T)[:, :2] / np.maximum(seen[:, 2:], camera.near)
-        found.append(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]))
-    return np.array(found)
+def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
+    """Whether any view may show some of what a label is for."""
+    if any(_meets(camera, label.place[None]) for camera in cameras):
+        return True
+    box = None if label.box is None else label.box()
+    return box is not None and any(_meets(camera, box[_CORNERS, (0, 1, 2)]) for camera in cameras)
 
 
-def _cover(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Whether two boards cover each other in a picture of any eye."""
-    return bool(np.any(np.all((one[:, :2] < other[:, 2:]) & (other[:, :2] < one[:, 2:]), axis=1)))
+def _meets(camera: Camera, corners: F64) -> bool:
+    """Whether what lies between the corners [N, 3] may be in a picture: they are not all beyond one of its edges."""
+    x, y, z = (corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
+    right, down = camera.K[0, 0] * x + camera.K[0, 2] * z, camera.K[1, 1] * y + camera.K[1, 2] * z
+    depth = z > camera.near, z < camera.far
+    across = right > -_RIM * z, right < (camera.width + _RIM) * z
+    along = down > -_RIM * z, down < (camera.height + _RIM) * z
+    return all(bool(each.any()) for each in (*depth, *across, *along))
 
 
-def _corners(label: Label, cameras: Sequence[Camera]) -> NDArray[np.float64] | None:
-    """[4, 3] of the board in the room, from its upper left as it is read; None where it is not in front of all eyes."""
-    depths = [float(camera.viewmat[2, :3] @ label.place + camera.viewmat[2, 3]) for camera in cameras]
-    if not all(camera.near < z < camera.far for z, camera in zip(depths, cameras, strict=True)):
-        return None
-    least = max(_LEAST, _SHARE * cameras[0].height)
-    height = max(label.height, least * float(np.mean(depths)) / float(cameras[0].K[1, 1]))
-    rows, columns = _patch(label.text).shape[:2]
-    right, down = (np.mean([camera.viewmat[row, :3] for camera in cameras], axis=0) for row in (0, 1))
-    across, along = right * height * columns / rows / 2, down * height / 2
-    return np.array([label.place + x * across + y * along for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+def _placed(
+    text: str, centres: F64, line: float, size: tuple[int, int], opacity: float, taken: Sequence[F64]
+) -> _Board:
+    """Words of about ``line`` pixels a line whose middles are at ``centres`` [V, 2], or as near as they can be."""
+    patch = _fitted(text, line, size)
+    tall = _line(patch, line, size) * len(patch) / _ROWS
+    half = np.array([tall * patch.shape[1] / len(patch), tall]) / 2
+    wanted = _inside(np.concatenate([centres - half, centres + half], axis=1), size)
+    boxes = _apart(wanted, size, taken)
+    return _Board(patch, boxes, opacity * (1.0 if boxes is wanted else _FADED))
 
 
-def _draw(
-    image: NDArray[np.uint8], camera: Camera, corners: NDArray[np.float64], patch: NDArray[np.uint8], opacity: float
-) -> Box:
-    """One board in one picture; the box that it changed."""
-    seen = corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    if seen[:, 2].min() <= camera.near:
-        return 0, 0, 0, 0
-    pixels = (seen @ camera.K.T)[:, :2] / seen[:, 2:]
-    x0, y0 = np.clip(np.floor(pixels.min(axis=0)) - 1, 0, (camera.width, camera.height)).astype(int)
-    x1, y1 = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, (camera.width, camera.height)).astype(int)
-    if x1 <= x0 or y1 <= y0:
-        return 0, 0, 0, 0
+def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Words in as few lines as can be read in a picture of that size, else in those that make them largest."""
+    best = _patch(text, 1)
+    for lines in range(2, _MAX_LINES + 1):
+        if _line(best, line, size) >= min(line, _least(size)):
+            break
+        best = max(best, _patch(text, lines), key=lambda patch: _line(patch, line, size))
+    return best
+
+
+def _line(patch: NDArray[np.uint8], line: float, size: tuple[int, int]) -> float:
+    """Pixels of a line of words, at most ``line``, at which all of them fit into a picture of that size."""
+    return min(line, size[0] * _ROWS / patch.shape[1], _MAX_BOARD * size[1] * _ROWS / len(patch))
+
+
+def _inside(boxes: F64, size: tuple[int, int]) -> F64:
+    """``boxes`` [V, 4] moved into the picture: if it can be by the same in all views, which keeps their distance."""
+    low, high = -boxes[:, :2], np.array(size) - boxes[:, 2:]  # what each may be moved by
+    least, most = low.max(axis=0), high.min(axis=0)
+    moves = np.where(least <= most, np.clip(0.0, least, most), np.clip(0.0, low, high))
+    return boxes + np.concatenate([moves, moves], axis=1)
+
+
+def _apart(boxes: F64, size: tuple[int, int], taken: Sequence[F64]) -> F64:
+    """``boxes`` [V, 4] moved as little as it takes for no view to show them over ``taken``: up, else down, or aside.
+
+    By the same in all views. Unmoved where nothing is in the way, or there is no room for it.
+    """
+    if not _covers(boxes[None], taken)[0]:
+        return boxes
+    others = np.array(taken)  # [T, V, 4]
+    # just before and just behind each of those that are in the way
+    before = (others[:, :, :2] - boxes[:, 2:]).min(axis=1) - _GAP
+    behind = (others[:, :, 2:] - boxes[:, :2]).max(axis=1) + _GAP
+    columns, rows = np.concatenate([[(0.0, 0.0)], before, behind]).T
+    for across, along in ((columns[:1], rows[rows <= 0]), (columns[:1], rows), (columns, rows)):
+        moves = np.array(list(product(across, along)))
+        moved = boxes + np.tile(moves, 2)[:, None]
+        over = np.maximum(-moved[:, :, :2], moved[:, :, 2:] - size).max(axis=(1, 2))  # pixels beyond the picture
+        fits = over < _ROUNDING
+        fits[fits] = ~_covers(moved[fits], taken)
+        if fits.any():
+            return np.asarray(moved[fits][np.abs(moves[fits]).sum(axis=1).argmin()])
+    return boxes
+
+
+def _covers(boxes: F64, taken: Sequence[F64]) -> NDArray[np.bool_]:
+    """[N] whether any view shows boxes [N, V, 4] over one of ``taken``."""
+    found = np.zeros(len(boxes), np.bool_)
+    for other in taken:
+        apart = (boxes[:, :, :2] >= other[:, 2:]) | (other[:, :2] >= boxes[:, :, 2:])
+        found |= ~np.all(np.any(apart, axis=2), axis=1)
+    return found
+
+
+def _draw(image: NDArray[np.uint8], board: _Board, left: float, top: float, width: float, height: float) -> Box:
+    """Write one board into one picture, between pixels if need be; returns the box that it changed."""
+    patch = board.patch
+    x0, y0 = max(0, int(np.floor(left))), max(0, int(np.floor(top)))
+    x1, y1 = min(image.shape[1], int(np.ceil(left + width))), min(image.shape[0], int(np.ceil(top + height)))
     # shrunk first, so that thin strokes do not flicker: warping looks at four pixels only
-    tall = float(np.linalg.norm(pixels[3] - pixels[0]))
-    scale = min(1.0, max(1.0, tall) / len(patch))
-    if scale < 1:
-        patch = cv2.resize(patch, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)
-    rows, columns = patch.shape[:2]
+    shrunk = max(1, min(patch.shape[1], round(width))), max(1, min(patch.shape[0], round(height)))
+    patch = cv2.convertScaleAbs(cv2.resize(patch, shrunk, interpolation=cv2.INTER_AREA), alpha=board.opacity)
     # pixel (i, j) covers [i, i+1) x [j, j+1) here, OpenCV's centres are at whole numbers
-    ends = np.array([(0, 0), (columns, 0), (columns, rows), (0, rows)], np.float32) - np.float32(0.5)
-    warp = cv2.getPerspectiveTransform(ends, (pixels - (x0 + 0.5, y0 + 0.5)).astype(np.float32))
-    board = cv2.warpPerspective(patch, warp, (int(x1 - x0), int(y1 - y0)), flags=cv2.INTER_LINEAR).astype(np.float32)
-    board *= opacity
+    across, along = width / patch.shape[1], height / patch.shape[0]
+    warp = np.array([[across, 0, left - x0 + (across - 1) / 2], [0, along, top - y0 + (along - 1) / 2]])
+    drawn = cv2.warpAffine(patch, warp, (x1 - x0, y1 - y0), flags=cv2.INTER_LINEAR)
+    kept = cv2.merge([cv2.bitwise_not(drawn[:, :, 3])] * 4)
     under = image[y0:y1, x0:x1]
-    under[:] = np.rint(board + under * (1 - board[:, :, 3:] / 255))
-    return int(x0), int(y0), int(x1 - x0), int(y1 - y0)
+    under[:] = cv2.add(drawn, cv2.multiply(under, kept, scale=1 / 255))
+    return x0, y0, x1 - x0, y1 - y0
 
 
 @lru_cache(maxsize=256)
-def _patch(text: str) -> NDArray[np.uint8]:
-    """[rows, columns, 4] light letters on a dark, see-through board, premultiplied."""
+def _patch(text: str, lines: int) -> NDArray[np.uint8]:
+    """[rows, columns, 4] light letters on a dark, see-through board, premultiplied, in so many lines at most."""
     shown = text if hasattr(cv2, "FontFace") else text.encode("ascii", "replace").decode()
-    canvas = _written(shown)
+    written = [_written(part) for part in _wrapped(shown, lines)]
+    canvas = np.zeros((_ROWS * len(written), max(part.shape[1] for part in written), 3), np.uint8)
+    for row, part in enumerate(written):
+        start = (canvas.shape[1] - part.shape[1]) // 2
+        canvas[_ROWS * row : _ROWS * (row + 1), start : start + part.shape[1]] = part
     ink = canvas[:, :, :1].astype(np.float32) / 255
     out = np.concatenate([np.repeat(ink * _INK, 3, axis=2), 255 * (ink + (1 - ink) * _BACK)], axis=2)
     out[[0, -1]] = out[:, [0, -1]] = 0  # a rim, for a smooth edge
@@ -148,16 +225,25 @@ def _patch(text: str) -> NDArray[np.uint8]:
     return patch
 
 
+def _wrapped(text: str, lines: int) -> list[str]:
+    """A text in so many lines at most, about equally long; words that are longer are cut."""
+    for wide in range(-(-len(text) // lines), len(text)):
+        found = textwrap.wrap(text, wide)
+        if len(found) <= lines:
+            return found
+    return [text]
+
+
 def _written(text: str) -> NDArray[np.uint8]:
     """[rows, columns, 3] white letters on black."""
-    start, white = (_MARGIN, _ROWS - 13), (255, 255, 255)
+    start, white = (_MARGIN, _ROWS - 12), (255, 255, 255)
     if hasattr(cv2, "FontFace"):  # OpenCV 5: all scripts
         face = cv2.FontFace("sans")
-        x, _, wide, _ = cv2.getTextSize((_WIDEST, _ROWS), text, start, face, 26)
+        x, _, wide, _ = cv2.getTextSize((_WIDEST, _ROWS), text, start, face, _FONT, _WEIGHT)
         canvas = np.zeros((_ROWS, x + wide + _MARGIN, 3), np.uint8)
-        cv2.putText(canvas, text, start, white, face, 26)
+        cv2.putText(canvas, text, start, white, face, _FONT, _WEIGHT)
     else:
-        (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.8, 1)
+        (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.9, 2)
         canvas = np.zeros((_ROWS, 2 * _MARGIN + wide, 3), np.uint8)
-        cv2.putText(canvas, text, start, cv2.FONT_HERSHEY_SIMPLEX, 0.8, white, 1, cv2.LINE_AA)
+        cv2.putText(canvas, text, start, cv2.FONT_HERSHEY_SIMPLEX, 0.9, white, 2, cv2.LINE_AA)
     return canvas

@@ -11,20 +11,18 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends.labels import Label, notice
-from glsplat.net.backends.room import RoomRenderer, label_place, selectors
+from glsplat.net.backends.figure_bounds import FigureBounds
+from glsplat.net.backends.labels import Label
+from glsplat.net.backends.room import LABEL_SIGMAS, RoomRenderer, label_of, selectors
 from glsplat.passes.lru_cache import LruCache
 from glsplat.passes.views import checked_pose
-from glsplat.renderer import Renderer
+from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
-from glsplat.skinning.extent import Extent
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.skin import Skin
 
 __all__ = ["KEPT", "RendererPool", "SceneRenderer"]
 
@@ -32,6 +30,8 @@ KEPT = 4
 """Renderers at most: the default avatar with and without its head, and two others."""
 
 _FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
+
+_PLACE_SIGMAS = 2.0  # standard deviations of a splat that the box of an avatar counts
 
 _KEPT_BYTES = 2**29  # of the GPU's memory, by those that are not in use
 
@@ -44,9 +44,11 @@ class SceneRenderer:
 
     def __init__(self, scene: Scene, hide: tuple[str, ...], make: Callable[[Scene], Renderer]) -> None:
         self._source = self._item = SceneFile.of(scene).avatar
-        self._extent: Extent | None = None
         if hide:
             self._item = _without(self._source, hide)
+        figure = None if self._item is None or not is_rigged(self._item.content) else self._item.content
+        self._bounds = None if figure is None else FigureBounds(figure, _PLACE_SIGMAS)
+        self._label_bounds = None if figure is None else FigureBounds(figure, LABEL_SIGMAS, whole=True)
         self._light = scene.light
         items = (self._item if item is self._source and self._item is not None else item for item in scene)
         self.scene: Scene = Scene(items, light=scene.light)  # one of its own: its light is that of the last job
@@ -65,37 +67,34 @@ class SceneRenderer:
             assert self._item is not None and self._source is not None
             self._item.pose, self._item.transform = self._source.pose, self._source.transform
 
+    def prepare(self, request: RenderJob, max_cost: float) -> Prepared:
+        """Prepare the picture of a request that ``follow`` was given, whatever it costs."""
+        return self.renderer.prepare(self.views(request), request.pose)
+
     def views(self, request: RenderJob) -> Sequence[Camera]:
         """As they are asked for: it was made without what its requests hide."""
         return request.cameras
 
     def labels(self, request: RenderJob) -> list[Label]:
-        """What stands over the head of the one avatar, if the request has words for it."""
-        if not request.label or self._item is None or not is_rigged(self._item.content):
+        """The label of the one avatar, if the request has words for it."""
+        if not request.label or self._item is None or self._label_bounds is None:
             return []
         pose = self._item.pose if request.pose is None else request.pose
-        posed = Item(self._item.content, pose=pose, transform=self._item.transform)
-        return [Label(request.label, label_place(posed, self._item.content))]
+        figure = self._label_bounds.figure
+        posed = Item(figure, pose=pose, transform=self._item.transform)
+        return [label_of(request.label, posed, figure, self._label_bounds)]
 
     def places(self, request: RenderJob) -> dict[str, list[float]]:
         """Where the one avatar is, as in Rendered, if the request asks for it and there is one."""
         item = self._item
         if item is None or not request.options.box:
             return {}
-        avatar = item.content
-        assert is_rigged(avatar)
-        skeleton = avatar.skeleton
+        assert self._bounds is not None
+        skeleton = self._bounds.figure.skeleton
         posed = checked_pose(item.pose if request.pose is None else request.pose, len(skeleton), "avatar")
         bones = item.transform[:3, :3] @ posed.bones(skeleton)
         bones[:, :, 3] += item.transform[:3, 3]
-        if self._extent is None:
-            self._extent = _extent(avatar)
-        box = self._extent.box(bones)
-        weights = avatar.weights(posed) if isinstance(avatar, Avatar) else None
-        if box is not None and weights is not None and isinstance(avatar, Avatar) and avatar.shapes is not None:
-            size = float(np.cbrt(np.linalg.det(item.transform[:3, :3])))
-            box = box + size * avatar.shapes.farthest(weights) * np.array([[-1.0], [1.0]])
-        found = {"box": box, "feet": _feet(skeleton, bones)}
+        found = {"box": self._bounds.box(posed, item.transform), "feet": _feet(skeleton, bones)}
         return {name: array.ravel().tolist() for name, array in found.items() if array is not None}
 
     def release(self) -> None:
@@ -139,14 +138,12 @@ class RendererPool:
         one: SceneRenderer | RoomRenderer, request: RenderJob, images: NDArray[np.uint8]
     ) -> tuple[int, int, int, int]:
         """Write the words of a request into its images [V, H, W, 4]; the box of what changed, which may be empty."""
-        words = one.labels(request)
-        if request.notice:
-            words.append(notice(request.notice, request.cameras))
-        if not words:
+        labels = one.labels(request)
+        if not labels and not request.notice:
             return 0, 0, 0, 0
         from glsplat.net.backends.lettering import draw_labels  # here: OpenCV is of use to few, and slow to load
 
-        return draw_labels(images, request.cameras, words)
+        return draw_labels(images, request.cameras, labels, request.notice)
 
     def release(self) -> None:
         """Delete all."""
@@ -183,11 +180,3 @@ def _feet(skeleton: Skeleton, bones: NDArray[np.float64]) -> NDArray[np.float64]
     joints = [skeleton.names.index(name) for name in _FEET]
     turned: NDArray[np.float64] = np.einsum("nij,nj->ni", bones[joints, :, :3], skeleton.joints[joints])
     return turned + bones[joints, :, 3]
-
-
-def _extent(figure: Rigged) -> Extent:
-    if isinstance(figure, Avatar):
-        return Extent.of(figure.splats, figure.skin)
-    used = np.unique(figure.faces)
-    skin = Skin.create(figure.joints[used], figure.weights[used], len(figure.skeleton))
-    return Extent.of_points(figure.vertices[used], skin)

@@ -44,6 +44,7 @@ class Client:
     ``video`` takes video where the server has it (``serve --video``) and decodes it, which needs PyAV.
 
     May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
+    In a room, ``connect`` after a connection that broke brings the same person back, to their name and place.
     All methods raise ProtocolError when the server reports an error or goes away (``code`` "closed", "timeout", ...).
     A Client belongs to the event loop it is connected in; its methods may be called by many tasks there.
     """
@@ -88,6 +89,7 @@ class Client:
         if self._timeout <= 0:
             raise GlsplatError(f"timeout needs seconds above 0, not {self._timeout:g}")
         self._connection: ClientConnection | None = None
+        self._resume = ""  # token of the person in a room that the last connection was
 
     @property
     def newest(self) -> int:
@@ -119,7 +121,7 @@ class Client:
             return
         await self.close()
         tls = client_tls(self._cafile) if self._cafile else True
-        query = urlencode(self._query)
+        query = urlencode(self._query | ({"resume": self._resume} if self._resume else {}))
         url = self.url + (("&" if "?" in self.url else "?") + query if query else "")
         http = aiohttp.ClientSession()
         try:
@@ -140,8 +142,10 @@ class Client:
     async def close(self) -> None:
         """Close the connection; harmless when there is none. Who waits for a picture gets a ProtocolError."""
         connection, self._connection = self._connection, None
-        if connection is not None and connection.loop is asyncio.get_running_loop():
-            await connection.close()
+        if connection is not None:
+            self._resume = connection.resume or self._resume
+            if connection.loop is asyncio.get_running_loop():
+                await connection.close()
 
     async def render(
         self,

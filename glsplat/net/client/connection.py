@@ -48,6 +48,7 @@ class ClientConnection:
         self.turn = asyncio.Lock()  # of those who ask for one picture and wait for it
         self.flow: FlowControl = FlowControl()
         self.video = video
+        self.resume = ""  # token of a room, by which the next connection comes back as the same person
         self._url, self._adapt = url, adapt
         self._http, self._ws = http, ws
         self._socket = ws.get_extra_info("socket")
@@ -176,6 +177,8 @@ class ClientConnection:
             self._fail(failure)
 
     async def _arrived(self, reply: Reply, at: float) -> None:
+        if isinstance(room := reply.info.get("room"), dict):
+            self.resume = str(room.get("resume") or self.resume)
         answer = self.flow.arrived(reply.frame_id, at if self._adapt else None)
         if answer.frame_id is None:
             return

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
+from glsplat.io.secret_files import warn_if_exposed
+from glsplat.net.guard.forwarded import Network
 
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import Accounts
@@ -42,6 +44,7 @@ class Access:
     insecure: bool = False  # another address than loopback without TLS and token, on the user's own word
     origins: tuple[str, ...] = ()  # further pages that may connect, e.g. "https://lab.example:8000"
     hosts: tuple[str, ...] = ()  # names it goes by, besides addresses and localhost; "*.lab.example" for one label more
+    proxies: tuple[Network, ...] = ()  # reverse proxies that are believed whom they speak for
 
     def __post_init__(self) -> None:
         if self.token is not None and self.accounts is not None:
@@ -51,6 +54,11 @@ class Access:
                 f"{self.host} can be reached from other machines: give --self-signed, or --tls-cert, --tls-key and "
                 "--token-file or --users, or accept the risk with --insecure"
             )
+
+    @property
+    def local(self) -> bool:
+        """True where only programs of this machine connect, and for nobody else: on loopback without a proxy."""
+        return is_loopback(self.host) and not self.proxies
 
     @property
     def guarded(self) -> bool:
@@ -159,6 +167,7 @@ def read_token(path: str | Path) -> str:
         raise GlsplatError(f"{path}: a token file is one line of text, found bytes that are not UTF-8") from None
     if len(token) < 16 or not all(c.isascii() and (c.isalnum() or c in "-._~") for c in token):
         raise GlsplatError(f"{path}: a token needs 16 or more letters, digits or -._~ in one line, found {len(token)}")
+    warn_if_exposed(path)
     return token
 
 
@@ -174,6 +183,7 @@ def server_tls(cert: str | Path, key: str | Path) -> ssl.SSLContext:
     except (ssl.SSLError, OSError):  # OpenSSL's own words name lines of its source
         message = f"{cert}, {key}: expected a certificate and the key that belongs to it in PEM, without a passphrase"
         raise GlsplatError(message) from None
+    warn_if_exposed(key)
     return context
 
 

@@ -48,6 +48,10 @@ class Addresses:
         uploads = self._at(key, now).uploads
         return 0.0 if uploads.take(now) else (1 - uploads.level) / uploads.rate
 
+    def unfinished_upload(self, key: str, now: float, seconds: float) -> None:
+        """Count the time for which pictures that never were complete kept others from sending theirs."""
+        self._at(key, now).uploads.charge(now, seconds * self.limits.uploads_unfinished)
+
     def enter(self, key: str, now: float) -> ClientQuota | None:
         """A client's quota, the fullest that is free; None: the address has as many clients as it may."""
         address = self._at(key, now)

@@ -43,18 +43,25 @@ class _MeteredReader:
 
 
 class GuardedConnection(web.RequestHandler):
-    """``meter`` is set by the server once the connection is a client's, before its handshake is answered."""
+    """``meter`` is set by the gate once the connection is a client's, before its handshake is answered.
 
-    __slots__ = ("_body", "_clock", "_gone", "_head", "_head_most", "_notices", "breached", "busy", "key", "meter")
+    ``key`` is the address that its newest request counts for: the peer's, or what a trusted proxy says (``proxied``).
+    """
+
+    __slots__ = (
+        *("_body", "_clock", "_gone", "_head", "_head_most", "_notices", "_socket"),
+        *("breached", "busy", "key", "meter", "peer", "proxied"),
+    )
 
     def __init__(
         self,
         server: web.Server,
-        key: str,
+        peer: str,
+        proxied: bool,
         limits: Limits,
         notices: Notices,
         clock: Callable[[], float],
-        gone: Callable[[], None],
+        gone: Callable[[GuardedConnection], None],
         timeout: float,  # seconds for a whole request, from the connection or the one before
     ) -> None:
         super().__init__(
@@ -63,14 +70,29 @@ class GuardedConnection(web.RequestHandler):
             access_log=None,  # type: ignore[arg-type]  # which switches it off
             keepalive_timeout=timeout,
             lingering_time=0,  # else it reads on, for ten seconds and at any rate, what is sent behind an answer
+            auto_decompress=False,  # bodies are taken as they are sent, or refused: nothing is unpacked for strangers
         )
-        self.key: str = key  # of its address
+        self.peer: str = peer  # key of the address at the other end
+        self.proxied: bool = proxied  # the peer is a trusted proxy
+        self.key: str = peer
         self.meter: FrameMeter | None = None
         self.breached: asyncio.Future[Breach] = asyncio.get_running_loop().create_future()
         self.busy: bool = False  # while a request of it is answered
         self._head, self._head_most = 0, limits.head
         self._body = 0  # bytes that are expected beyond that
         self._notices, self._clock, self._gone = notices, clock, gone
+        self._socket: asyncio.Transport | None = None  # until it is closed; aiohttp's ``transport`` ends earlier
+
+    @property
+    def open(self) -> bool:
+        """True from the handshake of TLS until the socket is closed."""
+        return self._socket is not None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The socket is connected, and TLS agreed on."""
+        assert isinstance(transport, asyncio.Transport)
+        self._socket = transport
+        super().connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
         """Bytes from the socket (after TLS)."""
@@ -82,9 +104,19 @@ class GuardedConnection(web.RequestHandler):
                 return
         super().data_received(data)
 
+    async def start(self) -> None:
+        """Answer requests until the end; cut off one whose target aiohttp cannot read, where it would hang."""
+        try:
+            await super().start()
+        except Exception:
+            if self.open:
+                self._notices("http", "a request's target is no URL; cut off")
+                self.abort()
+
     def connection_lost(self, exc: BaseException | None) -> None:
         """The socket is closed."""
-        self._gone()
+        self._socket = None
+        self._gone(self)
         super().connection_lost(exc)
 
     def set_parser(self, parser: Any, data_received_cb: Callable[[], None] | None = None) -> None:
@@ -132,9 +164,9 @@ class GuardedConnection(web.RequestHandler):
         self._body = nbytes
 
     def abort(self) -> None:
-        """Close at once, whatever is under way."""
-        if self.transport is not None:
-            self.transport.abort()
+        """Close at once, whatever is under way or not yet sent."""
+        if self._socket is not None:
+            self._socket.abort()
 
     def _broke(self, breach: Breach) -> None:
         if not self.breached.done():

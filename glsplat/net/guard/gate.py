@@ -17,7 +17,8 @@ from aiohttp import web
 from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_loopback
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import GuardedConnection
-from glsplat.net.guard.limits import ClientQuota, Limits
+from glsplat.net.guard.forwarded import FORWARDED, TrustedProxies
+from glsplat.net.guard.limits import ClientQuota, Limits, address_key
 from glsplat.net.guard.listener import Listener
 from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
@@ -25,14 +26,15 @@ from glsplat.net.guard.notices import Notices
 from glsplat.net.rights import USER, Rights
 
 if TYPE_CHECKING:
-    from glsplat.consent.policy import ConsentPolicy
     from glsplat.net.accounts.users import Accounts
 
 __all__ = ["Gate", "connection_of"]
 
 _MOST_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
+_CONTINUE = "100-continue"
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+RequestHandler = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
 
 class Gate:
@@ -44,17 +46,19 @@ class Gate:
         limits: Limits,
         max_clients: int,
         clock: Callable[[], float],
-        consent: ConsentPolicy | None = None,
+        rights: Rights,
     ) -> None:
-        share = max_clients if is_loopback(access.host) else (max_clients + 1) // 2
+        share = max_clients if access.local else (max_clients + 1) // 2
         self.limits = limits
         self.addresses: Addresses = Addresses(limits, limits.per_address or share)
         self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
-        self.rights: Rights = Rights(access.accounts, consent)
+        self.rights: Rights = rights
         self.refused = 0  # requests
         self.knows: Callable[[web.Request], bool] = lambda request: False  # who costs no more than a file of the page
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
+        self._proxies, self._unnamed = TrustedProxies(access.proxies), False
+        self._handle: RequestHandler | None = None  # aiohttp's
         self._listener: Listener | None = None
 
     def open(
@@ -73,12 +77,15 @@ class Gate:
             names += machine_names()
         self._access = replace(self._access, hosts=names)
 
-        def make(key: str, gone: Callable[[], None]) -> GuardedConnection:
-            return GuardedConnection(server, key, self.limits, self.notices, self._clock, gone, timeout)
+        self._handle, server.request_handler = server.request_handler, self.receive
+
+        def make(key: str, proxied: bool, gone: Callable[[GuardedConnection], None]) -> GuardedConnection:
+            return GuardedConnection(server, key, proxied, self.limits, self.notices, self._clock, gone, timeout)
 
         self._listener = Listener(
             *(listening, make, self.addresses, self.notices, self._clock),
             clients=self._clients,
+            proxies=self._proxies,
             tls=tls,
             handshake=timeout,
         )
@@ -99,22 +106,35 @@ class Gate:
             "held_off": self.addresses.count_held_off(self._clock()),
         }
 
-    @web.middleware
-    async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse a request, or let ``handler`` answer it."""
+    async def receive(self, request: web.BaseRequest) -> web.StreamResponse:
+        """Answer a request, before aiohttp routes it. What is refused, by whichever part, closes its connection."""
         connection = connection_of(request)
         connection.busy = True
         try:
-            refusal = await self._refusal(request, connection)
-            if refusal is None:
-                return await handler(request)
-            return self._refused(refusal)
+            if connection.proxied:
+                connection.key = self._client_key(request, connection)
+            response = self._refused_early(request, connection)
+            if response is None:
+                assert self._handle is not None
+                response = await self._handle(request)
+        except web.HTTPException as error:
+            error.force_close()
+            raise
         finally:
             connection.busy = False
             connection.request_done()
+        if response.status >= 400:
+            response.force_close()
+        return response
+
+    @web.middleware
+    async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse a request that was routed, or let ``handler`` answer it."""
+        refusal = await self._refusal(request, connection_of(request))
+        return await handler(request) if refusal is None else self._refused(refusal)
 
     def enter(self, request: web.Request, ws: web.WebSocketResponse) -> ClientQuota | web.Response:
-        """What a new client may spend, its connection metered from here on, or why it may not come in."""
+        """What a new client may spend once it is accepted, or why it may not come in."""
         connection = connection_of(request)
         offered = [name.strip() for name in request.headers.get("Sec-WebSocket-Protocol", SUBPROTOCOL).split(",")]
         if SUBPROTOCOL not in offered:  # aiohttp would log what was offered, a token perhaps
@@ -128,18 +148,30 @@ class Gate:
         if quota is None:
             most = self.addresses.per_address
             return self._refused(_later(5.0, f"at most {most} clients at once from one address"))
-        connection.meter = FrameMeter(quota, self.limits)
-        if self._listener is not None:
-            self._listener.promote(connection)
         return quota
 
+    async def accept(self, request: web.Request, ws: web.WebSocketResponse, quota: ClientQuota) -> None:
+        """Answer a client's handshake: its connection is metered, and waits no longer."""
+        connection = connection_of(request)
+        connection.meter = FrameMeter(quota, self.limits)
+        await ws.prepare(request)
+        if self._listener is not None:
+            self._listener.release(connection)
+
     def leave(self, request: web.Request, quota: ClientQuota) -> None:
-        """The client that ``enter`` let in is gone."""
-        self.addresses.leave(connection_of(request).key, quota, self._clock())
+        """The client that ``enter`` let in is gone, or was refused after all."""
+        connection = connection_of(request)
+        self.addresses.leave(connection.key, quota, self._clock())
+        if self._listener is not None:
+            self._listener.take_back(connection)
 
     def upload(self, request: web.Request) -> float:
         """Count a request to make an avatar; seconds until its address may ask again, 0 if it may now."""
         return self.addresses.upload(connection_of(request).key, self._clock())
+
+    def unfinished_upload(self, request: web.Request, seconds: float) -> None:
+        """Such a request took so long and ended without its pictures."""
+        self.addresses.unfinished_upload(connection_of(request).key, self._clock(), seconds)
 
     def breach(self, request: web.Request, reason: str) -> None:
         """A client broke a limit: its address is held off for a while."""
@@ -147,23 +179,46 @@ class Gate:
         self.notices("breach", f"a client broke a limit ({reason}); its address is held off")
 
     def _refused(self, response: web.Response) -> web.Response:
-        """Count it; nothing more is read on its connection."""
+        """Count it."""
         self.refused += 1
-        response.force_close()
         return response
+
+    def _client_key(self, request: web.BaseRequest, connection: GuardedConnection) -> str:
+        """The key of the address that a trusted proxy sends a request for, else the proxy's."""
+        client = self._proxies.client(request.headers)
+        if client is None:
+            if any(name in request.headers for name in FORWARDED):
+                self.notices("forwarded", "a trusted proxy's header names no client; the proxy's own address counts")
+            elif not self._unnamed:  # a proxy that says nothing, or its machine's own monitor
+                self._unnamed = True
+                self.notices(
+                    "unnamed", f"a request of a trusted proxy has no {' or '.join(FORWARDED)}; its address counts"
+                )
+            return connection.peer
+        return address_key(client)
+
+    def _refused_early(self, request: web.BaseRequest, connection: GuardedConnection) -> web.StreamResponse | None:
+        """Refuse what aiohttp would fail on, or answer uncounted."""
+        wrong = self._access.wrong_host(request.headers.getall("Host", []))
+        if wrong is None and not _has_address(request):
+            wrong = 400, "the Host header and the request's target make no URL"
+        if wrong is not None:
+            return self._refused(web.Response(status=wrong[0], text=wrong[1] + "\n"))
+        if (request.headers.get("Expect") or _CONTINUE).lower() != _CONTINUE:
+            self.addresses.visit(connection.key, self._clock())
+            return self._refused(web.Response(status=417, text=f"the only expectation here is {_CONTINUE}\n"))
+        return None
 
     async def _refusal(self, request: web.Request, connection: GuardedConnection) -> web.Response | None:
         now, key, addresses, access = self._clock(), connection.key, self.addresses, self._access
-        wrong = access.wrong_host(request.headers.getall("Host", []))
-        if wrong is not None:
-            return web.Response(status=wrong[0], text=wrong[1] + "\n")
-        if request.path == "/healthz":  # which says nothing about the scene or the clients
-            return None
-        if (seconds := addresses.held_off(key, now)) > 0:
+        health = request.path == "/healthz"  # says nothing about the scene or the clients, to held off addresses too
+        if not health and (seconds := addresses.held_off(key, now)) > 0:
             return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
         public = _is_page(request)
         if not addresses.visit(key, now, self.limits.file if public or self.knows(request) else 1.0):
             return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
+        if health:
+            return None
         guesses = not public and access.guarded and access.offers_token(request.headers)
         if guesses and (seconds := addresses.no_guess(key, now)) > 0:
             return _later(seconds, "too many wrong tokens from this address")
@@ -201,11 +256,19 @@ class Gate:
         return None
 
 
-def connection_of(request: web.Request) -> GuardedConnection:
+def connection_of(request: web.BaseRequest) -> GuardedConnection:
     """The connection a request came by."""
     connection = request.protocol
     assert isinstance(connection, GuardedConnection)
     return connection
+
+
+def _has_address(request: web.BaseRequest) -> bool:
+    """Return whether aiohttp can read the URL that pages link to: it raises for ports and IDNA that are none."""
+    try:
+        return request.url.host is not None
+    except ValueError:
+        return False
 
 
 def _is_page(request: web.Request) -> bool:

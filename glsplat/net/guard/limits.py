@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-__all__ = ["Bucket", "ClientQuota", "CpuBudget", "CpuShare", "Limits", "Strikes", "address_key"]
+__all__ = ["Bucket", "ClientQuota", "CpuBudget", "CpuShare", "Limits", "RateFloor", "Strikes", "address_key"]
 
 _AHEAD = 1.0  # seconds of its rate that a budget holds
 
@@ -42,6 +42,7 @@ class Limits:
     body: int = 512 * 1024  # the same where clients send pictures: what may have come before a request is looked at
     uploads: float = 0.05  # requests a second to make an avatar, of one address
     uploads_burst: float = 6.0
+    uploads_unfinished: float = 0.25  # of such a request, for each second that pictures took which never were complete
     guesses: int = 5  # wrong tokens of one address before the hold-off begins at 1 s
     hold_off: float = 10.0  # seconds an address is held off once a client of it broke a limit
     hold_off_most: float = 300.0  # each further breach (or guess) doubles the hold-off up to this
@@ -80,6 +81,23 @@ class Bucket:
         """Take ``amount`` whether it is there or not."""
         self.left(now)
         self.level -= amount
+
+
+class RateFloor:
+    """A minimum rate of a sender: each byte of it earns 1 / ``rate`` seconds, of which ``slack`` are kept at most."""
+
+    __slots__ = ("_deadline", "_rate", "_slack")
+
+    def __init__(self, rate: float, slack: float, now: float) -> None:
+        self._rate, self._slack, self._deadline = rate, slack, now + slack
+
+    def receive(self, nbytes: int, now: float) -> None:
+        """So much came."""
+        self._deadline = min(now + self._slack, self._deadline + nbytes / self._rate)
+
+    def left(self, now: float) -> float:
+        """Seconds until the sender is too slow, if nothing more comes."""
+        return self._deadline - now
 
 
 class ClientQuota:

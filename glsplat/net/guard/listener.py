@@ -16,6 +16,7 @@ from collections.abc import Callable
 from glsplat.errors import GlsplatError
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import GuardedConnection
+from glsplat.net.guard.forwarded import TrustedProxies
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
 
@@ -27,30 +28,8 @@ _RESERVE = 12  # descriptors kept for what the server opens itself: a renderer s
 _FEWEST = 2  # connections in the handshake, however few descriptors there are
 _EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
-Make = Callable[[str, Callable[[], None]], GuardedConnection]
-"""Makes the protocol of a connection from its address's key and what to call when it is gone."""
-
-
-class PendingConnection:
-    """A connection that is no client: in the handshake, asking for a page, or idle."""
-
-    __slots__ = ("connection", "key", "task")
-
-    def __init__(self, key: str) -> None:
-        self.key: str = key
-        self.connection: GuardedConnection | None = None
-        self.task: asyncio.Task[None] | None = None
-
-    @property
-    def idle(self) -> bool:
-        return self.connection is None or not self.connection.busy
-
-    def end(self) -> None:
-        """Close it at once."""
-        if self.connection is not None and self.connection.transport is not None:
-            self.connection.abort()
-        elif self.task is not None:
-            self.task.cancel()  # in the TLS handshake
+Make = Callable[[str, bool, Callable[[GuardedConnection], None]], GuardedConnection]
+"""Makes the protocol of a connection: its peer's key, whether that is a trusted proxy, what to call when it is gone."""
 
 
 class Listener:
@@ -65,12 +44,15 @@ class Listener:
         clock: Callable[[], float],
         *,
         clients: int,
+        proxies: TrustedProxies,
         tls: ssl.SSLContext | None = None,
         handshake: float = 10.0,  # seconds
     ) -> None:
         self._socket, self._make, self._addresses, self._notices = listening, make, addresses, notices
         self._clock, self._clients, self._tls, self._handshake = clock, clients, tls, handshake
-        self._waiting: dict[PendingConnection, None] = {}  # oldest first
+        self._proxies = proxies
+        # no clients (in the handshake, asking for a page, idle, closing), the oldest first, and what opens them
+        self._waiting: dict[GuardedConnection, asyncio.Task[None] | None] = {}
         self._task: asyncio.Task[None] | None = None
         self.room: int = 0  # connections that may wait
         self.turned_away = 0  # connections closed unanswered
@@ -92,16 +74,18 @@ class Listener:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
         self._socket.close()
-        for entry in list(self._waiting):
-            if entry.connection is None or entry.connection.transport is None:
-                entry.end()
+        for connection, opening in list(self._waiting.items()):
+            if not connection.open and opening is not None:
+                opening.cancel()
 
-    def promote(self, connection: GuardedConnection) -> None:
-        """It became a client: no longer counted here, nor closed to make room."""
-        for entry in self._waiting:
-            if entry.connection is connection:
-                del self._waiting[entry]
-                return
+    def release(self, connection: GuardedConnection) -> None:
+        """Count it here no longer, nor close it to make room: it is an accepted client's, or closed."""
+        self._waiting.pop(connection, None)
+
+    def take_back(self, connection: GuardedConnection) -> None:
+        """Count it until its socket is closed: its client has left, but may not take what is still to be sent."""
+        if connection.open:
+            self._waiting.setdefault(connection, None)
 
     async def _accept(self) -> None:
         loop = asyncio.get_running_loop()
@@ -115,26 +99,25 @@ class Listener:
                 self._notices("descriptors", f"file descriptors {kind}: idle connections are closed first")
                 await asyncio.sleep(0 if self._make_room() else _PAUSE)
                 continue
-            self._admit(accepted, address_key(peer[0]))
+            self._admit(accepted, peer[0])
             await asyncio.sleep(0)  # sock_accept does not, while there is something to accept
 
-    def _admit(self, accepted: socket.socket, key: str) -> None:
-        if not self._addresses.visit(key, self._clock()):
+    def _admit(self, accepted: socket.socket, host: str) -> None:
+        # a trusted proxy's connections carry requests of many addresses: each request counts for its own
+        key, proxied = address_key(host), self._proxies.trusts(host)
+        if not proxied and not self._addresses.visit(key, self._clock()):
             self._notices("visits", "an address connects too often; closed unanswered")
         elif len(self._waiting) < self.room or self._make_room():
-            entry = PendingConnection(key)
-            self._waiting[entry] = None
-            entry.task = asyncio.create_task(self._open(accepted, entry), name="open")
+            connection = self._make(key, proxied, self.release)
+            self._waiting[connection] = asyncio.create_task(self._open(accepted, connection), name="open")
             return
         else:
             self._notices("waiting", "too many connections that are no clients; closed unanswered")
         self.turned_away += 1
         accepted.close()
 
-    async def _open(self, accepted: socket.socket, entry: PendingConnection) -> None:
+    async def _open(self, accepted: socket.socket, connection: GuardedConnection) -> None:
         """Hand the socket to a protocol, after the TLS handshake where there is one."""
-        connection = self._make(entry.key, lambda: self._forget(entry))
-        entry.connection = connection
         try:
             await asyncio.get_running_loop().connect_accepted_socket(
                 lambda: connection,
@@ -143,21 +126,26 @@ class Listener:
                 ssl_handshake_timeout=self._handshake if self._tls else None,
             )
         except (OSError, asyncio.CancelledError):  # no TLS, or gone
-            self._forget(entry)
+            self._waiting.pop(connection, None)
             accepted.close()
 
-    def _forget(self, entry: PendingConnection) -> None:
-        self._waiting.pop(entry, None)
-
     def _make_room(self) -> bool:
-        """Close the oldest idle connection of the address that has most of them; False if all are busy."""
-        idle = [entry for entry in self._waiting if entry.idle]
-        if not idle:
+        """Close the oldest idle connection of the address that has most, or False where nobody has too many.
+
+        A busy one is closed where none is idle and its address has more than half of all.
+        """
+        most = Counter(connection.key for connection in self._waiting)
+        found = [connection for connection in self._waiting if not connection.busy] or [
+            connection for connection in self._waiting if most[connection.key] > len(self._waiting) / 2
+        ]
+        if not found:
             return False
-        most = Counter(entry.key for entry in self._waiting)
-        victim = max(idle, key=lambda entry: most[entry.key])  # the first of the largest: the oldest
-        self._forget(victim)
-        victim.end()
+        victim = max(found, key=lambda connection: most[connection.key])  # the first of the largest: the oldest
+        opening = self._waiting.pop(victim)
+        if victim.open:
+            victim.abort()
+        elif opening is not None:
+            opening.cancel()  # in the TLS handshake
         self.turned_away += 1
         return True
 

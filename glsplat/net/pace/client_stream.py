@@ -76,7 +76,16 @@ class Frame:
     again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
     moved: bool = False  # whoever had it cannot draw it, another may
     losses: int = 0  # of those who were drawing it
+    alone: bool = False  # it went wrong, and is drawn anew without the others of its room
     poses: Poses | None = None  # what is sent instead of a picture
+
+    @property
+    def shows_others(self) -> bool:
+        """Whether other people of a room are in what was drawn, or was to be drawn."""
+        job = self.job
+        if job is None or job.room is None or not job.others:
+            return False
+        return any(one.key != job.room.viewer and one.opacity > 0 for one in job.room.people)
 
     @property
     def options(self) -> PictureOptions:
@@ -114,8 +123,8 @@ class Frame:
             info["video"] = encoded.video
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
-        if self.job is not None and self.job.room is not None:
-            info["room"] = self.job.room.fields()
+        if channel.member is not None and self.job is not None and self.job.room is not None:
+            info["room"] = self.job.room.fields() | {"resume": channel.member.person.resume}
         return info
 
 
@@ -129,6 +138,7 @@ class ClientStream:
     address: str = ""  # what has a fair share of the renderer's time
     shown: AvatarInfo = ANYTHING
     member: Member | None = None  # in a room; None: sees what it is shown alone
+    account: str = ""  # whose it is; "": the server has no accounts
     driver: str = ""  # name of who drives what is shown; "": nobody knows
     label: str = ""  # over the head of what is shown alone
     notice: Callable[[], str] = field(default=lambda: "")  # what has to stand in a picture drawn now

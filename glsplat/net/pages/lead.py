@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
 from aiohttp import web
 
-from glsplat.net.backend import PoseSolver
-from glsplat.net.options import RequestedOptions
+from glsplat.net.backend import AvatarInfo, PoseSolver
 from glsplat.net.pace.client_stream import Tap
 
 __all__ = ["Lead"]
@@ -17,8 +16,17 @@ __all__ = ["Lead"]
 class Lead(Protocol):
     """Has addresses of its own, behind the server's gate, and a word in what each client is shown."""
 
-    def open(self, end: Callable[[int, str], None]) -> Sequence[web.RouteDef]:
+    unseen: str
+    """The reply to a client that may not be shown its avatar, instead of the reason, which names the avatar."""
+
+    def open(self, end: Callable[[int, str], None], offered: Collection[AvatarInfo]) -> Sequence[web.RouteDef]:
         """The addresses, from now on. ``end`` closes the connection of a client by its number, for a reason."""
+        ...
+
+    async def guard(
+        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        """Refuse a request, to whatever address, or let ``handler`` answer it. A middleware behind the gate."""
         ...
 
     def knows(self, request: web.Request) -> bool:
@@ -29,8 +37,8 @@ class Lead(Protocol):
         """The server stops."""
         ...
 
-    def choose(self, asked: RequestedOptions, query: Mapping[str, str]) -> RequestedOptions:
-        """What a client that connects is shown. Raises ProtocolError for one that may not."""
+    def query(self, asked: Mapping[str, str]) -> Mapping[str, str]:
+        """The options of a client that connects, instead of those of its address. Raises ProtocolError."""
         ...
 
     def solver(self, solver: PoseSolver | None) -> PoseSolver | None:

@@ -25,7 +25,7 @@ _COUNTERS = {
 def metrics_text(stats: Mapping[str, Any]) -> str:
     """The statistics in Prometheus' text exposition format 0.0.4."""
     lines = [
-        *_metric("clients", "gauge", "connected clients", [("", len(stats["clients"]))]),
+        *_metric("clients", "gauge", "connected clients", [("", stats["connected"])]),
         *_metric("up_seconds", "gauge", "seconds since the start", [("", stats["uptime"])]),
         *_metric("fps", "gauge", "pictures a second over the last five seconds", [("", stats["fps"])]),
         *_metric("refused_total", "counter", "connections refused", [("", stats["refused"])]),

@@ -95,7 +95,7 @@ class Drawer:
 
 
 class Previews:
-    """GET /thumbnails/NAME, /pictures/NUMBER and /status.json. ``private``: what clients see is nobody else's."""
+    """GET /thumbnails/NAME, /pictures/NUMBER and /status.json."""
 
     def __init__(
         self,
@@ -103,14 +103,12 @@ class Previews:
         offers: Catalogue,
         rights: Rights,
         channels: Mapping[int, ClientStream],
-        private: bool,
-        stats: Callable[[], Mapping[str, Any]] = dict,
-        offer: Callable[[User | None], Mapping[str, Any]] = lambda user: {"avatars": []},
-        curves: Callable[[], Mapping[str, Any]] = dict,
+        stats: Callable[[User | None], Mapping[str, Any]],
+        offer: Callable[[User | None], Mapping[str, Any]],
+        curves: Callable[[], Mapping[str, Any]],
     ) -> None:
         self._drawer, self._offers, self._rights, self._channels = drawer, offers, rights, channels
         self._stats, self._offer, self._curves = stats, offer, curves  # of the last minutes, for the status page
-        self._private = private or rights.accounts is not None  # an account's pictures are its own
         self._kept: dict[tuple[str, str], tuple[bytes, str]] = {}  # with what changes with it
         self._small: dict[int, tuple[Encoded, asyncio.Task[bytes]]] = {}  # by client, of what it was sent last
         self._drawing = asyncio.Lock()
@@ -123,15 +121,12 @@ class Previews:
             web.get("/status.json", self._status),
         ]
 
-    @property
-    def private(self) -> bool:
-        """Whether what clients see, and as whom, is nobody else's."""
-        return self._private
-
-    def shows(self, number: int) -> bool:
-        """Whether /pictures has something of that client."""
+    def shows(self, user: User | None, number: int) -> bool:
+        """Whether /pictures has something of that client for the account."""
         channel = self._channels.get(number)
-        return not self._private and channel is not None and channel.newest is not None
+        if channel is None or channel.newest is None:
+            return False
+        return self._rights.sees(user, "identity", channel.account)
 
     def tag(self, name: str, user: User | None) -> str:
         """What changes with the picture of an avatar that ``user`` may drive; "" while it is not drawn."""
@@ -189,16 +184,18 @@ class Previews:
 
     async def _picture(self, request: web.Request) -> web.Response:
         number = int(request.match_info["number"])
-        if not self.shows(number):
+        if not self.shows(user_of(request), number):
             return web.Response(status=404, text="there is no such picture for you\n")
         return web.Response(body=await self.small(number), content_type="image/jpeg", headers=_UNKEPT)
 
     async def _status(self, request: web.Request) -> web.Response:
         """All that the status page shows, in one answer; of avatars what tells whether their pictures are new."""
         user = user_of(request)
-        offer, stats = self._offer(user), self._stats()
+        offer, stats = self._offer(user), self._stats(user)
         shown = [one["id"] for one in stats["clients"] if one["picture"]]
-        pictures = {number: b64encode(await self.small(number)).decode() for number in shown if self.shows(number)}
+        pictures = {
+            number: b64encode(await self.small(number)).decode() for number in shown if self.shows(user, number)
+        }
         avatars = [{name: one[name] for name in ("name", "title")} for one in offer["avatars"]]
         for one in avatars:
             one["tag"] = self.tag(one["name"], user)

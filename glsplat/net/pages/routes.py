@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Pages"]
 
-Numbers = Callable[[], Mapping[str, Any]]
+Numbers: TypeAlias = "Callable[[User | None], Mapping[str, Any]]"
 Offer: TypeAlias = "Callable[[User | None], Mapping[str, Any]]"
 
 _RECORDING = "recording.jsonl"
@@ -38,7 +38,7 @@ _TABLES: dict[str, Callable[[], bytes]] = {
 
 
 class Pages:
-    """``stats`` gives the numbers of /stats, ``offer`` what /session says to whom; ``healthy`` is for /healthz.
+    """``stats`` gives the numbers of /stats, ``offer`` what /session says, each to whom; ``healthy`` is for /healthz.
 
     ``host`` is what the server listens on.
     """
@@ -77,10 +77,12 @@ class Pages:
         return web.Response(status=200 if healthy else 503, text="ok\n" if healthy else "not ready\n")
 
     async def _numbers(self, request: web.Request) -> web.Response:
-        return web.json_response(self._stats())
+        return web.json_response(self._stats(user_of(request)))
 
     async def _metrics(self, request: web.Request) -> web.Response:
-        return web.Response(text=metrics_text(self._stats()), content_type="text/plain", charset="utf-8")
+        return web.Response(
+            text=metrics_text(self._stats(user_of(request))), content_type="text/plain", charset="utf-8"
+        )
 
     async def _status(self, request: web.Request) -> web.Response:
         secure = "s" if self._tls else ""
@@ -89,7 +91,7 @@ class Pages:
             viewer = "" if is_loopback(self._host) else self._outward(request)
         code = await self._codes.svg(viewer) if viewer else ""
         headers = {"Content-Security-Policy": STATUS_POLICY}
-        text = page_html(self._stats(), url, viewer, code)
+        text = page_html(self._stats(user_of(request)), url, viewer, code)
         return web.Response(text=text, content_type="text/html", headers=headers)
 
     async def _history(self, request: web.Request) -> web.Response:
@@ -101,7 +103,7 @@ class Pages:
         page = self._outward(request)
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
         # the gate has checked it, where the server has tokens at all
-        token = token.strip() if kind.lower() == "bearer" and self._stats()["token"] else ""
+        token = token.strip() if kind.lower() == "bearer" and self._stats(user_of(request))["token"] else ""
         if local:
             code = ""
         elif token:

@@ -33,6 +33,7 @@ def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -
     asks = " It asks for the token." if stats["token"] else ""
     options += " --tls-ca PEM" if url.startswith("wss:") else ""
     see = f'or in a headset: <a href="vr/">the viewer</a>, <code>{viewer}</code>.{asks}' if viewer else _ALONE
+    scene = f"{html.escape(stats['scene'])} on " if stats["scene"] else ""
     stages = [(name, f"{t['median']:.2f}", f"{t['p95']:.2f}") for name, t in stats["stages"].items()]
     counts = ("sent", "dropped", "stale", "malformed", "failed", "unacknowledged", "window")
     keys = ("id", "avatar", "form", "size", *counts)
@@ -45,9 +46,9 @@ def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -
 <link rel="stylesheet" href="vr/status/status.css"><script type="module" src="vr/status/main.js"></script></head><body>
 <header><h1>glsplat server</h1><a class="first" href="vr/">Open the viewer</a></header>
 <main>
-<p id="summary">{html.escape(stats["scene"])} on {html.escape(stats["driver"])}; up {stats["uptime"]:.0f} s,
+<p id="summary">{scene}{html.escape(stats["driver"])}; up {stats["uptime"]:.0f} s,
 {stats["totals"]["sent"]} pictures sent, {stats["fps"]:.1f} a second,
-{len(stats["clients"])} of {stats["max_clients"]} clients, {"healthy" if stats["healthy"] else "failing"}.</p>
+{stats["connected"]} of {stats["max_clients"]} clients, {"healthy" if stats["healthy"] else "failing"}.</p>
 <p id="trouble" role="status" aria-live="polite"></p>
 <section id="curves" aria-label="The last five minutes" hidden></section>
 <section id="now" aria-labelledby="now-title" hidden><h2 id="now-title">Now</h2>

@@ -80,11 +80,12 @@ class SplatFiles:
     async def _file(self, request: web.Request) -> web.Response:
         """One file for all names that have it: it is given to who may have it under any of them."""
         asked, user = request.match_info["sha256"], user_of(request)
-        names = [name for name, file in self._files.items() if file is not None and file.sha256.hex() == asked]
+        worn, sees = set(self._worn(user)), self._rights.sees
+        here = [name for name, file in self._files.items() if file is not None and file.sha256.hex() == asked]
+        names = [name for name in here if name in worn or sees(user, "avatar", name)]
         if not names:
             return web.Response(status=404, text=_NOWHERE)
-        worn = set(self._worn(user))
-        reasons = [self._rights.withheld(name) or self._unseen(user, name, worn) for name in names]
+        reasons = [self._rights.withheld(name) or self._unshown(user, name, worn) for name in names]
         if all(reasons):
             return web.Response(status=403, text=f"{reasons[0]}\n")
         found = self._files[names[0]]
@@ -94,7 +95,7 @@ class SplatFiles:
             return web.Response(status=304, headers=headers)
         return web.Response(body=found.data, content_type="application/octet-stream", headers=headers)
 
-    def _unseen(self, user: User | None, name: str, worn: set[str]) -> str:
+    def _unshown(self, user: User | None, name: str, worn: set[str]) -> str:
         return "" if name in worn else self._rights.refusal(user, name)
 
 

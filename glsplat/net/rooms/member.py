@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from glsplat.camera import Camera
+from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
 from glsplat.net.fields import PictureOptions
 from glsplat.net.messages import Request
@@ -27,7 +28,7 @@ class Member:
     rest: Pose
 
     def solved(self, request: Request, solved: Solved, at: float) -> None:
-        """Tracking that came ``at`` seconds was solved."""
+        """Tracking that came ``at`` seconds was solved. Raises PoseError for what the others cannot be shown."""
         self.room.moved(self.person, self._moved(request, solved, at))
 
     def meeting(self, request: Request) -> Request:
@@ -55,7 +56,10 @@ class Member:
     def look(
         self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float
     ) -> tuple[tuple[Camera, ...], RoomView]:
-        """The ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it."""
+        """The ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it.
+
+        Raises PoseError for a solution that the others cannot be shown.
+        """
         return self.room.look(self.person, cameras, self._moved(request, solved, at), now)
 
     def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
@@ -70,6 +74,8 @@ class Member:
             self.room.lost(self.person)
 
     def _moved(self, request: Request, solved: Solved | None, at: float) -> Moved:
-        if solved is not None:
-            return Moved(solved.pose, at, request.t, request.frame_id, solved.scale, solved.floor)
-        return Moved(self.rest if request.pose is None else request.pose, at, request.t, request.frame_id)
+        if solved is None:
+            return Moved(self.rest if request.pose is None else request.pose, at, request.t, request.frame_id)
+        if (found := len(solved.pose.rotations)) != len(self.rest.rotations):
+            raise PoseError(f"the solver's pose has {found} joints, the avatar {len(self.rest.rotations)}")
+        return Moved(solved.pose, at, request.t, request.frame_id, solved.scale, solved.floor)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.poses.body import Place, pack_body, place_of
 from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
@@ -44,18 +45,18 @@ class Moved:
 
 
 class Person:
-    """One person. ``seat`` [4, 4] takes the user's space to the room's; ``owner`` is who may come back as them."""
+    """One person. ``seat`` [4, 4] takes the user's space to the room's; ``resume`` is the token to come back with."""
 
     def __init__(
-        self, key: int, name: str, avatar: str, seat: NDArray[np.float64], owner: str, now: float, label: str = ""
+        self, key: int, name: str, avatar: str, seat: NDArray[np.float64], resume: str, now: float, label: str = ""
     ) -> None:
-        self.key, self.name, self.avatar, self.seat, self.owner, self.label = key, name, avatar, seat, owner, label
+        self.key, self.name, self.avatar, self.seat, self.resume, self.label = key, name, avatar, seat, resume, label
         self.connected = True
         self.face: NDArray[np.float64] | None = None  # [3] between their eyes, in the room
         self._heard = now
         self._samples: deque[Moved] = deque(maxlen=32)
         self._packed: tuple[bytes, bytes] | None = None  # the newest sample on the wire, by the avatar's hash
-        self._placed: tuple[tuple[float, float], Place] | None = None  # where they are, by their size and floor
+        self._placed = (1.0, 0.0), (place_of(seat), seat)  # scale and floor, and the place at them
         self._to_room = np.asarray(np.linalg.inv(seat), np.float64)
 
     @property
@@ -72,8 +73,9 @@ class Person:
         self.face = None if head is None else self.seat[:3, :3] @ np.asarray(head[:3]) + self.seat[:3, 3]
 
     def moved(self, sample: Moved) -> None:
-        """A sample came."""
+        """Take a sample. Raises PoseError, and keeps the last one, where nobody can stand at its scale and floor."""
         self.heard(sample.at)
+        self.place(sample)
         self._samples.append(sample)
         self._packed = None
 
@@ -83,11 +85,8 @@ class Person:
         if last is None:
             return None
         if self._packed is None or self._packed[0] != sha256:
-            size = last.scale, last.floor
-            if self._placed is None or self._placed[0] != size:
-                self._placed = size, place_of(self.transform())
             body = pack_body(
-                *(last.pose, sha256, self._placed[1]),
+                *(last.pose, sha256, self.place(last)[0]),
                 at=last.at * 1e3,
                 t=last.t,
                 key=self.key,
@@ -108,20 +107,31 @@ class Person:
         """Whether nothing is left of them."""
         return not self.connected and self.silent(now) >= SILENT + FADE
 
-    def transform(self) -> NDArray[np.float64]:
-        """[4, 4] room from avatar: where the user is, at the user's size."""
-        sample = self.newest
-        if sample is None or (sample.scale == 1 and sample.floor == 0):
-            return self.seat
-        placed: NDArray[np.float64] = self.seat @ similarity((0, sample.floor, 0), scale=sample.scale)
-        return placed
+    def place(self, sample: Moved) -> tuple[Place, NDArray[np.float64]]:
+        """Return where the user of a sample is, at their size: room from avatar in parts and as a matrix [4, 4].
+
+        Raises PoseError for a scale and floor at which nobody can be drawn.
+        """
+        size = sample.scale, sample.floor
+        if size != self._placed[0]:
+            with np.errstate(invalid="ignore"):  # of an infinite floor, which is refused
+                ground = self.seat[:3, 3] + sample.floor * self.seat[:3, 1]
+            place = Place(tuple(ground.tolist()), self._placed[1][0].rotation, sample.scale)
+            try:
+                self._placed = size, (place, similarity(*place))
+            except GlsplatError as error:
+                raise PoseError(f"nobody can stand at this scale and floor: {error}") from None
+        return self._placed[1]
 
     def from_room(self) -> NDArray[np.float64]:
         """[4, 4] user from room."""
         return self._to_room
 
     def at(self, now: float) -> tuple[Pose, float] | None:
-        """The pose they will have at ``now``, and the seconds of it that are extrapolated; None before any came."""
+        """The pose they will have at ``now``, and the seconds of it that are extrapolated; None before any came.
+
+        The last pose where the movement leads beyond what a pose may be.
+        """
         last = self.newest
         if last is None:
             return None
@@ -129,7 +139,10 @@ class Person:
         before = self._base(last)
         if before is None or ahead == 0:
             return last.pose, 0.0
-        return _ahead(before.pose, last.pose, ahead / _between(before, last)), ahead
+        try:
+            return _ahead(before.pose, last.pose, ahead / _between(before, last)), ahead
+        except PoseError:
+            return last.pose, 0.0
 
     def _base(self, last: Moved) -> Moved | None:
         """The sample to measure the speed from: far enough back for noise to count little, near enough to be true."""

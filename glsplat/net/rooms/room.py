@@ -7,9 +7,10 @@ asked for, so that nobody's own hands lag behind; who asked for none in the last
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
+from itertools import count, takewhile
 from threading import Lock
 from typing import Any
 
@@ -18,16 +19,18 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
+from glsplat.net.backends.labels import driven_by
 from glsplat.net.fields import Place
 from glsplat.net.poses.body import MOST, yours
 from glsplat.net.poses.history import PoseHistory, Poses
-from glsplat.net.rooms.person import SILENT, Moved, Person
+from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
 from glsplat.net.rooms.view import RoomView, VisiblePerson, people_fields
 
 __all__ = ["Room", "RoomError"]
 
 
+_TOKEN_BYTES = 16  # of randomness in the token that brings a person back
 _SWEEP = 0.03  # seconds
 _LEARN = 0.1  # how far each picture moves what one is expected to take
 
@@ -44,7 +47,7 @@ class RoomError(ProtocolError):
 class _Guest:
     person: Person
     seat: int | None  # None: chose a place
-    leave: Callable[[], None]  # ends the connection of who is replaced
+    leave: Callable[[], None]  # ends the connection of somebody who comes back on another one
     shown: VisiblePerson
     faded: int = 255  # opacity that the others were told
 
@@ -69,41 +72,46 @@ class Room:
 
     def join(
         self,
-        name: str,
+        name: str,  # "": a free "guest N", counted from ``guest``
         avatar: str,
         now: float,
-        owner: str = "",
-        place: NDArray[np.float64] | None = None,  # [4, 4] room from user; None: a free seat
+        resume: str = "",  # token of the person to come back as, "": a newcomer
+        place: NDArray[np.float64] | None = None,  # [4, 4] room from user; None: the place they had, or a free seat
         leave: Callable[[], None] = lambda: None,
-        label: str = "",  # over their head
+        notice: str = "",  # over their head, beside the name
+        guest: int = 1,
     ) -> Person:
-        """Somebody comes. ``leave`` is called when they come back on another connection and this one is dead.
+        """Add a person, or bring one back: a name belongs to the connection that has it, however silent that is.
+
+        Its token alone brings the person back, at once, to their place, on another connection; ``leave`` of the one
+        before is called. After a connection that broke the name stays taken until its person has faded.
 
         Raises RoomError: the name is taken, the room is full.
         """
         with self._lock:
             self._forget(now)
-            replaced = self._guests.get(name)
-            if replaced is not None:
-                there = replaced.person.connected and replaced.person.silent(now) < SILENT
-                if there or replaced.person.owner != owner:
-                    raise RoomError(f'there is somebody called "{name}" in this room; choose another name', 409)
-            elif len(self._guests) >= self.seats:
+            before = self._whose(resume, name)
+            if before is None and name in self._guests:
+                raise RoomError(f'there is somebody called "{name}" in this room; choose another name', 409)
+            if before is None and len(self._guests) >= self.seats:
                 raise RoomError(f"the room is full ({self.seats} people); try again later", 503)
-            number = None if replaced is None else replaced.seat
-            if place is None and number is None:
-                taken = {guest.seat for guest in self._guests.values() if guest.seat is not None}
-                number = free_seat(taken, self.seats)
-            stands = place if place is not None else seat(number or 0, self.seats)
+            if before is None:
+                name = name or next(free for n in count(guest) if (free := f"guest {n}") not in self._guests)
+                number, token = None, secrets.token_urlsafe(_TOKEN_BYTES)
+                if place is None:
+                    number = free_seat({one.seat for one in self._guests.values() if one.seat is not None}, self.seats)
+                    place = seat(number, self.seats)
+            else:
+                name, number, token = before.person.name, before.seat, before.person.resume
+                place = before.person.seat if place is None else place
+                self._news.pop(before.person.key, None)
             self._keys += 1
             self._version += 1
-            person = Person(self._keys, name, avatar, stands, owner, now, label)
-            shown = VisiblePerson(person.key, name, avatar, None, stands, label=person.label)
-            if replaced is not None:
-                self._news.pop(replaced.person.key, None)
-            self._guests[name] = _Guest(person, number if place is None else None, leave, shown)
-        if replaced is not None and replaced.person.connected:
-            replaced.leave()
+            person = Person(self._keys, name, avatar, place, token, now, driven_by(name, notice))
+            shown = VisiblePerson(person.key, name, avatar, None, place, label=person.label)
+            self._guests[name] = _Guest(person, number, leave, shown)
+        if before is not None and before.person.connected:
+            before.leave()
         return person
 
     def left(self, person: Person) -> None:
@@ -126,12 +134,12 @@ class Room:
             person.heard(now)
 
     def moved(self, person: Person, sample: Moved) -> None:
-        """A sample of somebody's tracking was solved, or a pose of theirs came."""
+        """A sample of somebody's tracking was solved, or a pose of theirs came. PoseError: it is none to be shown."""
         with self._lock:
             last = person.newest
             person.moved(sample)
             # who only listens is at rest in each request, which is no news
-            if last is None or last.pose is not sample.pose or last.scale != sample.scale:
+            if last is None or (last.pose, last.scale, last.floor) != (sample.pose, sample.scale, sample.floor):
                 self._changed(person)
 
     def faces(self, person: Person, head: Sequence[float] | None) -> list[Place]:
@@ -154,9 +162,8 @@ class Room:
             self._drawn.add(person.key)
             guest = self._guests.get(person.name)
             if guest is not None and guest.person is person:
-                guest.shown = replace(
-                    guest.shown, pose=own.pose, transform=person.transform(), frame_id=own.frame_id, ahead=0.0
-                )
+                transform = person.place(own)[1]
+                guest.shown = replace(guest.shown, pose=own.pose, transform=transform, frame_id=own.frame_id, ahead=0.0)
             people = tuple(
                 replace(guest.shown, opacity=guest.person.opacity(now))
                 for guest in self._guests.values()
@@ -246,7 +253,7 @@ class Room:
                 guest.shown = replace(
                     guest.shown,
                     pose=pose,
-                    transform=person.transform(),
+                    transform=person.place(newest)[1],
                     frame_id=newest.frame_id,
                     ahead=round(ahead * 1e3, 1),
                 )
@@ -275,10 +282,19 @@ class Room:
                 guest.faded = byte
                 self._changed(guest.person)
 
+    def _whose(self, resume: str, name: str) -> _Guest | None:
+        """Whom a token belongs to, if they are here under that name; "" is any name."""
+        for one in self._guests.values():
+            if secrets.compare_digest(one.person.resume.encode(), resume.encode(errors="replace")):
+                return one if name in ("", one.person.name) else None
+        return None
+
     def _is_here(self, person: Person) -> bool:
         guest = self._guests.get(person.name)
         return guest is not None and guest.person is person
 
 
 def _moved(camera: Camera, from_room: NDArray[np.float64]) -> Camera:
-    return replace(camera, viewmat=camera.viewmat @ from_room)
+    viewmat = np.eye(4)  # the last row of a client's may be off by rounding, which a place far away would multiply
+    viewmat[:3] = camera.viewmat[:3] @ from_room
+    return replace(camera, viewmat=viewmat)

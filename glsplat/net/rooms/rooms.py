@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.backends.labels import driven_by
 from glsplat.net.options import RequestedOptions
+from glsplat.net.rights import Thing
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.room import Room, RoomError
 from glsplat.skinning.pose import Pose
@@ -32,22 +32,20 @@ class Rooms:
         asked: RequestedOptions,
         shown: AvatarInfo,
         number: int,
-        owner: str,
         now: float,
         leave: Callable[[], None],
         notice: str = "",
     ) -> Member:
-        """The person of client ``number`` in the room that it asks for. Raises RoomError.
+        """Return client ``number`` as a member of the room that it asks for: a newcomer, or whose token it has.
 
-        ``notice`` is said of them over their head.
+        ``notice`` stands over their head, beside the name. Raises RoomError.
         """
         room = self._rooms.get(asked.room or "")
         if room is None:
             raise RoomError("there is no such room here", 404)
         if shown.skeleton is None:
             raise RoomError("a room needs people: name an avatar with joints", 400)
-        name = asked.name or f"guest {number}"
-        person = room.join(name, shown.name, now, owner, asked.place, leave, driven_by(name, notice))
+        person = room.join(asked.name, shown.name, now, asked.resume, asked.place, leave, notice, number)
         return Member(room, person, Pose.zero(len(shown.skeleton)))
 
     def worn(self, names: Sequence[str]) -> set[str]:
@@ -62,6 +60,7 @@ class Rooms:
             for one in rooms
         ]
 
-    def status(self, now: float) -> list[dict[str, Any]]:
-        """What /stats says of them."""
-        return [room.status(now) for room in self._rooms.values()]
+    def status(self, now: float, sees: Callable[[Thing, str], bool]) -> list[dict[str, Any]]:
+        """What /stats says of those that whoever asks ``sees``; ``people`` is null where their names are not seen."""
+        seen = [room for name, room in self._rooms.items() if sees("room", name)]
+        return [room.status(now) | ({} if sees("people", room.name) else {"people": None}) for room in seen]

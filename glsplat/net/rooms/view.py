@@ -60,11 +60,14 @@ class RoomView:
 def people_fields(
     room: str, viewer: Person, people: Sequence[Person], hashes: Mapping[str, bytes | None]
 ) -> dict[str, Any]:
-    """``room`` of a reply in poses: who is there, what to draw each from, and where the viewer's own space stands."""
+    """``room`` of a reply in poses: who is there, what to draw each from, and where the viewer's own space stands.
+
+    And the token that brings the viewer back.
+    """
     translation, rotation, _ = place_of(viewer.seat)
     told = [
         {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer, "label": one.label}
         | {"sha256": None if (digest := hashes[one.avatar]) is None else digest.hex()}
         for one in people
     ]
-    return {"name": room, "place": [*translation, *rotation], "people": told}
+    return {"name": room, "place": [*translation, *rotation], "people": told, "resume": viewer.resume}

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 
 from aiohttp import ClientError, web
 
+from glsplat.net.guard.limits import RateFloor
 from glsplat.net.options import NAME
 from glsplat.net.uploads.job import VIEWS, Order, UploadConfig
 
 __all__ = ["RefusedError", "check_head", "discard", "read_order", "split_form"]
+
+clock: Callable[[], float] = time.monotonic
+
 _FIELDS = ("height", "anyway", "consent", "name")
 _FIELD = 128  # bytes of a field: 32 letters of any script
 _TYPES = ("image/jpeg", "image/png", "image/webp")
@@ -49,7 +54,11 @@ async def read_order(request: web.Request, config: UploadConfig) -> Order:
         async with asyncio.timeout(config.receive):
             body = await _whole(request, config)
     except TimeoutError:
-        raise RefusedError(408, "the pictures came too slowly; try again on a better connection") from None
+        raise RefusedError(
+            408,
+            f"the pictures came too slowly: at least {config.rate / 1000:g} kB a second are needed, all of them within "
+            f"{config.receive:g} s; send smaller ones, or try a better connection",
+        ) from None
     except (ConnectionError, ClientError) as error:
         raise ConnectionError("gone in the middle of its pictures") from error
     if request.content_type in _TYPES:
@@ -100,12 +109,14 @@ async def discard(request: web.Request, config: UploadConfig, seconds: float = 3
 
 async def _whole(request: web.Request, config: UploadConfig) -> bytes:
     data = bytearray()
+    floor = RateFloor(config.rate, config.stall, clock())
     while True:
-        async with asyncio.timeout(config.stall):
+        async with asyncio.timeout(floor.left(clock())):
             piece = await request.content.readany()
         if not piece:
             return bytes(data)
         data += piece
+        floor.receive(len(piece), clock())
         if len(data) > config.body_bytes + _FORM:
             raise _too_big(config)
 

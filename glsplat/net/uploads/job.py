@@ -11,13 +11,26 @@ from typing import Any, Literal
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 
-__all__ = ["VIEWS", "Finding", "Job", "LowConfidenceError", "Make", "Order", "Progress", "UploadConfig", "notes_of"]
+__all__ = [
+    "VIEWS",
+    "WORDS",
+    "Finding",
+    "Job",
+    "LowConfidenceError",
+    "Make",
+    "Order",
+    "Progress",
+    "UploadConfig",
+    "bounded",
+    "notes_of",
+]
 
 VIEWS = ("front", "back", "left", "right")
 """The sides of a person that pictures may show; the first is needed."""
 
 _STEPS = 40  # that are told of a job
-_WORDS = 300  # characters of a line that is told
+WORDS = 300
+"""Characters of a line that is told."""
 
 Finding = tuple[str, str, str]
 """What is wrong with a picture: the side of the person that it shows, a word for programs, a line for people."""
@@ -70,9 +83,11 @@ class UploadConfig:
     avatar_bytes: int = 100_000_000
     waiting: int = 2  # jobs beside the one that is worked on; those whose pictures still come are among them
     per_address: int = 2  # jobs of one address
+    senders: int = 1  # of them, whose pictures still come
     seconds: float = 600.0  # a job may take, from when it is worked on
     receive: float = 120.0  # seconds that the pictures may take to come
-    stall: float = 10.0  # seconds without a byte of them
+    rate: float = 4000.0  # bytes of them a second, at least
+    stall: float = 10.0  # seconds that they may be behind that rate, also at the start
     patience: float = 120.0  # seconds that a refused job's process waits for the word to go on all the same
     nice: int = 10  # of the process that works, so that drawing goes first
 
@@ -100,7 +115,7 @@ class Job:
 
     def progress(self, step: str, share: float) -> None:
         """The work is at ``step``, ``share`` of which is done."""
-        step = step.partition(", error ")[0][:_WORDS]  # a number that changes is no other step
+        step = step.partition(", error ")[0][:WORDS]  # a number that changes is no other step
         if (not self.steps or self.steps[-1] != step) and len(self.steps) < _STEPS:
             self.steps.append(step)
         self.share = min(1.0, max(0.0, share))
@@ -108,8 +123,8 @@ class Job:
     def fail(self, error: str, findings: Sequence[Finding] = (), goes_on: bool = False) -> None:
         """It comes to nothing, unless it ``goes_on``."""
         self.state, self.order, self.ended, self.goes_on = "failed", None, time.monotonic(), goes_on
-        self.error = error[:_WORDS]
-        self.findings = _kept(findings)
+        self.error = error[:WORDS]
+        self.findings = bounded(findings)
 
     def again(self) -> None:
         """It is wanted all the same."""
@@ -118,7 +133,7 @@ class Job:
     def done(self, notes: Sequence[Finding] = ()) -> None:
         """The avatar is offered."""
         self.state, self.share, self.ended = "done", 1.0, time.monotonic()
-        self.notes = _kept(notes)
+        self.notes = bounded(notes)
 
     def status(self, ahead: int) -> dict[str, Any]:
         """What clients are told; ``ahead``: jobs that come before this one."""
@@ -145,5 +160,6 @@ def notes_of(meta: Mapping[str, Any]) -> tuple[Finding, ...]:
     return tuple((str(one.get("side")), str(one.get("code")), str(one.get("text"))) for one in found)
 
 
-def _kept(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    return tuple((side[:_WORDS], code[:_WORDS], text[:_WORDS]) for side, code, text in findings[:_STEPS])
+def bounded(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """As many findings as are told of a job, in as many characters."""
+    return tuple((side[:WORDS], code[:WORDS], text[:WORDS]) for side, code, text in findings[:_STEPS])

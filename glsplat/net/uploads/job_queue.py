@@ -61,9 +61,11 @@ class JobQueue:
         open_ = self._open()
         if len(open_) > self._config.waiting:
             raise RefusedError(503, self._full(), _SOON)
-        most = self._config.per_address
-        if Counter(job.address for job in open_)[address] >= most:
+        most, mine = self._config.per_address, [job for job in open_ if job.address == address]
+        if len(mine) >= most:
             raise RefusedError(503, f"at most {most} avatars at once from one address; wait for one of yours", _SOON)
+        if sum(job.state == "receiving" for job in mine) >= self._config.senders:
+            raise RefusedError(503, "other pictures from this address are on their way; send yours after them", _SOON)
         name = self._store.new_name()
         job = self._jobs[name] = Job(name, address, account)
         return job

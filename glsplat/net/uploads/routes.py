@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
@@ -20,6 +21,7 @@ from glsplat.net.uploads.upload_store import NoRoomError, UploadStore
 
 __all__ = ["Uploads"]
 
+_NO_AVATAR = "there is no such avatar of yours\n"
 _SLACK = 2**20  # bytes of a body beyond its pictures: fields, boundaries, and what is discarded before an answer
 
 
@@ -73,10 +75,13 @@ class Uploads:
             check_head(request, self.config)
             user = user_of(request)
             job = await self._book(connection.key, "" if user is None else user.name)
+            begun = time.monotonic()
             try:
                 self._queue.begin(job, await read_order(request, self.config))
-            except BaseException:  # also when the client is gone
+            except BaseException as error:  # also when the client is gone
                 self._queue.cancel(job)
+                if not isinstance(error, RefusedError) or error.status == 408:
+                    self._gate.unfinished_upload(request, time.monotonic() - begun)
                 raise
         except RefusedError as refusal:
             return await self._refused(request, refusal)
@@ -92,16 +97,14 @@ class Uploads:
         return self._queue.book(address, account)
 
     async def _get(self, request: web.Request) -> web.Response:
-        job = self._queue.find(request.match_info["name"])
-        if job is None:
-            return web.Response(status=404, text="there is no such avatar in the making\n")
-        return _answer(self._status(job))
+        job = self._job(request)
+        return _nowhere() if job is None else _answer(self._status(job))
 
     async def _anyway(self, request: web.Request) -> web.Response:
         """Go on with what was refused. Who knows the name had it made: it is in no list."""
-        job, user = self._queue.find(request.match_info["name"]), user_of(request)
-        if job is None or (user is not None and job.account != user.name):
-            return web.Response(status=404, text="there is no such avatar in the making\n")
+        job = self._job(request)
+        if job is None:
+            return _nowhere()
         try:
             self._queue.go_on(job)
         except RefusedError as refusal:
@@ -112,12 +115,11 @@ class Uploads:
         name = request.match_info["name"]
         if not self.store.made_here(name):
             return web.Response(status=403, text="only avatars that were made here can be deleted\n")
-        job = self._queue.find(name)
-        user = user_of(request)
-        own = user is None or (job is not None and job.account == user.name)
-        under_way = job is not None and job.ended is None  # nothing tells yet whose it is, but the job
-        if not own and (under_way or not self._gate.rights.may_delete(user, name)):
-            return web.Response(status=403, text="only who had an avatar made here can delete it\n")
+        job = self._job(request)
+        # while there is a job, it says whose the avatar is; then the avatar's own record does
+        may = self._queue.find(name) is None and self._gate.rights.may_delete(user_of(request), name)
+        if job is None and not may:
+            return web.Response(status=404, text=_NO_AVATAR)
         if job is not None:
             self._queue.cancel(job)
         offered = await self._withdraw(name)  # nobody is shown it any more, whatever the disk says
@@ -126,8 +128,14 @@ class Uploads:
         except GlsplatError as error:
             return web.Response(status=500, text=f"{error}\n")
         if job is None and not offered and not removed:
-            return web.Response(status=404, text="there is no such avatar\n")
+            return web.Response(status=404, text=_NO_AVATAR)
         return web.Response(status=204)
+
+    def _job(self, request: web.Request) -> Job | None:
+        """The job that an address names; None where there is none, or not for whoever asks."""
+        job = self._queue.find(request.match_info["name"])
+        seen = job is not None and self._gate.rights.sees(user_of(request), "job", job.account)
+        return job if seen else None
 
     async def _refused(self, request: web.Request, refusal: RefusedError) -> web.Response:
         if refusal.status not in (408, 429):  # it sends too little, or too often
@@ -138,6 +146,10 @@ class Uploads:
 
     def _status(self, job: Job) -> dict[str, Any]:
         return job.status(self._queue.ahead(job))
+
+
+def _nowhere() -> web.Response:
+    return web.Response(status=404, text="there is no such avatar in the making\n")
 
 
 def _answer(fields: Mapping[str, Any], status: int = 200, headers: Mapping[str, str] | None = None) -> web.Response:

@@ -23,11 +23,11 @@ from typing import Any
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
-from glsplat.net.uploads.job import Finding, LowConfidenceError, Make, Order, Progress, UploadConfig
+from glsplat.net.uploads.job import WORDS, Finding, LowConfidenceError, Make, Order, Progress, UploadConfig, bounded
 
 __all__ = ["Maker", "MakerFaultError", "UnwantedError"]
 
-_LINE = 65_536  # bytes of what the process tells at once
+_LINE = 1 << 19  # bytes of what the process tells at once: of bounded findings, each character written as twelve
 _TELL = 0.1  # seconds between two lines about the same step
 _CANCELLED, _LATE = "cancelled", "late"
 _GO_ON = "go on"
@@ -182,14 +182,14 @@ def _work(make: Make, nice: int, pipe: Connection) -> None:
     last = ("", 0.0)  # the step told last, and when
 
     def tell(kind: str, **more: Any) -> None:
-        pipe.send_bytes(json.dumps({"kind": kind, **more}).encode()[:_LINE])
+        pipe.send_bytes(json.dumps({"kind": kind, **more}).encode())
 
     def progress(step: str, share: float) -> None:
         nonlocal last
         now = time.monotonic()
         if step != last[0] or share >= 1 or now - last[1] > _TELL:
             last = step, now
-            tell("step", step=step, share=float(share))
+            tell("step", step=step[:WORDS], share=float(share))
 
     with suppress(OSError):  # the server is gone
         try:
@@ -204,8 +204,7 @@ def _work(make: Make, nice: int, pipe: Connection) -> None:
                     return
                 except LowConfidenceError as error:
                     go_on = error.go_on
-                    found = [list(one) for one in error.findings]
-                    tell("refused", error=_line(error), findings=found, waits=go_on is not None)
+                    tell("refused", error=_line(error), findings=bounded(error.findings), waits=go_on is not None)
                     if go_on is not None:
                         pipe.recv()  # whoever does not send it ends this process
                     continue
@@ -223,7 +222,7 @@ def _work(make: Make, nice: int, pipe: Connection) -> None:
 
 
 def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
+    return " ".join(str(error).split())[:WORDS]
 
 
 def _place(error: BaseException) -> str:

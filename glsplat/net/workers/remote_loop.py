@@ -209,6 +209,10 @@ class RemoteLoop(RenderLoop):
         self._note(frame, rendered, start, scale, floor)
         return encoded
 
+    def _suspects_others(self, frame: Frame, error: Exception) -> bool:
+        """What ended its worker is drawn by another one, without the others."""
+        return not isinstance(error, WorkerLostError) and super()._suspects_others(frame, error)
+
     def _failed(self, channel: ClientStream, frame: Frame, error: Exception) -> None:
         """A picture that its worker did not survive is drawn by another once; its client is not let kill them all."""
         avatar = channel.shown.name
@@ -219,7 +223,9 @@ class RemoteLoop(RenderLoop):
             now = self._clock()
             frame.losses += 1
             suspect = error.blames or frame.losses > 1 or self._blame.suspects(channel.address, now)
-            if suspect and self._blame.again(channel.address, now):
+            if suspect and frame.shows_others:
+                self._suspect_others(frame, error)
+            elif suspect and self._blame.again(channel.address, now):
                 frame.ends = "pictures that the renderer does not survive"
             frame.moved = not frame.ends and frame.losses < 2
         if frame.moved:

@@ -46,8 +46,8 @@ __all__ = [
 MAX_ANSWER = 256 * 2**20
 """Bytes of a worker's message at most."""
 
-_MAX_ORDER = 2**20  # bytes of a gateway's message; a request is at most 64 KiB of JSON
-_MAGIC = b"glsplat worker 2"
+_MAX_ORDER = 2**24  # bytes of a gateway's message; a room's people bring up to 64 KiB of names and numbers each
+_MAGIC = b"glsplat worker 3"
 _NONCE = _TAG = 32
 _SEAL = 16  # bytes of the hash behind a gateway's message
 HEAD = struct.Struct("<IBI")

@@ -64,6 +64,7 @@ class Pipeline:
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
         self.cost: int | None = None  # covered pixels of the current records; known only where it was asked for
+        self.item_costs: tuple[int, ...] = ()  # of each item that is shown; where the host sorts, known with the cost
         self._costs: NDArray[np.uint32] | None = None  # of what is shown, in blocks
         with ExitStack() as stack:  # releases what was made if a later pass cannot be
 
@@ -103,7 +104,7 @@ class Pipeline:
         views: Sequence[Camera],
         sort_viewmat: NDArray[np.float64],
         timer: StageTimer,
-        costed: bool = False,  # and count what drawing them costs
+        costed: int = 0,  # 1: count what drawing costs; 2: also of each item, even if that means to wait for a GPU
         shared: bool = False,  # other passes of the frame come here, too: an old order may be theirs
         light: Light | None = None,  # of the scene
     ) -> bool:
@@ -121,7 +122,8 @@ class Pipeline:
         shone = None if light is None else light.uniforms().tobytes()
         state = (arena.version, arena.shown, sort_viewmat.tobytes(), tuple(map(view_state, views)), shone)
         moved = state != self._seen
-        if not moved and self._order_age == 0 and not (costed and self.cost is None):
+        known = self.cost is not None and (bool(self.item_costs) or costed < 2)
+        if not moved and self._order_age == 0 and (known or not costed):
             return False
         resort = shared or not moved or self._order_age + 1 >= self._config.sort_period
         if self._sorter and costed:
@@ -130,12 +132,14 @@ class Pipeline:
         age = 0 if resort else self._order_age + 1
         # noted again when the records are there: a frame that is broken off in between leaves nothing to go by
         self._seen, self._order_age = None, self._config.sort_period
-        self.cost = self._costs = None
+        self.cost, self._costs, self.item_costs = None, None, ()
         self._shown, ranges = arena.shown, arena.ranges
         if self._sorter:
             if resort:
                 self._key.run(ranges)
                 timer.mark("key")
+                if costed == 2:
+                    self.item_costs = self._itemised(self._key.read_costs(ranges))
                 self._sorter.run()
                 self._project.count = arena.count  # culled ones sort last; the indirect draw leaves them out
                 self._counted = False
@@ -145,8 +149,8 @@ class Pipeline:
             timer.mark("key")
             keys, tiles, costs = self._key.read()
             if costed:
-                self.cost = BLOCK_PIXELS * int(costs.sum(dtype=np.uint64))
-                self._costs = costs
+                self._costs, self.item_costs = costs, self._itemised(costs)
+                self.cost = sum(self.item_costs)
             self.culled = self._without_padding(count_culled(keys))
             self.covered = covered_box(tiles[keys < FIRST_CULLED], views[0].width, views[0].height)
             if resort:
@@ -223,6 +227,13 @@ class Pipeline:
     def added(self, stats: FrameStats) -> FrameStats:
         """``stats`` with what this pass did."""
         return stats.plus(self.drawn, self.culled, self.covered, self.cost or 0)
+
+    def _itemised(self, costs: NDArray[np.uint32]) -> tuple[int, ...]:
+        """Covered pixels of each item that is shown, from the blocks of its splats."""
+        if not len(costs):
+            return (0,) * len(self._arena.shown)
+        blocks = np.add.reduceat(costs, self._arena.shown_starts, dtype=np.int64)
+        return tuple((BLOCK_PIXELS * blocks).tolist())
 
     def _count(self) -> None:
         """What the GPU sorter counted, to the host."""

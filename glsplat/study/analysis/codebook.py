@@ -72,13 +72,10 @@ def item_answers(path: str | Path, measure: Measure) -> F64:
     A row is one time that a participant was asked. ``path``: a CSV file with the columns participant, step,
     questionnaire, item and value. Raises FormatError.
     """
-    rows = read_rows(path)
     wanted = ("participant", "step", "questionnaire", "item", "value")
-    if lost := [name for name in wanted if name not in rows[0][1]]:
-        raise FormatError(f"{path}: no column {', '.join(map(repr, lost))}; there are {', '.join(rows[0][1])}")
     asked: dict[tuple[str, str], F64] = {}
     place = {item: i for i, item in enumerate(measure.items)}
-    for line, row in rows:
+    for line, row in read_rows(path, wanted):
         item = f"{row['questionnaire']}.{row['item']}"
         if item in place:
             value = number_of(path, line, "value", row["value"])
@@ -96,10 +93,7 @@ def item_answers(path: str | Path, measure: Measure) -> F64:
 
 def wide_items(path: str | Path, items: Sequence[str]) -> F64:
     """Answers [N, K] from a table with a column an item, NaN where a cell is empty. Raises FormatError."""
-    rows = read_rows(path)
-    if lost := [name for name in items if name not in rows[0][1]]:
-        raise FormatError(f"{path}: no column {', '.join(map(repr, lost))}; there are {', '.join(rows[0][1])}")
-    found = [[number_of(path, line, name, row[name]) for name in items] for line, row in rows]
+    found = [[number_of(path, line, name, row[name]) for name in items] for line, row in read_rows(path, items)]
     return np.array([[np.nan if value is None else value for value in row] for row in found])
 
 

@@ -11,7 +11,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +27,6 @@ __all__ = ["Factor", "Table", "make_table", "number_of", "read_rows", "read_tabl
 F64 = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-MOST_BYTES = 64 << 20
 MOST_CELLS = 256  # of a design: beyond it no study of people has data
 _NOTHING = {"", "na", "nan", "n/a", "null", "none"}  # how programs write a missing answer
 
@@ -132,18 +131,18 @@ def read_table(
     are those that have it in the column "measure". An empty value, NA or a row that is not there is a missing answer.
     Raises FormatError for what cannot be analysed, naming line and column.
     """
-    rows = read_rows(path)
     wanted = [participant, *factors, response, *(["measure"] if measure is not None else [])]
-    _has_columns(path, rows, wanted)
-    if measure is None and "measure" in rows[0][1] and len({row["measure"] for _, row in rows}) > 1:
-        some = ", ".join(sorted({row["measure"] for _, row in rows})[:8])
-        raise FormatError(f"{path}: expected one measure, found several; choose one of {some}")
-    if measure is not None:
-        rows = [(line, row) for line, row in rows if row["measure"] == measure]
-        if not rows:
-            raise FormatError(f"{path}: no row has the measure {measure!r}")
+    if measure is None:
+        measures = {row["measure"] for _, row in read_rows(path, wanted) if "measure" in row}
+        if len(measures) > 1:
+            some = ", ".join(sorted(measures)[:8])
+            raise FormatError(f"{path}: expected one measure, found several; choose one of {some}")
+    if len(set(wanted)) < len(wanted):
+        raise FormatError(f"{path}: expected participant, factors and response to be different columns")
     answers, unanswered = [], 0
-    for line, row in rows:
+    for line, row in read_rows(path, wanted):
+        if measure is not None and row["measure"] != measure:
+            continue
         value = number_of(path, line, response, row[response])
         if value is None:
             unanswered += 1
@@ -152,6 +151,8 @@ def read_table(
             if not row[name]:
                 raise FormatError(f"{path}, line {line}: column {name!r} is empty; each row needs one")
         answers.append((row[participant], [row[name] for name in factors], value))
+    if measure is not None and not answers and not unanswered:
+        raise FormatError(f"{path}: no row has the measure {measure!r}")
     levels = {name: tuple(factors[name]) if isinstance(factors, Mapping) else () for name in factors}
     try:
         table = make_table(measure or response, levels, answers)
@@ -202,43 +203,33 @@ def make_table(
     return table
 
 
-def read_rows(path: str | Path) -> list[tuple[int, dict[str, str]]]:
-    """The rows of a CSV file as line number and texts by column, blanks around texts taken off. Raises FormatError."""
-    with open_regular(path) as (file, size):
-        if size > MOST_BYTES:
-            raise FormatError(f"{path}: expected a table of at most {MOST_BYTES >> 20} MiB, this has {size >> 20}")
-        data = file.read()
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: expected a CSV file in UTF-8, but {error}") from None
-    rows: list[tuple[int, dict[str, str]]] = []
-    try:
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-        header = [name.strip() for name in next(reader, [])]
-        if len(set(header)) < len(header) or not header:
-            raise FormatError(f"{path}: expected a header that names each column once")
-        for row in reader:
-            if not row:
-                continue
-            if len(row) != len(header):
-                raise FormatError(
-                    f"{path}, line {reader.line_num}: {len(row)} columns, but the header has {len(header)}"
-                )
-            rows.append((reader.line_num, dict(zip(header, (cell.strip() for cell in row), strict=True))))
-    except csv.Error as error:
-        raise FormatError(f"{path}: not a CSV file ({error})") from None
-    if not rows:
+def read_rows(path: str | Path, wanted: Sequence[str] = ()) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield line number and texts by column of a CSV file's rows, blanks around texts taken off.
+
+    Raises FormatError, also where a column of ``wanted`` is missing.
+    """
+    with open_regular(path) as (file, _):
+        reader = csv.reader(io.TextIOWrapper(file, encoding="utf-8-sig", newline=""), strict=True)
+        count = 0
+        try:
+            header = [name.strip() for name in next(reader, [])]
+            if len(set(header)) < len(header) or not header:
+                raise FormatError(f"{path}: expected a header that names each column once")
+            if lost := [name for name in wanted if name not in header]:
+                raise FormatError(f"{path}: no column {', '.join(map(repr, lost))}; there are {', '.join(header)}")
+            for row in filter(None, reader):
+                if len(row) != len(header):
+                    raise FormatError(
+                        f"{path}, line {reader.line_num}: {len(row)} columns, but the header has {len(header)}"
+                    )
+                count += 1
+                yield reader.line_num, dict(zip(header, (cell.strip() for cell in row), strict=True))
+        except UnicodeDecodeError as error:
+            raise FormatError(f"{path}: expected a CSV file in UTF-8, but {error}") from None
+        except csv.Error as error:
+            raise FormatError(f"{path}: not a CSV file ({error})") from None
+    if not count:
         raise FormatError(f"{path}: expected rows below the header, found none")
-    return rows
-
-
-def _has_columns(path: str | Path, rows: list[tuple[int, dict[str, str]]], wanted: Sequence[str]) -> None:
-    lost = [name for name in wanted if name not in rows[0][1]]
-    if lost:
-        raise FormatError(f"{path}: no column {', '.join(map(repr, lost))}; there are {', '.join(rows[0][1])}")
-    if len(set(wanted)) < len(wanted):
-        raise FormatError(f"{path}: expected participant, factors and response to be different columns")
 
 
 def number_of(path: str | Path, line: int, column: str, text: str) -> float | None:

@@ -11,8 +11,9 @@ import asyncio
 import hmac
 import json
 import logging
+import math
 import secrets
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,10 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, GlsplatError, ProtocolError
 from glsplat.io.files import open_regular, replace_file
-from glsplat.net.backend import PoseSolver, Solved
+from glsplat.io.secret_files import warn_if_exposed
+from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
 from glsplat.net.messages import Request
-from glsplat.net.options import NOT_ALLOWED, RequestedOptions
+from glsplat.net.options import NOT_ALLOWED
 from glsplat.net.reply import parse_reply
 from glsplat.study.serving.light import FULL, dim
 from glsplat.study.serving.live import Live, wrong_page
@@ -53,11 +55,18 @@ _STATUS = {
     "wrong_step": 409,
     "paused": 409,
     "ended": 410,
+    "full": 413,
     "bad_answer": 422,
     "bad_note": 422,
+    "rate": 429,
 }
+_REPORT_S = 0.5  # between two lines of figures; the page reports once a second
 _FIGURES = ("fps", "age_ms", "age_p95_ms", "rtt_ms", "frame_rate")
 _PICTURE = 80  # quality of the experimenter's JPEG
+
+_PUBLIC = ("/vr", "/vr/{path}", "/healthz")  # files of the package, and whether the server is well
+_PRIVATE = "a study runs here: open the page that it was started with"
+_CHOSEN = ("avatar", "room", "name", "at", "label")  # of a client's address: what the condition says instead
 
 Handler = Callable[[web.Request, dict[str, Any]], Awaitable[web.Response]]
 
@@ -68,6 +77,7 @@ def secrets_of(folder: Path) -> dict[str, str]:
     if path.exists():
         with open_regular(path) as (file, _):
             data = file.read(4096)
+        warn_if_exposed(path)
         try:
             found = json.loads(data)
             return {who: str(found[who]) for who in ("participant", "experimenter")}
@@ -81,19 +91,25 @@ def secrets_of(folder: Path) -> dict[str, str]:
 class StudyLead:
     """A ``Lead`` (glsplat.net.pages.lead). ``avatars``: the name under which each condition's is offered."""
 
+    unseen = "nothing can be shown just now; tell the experimenter"
+
     def __init__(self, live: Live, avatars: Mapping[str, str]) -> None:
         self.live, self.secrets = live, secrets_of(live.store.folder)
         self._avatars = avatars
         self._tracking, self._frames = Recording(live.store.folder / TRACKING), Recording(live.store.folder / FRAMES)
         self._clients: dict[int, tuple[str, str]] = {}  # by number: the page, and the condition that it was let in for
+        self._steps = {step.alias: step.name for step in live.session.steps}
+        self._heads = False  # whether all avatars can be shown without their heads
         self._picture: bytes | None = None  # the last reply
+        self._reported = -math.inf  # when the page's figures were written down last, by ``live.t``
         self._end: Callable[[int, str], None] = lambda number, reason: None
 
     # what the server asks
 
-    def open(self, end: Callable[[int, str], None]) -> Sequence[web.RouteDef]:
+    def open(self, end: Callable[[int, str], None], offered: Collection[AvatarInfo]) -> Sequence[web.RouteDef]:
         """The addresses; the session begins, or goes on, once somebody asks."""
         self._end = end
+        self._heads = all("head" in one.parts for one in offered)
         self.live.changed = self._changed
         self._opening = asyncio.ensure_future(self.live.open())
         return [
@@ -103,6 +119,20 @@ class StudyLead:
             web.post("/study/command", self._for("experimenter", self._command)),
             web.post("/study/picture", self._for("experimenter", self._shown)),
         ]
+
+    @web.middleware
+    async def guard(
+        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        """A study is private: whatever is not for its pages is for the experimenter alone, also addresses to come."""
+        resource = request.match_info.route.resource
+        address = "" if resource is None else resource.canonical
+        open_ = address in _PUBLIC or address.startswith("/study/")  # the latter ask for their secrets themselves
+        if address == "/ws":
+            open_ = _same(request.query.get("study", ""), self.live.page)
+        if open_ or _proves(request, self.secrets["experimenter"]):
+            return await handler(request)
+        return web.Response(status=403, text=f"{_PRIVATE}\n")
 
     def knows(self, request: web.Request) -> bool:
         """Each answer is a message and the news of it for both pages: an experimenter has to be heard all the same."""
@@ -115,14 +145,15 @@ class StudyLead:
         await asyncio.to_thread(self._tracking.close)
         await asyncio.to_thread(self._frames.close)
 
-    def choose(self, asked: RequestedOptions, query: Mapping[str, str]) -> RequestedOptions:
+    def query(self, asked: Mapping[str, str]) -> Mapping[str, str]:
         """The avatar of the condition for the participant's page; nobody else is shown anything."""
         condition = self.live.condition
-        if not self.live.page or query.get("study") != self.live.page:
-            raise ProtocolError("a study runs here: open the page that it was started with", NOT_ALLOWED)
+        if not _same(asked.get("study", ""), self.live.page):
+            raise ProtocolError(_PRIVATE, NOT_ALLOWED)
         if condition is None:
             raise ProtocolError("nothing is shown at this step of the study", NOT_ALLOWED)
-        return replace(asked, avatar=self._avatars[condition.name], room=None, name="", label=False)
+        options = {name: value for name, value in asked.items() if name not in _CHOSEN}
+        return options | {"avatar": self._avatars[condition.name]}
 
     def solver(self, solver: PoseSolver | None) -> PoseSolver | None:
         """Without hands where the condition is of the head alone."""
@@ -172,7 +203,7 @@ class StudyLead:
                 message = await _read(request)
                 return await handler(request, message)
             except ProtocolError as error:
-                return _refusal(_STATUS.get(error.code, 400), error.code, str(error))
+                return _refusal(_STATUS.get(error.code, 400), error.code, str(error), getattr(error, "wait", None))
             except GlsplatError as error:  # of the disk: it names files, which is for the experimenter alone
                 log.error("%s", error)
                 text = str(error) if who == "experimenter" else "this could not be written down; it is tried again"
@@ -188,7 +219,8 @@ class StudyLead:
         if isinstance(figures, dict):
             live.figures = {key: v for key in _FIGURES if _is_number(v := figures.get(key))}
             live.figures["session"] = "vr" if figures.get("session") == "vr" else "page"
-            if step is not None and live.condition is not None:
+            if step is not None and live.condition is not None and live.t - self._reported >= _REPORT_S:
+                self._reported = live.t
                 self._frames.add(live.t, step.name, "frames", live.figures)
         after = message.get("after")
         await live.wait(after if isinstance(after, int) else -1, _HOLD)
@@ -199,27 +231,27 @@ class StudyLead:
 
     async def _do(self, request: web.Request, message: dict[str, Any]) -> web.Response:
         live, session, what = self.live, self.live.session, message.get("do")
-        step = str(message.get("step", ""))
+        step = self._steps.get(str(message.get("step", "")), "")
         if what == "enter":
             page = message.get("page")
             if not isinstance(page, str) or not _PAGE[0] <= len(page) <= _PAGE[1] or not page.isalnum():
                 raise ProtocolError("a page has a name of 8 to 64 letters and digits")
             await live.enter(page)
-            return web.json_response(for_participant(live))
+            return web.json_response(for_participant(live) | {"heads": self._heads})
         self._page(message)
         live.seen()
         if what == "consent":
             if not isinstance(message.get("accepted"), bool):
                 raise ProtocolError("accepted needs true or false")
-            await live.act(lambda t: session.consent(step, message["accepted"], t))
+            await live.act(lambda t: session.consent(step, message["accepted"], t), link=True)
         elif what == "ready":
-            await live.act(lambda t: session.ready(step, t))
+            await live.act(lambda t: session.ready(step, t), link=True)
         elif what == "answer":
             item, seconds = str(message.get("item", "")), message.get("seconds", -1)
             took = float(seconds) if _is_number(seconds) else -1.0
-            await live.act(lambda t: session.answer(step, item, message.get("value"), took, t))
+            await live.act(lambda t: session.answer(step, item, message.get("value"), took, t), link=True)
         elif what == "submit":
-            await live.act(lambda t: session.submit(step, t))
+            await live.act(lambda t: session.submit(step, t), link=True)
         else:
             raise ProtocolError("do needs enter, consent, ready, answer or submit")
         return web.json_response(for_participant(live))
@@ -308,7 +340,12 @@ def _small(data: bytes) -> bytes | None:
 
 
 def _proves(request: web.Request, secret: str) -> bool:
-    return hmac.compare_digest(request.headers.get(HEADER, "").encode(errors="replace"), secret.encode())
+    return _same(request.headers.get(HEADER, ""), secret)
+
+
+def _same(given: str, secret: str) -> bool:
+    """Whether the two are the same, in a time that does not depend on where they differ; "" is no secret."""
+    return bool(secret) and hmac.compare_digest(given.encode(errors="replace"), secret.encode())
 
 
 async def _read(request: web.Request) -> dict[str, Any]:
@@ -328,5 +365,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
 
 
-def _refusal(status: int, code: str, text: str) -> web.Response:
-    return web.json_response({"error": {"code": code, "message": text}}, status=status)
+def _refusal(status: int, code: str, text: str, wait: int | None = None) -> web.Response:
+    """``wait``: seconds after which to try again."""
+    headers = None if wait is None else {"Retry-After": f"{wait}"}
+    return web.json_response({"error": {"code": code, "message": text}}, status=status, headers=headers)

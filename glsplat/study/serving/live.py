@@ -10,18 +10,20 @@ import asyncio
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.io.files import naming
 from glsplat.study.design import Condition, Study
 from glsplat.study.plan import Plan, label
+from glsplat.study.serving.quota import LinkQuota
 from glsplat.study.session import Event, Session
 from glsplat.study.steps import steps_of
-from glsplat.study.store import SESSION, Store
+from glsplat.study.store import Store
 
 __all__ = ["GONE", "Live", "resumed_at", "wrong_page"]
 
@@ -30,6 +32,7 @@ log: logging.Logger = logging.getLogger("glsplat.study")
 GONE = 5.0
 """Seconds without a word of the participant's page until it counts as gone."""
 
+_NOTES = 50  # of the experimenter, the newest, shown on their page
 _TICK = 0.1  # seconds between two looks at the time
 _AGAIN = 1.0  # seconds until what could not be written is tried again
 _AWAY = 400 * 86400.0  # seconds that a server may have been away; a clock that says more is wrong
@@ -43,20 +46,23 @@ class Live:
         study: Study,
         plan: Plan,
         participant: int,
-        store: Store,
+        data: Path,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
     ) -> None:
-        self.study, self.store, self.participant = study, store, label(participant)
-        with naming(store.folder / SESSION):
-            self.session = Session(study, steps_of(study, plan, participant), store.events)
+        self.study, self.participant = study, label(participant)
+        self.session = Session(study, steps_of(study, plan, participant))
+        self.notes: deque[Event] = deque(maxlen=_NOTES)
+        self._last_t = 0.0  # of the events at the start
+        self._opened: Event | None = None  # the last of them that took the session up
+        self.store = Store(data, participant, self._replay)
         self.revision = 1
         self.page = ""  # the one page of the participant that counts
         self.trouble = ""  # why something is not on disk
         self.figures: dict[str, Any] = {}  # what the page said last of its speed
-        self.notes = [event for event in store.events if event.kind == "note"]
         self.changed: Callable[[], None] = lambda: None  # hears of every change
         self._clock, self._wall = clock, wall
+        self._quota = LinkQuota(clock())
         self._started = self._offset = 0.0  # set by ``open``
         self._seen: float | None = None  # when the page said something, by ``clock``
         self._lock = asyncio.Lock()
@@ -85,7 +91,7 @@ class Live:
 
     async def open(self) -> None:
         """Write down that a server took the session up, and let time pass from now on. Raises FormatError."""
-        self._started, self._offset = self._clock(), resumed_at(self.store.events, self._wall())
+        self._started, self._offset = self._clock(), resumed_at(self._last_t, self._opened, self._wall())
         if self.session.step is not None:
             values: dict[str, Any] = {"wall": self._utc(), "study": self.study.digest}
             if self.store.torn:
@@ -101,15 +107,18 @@ class Live:
         async with self._lock:
             self.store.close()
 
-    async def act(self, make: Callable[[float], Sequence[Event]]) -> None:
-        """Do what ``make`` says of the moment. Raises ProtocolError where it may not be, FormatError of the disk."""
+    async def act(self, make: Callable[[float], Sequence[Event]], *, link: bool = False) -> None:
+        """Do what ``make`` says of the moment; ``link``: by the participant's link, within its quota.
+
+        Raises ProtocolError where it may not be, FormatError of the disk.
+        """
         # whoever asked may be gone before the disk answers: what is on disk has to become the state all the same
-        await asyncio.shield(asyncio.ensure_future(self._act(make)))
+        await asyncio.shield(asyncio.ensure_future(self._act(make, link)))
 
     async def enter(self, page: str) -> None:
         """Another page of the participant takes over; a task that was under way begins anew."""
         if page != self.page:
-            await self.act(self.session.lost)
+            await self.act(self.session.lost, link=True)
             self.page = page
             self._tell()
         self.seen()
@@ -121,11 +130,13 @@ class Live:
                 while self.revision == revision:
                     await self._news.wait()
 
-    async def _act(self, make: Callable[[float], Sequence[Event]]) -> None:
+    async def _act(self, make: Callable[[float], Sequence[Event]], link: bool) -> None:
         async with self._lock:
-            events = make(self.t)
+            events, size = make(self.t), self.store.size
             if not events:
                 return
+            if link:
+                self._quota.check(self._clock(), size, any(map(self.session.leads_on, events)))
             try:
                 await asyncio.to_thread(self.store.append, events)
             except GlsplatError as error:
@@ -133,10 +144,22 @@ class Live:
                 self._tell()
                 raise
             self.trouble = ""
+            if link:
+                self._quota.charge(self._clock(), self.store.size - size)
             for event in events:
                 self.session.apply(event)
-            self.notes += [event for event in events if event.kind == "note"]
+                if event.kind == "note":
+                    self.notes.append(event)
             self._tell()
+
+    def _replay(self, event: Event) -> None:
+        """An event that was in the log at the start."""
+        self.session.replay(event)
+        self._last_t = max(self._last_t, event.t)
+        if event.kind == "open":
+            self._opened = event
+        elif event.kind == "note":
+            self.notes.append(event)
 
     def _tell(self) -> None:
         self.revision += 1
@@ -165,10 +188,8 @@ class Live:
         return datetime.fromtimestamp(self._wall(), UTC).isoformat(timespec="seconds")
 
 
-def resumed_at(events: Sequence[Event], now: float) -> float:
-    """Seconds since the session began, by the wall clock that the log has, and never before the last event."""
-    last = max((event.t for event in events), default=0.0)
-    opened = next((event for event in reversed(events) if event.kind == "open"), None)
+def resumed_at(last: float, opened: Event | None, now: float) -> float:
+    """Seconds since the session began, by the wall clock of the last ``opened``; never before ``last``, the log's."""
     if opened is None:
         return last
     try:

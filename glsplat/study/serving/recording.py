@@ -1,21 +1,29 @@
 """Tracking and figures of a session as JSON Lines, on a thread of its own: a slow disk holds up no picture.
 
-These lines are not waited for and not chained: seconds of them may be lost where the power fails.
+These lines are not waited for and not chained: seconds of them may be lost where the power fails. They leave room on
+the disk for the session's log, which may not be lost.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import queue
+import shutil
 import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Recording"]
+__all__ = ["MAX_BYTES", "MIN_FREE_BYTES", "Recording"]
 
 log: logging.Logger = logging.getLogger("glsplat.study")
+
+MAX_BYTES = 16 << 30
+"""Of one file: 12 hours of both hands with all their joints at 120 Hz."""
+MIN_FREE_BYTES = 64 << 20
+"""Of the disk: as much as a session's log takes of the participant's link."""
 
 _MOST = 4096  # lines that wait: 45 seconds at 90 Hz
 _DIGITS = 5  # of metres and quaternions
@@ -26,7 +34,7 @@ class Recording:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.lost = 0  # lines that the disk was too slow for, or did not take
+        self.lost = 0  # lines that the disk was too slow for, or had no room for
         self._lines: queue.Queue[bytes | None] = queue.Queue(_MOST)
         self._thread = threading.Thread(target=self._run, name=f"record {path.name}", daemon=True)
         self._thread.start()
@@ -62,12 +70,16 @@ class Recording:
 
 
 def _append(path: Path, data: bytes) -> None:
-    """What a full disk took a part of is cut off again: a line is whole or not there."""
+    """Append ``data`` whole, or not at all where there is no room for it."""
     with open(path, "ab", buffering=0) as file:
         size = file.seek(0, 2)
+        if size + len(data) > MAX_BYTES:
+            raise OSError(errno.EFBIG, f"it has {MAX_BYTES >> 20} MiB, the most that is recorded")
+        if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES + len(data):
+            raise OSError(errno.ENOSPC, f"less than {MIN_FREE_BYTES >> 20} MiB of the disk are free, kept for answers")
         if data and file.write(data) != len(data):
             file.truncate(size)
-            raise OSError(28, "No space left on device")
+            raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def _rounded(value: Any) -> Any:

@@ -23,11 +23,13 @@ def for_participant(live: Live) -> dict[str, Any]:
         "number": state.at + 1,
         "of": len(session.steps),
         "trouble": bool(live.trouble),
-        "condition": _condition(live),
+        "condition": None
+        if live.condition is None
+        else {"view": live.condition.view, "latency": live.condition.latency},
     }
     if step is None:
         return shown
-    shown |= {"step": step.name, "kind": step.kind, "phase": state.phase, "attempt": state.attempt}
+    shown |= {"step": step.alias, "kind": step.kind, "phase": state.phase, "attempt": state.attempt}
     shown["left"] = None if left is None else round(left, 2)
     if step.kind == "consent":
         shown["text"] = live.study.consent
@@ -44,6 +46,7 @@ def for_experimenter(live: Live) -> dict[str, Any]:
     session = live.session
     step = session.step
     condition = None if step is None or not step.condition else step.condition
+    shown = live.condition
     return {
         "revision": live.revision,
         "study": live.study.title,
@@ -58,7 +61,7 @@ def for_experimenter(live: Live) -> dict[str, Any]:
         "ended": session.state.ended,
         "number": session.state.at + 1,
         "condition": condition,
-        "shown": _condition(live),
+        "shown": None if shown is None else {"view": shown.view, "latency": shown.latency, "hands": shown.hands},
         "answered": len(session.state.answers),
         "items": 0
         if step is None or not step.questionnaire
@@ -66,17 +69,9 @@ def for_experimenter(live: Live) -> dict[str, Any]:
         "present": live.present,
         "figures": live.figures,
         "trouble": live.trouble,
-        "notes": [{"t": round(note.t, 1), "text": note.values["text"]} for note in live.notes[-50:]],
+        "notes": [{"t": round(note.t, 1), "text": note.values["text"]} for note in live.notes],
         "steps": [one.name for one in session.steps],
     }
-
-
-def _condition(live: Live) -> dict[str, Any] | None:
-    """How the page shows it: no name, which might tell what is expected of the participant."""
-    one = live.condition
-    if one is None:
-        return None
-    return {"view": one.view, "latency": one.latency, "hands": one.hands}
 
 
 def _asked(study: Study, name: str) -> dict[str, Any]:

@@ -28,13 +28,15 @@ from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.gl.context import Context
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.backends.server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
+from glsplat.net.rooms.person import Person
 from glsplat.net.server import Server, ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
 from tests.scenes import camera, cloud, limb
 from tests.xvfb import display, psnr, python  # noqa: F401  (a fixture)
 
@@ -155,6 +157,29 @@ def test_a_server_that_goes_away_is_said_and_tried_again(monkeypatch: pytest.Mon
         assert until(lambda: "trying again in 1" in feed.notice), feed.notice
     finally:
         feed.close()  # does not wait for the next attempt
+
+
+def test_in_a_room_it_comes_back_as_the_same_person() -> None:
+    rig = Skeleton.from_joints(["root", "head"], [-1, 0], [[0, 0, 0], [0, 1, 0]])
+    made: list[Server] = []
+
+    def make() -> Server:
+        offered = (AvatarInfo(name="default", skeleton=rig),)
+        made.append(Server(Grey(), ServerConfig(port=0, rooms={"lab": 2}), offered))
+        return made[0]
+
+    def person() -> Person:
+        return made[0]._rooms._rooms["lab"]._guests["Ann"].person
+
+    with serving(make) as url, feeding(f"{url}?room=lab&name=Ann") as feed:
+        feed.ask(at(0.5))
+        feed.settle()
+        first = person()
+        connection = feed._client._connection
+        assert connection is not None
+        feed._loop.call_soon_threadsafe(connection._ws._writer.transport.abort)  # type: ignore[union-attr]
+        assert until(lambda: feed.reconnects == 1)
+        assert person() is not first and person().resume == first.resume and person().seat is first.seat
 
 
 def test_refusals_at_the_start_are_errors() -> None:

@@ -44,8 +44,9 @@ def test_it_is_off_unless_it_is_asked_for() -> None:
 def test_the_folder_is_the_one_that_is_named(tmp_path: Path) -> None:
     config = upload_config(arguments("--allow-upload", tmp_path))
     assert config is not None and config.folder == tmp_path and config.nice == 0
-    shared = upload_config(arguments("--allow-upload", tmp_path, "--host", "0.0.0.0"))
-    assert shared is not None and shared.nice > 0  # those who look on go first
+    for words in (("--host", "0.0.0.0"), ("--trusted-proxy", "127.0.0.1")):
+        shared = upload_config(arguments("--allow-upload", tmp_path, *words))
+        assert shared is not None and shared.nice > 0  # those who look on go first
 
 
 def test_without_the_networks_it_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,7 +75,7 @@ def test_errors_that_fall_are_one_step() -> None:
 
 
 @pytest.mark.gl
-@pytest.mark.slow
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.timeout(1200)
 @needs_networks

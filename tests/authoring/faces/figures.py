@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from glsplat.authoring.faces.given import MovingFace, moving_face
 from glsplat.authoring.fit.body import BETAS, open_body
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -32,6 +33,12 @@ def person() -> RiggedMesh:
         parts.append(MeshPart(name, body.faces[mine], body.uv[mine], white))
     skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), joints)
     return RiggedMesh(vertices, skeleton, body.skin_joints.astype(np.int64), body.skin_weights, tuple(parts))
+
+
+@lru_cache(maxsize=1)
+def face() -> MovingFace:
+    """That person's, as those of photographs get it."""
+    return moving_face(person())
 
 
 def avatar_on(mesh: RiggedMesh, count: int = 1500) -> Avatar:

@@ -16,6 +16,7 @@ from tools.data.around import fitted_around
 VIEWS = ViewConfig(body=10, poses=0, size=96, up=(-75, 0, 75))
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("head", [False, True])
 def test_a_gap_that_shows_from_above_alone_closes_but_in_a_head(head: bool) -> None:
     figure, avatar = mesh(), start()

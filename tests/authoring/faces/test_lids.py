@@ -11,7 +11,7 @@ import pytest
 from glsplat import reference
 from glsplat.authoring.faces.blinks import BACK, BLINKS
 from glsplat.authoring.faces.eyeballs import Eyeball, eyeballs
-from glsplat.authoring.faces.given import MovingFace, moving_face
+from glsplat.authoring.faces.given import moving_face
 from glsplat.authoring.faces.lid_colours import lid_colours
 from glsplat.authoring.faces.lids import with_lids
 from glsplat.authoring.faces.open_face import with_expressions
@@ -19,22 +19,12 @@ from glsplat.authoring.faces.openings import Opening, lid_edges
 from glsplat.authoring.faces.shapes import with_shapes
 from glsplat.authoring.faces.trimmings import FRINGES, with_lashes
 from glsplat.avatar import Avatar
-from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
-from tests.authoring.faces.figures import avatar_on, person
+from tests.authoring.faces.figures import avatar_on, face, person
 
 STILL = np.zeros((55, 3))
 SKIN = np.array([0.7, 0.5, 0.4])
-
-
-@lru_cache(maxsize=1)
-def face() -> MovingFace:
-    return moving_face(person())
-
-
-def expressive() -> RiggedMesh:
-    return face().mesh
 
 
 def eyes() -> list[Opening]:
@@ -44,7 +34,7 @@ def eyes() -> list[Opening]:
 @lru_cache(maxsize=1)
 def painted() -> Avatar:
     """Skin below the eyes' middle a little redder than above, dark brows, white eyes and what lies on lids blue."""
-    mesh = expressive()
+    mesh = face().mesh
     avatar = with_shapes(avatar_on(mesh, 3000), mesh)
     splats, means = avatar.splats, avatar.splats.means.astype(np.float64)
     rgb = np.tile(SKIN, (len(means), 1))
@@ -61,21 +51,22 @@ def painted() -> Avatar:
 
 @lru_cache(maxsize=1)
 def lidded() -> Avatar:
-    return with_lids(painted(), expressive(), eyes(), range(0))
+    return with_lids(painted(), face().mesh, eyes(), range(0))
 
 
 def shut(much: float) -> reference.SkinnedSplats:
-    made = lidded()
-    assert made.shapes is not None
+    return winking(lidded(), much)
+
+
+def winking(made: Avatar, much: float) -> reference.SkinnedSplats:
     weights = made.shapes.weights({"eyeBlinkLeft": much, "eyeBlinkRight": much})
-    return reference.skin(
-        made.splats, made.skin, Pose(STILL).bones(made.skeleton), shapes=made.shapes, expression=weights
-    )
+    bones = Pose(STILL).bones(made.skeleton)
+    return reference.skin(made.splats, made.skin, bones, shapes=made.shapes, expression=weights)
 
 
 def opening(ball: Eyeball) -> np.ndarray:
     """[N, 3] unit ways from the eye's middle within the opening of its lids."""
-    edges = lid_edges(expressive(), ball, 0.9)
+    edges = lid_edges(face().mesh, ball, 0.9)
     side, share = np.meshgrid(edges.side[3:-3:3], [0.1, 0.5, 0.9])
     upper, lower = (np.interp(side, np.sort(edges.side), e[np.argsort(edges.side)]) for e in (edges.upper, edges.lower))
     up = lower + share * (upper - lower)
@@ -169,14 +160,15 @@ def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
     count = len(painted().splats)
     for key in ("means", "quats", "scales", "opacities", "sh"):
         assert np.array_equal(getattr(lidded().splats, key)[:count], getattr(painted().splats, key))
-    again = with_lids(painted(), expressive(), eyes(), range(0))
+    again = with_lids(painted(), face().mesh, eyes(), range(0))
     assert again.splats.means.tobytes() == lidded().splats.means.tobytes()
     gone = replace(painted().splats, means=np.full_like(painted().splats.means, 50.0))
-    bare = with_lids(replace(painted(), splats=gone), expressive(), eyes(), range(0))
+    bare = with_lids(replace(painted(), splats=gone), face().mesh, eyes(), range(0))
     grey = bare.splats.sh[count:, 0]
     assert np.ptp(grey, axis=1).max() < 0.2 and np.median(np.abs(grey)) < 0.6
 
 
+@pytest.mark.check
 def test_an_eye_whose_ball_comes_through_its_lids_gets_one_too() -> None:
     """Fits of people who smile shut their lids within the ball, which is what is seen."""
     mesh = person()
@@ -209,15 +201,10 @@ def test_a_lid_is_as_light_as_skin_though_it_is_seen_on_one_side_alone() -> None
 
 def test_lashes_come_before_the_lid_and_turn_down() -> None:
     bare = painted()
-    given = with_lashes(bare, expressive(), eyes(), light=False)
+    given = with_lashes(bare, face().mesh, eyes(), light=False)
     first, end = len(bare.splats), len(bare.splats) + FRINGES * len(eyes())
-    made = with_lids(given, expressive(), eyes(), range(first, end))
-    assert made.shapes is not None
-    posed = []
-    for much in (0.0, 1.0):
-        weights = made.shapes.weights({"eyeBlinkLeft": much, "eyeBlinkRight": much})
-        bones = Pose(STILL).bones(made.skeleton)
-        posed.append(reference.skin(made.splats, made.skin, bones, shapes=made.shapes, expression=weights).means)
+    made = with_lids(given, face().mesh, eyes(), range(first, end))
+    posed = [winking(made, much).means for much in (0.0, 1.0)]
     for ball, edges in eyes():
         ways = [at[first:end] - ball.centre for at in posed]
         upper = (np.linalg.norm(ways[0], axis=1) < 0.03) & (edges.above(ways[0])[1] > np.radians(2))

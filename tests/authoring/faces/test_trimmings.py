@@ -142,8 +142,8 @@ def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
 def test_veils_go_with_the_lids_without_stretching() -> None:
     mesh = expressive()
     avatar = smiling()
-    shapes = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes"))).shapes
-    made = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes"))).splats
+    lashed = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")))
+    shapes, made = lashed.shapes, lashed.splats
     veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - VEIL).max(axis=1) < 1e-3
     assert shapes is not None and veils.sum() > 60
     assert not shapes.bends[veils[shapes.rows]].any() and np.abs(shapes.metres[veils[shapes.rows]]).max() > 0.004

@@ -41,6 +41,7 @@ def face_off(person: Capture, seen: FittedView) -> float:
     return float(np.nanmean(np.linalg.norm(seen.pixels[front] - pixels, axis=1)) / apart * 100)
 
 
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["p05", "p12", "p15", "p20"])  # the tables were measured on the first two
 def test_participants(name: str) -> None:
@@ -59,6 +60,7 @@ def test_participants(name: str) -> None:
     assert all(look.seen for look in read_eyes(person.picture, read.face).values())
 
 
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "hidden"), [("p07", "right"), ("p08", "left")])
 def test_hair_over_an_eye(name: str, hidden: str) -> None:

@@ -20,7 +20,7 @@ from glsplat.skinning.smplx import JOINT_NAMES
 from tests.authoring.captures import capture, needs_networks
 from tests.authoring.poses import standing
 
-pytestmark = pytest.mark.shared
+pytestmark = [pytest.mark.shared, pytest.mark.check]
 
 LEAST, MEDIAN = 0.88, 0.93
 ARMS = [f"{side}_{name}" for side in ("left", "right") for name in ("elbow", "wrist")]
@@ -55,15 +55,10 @@ def test_people_as_they_stand(shots: dict[str, tuple[CheckedPhoto, str]]) -> Non
     assert np.median(list(overlaps.values())) > MEDIAN, overlaps
 
 
-@pytest.mark.parametrize(
-    ("pose", "most"),
-    [
-        ("crossed", 110),
-        ("hands on hips", 80),
-        ("a hand on the belly", 75),
-        ("turned by 45, a hand on the belly", 80),
-    ],
-)
+POSES = {"crossed": 110, "hands on hips": 80, "a hand on the belly": 75, "turned by 45, a hand on the belly": 80}
+
+
+@pytest.mark.parametrize(("pose", "most"), POSES.items())
 def test_made_up_people_who_do_not_pose(pose: str, most: float) -> None:
     """Elbows and wrists in millimetres, the pelvis held; of people that no line was drawn on."""
     needs_networks()

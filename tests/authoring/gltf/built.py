@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -12,6 +10,7 @@ import numpy as np
 from glsplat.authoring.fit.body import open_body
 from glsplat.rotations import matrix_quaternions, rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
+from tests.formats.scenes import glb_of
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 _CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.02
@@ -56,6 +55,16 @@ def fingers(pattern: str, names: Mapping[str, str]) -> dict[str, str]:
     return sided(**parts)
 
 
+def biped_fingers(start: str, gap: str = " ") -> dict[str, str]:
+    """The names of 3ds Max: Finger0, Finger01, Finger02 of the thumb, Finger1 of the index, and so on."""
+    numbers = [(finger, place, n) for place, finger in enumerate(FINGERS) for n in (1, 2, 3)]
+    return {
+        f"{side}_{finger}{n}": f"{start}{side[0].upper()}{gap}Finger{place}{n - 1 if n > 1 else ''}"
+        for side in ("left", "right")
+        for finger, place, n in numbers
+    }
+
+
 PLAIN = {finger: finger for finger in FINGERS}
 TITLE = {finger: finger.title() for finger in FINGERS}
 _MIXAMO = {
@@ -87,15 +96,8 @@ _RIGIFY = {
     **fingers("DEF-{f}.0{n}.{L}", {finger: finger if finger == "thumb" else f"f_{finger}" for finger in FINGERS}),
 }
 _MAKEHUMAN = {
-    **{
-        "pelvis": "root",
-        "spine1": "spine05",
-        "spine2": "spine03",
-        "spine3": "spine01",
-        "neck": "neck01",
-        "head": "head",
-    },
-    **{"jaw": "jaw"},
+    **{"pelvis": "root", "spine1": "spine05", "spine2": "spine03", "spine3": "spine01", "neck": "neck01"},
+    **{"head": "head", "jaw": "jaw"},
     **sided(hip="upperleg01.{L}", knee="lowerleg01.{L}", ankle="foot.{L}", foot="toe1-1.{L}", collar="clavicle.{L}"),
     **sided(shoulder="upperarm01.{L}", elbow="lowerarm01.{L}", wrist="wrist.{L}", eye_smplhf="eye.{L}"),
     **fingers("finger{f}-{n}.{L}", {finger: str(place) for place, finger in enumerate(FINGERS, 1)}),
@@ -106,12 +108,7 @@ _BIPED = {
     **sided(hip="Bip01 {L} Thigh", knee="Bip01 {L} Calf", ankle="Bip01 {L} Foot", foot="Bip01 {L} Toe0"),
     **sided(collar="Bip01 {L} Clavicle", shoulder="Bip01 {L} UpperArm", elbow="Bip01 {L} Forearm"),
     **sided(wrist="Bip01 {L} Hand"),
-    **{
-        f"{side}_{finger}{n}": f"Bip01 {side[0].upper()} Finger{place}{n - 1 if n > 1 else ''}"
-        for side in ("left", "right")
-        for place, finger in enumerate(FINGERS)
-        for n in (1, 2, 3)
-    },
+    **biped_fingers("Bip01 "),
 }
 _DAZ = {
     **{"pelvis": "hip", "spine1": "abdomenLower", "spine2": "abdomenUpper", "spine3": "chestLower"},
@@ -149,12 +146,7 @@ FAMILIES = {
     "VRM 0.x": Family(_VRM, backwards=True, vrm=0, more={"J_Sec_Hair1_01": "head", "J_Opt_C_Tail": "pelvis"}),
     "VRM 1.0": Family({joint: f"bone {place}" for place, joint in enumerate(_VRM)}, vrm=1, prone=True),
     "Unreal": Family(
-        _UNREAL,
-        arms=45.0,
-        unit=0.01,
-        z_up=True,
-        along=True,
-        twists=("left_hip", "right_elbow", "left_shoulder"),
+        _UNREAL, arms=45.0, unit=0.01, z_up=True, along=True, twists=("left_hip", "right_elbow", "left_shoulder"),
         more={"ik_foot_l": "pelvis", "index_metacarpal_l": "left_wrist"},
     ),
     "Rigify": Family(
@@ -169,7 +161,7 @@ FAMILIES = {
         {_other(joint): name for joint, name in _UNREAL.items()}, more={"thigh_twist_01_r": "left_hip"}
     ),
     "a toy of nine joints": Family(_FEW, arms=60.0, unit=3.0),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -291,25 +283,14 @@ def _file(family: Family, nodes: list[tuple[str, str | None, np.ndarray]]) -> Bu
     }
     if family.vrm is not None:
         gltf["extensions"] = _vrm(family.vrm, joint_nodes)
-    text = json.dumps(gltf).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
-    return Built(
-        struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks, [str(n["name"]) for n in out], joint_nodes
-    )
+    return Built(glb_of(gltf, blob), [str(n["name"]) for n in out], joint_nodes)
 
 
 def _vrm(version: int, nodes: Mapping[str, int]) -> dict[str, object]:
     words = {"hip": "UpperLeg", "knee": "LowerLeg", "ankle": "Foot", "foot": "Toes", "collar": "Shoulder"}
     words |= {"shoulder": "UpperArm", "elbow": "LowerArm", "wrist": "Hand", "eye_smplhf": "Eye"}
-    middle = {
-        "pelvis": "hips",
-        "spine1": "spine",
-        "spine2": "chest",
-        "spine3": "upperChest",
-        "neck": "neck",
-        "head": "head",
-    }
+    middle = {"pelvis": "hips", "spine1": "spine", "spine2": "chest", "spine3": "upperChest"}
+    middle |= {"neck": "neck", "head": "head"}
     bones = {}
     for joint, node in nodes.items():
         side, _, part = joint.partition("_")
@@ -324,7 +305,6 @@ def _vrm(version: int, nodes: Mapping[str, int]) -> dict[str, object]:
                 segments = ("Metacarpal", "Proximal", "Distal")
             bones[side + finger + segments[int(part[-1]) - 1]] = node
     if version == 1:
-        return {
-            "VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": {b: {"node": n} for b, n in bones.items()}}}
-        }
+        humanoid = {"humanBones": {bone: {"node": node} for bone, node in bones.items()}}
+        return {"VRMC_vrm": {"specVersion": "1.0", "humanoid": humanoid}}
     return {"VRM": {"humanoid": {"humanBones": [{"bone": b, "node": n} for b, n in bones.items()]}}}

@@ -9,7 +9,7 @@ import numpy as np
 
 from glsplat.authoring.fit.body import open_body
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
-from tests.authoring.gltf.built import FINGERS, PLAIN, TITLE, fingers, sided
+from tests.authoring.gltf.built import FINGERS, PLAIN, TITLE, biped_fingers, fingers, sided
 
 __all__ = ["NAMED", "Named", "laid_out"]
 
@@ -93,12 +93,7 @@ _BIPED = {
     **sided(hip="Bip001 {L} Thigh", knee="Bip001 {L} Calf", ankle="Bip001 {L} Foot", foot="Bip001 {L} Toe0"),
     **sided(collar="Bip001 {L} Clavicle", shoulder="Bip001 {L} UpperArm", elbow="Bip001 {L} Forearm"),
     **sided(wrist="Bip001 {L} Hand"),
-    **{
-        f"{side}_{finger}{n}": f"Bip001 {side[0].upper()} Finger{place}{n - 1 if n > 1 else ''}"
-        for side in ("left", "right")
-        for place, finger in enumerate(FINGERS)
-        for n in (1, 2, 3)
-    },
+    **biped_fingers("Bip001 "),
 }
 _PLAINLY = {
     **_trunk("Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"),
@@ -195,9 +190,7 @@ NAMED = {
     ),
     "Maya, modules": Named(
         {
-            **_trunk(
-                "spine_C0_0_jnt", "spine_C0_1_jnt", "spine_C0_2_jnt", "spine_C0_3_jnt", "neck_C0_0_jnt", "head_C0_jnt"
-            ),
+            **_trunk(*(f"spine_C0_{n}_jnt" for n in range(4)), "neck_C0_0_jnt", "head_C0_jnt"),
             **sided(hip="leg_{L}0_0_jnt", knee="leg_{L}0_1_jnt", ankle="foot_{L}0_0_jnt"),
             **sided(collar="shoulder_{L}0_0_jnt", shoulder="arm_{L}0_0_jnt", elbow="arm_{L}0_1_jnt"),
             **sided(wrist="arm_{L}0_2_jnt"),
@@ -212,12 +205,13 @@ NAMED = {
             **fingers("{s}_hand{f}_{n}_joint", TITLE),
             "jaw": "jaw_joint",
         },
-        {
-            "left_handThumbStart_joint": "left_wrist",
-            "left_toesEnd_joint": "left_foot",
+        {"left_handThumbStart_joint": "left_wrist", "left_toesEnd_joint": "left_foot"}
+        | {
             "left_eyeball_joint": "left_eye_smplhf",
-        }
-        | {"left_eyeUpperLid_joint": "left_eye_smplhf", "nose_joint": "head", "chin_joint": "jaw"},
+            "left_eyeUpperLid_joint": "left_eye_smplhf",
+            "nose_joint": "head",
+            "chin_joint": "jaw",
+        },
         {"spine_2_joint": "spine2", "spine_6_joint": "spine3", "neck_2_joint": "head"},
     ),
     "Kinect": Named(
@@ -277,20 +271,12 @@ NAMED = {
             **sided(ankle="ValveBiped.Bip01_{L}_Foot", foot="ValveBiped.Bip01_{L}_Toe0"),
             **sided(collar="ValveBiped.Bip01_{L}_Clavicle", shoulder="ValveBiped.Bip01_{L}_UpperArm"),
             **sided(elbow="ValveBiped.Bip01_{L}_Forearm", wrist="ValveBiped.Bip01_{L}_Hand"),
-            **{
-                f"{side}_{finger}{n}": f"ValveBiped.Bip01_{side[0].upper()}_Finger{place}{n - 1 if n > 1 else ''}"
-                for side in ("left", "right")
-                for place, finger in enumerate(FINGERS)
-                for n in (1, 2, 3)
-            },
+            **biped_fingers("ValveBiped.Bip01_", "_"),
         },
         {"ValveBiped.Bip01_L_Ulna": "left_elbow", "ValveBiped.Bip01_L_Wrist": "left_elbow"}
         | {"ValveBiped.Bip01_L_Shoulder": "left_collar", "ValveBiped.Bip01_L_Bicep": "left_shoulder"}
-        | {
-            "ValveBiped.Bip01_L_Elbow": "left_shoulder",
-            "ValveBiped.forward": "head",
-            "ValveBiped.Bip01_L_Knee": "left_hip",
-        },
+        | {"ValveBiped.Bip01_L_Elbow": "left_shoulder", "ValveBiped.Bip01_L_Knee": "left_hip"}
+        | {"ValveBiped.forward": "head"},
     ),
     "bodies of a headset": Named(
         {

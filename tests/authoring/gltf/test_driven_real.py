@@ -19,7 +19,7 @@ from glsplat.tracking.calibration import calibrate
 from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
-pytestmark = pytest.mark.shared
+pytestmark = [pytest.mark.check, pytest.mark.shared]
 
 PEOPLE = {  # the joints that have to be found
     "babylon_25skins.glb": 52,

@@ -81,6 +81,7 @@ def test_a_small_file_that_shows_its_mesh_often(tmp_path: Path, monkeypatch: pyt
         read_gltf_person(tmp_path / "a.glb")
 
 
+@pytest.mark.check
 def test_a_chain_of_sixty_thousand_joints() -> None:
     """Looking a rig up takes no square of its length, in time or memory."""
     count = 60_000

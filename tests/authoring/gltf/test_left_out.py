@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,21 +18,9 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.authoring.gltf.built import FAMILIES, Family, build
+from tests.formats.scenes import glb_parts, write_glb
 
 PERSON = replace(FAMILIES["VRM 0.x"], backwards=False, vrm=None, more={})
-
-
-def changed(data: bytes, change: Callable[[dict[str, Any], bytearray], None]) -> bytes:
-    """A .glb with another JSON, and more bytes behind its own."""
-    size = struct.unpack_from("<I", data, 12)[0]
-    document, blob = json.loads(data[20 : 20 + size]), bytearray(data[28 + size :])
-    change(document, blob)
-    blob += bytes(-len(blob) % 4)
-    document["buffers"][0]["byteLength"] = len(blob)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
 def triangle(document: dict[str, Any], blob: bytearray, points: np.ndarray, **primitive: Any) -> int:
@@ -65,13 +52,17 @@ SWORD = np.array([[0, 0, 0], [2, 0, 0], [0, 0.1, 0]], float)
 
 
 def read(
-    tmp_path: Path,
-    change: Callable[[dict[str, Any], bytearray], None],
-    how: Any = read_gltf_person,
+    tmp_path: Path, change: Callable[[dict[str, Any], bytearray], None], how: Any = read_gltf_person,
     family: Family = PERSON,
-) -> RiggedMesh:
+) -> RiggedMesh:  # fmt: skip
+    """The built person with another JSON, and more bytes behind its own."""
     path = tmp_path / "person.glb"
-    path.write_bytes(changed(build(family).data, change))
+    document, packed = glb_parts(build(family).data)
+    blob = bytearray(packed)
+    change(document, blob)
+    blob += bytes(-len(blob) % 4)
+    document["buffers"][0]["byteLength"] = len(blob)
+    write_glb(path, document, bytes(blob))
     return how(path)
 
 
@@ -205,9 +196,8 @@ def test_of_two_people_one_is_taken_whole(tmp_path: Path, away: float) -> None:
         copies[-1] |= {"skin": 1, "name": "Twin"}
         document["nodes"] += copies
         document["nodes"].append({"children": [2 * count - 2], "translation": [away, 0, 0]})
-        document["skins"].append(
-            document["skins"][0] | {"joints": [joint + count for joint in document["skins"][0]["joints"]]}
-        )
+        joints = [joint + count for joint in document["skins"][0]["joints"]]
+        document["skins"].append(document["skins"][0] | {"joints": joints})
         document["scenes"][0]["nodes"].append(2 * count)
 
     mesh, alone = read(tmp_path, twins), read(tmp_path, lambda document, blob: None)

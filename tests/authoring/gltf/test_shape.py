@@ -27,11 +27,8 @@ def test_a_person_is_told(name: str, facing: float) -> None:
         return
     told = match_rig([""] * len(names), parents, points, found)
     assert set(NEEDED) <= set(told.joints)
-    limbs = [
-        f"{side}_{part}"
-        for side in ("left", "right")
-        for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
-    ]
+    parts = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    limbs = [f"{side}_{part}" for side in ("left", "right") for part in parts]
     for joint in (*limbs, "head"):
         if joint in rig.names:
             side, _, part = joint.partition("_")  # taken to face +z, as files do

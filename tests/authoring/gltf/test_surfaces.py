@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load
 from glsplat.meshes import RiggedMesh
 from glsplat.pictures import to_linear, to_srgb
+from tests.formats.scenes import write_glb
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
 UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")  # v down: the picture upright
@@ -52,9 +51,8 @@ def square(
     targets = [{"POSITION": named.pop(name)} for name in list(named) if name.startswith("target")]
     if targets:
         primitive["targets"] = targets
-    image = cv2.imencode(
-        kind, cv2.cvtColor(PICTURE, cv2.COLOR_RGBA2BGRA), [cv2.IMWRITE_WEBP_QUALITY, 101] if kind == ".webp" else []
-    )[1].tobytes()
+    how = [cv2.IMWRITE_WEBP_QUALITY, 101] if kind == ".webp" else []
+    image = cv2.imencode(kind, cv2.cvtColor(PICTURE, cv2.COLOR_RGBA2BGRA), how)[1].tobytes()
     document = {
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -68,12 +66,9 @@ def square(
         "bufferViews": views,
         "buffers": [{"byteLength": len(blob)}],
     }
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
     (tmp_path / "a b+é.png").write_bytes(image)
     path = tmp_path / "square.glb"
-    path.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+    write_glb(path, document, blob)
     return load(path)
 
 

@@ -44,7 +44,7 @@ def pixels_of(picture: TargetPicture, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.gl
-@pytest.mark.usefixtures("current")
+@pytest.mark.usefixtures("gl")
 def test_opengl_and_numpy_draw_the_same(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     figure, config = named(*ARMED), replace(FEW, size=192)
     drawn = pictures_of(figure, 3, config, context=context)

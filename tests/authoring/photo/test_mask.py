@@ -88,6 +88,7 @@ def test_bounds() -> None:
     assert bounds(mask).tolist() == [2, 1, 4, 2]
 
 
+@pytest.mark.check
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["p01", "p05", "p07"])
 def test_participants(name: str) -> None:

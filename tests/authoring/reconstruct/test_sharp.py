@@ -113,6 +113,7 @@ def test_no_steps_leave_it_as_it_is(scene: Scene, painted: tuple[Avatar, Colours
     assert sharp(avatar, scene.mesh, colours, scene.shots, Options(steps=0)) is avatar
 
 
+@pytest.mark.check
 def test_without_numba_colours_alone_are_fitted(
     scene: Scene, painted: tuple[Avatar, Colours], monkeypatch: pytest.MonkeyPatch
 ) -> None:

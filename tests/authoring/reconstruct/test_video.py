@@ -7,12 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from glsplat.authoring.fit.fit import BodyFit
+from glsplat.authoring.optimize.pictures import ViewConfig
+from glsplat.authoring.reconstruct import video
 from glsplat.authoring.reconstruct.reconstructor import Options
-from glsplat.authoring.reconstruct.video import from_pictures, from_video, reconstruct_frames
+from glsplat.authoring.reconstruct.video import from_video, reconstruct_frames
 from glsplat.errors import FormatError
 from glsplat.meshes import RiggedMesh
 from tests.authoring.captures import needs_networks
 from tests.authoring.filmed import cameras_of, compared, drawn, filmed
+from tests.authoring.reconstruct.test_sharp import FEW
 
 
 def test_what_nobody_can_want(tmp_path: Path) -> None:
@@ -24,11 +28,14 @@ def test_what_nobody_can_want(tmp_path: Path) -> None:
         from_video(tmp_path / "a.mp4")
 
 
-@pytest.mark.slow
+@pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.timeout(1200)
-def test_a_participant_on_a_turntable(shared_data: Path) -> None:
+def test_a_participant_on_a_turntable(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     needs_networks()
+    fits: list[BodyFit] = []  # the mesh and the splats are of one
+    whole = video.fit_turning
+    monkeypatch.setattr(video, "fit_turning", lambda *words: fits[0] if fits else fits.append(whole(*words)) or fits[0])
     filming = filmed("p01", frames=12, scale=0.6, texture=512)
     made = filming.made
     assert made.problem == "" and made.left_out == () and len(made.frames) == 12
@@ -42,11 +49,7 @@ def test_a_participant_on_a_turntable(shared_data: Path) -> None:
     truth, pictures = (list(drawn(thing, cameras)) for thing in (filming.person.mesh, made.thing))
     level, overlap = compared(truth, pictures)
     assert level > 18.5 and overlap > 0.85
-    again = from_pictures(
-        [(frame.name, frame.picture, None) for frame in made.frames[1:9]],
-        in_order=True,
-        options=Options(height=1.66, splats=2000, steps=1),
-        form="splats",
-        anyway=True,
-    )
+    for name, value in FEW.items():
+        monkeypatch.setitem(ViewConfig.__init__.__kwdefaults__, name, value)
+    again = reconstruct_frames(made.frames, options=Options(height=1.66, splats=2000, steps=1), form="splats")
     assert 1980 < len(again.thing.splats) <= 2000

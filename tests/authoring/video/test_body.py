@@ -13,7 +13,7 @@ from glsplat.authoring.fit.solver import BodySolver, KnownShape
 from glsplat.authoring.fit.view import View
 from glsplat.authoring.video.body import fit_turning, key_views
 from glsplat.errors import FormatError
-from tests.authoring.made_up import posed_view
+from tests.authoring.made_up import posed_view, slope_error
 
 
 def blank(**facing: float | str) -> View:
@@ -49,11 +49,7 @@ def test_derivatives_of_what_is_known(rng: np.random.Generator) -> None:
     known = KnownShape(rng.normal(0, 1, BETAS), prior.MEAN + 0.1, 0.7)
     solver = BodySolver(open_body(), landmarks(), [posed_view(turn=57.0)[0]], None, known)
     assert (solver.betas == known.betas).all() and (solver.angles(0) == known.angles).all()
-    x = solver.x + rng.normal(0, 0.05, len(solver.x))
-    jacobian = solver._rows(x, True)[1]
-    steps = 1e-6 * np.eye(len(x))
-    both = [(solver._rows(x + step, False)[0] - solver._rows(x - step, False)[0]) / 2e-6 for step in steps]
-    assert np.abs(jacobian - np.stack(both, axis=-1)).max() < 1e-5 * np.abs(jacobian).max()
+    assert slope_error(solver, rng) < 1e-5
     assert solver.camera_height(0) != 0.7  # it is asked for, not set
 
 
@@ -62,9 +58,10 @@ def test_keys_look_from_all_around() -> None:
     assert [turns[key] for key in key_views(turns, 4)] == [355, 80, 170, 260]
 
 
+@pytest.mark.check
 def test_somebody_who_turns_is_found_again() -> None:
-    turns = np.arange(0, 360, 36.0)
-    off = np.array([0, 9, -8, 4, -10, 8, -6, 10, -9, 5.0])
+    turns = np.arange(0, 360, 60.0)
+    off = np.array([0, 9, -8, 4, -10, 8.0])
     scenes = [posed_view(turn=float(turn), told=float(turn + more)) for turn, more in zip(turns, off, strict=True)]
     size, grows = open_body().stature
     stature = float(size + grows @ scenes[0][2].betas)
@@ -77,10 +74,11 @@ def test_somebody_who_turns_is_found_again() -> None:
         assert abs(np.degrees(np.arctan2(there[0, 2], there[2, 2]))) < 5
 
 
+@pytest.mark.check
 def test_an_outline_that_is_wrong_once_does_not_bristle() -> None:
-    """Of ten outlines one has a spike; the surface keeps to the other nine."""
+    """Of six outlines one has a spike; the surface keeps to the other five."""
     body = open_body()
-    scenes = [posed_view(turn=float(turn)) for turn in np.arange(0, 360, 36.0)]
+    scenes = [posed_view(turn=float(turn)) for turn in np.arange(0, 360, 60.0)]
     poses, views = [posed for _, posed, _ in scenes], [view for view, *_ in scenes]
     bare = body.shaped(scenes[0][2].betas)[0]
     plain = dressed(body, bare, poses, views)

@@ -13,7 +13,6 @@ from glsplat.authoring.photo.capture import Capture, Finding
 from glsplat.authoring.video import frames as module
 from glsplat.authoring.video.frames import check_frames, frames_of
 from glsplat.errors import CaptureError, FormatError
-from tests.authoring.captures import needs_networks
 from tests.authoring.video.test_film import picture, write
 from tests.authoring.video.test_turns import person
 
@@ -110,12 +109,3 @@ def test_pictures_and_videos_are_told_apart(tmp_path: Path) -> None:
     paths[4].write_text("no picture")
     with pytest.raises(FormatError, match=r"4\.png: "):
         frames_of(paths, 30)
-
-
-@pytest.mark.slow
-def test_a_video_of_a_room(tmp_path: Path) -> None:
-    needs_networks()
-    path = write(tmp_path / "a.avi", [cv2.resize(picture(number), (480, 320)) for number in range(9)], "MJPG")
-    pictures, in_order = frames_of([path], 8)
-    with pytest.raises(CaptureError, match="0 of 8 frames will do, 8 are needed; frame 1 is left out: nobody"):
-        check_frames(pictures, in_order=in_order)

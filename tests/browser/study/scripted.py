@@ -14,6 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from glsplat.study.design import read_study
+from glsplat.study.plan import checked_plan
+from glsplat.study.steps import steps_of
 from tests.browser.opened import Opened
 from tests.browser.vr import enter, hands, pose, steer
 
@@ -123,6 +126,12 @@ class Service:
 
     def __post_init__(self) -> None:
         self.data = self.data or self.study.parent / "data"
+
+    def names(self) -> dict[str, str]:
+        """The steps' names in the log, by what the page calls them."""
+        assert self.data is not None
+        study = read_study(self.study)
+        return {step.alias: step.name for step in steps_of(study, checked_plan(self.data, study), self.participant)}
 
     def start(self) -> None:
         own = ["-m", "tests.study.served", str(self.study), str(self.data), str(self.participant), str(self.port)]

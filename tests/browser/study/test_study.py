@@ -14,7 +14,7 @@ import pytest
 from glsplat.study.design import read_study
 from glsplat.study.export import export
 from glsplat.study.plan import checked_plan, label, make_plan, write_plan
-from glsplat.study.store import SESSION, read_log
+from glsplat.study.store import SESSION, Log
 from tests.browser.conftest import OpenPage
 from tests.browser.study.scripted import Scripted, Service, wire
 from tests.browser.vr import pose, steer
@@ -42,12 +42,13 @@ class Mind:
 
     def __init__(self, participant: int) -> None:
         self.participant = participant
+        self.names: dict[str, str] = {}  # of steps in the log, by what the page calls them
         self.given: dict[tuple[str, str], float] = {}
 
     def __call__(self, step: str, item: dict[str, Any]) -> float:
         number = int(step[:3]) * 7 + len(item["name"]) + self.participant
         value = item["from"] + item["step"] * (number % (round((item["to"] - item["from"]) / item["step"]) + 1))
-        return self.given.setdefault((step, item["name"]), float(value))
+        return self.given.setdefault((self.names.get(step, step), item["name"]), float(value))
 
 
 def table(folder: Path, name: str) -> list[dict[str, str]]:
@@ -64,6 +65,7 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
     for number, mind in minds.items():
         service = Service(study, number, data=data)
         service.start()
+        mind.names = service.names()
         assert service.links is not None
         page = open_page(service.links["participant"], allow=GONE)
 
@@ -111,13 +113,15 @@ def test_a_condition_is_what_the_server_says(tmp_path: Path, open_page: OpenPage
     assert service.links is not None
     page = open_page(service.links["participant"], allow=GONE)
     seen: dict[float, dict[str, Any]] = {}
+    names = service.names()
 
     def hook(now: dict[str, Any]) -> bool:
         state = now["state"]
         if state.get("phase") == "running":
             seen[state["condition"]["latency"]] = page.stats()
-            assert page.stats()["view"] == ("facing" if "image" in state["step"] else "mirror")
-            assert state["condition"]["latency"] == (100 if "video" in state["step"] else 0)
+            step = names[state["step"]]
+            assert page.stats()["view"] == ("facing" if "image" in step else "mirror")
+            assert state["condition"] == {"view": page.stats()["view"], "latency": 100 if "video" in step else 0}
         return state["number"] > 5
 
     script = Scripted(page, Mind(1), vr=False, hook=hook)
@@ -179,8 +183,8 @@ def test_the_experimenter_sees_and_stops(study: Path, service: Service, open_pag
     watch.page.fill("#reason", "the participant felt sick")
     watch.page.click("#abort-form button")
     page.until("window.glsplat.study().state.ended === 'aborted'")
-    log = read_log(study.parent / "data" / label(1) / SESSION)
-    assert [e.kind for e in log.events if e.kind in ("pause", "note", "continue", "abort")] == [
+    log = list(Log(study.parent / "data" / label(1) / SESSION))
+    assert [e.kind for e in log if e.kind in ("pause", "note", "continue", "abort")] == [
         "pause", "note", "continue", "abort",
     ]  # fmt: skip
 
@@ -208,8 +212,8 @@ def test_by_keyboard_in_a_narrow_window(study: Path, service: Service, open_page
     page.page.focus("#next")
     keyboard.press("Enter")
     page.until("window.glsplat.study().item === 'strange' && !window.glsplat.study().saving")
-    log = read_log(study.parent / "data" / label(1) / SESSION)
-    assert [e.values["value"] for e in log.events if e.kind == "answer"][-1] == 2
+    log = list(Log(study.parent / "data" / label(1) / SESSION))
+    assert [e.values["value"] for e in log if e.kind == "answer"][-1] == 2
 
 
 def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_page: OpenPage) -> None:
@@ -233,7 +237,7 @@ def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_pa
     assert path.read_bytes() == before
     resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, unlimited)
     page.until("!window.glsplat.study().saving")
-    assert read_log(path).events[-1].values == {"item": "strange", "value": 3, "seconds": pytest.approx(0, abs=60)}
+    assert list(Log(path))[-1].values == {"item": "strange", "value": 3, "seconds": pytest.approx(0, abs=60)}
 
 
 def test_nobody_looks_out_of_their_own_head(tmp_path: Path, open_page: OpenPage) -> None:

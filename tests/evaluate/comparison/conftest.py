@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +54,11 @@ class Pixels:
         return float(((picture - truth) ** 2).mean())
 
 
-@pytest.fixture
-def no_lpips(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure, "_network", lambda kind: Pixels())
+@pytest.fixture(scope="module")
+def no_lpips() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "_network", lambda kind: Pixels())
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -62,23 +66,31 @@ def people() -> list[Participant]:
     return participants_in(participants_folder())
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def short() -> Protocol:
-    return Protocol(tasks=("standing", "turning"), views=("front", "left"), size=96, light="none")
+    return Protocol(tasks=("standing", "turning"), views=("front", "left"), size=64, light="none")
+
+
+def _plug(site: Path, patch: pytest.MonkeyPatch, **classes: str) -> None:
+    notes = site / "strangers-1.0.dist-info"
+    notes.mkdir(parents=True)
+    (site / "strangers_methods.py").write_text(METHODS)
+    (notes / "METADATA").write_text("Metadata-Version: 2.1\nName: strangers\nVersion: 1.0\n")
+    lines = [f"{name} = strangers_methods:{kind}" for name, kind in classes.items()]
+    (notes / "entry_points.txt").write_text("\n".join(["[glsplat.methods]", *lines]))
+    patch.syspath_prepend(str(site))
 
 
 @pytest.fixture
 def plugged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Installs methods by entry points, for this process and those that it starts: name -> class in METHODS."""
+    return partial(_plug, tmp_path / "site", monkeypatch)
 
-    def plug(**classes: str) -> None:
-        site = tmp_path / "site"
-        notes = site / "strangers-1.0.dist-info"
-        notes.mkdir(parents=True)
-        (site / "strangers_methods.py").write_text(METHODS)
-        (notes / "METADATA").write_text("Metadata-Version: 2.1\nName: strangers\nVersion: 1.0\n")
-        lines = [f"{name} = strangers_methods:{kind}" for name, kind in classes.items()]
-        (notes / "entry_points.txt").write_text("\n".join(["[glsplat.methods]", *lines]))
-        monkeypatch.syspath_prepend(str(site))
 
-    return plug
+@pytest.fixture(scope="session")
+def strangers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """All of METHODS, each by its name in small letters."""
+    classes = re.findall(r"class (\w+)", METHODS)
+    with pytest.MonkeyPatch.context() as patch:
+        _plug(tmp_path_factory.mktemp("plugged") / "site", patch, **{name.lower(): name for name in classes})
+        yield

@@ -63,9 +63,8 @@ def test_figures_are_those_by_hand(truths: tuple[StageTruth, StageTruth], name: 
         box = np.s_[rows[0] - 2 : rows[-1] + 3, columns[0] - 2 : columns[-1] + 3]
         assert values["box_l1"] == pytest.approx(np.abs(one - wanted)[box].mean(), abs=1e-7)
         cover, true = pictures[eye, ..., 3].astype(float), truth.pictures[eye, ..., 3].astype(float)
-        assert values["overlap"] == pytest.approx(
-            np.minimum(cover, true).sum() / np.maximum(cover, true).sum(), abs=1e-7
-        )
+        overlap = np.minimum(cover, true).sum() / np.maximum(cover, true).sum()
+        assert values["overlap"] == pytest.approx(overlap, abs=1e-7)
         legs = truth.regions[eye] == PARTS.index("legs")
         by_part = found["parts"]["pose"]["legs"]["l1"][0][0][eye]
         assert by_part == pytest.approx(np.abs(one - wanted)[legs].mean(), abs=1e-7)
@@ -73,26 +72,10 @@ def test_figures_are_those_by_hand(truths: tuple[StageTruth, StageTruth], name: 
 
 
 @pytest.mark.usefixtures("no_lpips")
-def test_changes_are_told_apart(truths: tuple[StageTruth, StageTruth]) -> None:
-    """The larger mistake has the larger figure: a pixel, both eyes swapped, somebody else."""
-    truth, other = truths
-    values = {
-        name: measured(truth, change(truth.pictures, other.pictures))["values"]["pose"]
-        for name, change in CHANGES.items()
-    }
-    l1 = {name: np.mean(value["l1"]) for name, value in values.items()}
-    assert l1["the same"] == 0 < l1["a pixel to the right"] < l1["another person"]
-    assert 0 < l1["eyes swapped"] and 0 < l1["gamma"]
-    overlap = {name: np.mean(value["overlap"]) for name, value in values.items()}
-    assert overlap["gamma"] > 0.9 > overlap["another person"]
-
-
-@pytest.mark.usefixtures("no_lpips")
 def test_a_part_that_is_not_seen_has_no_figure(truths: tuple[StageTruth, StageTruth]) -> None:
     truth = truths[0]
-    hidden = StageTruth(
-        truth.cameras, truth.pictures, np.where(truth.regions == PARTS.index("face"), np.int8(-1), truth.regions)
-    )
+    faceless = np.where(truth.regions == PARTS.index("face"), np.int8(-1), truth.regions)
+    hidden = StageTruth(truth.cameras, truth.pictures, faceless)
     found = measured(hidden, cv2.GaussianBlur(truth.pictures[0], (5, 5), 0)[None].repeat(2, axis=0))
     assert found["parts"]["pose"]["face"]["psnr"] == [[[None, None]]]
     assert found["parts"]["pose"]["legs"]["psnr"][0][0][0] > 10

@@ -43,6 +43,7 @@ def test_poses_are_what_they_say(people: list[Participant]) -> None:
     assert joints["standing"][[left, right], 1].max() < joints["standing"][head, 1] - 0.5
 
 
+@pytest.mark.check
 def test_head_and_hands_are_followed_on_another_body(people: list[Participant]) -> None:
     performer, other = people[0].mesh, people[1].mesh
     done = perform(performer)

@@ -21,13 +21,9 @@ Pictures = dict[tuple[str, int, str], np.ndarray]
 """Participant, moment, view -> what both eyes should see, [2, H, W, 4]."""
 Wrong = Callable[[Pictures, tuple[str, int, str]], np.ndarray]
 
-PROTOCOL = Protocol(tasks=("standing", "turning"), views=("front", "left"), size=96, light="none")
+PROTOCOL = Protocol(tasks=("standing", "turning"), views=("front", "left"), size=64, light="none")
 MEASURED = ("l1", "psnr", "ssim", "lpips")
 WRONG: dict[str, Wrong] = {
-    "nothing": lambda pictures, key: pictures[key],
-    "a pixel to the right": lambda pictures, key: np.roll(pictures[key], 1, axis=2),
-    "eyes swapped": lambda pictures, key: pictures[key][::-1],
-    "gamma": lambda pictures, key: np.rint(255 * (pictures[key] / 255) ** (1 / 2.2)).astype(np.uint8),
     "the other person": lambda pictures, key: pictures[{"p01": "p02", "p02": "p01"}[key[0]], *key[1:]],
     "one eye of one view": lambda pictures, key: (
         pictures[key] * np.array([1, key[2] != "left"], np.uint8)[:, None, None, None]
@@ -76,12 +72,11 @@ def compare(
     return results
 
 
-@pytest.mark.usefixtures("no_lpips")
+@pytest.mark.usefixtures("no_lpips", "strangers")
 @pytest.mark.parametrize("name", WRONG)
-def test_tables_are_those_by_hand(people, pictures, plugged, tmp_path, monkeypatch, name) -> None:
-    plugged(itself="Itself")
+def test_tables_are_those_by_hand(people, pictures, tmp_path, monkeypatch, name) -> None:
     if not pictures:  # the other person's are needed before that person's turn
-        compare(WRONG["nothing"], pictures, people[:2], tmp_path / "first", monkeypatch)
+        compare(lambda pictures, key: pictures[key], pictures, people[:2], tmp_path / "first", monkeypatch)
     results = compare(WRONG[name], pictures, people[:2], tmp_path / "out", monkeypatch)
     assert not [one.failed for one in results if one.failed] and len(pictures) == 8
     hand = {
@@ -116,8 +111,7 @@ def test_tables_are_those_by_hand(people, pictures, plugged, tmp_path, monkeypat
                 for person in ("p01", "p02")
             ]
             assert row[measure]["mean"] == pytest.approx(np.mean(wanted), abs=2e-6)
-    changed = np.mean(mean("l1"))
-    assert (changed == 0) == (name == "nothing")
+    assert np.mean(mean("l1")) > 0
     if name == "one eye of one view":
         rows = {row["view"]: row for row in tables.by_view(results, ("itself",)) if row["control"] == "pose"}
         assert rows["front"]["l1"]["mean"] == 0 and rows["left"]["l1"]["mean"] > 0

@@ -20,7 +20,9 @@ from glsplat.evaluate.comparison.work import Result, Task, finished, work
 from glsplat.evaluate.comparison.workers import run_tasks
 from glsplat.formats import load, save
 
+pytestmark = pytest.mark.usefixtures("no_lpips", "strangers")
 quiet = lambda step, done: None  # noqa: E731
+TWO = ("itself", "smaller")
 
 
 def tasks_of(people: list[Participant], protocol: Protocol, out: Path, *methods: str) -> list[Task]:
@@ -32,33 +34,37 @@ def table(results: list[Result], *methods: str) -> str:
     return json.dumps([*made, tables.compared(results, methods, 0)])
 
 
-@pytest.mark.usefixtures("no_lpips")
-def test_a_perfect_avatar_is_nearly_perfect_and_a_small_one_is_not(people, short, plugged, tmp_path) -> None:
-    plugged(itself="Itself", smaller="Smaller")
-    results = [r for task in tasks_of(people[:2], short, tmp_path, "itself", "smaller") for r in work(task, quiet)]
+@pytest.fixture(scope="module")
+def whole(people, short, no_lpips, strangers, tmp_path_factory) -> tuple[Path, list[Result]]:
+    """Two methods of two people, at once."""
+    out = tmp_path_factory.mktemp("whole")
+    return out, [r for task in tasks_of(people[:2], short, out, *TWO) for r in work(task, quiet)]
+
+
+@pytest.mark.check
+def test_a_perfect_avatar_is_nearly_perfect_and_a_small_one_is_not(whole) -> None:
+    out, results = whole
     assert not [r.failed for r in results if r.failed]
-    rows = {(row["method"], row["control"]): row for row in tables.summary(results, ("itself", "smaller"), 2)}
-    best = rows["itself", "pose"]
-    assert best["overlap"]["mean"] > 0.95 and best["psnr"]["mean"] > 28 and best["n"] == best["of"] == 2
+    rows = {(row["method"], row["control"]): row for row in tables.summary(results, TWO, 2)}
+    best, worse = rows["itself", "pose"], rows["smaller", "pose"]
+    assert best["overlap"]["mean"] > 0.94 and best["psnr"]["mean"] > 27 and best["n"] == best["of"] == 2
     assert rows["itself", "tracking"]["overlap"]["mean"] < best["overlap"]["mean"]
-    assert (
-        rows["smaller", "pose"]["overlap"]["mean"] < 0.9
-        and rows["smaller", "pose"]["l1"]["mean"] > 2 * best["l1"]["mean"]
-    )
+    assert worse["overlap"]["mean"] < 0.9 and worse["l1"]["mean"] > 2 * best["l1"]["mean"]
     by_hand = np.mean([r.data["values"]["pose"]["l1"] for r in results if r.method == "smaller"], axis=(1, 2, 3))
-    assert rows["smaller", "pose"]["l1"]["mean"] == pytest.approx(by_hand.mean(), abs=1e-6)
-    assert rows["smaller", "pose"]["l1"]["sd"] == pytest.approx(by_hand.std(ddof=1), abs=1e-6)
-    for method in ("itself", "smaller"):
-        assert (tmp_path / "sheets" / method / "p02.jpg").read_bytes().startswith(b"\xff\xd8")
+    assert worse["l1"]["mean"] == pytest.approx(by_hand.mean(), abs=1e-6)
+    assert worse["l1"]["sd"] == pytest.approx(by_hand.std(ddof=1), abs=1e-6)
+    for method in TWO:
+        assert (out / "sheets" / method / "p02.jpg").read_bytes().startswith(b"\xff\xd8")
 
 
-@pytest.mark.usefixtures("no_lpips")
-def test_interrupted_and_gone_on_is_as_one_run(people, short, plugged, tmp_path, monkeypatch) -> None:
-    plugged(itself="Itself", smaller="Smaller")
-    names = ("itself", "smaller")
-    whole = [r for task in tasks_of(people[:2], short, tmp_path / "whole", *names) for r in work(task, quiet)]
-    tasks = tasks_of(people[:2], short, tmp_path / "parts", *names)
-    work(tasks[0], quiet)
+@pytest.mark.check
+def test_interrupted_and_gone_on_is_as_one_run(whole, people, short, tmp_path, monkeypatch) -> None:
+    """As if the run had been interrupted in the midst of the second person."""
+    out, results = whole
+    shutil.copytree(out, tmp_path, dirs_exist_ok=True)
+    for path in tmp_path.glob("*/*/p02.*"):
+        path.unlink()
+    tasks = tasks_of(people[:2], short, tmp_path, *TWO)
 
     def interrupt(step: str, done: float) -> None:
         if "pictures" in step and done > 0.7:
@@ -70,8 +76,8 @@ def test_interrupted_and_gone_on_is_as_one_run(people, short, plugged, tmp_path,
     assert {r.participant for r in kept} == {people[0].name} and len(kept) == 2
     monkeypatch.setattr(working, "product", _only_from_files(working.product))
     again = kept + work(tasks[1], quiet)
-    assert table(again, *names) == table(whole, *names)
-    assert table([r for task in tasks for r in finished(task)], *names) == table(whole, *names)
+    assert table(again, *TWO) == table(results, *TWO)
+    assert table([r for task in tasks for r in finished(task)], *TWO) == table(results, *TWO)
 
 
 def _only_from_files(product: Callable) -> Callable:
@@ -86,9 +92,8 @@ def _only_from_files(product: Callable) -> Callable:
     return checked
 
 
-@pytest.mark.usefixtures("no_lpips")
-def test_results_hold_for_their_files_and_protocol_alone(people, short, plugged, tmp_path) -> None:
-    plugged(itself="Itself")
+@pytest.mark.check
+def test_results_hold_for_their_files_and_protocol_alone(people, short, tmp_path) -> None:
     folder = tmp_path / "people"
     folder.mkdir()
     shutil.copy(people[1].mesh_file, folder / "one.npz")
@@ -96,7 +101,7 @@ def test_results_hold_for_their_files_and_protocol_alone(people, short, plugged,
     assert finished(task) == []
     work(task, quiet)
     assert len(finished(task)) == 1
-    other = Protocol(tasks=short.tasks, views=("back",), size=96, light="none")
+    other = Protocol(tasks=short.tasks, views=("back",), size=64, light="none")
     assert finished(tasks_of(participants_in(folder), other, tmp_path / "out", "itself")[0]) == []
     shutil.copy(people[0].mesh_file, folder / "one.npz")
     assert finished(tasks_of(participants_in(folder), short, tmp_path / "out", "itself")[0]) == []
@@ -106,9 +111,7 @@ def test_results_hold_for_their_files_and_protocol_alone(people, short, plugged,
         assert finished(task) == []
 
 
-@pytest.mark.usefixtures("no_lpips")
-def test_what_fails_says_why_and_the_others_count(people, short, plugged, tmp_path) -> None:
-    plugged(itself="Itself", raising="Raising", nothing="Nothing")
+def test_what_fails_says_why_and_the_others_count(people, short, tmp_path) -> None:
     folder = tmp_path / "people"
     folder.mkdir()
     shutil.copy(people[1].mesh_file, folder / "good.npz")
@@ -126,16 +129,13 @@ def test_what_fails_says_why_and_the_others_count(people, short, plugged, tmp_pa
     assert (row["n"], row["of"]) == (1, 2) and row["l1"]["sd"] is None
     assert {row["method"] for row in tables.failures(results)} == set(names)
     rows = tables.by_participant(results, names)
-    assert [row.get("failed", "") for row in rows if row["participant"] == "good"] == [
-        "",
-        why["good", "raising"],
-        why["good", "nothing"],
-    ]
+    said = [row.get("failed", "") for row in rows if row["participant"] == "good"]
+    assert said == ["", why["good", "raising"], why["good", "nothing"]]
     (empty,) = [row for row in tables.summary(results, ("raising",), 2) if row["control"] == "pose"]
     assert empty["n"] == 0 and empty["l1"] is None
 
 
-@pytest.mark.usefixtures("no_lpips")
+@pytest.mark.check
 def test_a_folder_of_files_is_a_method(people, short, tmp_path) -> None:
     from glsplat.data import default_avatar
 
@@ -153,13 +153,10 @@ def test_a_folder_of_files_is_a_method(people, short, tmp_path) -> None:
     assert "no file of p05" in results[2].failed
 
 
-def test_other_processes_report_results_failures_and_their_end(people, short, plugged, tmp_path) -> None:
-    plugged(raising="Raising", dying="Dying")
-    tasks = [
-        Task(people[0], {"raising": "raising"}, short, tmp_path),
-        Task(people[1], {"dying": "dying"}, short, tmp_path),
-        Task(people[2], {"raising": "raising"}, short, tmp_path),
-    ]
+@pytest.mark.check
+def test_other_processes_report_results_failures_and_their_end(people, short, tmp_path) -> None:
+    what = zip(people, ("raising", "dying", "raising"), strict=False)
+    tasks = [Task(one, {method: method}, short, tmp_path) for one, method in what]
     seen = []
     results = [r for some in run_tasks(tasks, 2, lambda index, step, done: seen.append((index, step))) for r in some]
     why = {r.participant: r.failed for r in results}
@@ -200,7 +197,7 @@ def test_participants_are_found_by_their_files(tmp_path) -> None:
             participants_in(tmp_path)
 
 
-@pytest.mark.usefixtures("no_lpips")
+@pytest.mark.check
 def test_another_file_of_a_method_is_measured_anew(people, short, tmp_path) -> None:
     made = tmp_path / "mine"
     made.mkdir()
@@ -219,10 +216,9 @@ def test_another_file_of_a_method_is_measured_anew(people, short, tmp_path) -> N
     assert "no file of p02" in work(task, quiet)[0].failed
 
 
-@pytest.mark.usefixtures("no_lpips")
-def test_an_avatar_of_another_run_does_not_pass(people, plugged, tmp_path) -> None:
-    plugged(itself="Itself", smaller="Smaller")
-    protocol = Protocol(tasks=("standing",), views=("left",), size=96)  # a view that is no front
+@pytest.mark.check
+def test_an_avatar_of_another_run_does_not_pass(people, tmp_path) -> None:
+    protocol = Protocol(tasks=("standing",), views=("left",), size=64)  # a view that is no front
     (task,) = tasks_of(people[1:2], protocol, tmp_path, "itself")
     (other,) = tasks_of(people[1:2], protocol, tmp_path / "other", "smaller")
     (first,) = work(task, quiet)
@@ -234,9 +230,8 @@ def test_an_avatar_of_another_run_does_not_pass(people, plugged, tmp_path) -> No
     assert again.data["values"] == first.data["values"] and not first.failed
 
 
-@pytest.mark.usefixtures("no_lpips")
-def test_one_bad_avatar_leaves_its_neighbours_alone(people, short, plugged, tmp_path, monkeypatch) -> None:
-    plugged(itself="Itself", smaller="Smaller")
+@pytest.mark.check
+def test_one_bad_avatar_leaves_its_neighbours_alone(people, short, tmp_path, monkeypatch) -> None:
     draw = working.Stage.draw
 
     def failing(stage, figure, cameras, pose):

@@ -169,7 +169,7 @@ LIES: dict[str, Change] = {
     "degree nine": of_header(sh_degree=9),
     "three influences": of_header(influences=3),
     "joints by name only": lambda header: header["joints"].update(names=["a"] * 20),
-    "too many joints": lambda header: header["joints"].update(names=[f"{i}" for i in range(5000)]),
+    "too many joints": lambda header: header["joints"].update(names=[f"{i}" for i in range(1000)]),
     "a circle": lambda header: header["joints"].update(parents=[1, 0, *[0] * 18]),
     "no frame": lambda header: header["joints"].update(rest=[0.0] * 240),
     "a box of two": of_part(0, low=[0, 0]),
@@ -206,10 +206,10 @@ def test_lies_are_refused_before_memory_is_taken(face: bytes, lie: str) -> None:
 
 def test_bombs_are_not_unpacked(face: bytes) -> None:
     packer = zlib.compressobj(9, wbits=-15)
-    bomb = packer.compress(bytes(300_000_000)) + packer.flush()
+    bomb = packer.compress(bytes(50_000_000)) + packer.flush()
     for data in (
         HEAD.pack(b"GSAV", 1, 0, len(bomb), 1000) + bomb,
-        HEAD.pack(b"GSAV", 1, 0, len(bomb), 300_000_000) + bomb,
+        HEAD.pack(b"GSAV", 1, 0, len(bomb), 50_000_000) + bomb,
         changed(face, of_part(0, offset=len(face), bytes=len(bomb))) + bytes(len(face)) + bomb,
     ):
 
@@ -220,13 +220,13 @@ def test_bombs_are_not_unpacked(face: bytes) -> None:
         assert peak_of(read) < 4_000_000
 
 
-def test_every_cut_and_five_thousand_damaged_files_end_in_one_line_or_an_avatar(face: bytes) -> None:
-    for size in range(0, len(face), 97):
+def test_every_cut_and_a_thousand_damaged_files_end_in_one_line_or_an_avatar(face: bytes) -> None:
+    for size in range(0, len(face), 293):
         with pytest.raises(FormatError):
             decode_avatar(face[:size])
     rng = np.random.default_rng(20)
     read = 0
-    for _ in range(5000):
+    for _ in range(1000):
         data = bytearray(face)
         for at in rng.integers(0, len(data), rng.integers(1, 4)):
             data[at] = rng.integers(0, 256)
@@ -235,7 +235,7 @@ def test_every_cut_and_five_thousand_damaged_files_end_in_one_line_or_an_avatar(
             read += 1
         except FormatError as error:
             assert "\n" not in str(error)
-    assert read < 4000  # most are found out
+    assert read < 800  # most are found out
 
 
 def test_another_version_is_named() -> None:

@@ -117,7 +117,7 @@ def test_what_is_offered_and_what_is_refused(serve, made):
 
     offers, ann, eve, boss, shown = asyncio.run(main())
     assert offers == {"ann": ["ann"], "boss": ["default", "ann", "bob"], "eve": []} and shown == ["ann"]
-    assert [status for status, _ in ann + eve] == [403] * 17 and boss == [400, 403]
+    assert [status for status, _ in ann + eve] == [403] * 17 and boss == [403, 403]
     for _, text in ann + eve:
         assert not {"bob", "default", "boss"} & set(text.replace(",", " ").split()), text
     assert ann[0] == ann[1]  # an avatar that is there reads like one that is not

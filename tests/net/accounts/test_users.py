@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import logging
 import os
+import threading
+import time
 
 import pytest
 from hypothesis import given, settings
@@ -116,6 +119,125 @@ def test_a_removed_account_is_noticed_while_nobody_comes_in(file, monkeypatch):
     assert not accounts.holds(ann)
 
 
+def fails(*_, **__):
+    raise OSError(errno.EMFILE, "Too many open files")
+
+
+def test_a_removal_that_could_not_be_read_is_read_later(file, monkeypatch, caplog):
+    """Whatever refused the read, and although the file has not changed since."""
+    (ann, token), (bob, other) = new_user("ann"), new_user("bob")
+    keep(file, ann, bob)
+    accounts = Accounts(file)
+    assert asyncio.run(accounts.verified(other)) == bob
+    keep(file, ann)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", fails)
+        assert [accounts.known(other) for _ in range(50)] == [bob] * 50 and accounts.holds(bob)
+    assert len(caplog.messages) == 1 and "Too many open files" in caplog.text and caplog.text.count("stay") == 1
+    monkeypatch.setattr(users, "_LOOK", 0.0)
+    assert accounts.known(other) is None and not accounts.holds(bob) and accounts.holds(ann)
+    assert "is read again" in caplog.messages[-1]
+    assert asyncio.run(accounts.verified(other)) is None and asyncio.run(accounts.verified(token)) == ann
+
+
+def test_a_file_that_cannot_be_read_is_tried_once_a_second(file, monkeypatch):
+    """However many ask; but at once where it is another."""
+    ann, token = new_user("ann")
+    keep(file, ann)
+    accounts, tries = Accounts(file), []
+    read = users._read
+    monkeypatch.setattr(users, "_read", lambda path: tries.append(path) or read(path))
+    for broken in ("{", "["):
+        file.write_text(broken)
+        os.utime(file, ns=(0, 0))
+        for _ in range(100):
+            accounts.known(token)
+    assert len(tries) == 2
+
+
+def test_a_change_within_a_tick_of_the_clock_is_seen(file, monkeypatch):
+    """Of the same size, in place, at what the file system calls the same time."""
+    (ann, token), (bob, other) = new_user("ann"), new_user("bob")
+    keep(file, ann)
+    now = time.time_ns()
+    monkeypatch.setattr(users, "_stamp", lambda _: (now, now, 1, 1))
+    accounts = Accounts(file)
+    assert asyncio.run(accounts.verified(token)) == ann
+    keep(file, bob)
+    assert accounts.known(token) is None and asyncio.run(accounts.verified(other)) == bob
+
+
+def test_what_is_replaced_while_it_is_read_is_read_again(file, monkeypatch):
+    (ann, token), (bob, _) = new_user("ann"), new_user("bob")
+    keep(file, ann, bob)
+    accounts = Accounts(file)
+    assert asyncio.run(accounts.verified(token)) == ann
+    parsed = users._parsed
+
+    def late(path, data):
+        found = parsed(path, data)
+        if b'"ann"' in data:
+            keep(file, bob)
+        return found
+
+    keep(file, bob, ann)
+    monkeypatch.setattr(users, "_parsed", late)
+    monkeypatch.setattr(users, "_CLOCK_STEP", -1.0)  # by the stamp alone
+    accounts.known(token)
+    assert accounts.known(token) is None and not accounts.holds(ann)
+
+
+def test_a_file_that_is_written_in_pieces_loses_nobody(file, monkeypatch):
+    """At no moment does half a file remove or add anybody, and the whole one counts at once."""
+    people = [new_user(f"u{number}")[0] for number in range(6)]
+    keep(file, *people)
+    accounts = Accounts(file)
+    keep(file, *people[1:])
+    whole = file.read_bytes()
+    monkeypatch.setattr(users, "_LOOK", -1.0)
+    with open(file, "wb", buffering=0) as out:
+        for start in range(0, len(whole), 97):
+            assert all(accounts.holds(one) for one in people)
+            out.write(whole[start : start + 97])
+    assert not accounts.holds(people[0]) and all(accounts.holds(one) for one in people[1:])
+
+
+def test_replaced_while_many_ask(file, monkeypatch):
+    """Two writers that replace the file as fast as they can: the last word counts at the next question."""
+    ann, bob = new_user("ann")[0], new_user("bob")[0]
+    keep(file, ann, bob)
+    accounts = Accounts(file)
+    monkeypatch.setattr(users, "_LOOK", -1.0)
+
+    def write():
+        for _ in range(60):
+            write_users(file, {"bob": bob})
+            write_users(file, {"ann": ann, "bob": bob})
+
+    writers = [threading.Thread(target=write) for _ in range(2)]
+    for one in writers:
+        one.start()
+    while any(one.is_alive() for one in writers):
+        assert accounts.holds(bob)
+    assert accounts.holds(ann)
+    write_users(file, {"bob": bob})
+    assert not accounts.holds(ann) and accounts.holds(bob)
+
+
+def test_accounts_that_others_can_change_are_said(file, caplog):
+    """At the start, and when it becomes so while the server runs."""
+    ann, token = new_user("ann")
+    keep(file, ann)
+    accounts = Accounts(file)
+    assert caplog.messages == []
+    os.chmod(file, 0o666)
+    accounts.known(token)
+    accounts.known(token)
+    assert [line.count("expected mode 0600, got 0666") for line in caplog.messages] == [1]
+    Accounts(file)
+    assert len(caplog.messages) == 2 and str(file) in caplog.messages[-1]
+
+
 def changed(path, **more):
     data = json.loads(path.read_text())
     data["users"][0] |= more
@@ -188,6 +310,16 @@ def test_any_account_that_can_be_made_is_read_back(tmp_path_factory, name, avata
     assert "/" not in name and path.stat().st_mode & 0o777 == 0o600
 
 
+def test_no_file_is_written_that_would_not_be_read(file, monkeypatch):
+    """One account too many is refused; those that were there stay."""
+    ann, bob = (new_user(name)[0] for name in ("ann", "bob"))
+    write_users(file, {"ann": ann})
+    monkeypatch.setattr(users, "_LARGEST", file.stat().st_size)
+    with pytest.raises(FormatError, match="a file of accounts has at most"):
+        write_users(file, {"ann": ann, "bob": bob})
+    assert read_users(file) == {"ann": ann}
+
+
 def test_what_an_account_may_do():
     ann = User("ann", ("ann", "default"), ("lab",))
     assert [ann.may_drive(name) for name in ("ann", "default", "bob", "", "*", "../ann")] == [True, True, *[False] * 4]
@@ -206,7 +338,7 @@ def test_who_had_an_avatar_made_may_drive_and_delete_it():
     policy.add("photo", [OnFile()])
     policy.maker = {"photo": "ann"}.get
     ann, bob, boss = User("ann", ()), User("bob", ("x",)), User("boss")
-    assert [rights.may_drive(user, "photo") for user in (None, ann, bob, boss)] == [True, True, False, True]
+    assert [rights.sees(user, "avatar", "photo") for user in (None, ann, bob, boss)] == [True, True, False, True]
     assert [rights.may_delete(user, "photo") for user in (None, ann, bob, boss)] == [True, True, False, False]
     policy.maker = lambda avatar: ""
     assert [rights.may_delete(user, "photo") for user in (None, ann, boss)] == [True, False, True]

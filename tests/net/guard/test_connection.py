@@ -15,7 +15,9 @@ from glsplat.net.guard.connection import GuardedConnection
 
 CHECK = "look at glsplat/net/guard/connection.py, run tests/net/guard and tests/net/attacks, then raise the bound"
 THEIRS = {
+    "connection_made": ["self", "transport"],
     "data_received": ["self", "data"],
+    "start": ["self"],
     "connection_lost": ["self", "exc"],
     "set_parser": ["self", "parser", "data_received_cb"],
     "handle_error": ["self", "request", "status", "exc", "message"],

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import re
-import signal
 import socket
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from aiohttp import web
@@ -21,10 +18,10 @@ from glsplat.net.guard.machine import machine_names
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests import needs
+from tests.net.guard.descriptors import few_descriptors
 from tests.net.guard.plain_http import ask, get, status
 from tests.net.wire import HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
 
-ROOT = Path(__file__).parents[3]
 TOKEN = "0123456789abcdef-token"
 
 
@@ -160,8 +157,29 @@ def test_an_address_that_connects_too_often_is_not_answered(serve, stopped):
             return answers, pipelined, status(await ask(server.port, get(), "127.0.0.3"))
 
     answers, pipelined, other = asyncio.run(main())
-    assert answers == [200] * 20 + [None] * 20 and other == 200
+    assert answers == [200] * 10 + [None] * 30 and other == 200  # each is a connection and a request
     assert pipelined.count("HTTP/1.1 200") == 19 and pipelined.count("HTTP/1.1 429") >= 1
+
+
+def test_healthz_is_answered_at_a_bounded_rate_to_held_off_addresses_too(serve, stopped):
+    """And to others as ever: a monitor of its own address notices nothing of a flood."""
+
+    async def main():
+        async with serve() as server:
+            server.gate.addresses.breach("127.0.0.2", stopped.now)
+            blocked = [status(await ask(server.port, get(path), "127.0.0.2")) for path in ("/session", "/healthz")]
+            flood = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
+            stopped.now += 1.0
+            later = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
+            monitor = status(await ask(server.port, get("/healthz"), "127.0.0.3"))
+            return blocked, flood, later, monitor
+
+    blocked, flood, later, monitor = asyncio.run(main())
+    limits = Limits()
+    assert blocked == [429, 200] and monitor == 200
+    # of the burst three connections and a request are gone; then a second's worth, less the connection
+    assert flood.count("HTTP/1.1 200") == limits.visits_burst - 4 and flood.count("HTTP/1.1 429") == 1
+    assert later.count("HTTP/1.1 200") == limits.visits - 1 and later.count("HTTP/1.1 429") == 1
 
 
 GOOD = [
@@ -193,6 +211,8 @@ NONE = [
     "x:port",
     "a/b",
     "u@h",
+    "127.0.0.1:99999",
+    "xn--a.localhost",
 ]
 
 
@@ -204,7 +224,7 @@ def test_the_host_header_is_checked_on_every_route(serve):
     async def main():
         async with serve(config=config) as server:
             found = {}
-            for path in ("/", "/stats", "/metrics", "/healthz", "/nosuch"):
+            for path in ("/", "/stats", "/metrics", "/healthz", "/reach", "/nosuch"):
                 good = {status(await ask(server.port, get(path, host))) for host in GOOD}
                 bad = {status(await ask(server.port, get(path, host))) for host in BAD}
                 none = {status(await ask(server.port, get(path, host))) for host in NONE}
@@ -274,34 +294,11 @@ def test_the_parts_of_aiohttp_that_connections_rely_on(serve):
     asyncio.run(main())
 
 
-# descriptors
-
-FEW = """
-import asyncio, logging, resource, sys
-sys.path.insert(0, sys.argv[1])
-resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
-from glsplat.net.guard.limits import Limits
-from glsplat.net.server import Server, ServerConfig
-from tests.net.conftest import FakeBackend
-logging.basicConfig(format="LOG %(message)s")
-if sys.argv[2] == "no room kept":
-    import glsplat.net.guard.listener as listener
-    listener._descriptors_left = lambda: None
-server = Server(FakeBackend(), ServerConfig(port=0, limits=Limits(visits_burst=1e9)))
-asyncio.run(server.run(lambda: print(server.port, flush=True)))
-"""
-
-
 @pytest.mark.parametrize("how", ["as it is", "no room kept"])
 def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
     """Pictures go on, new clients get in, the log stays short, the idle connections are the ones that go."""
-    command = [sys.executable, "-c", FEW, str(ROOT), how]
-    errors = tmp_path / "log"
-    with errors.open("wb") as log:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
-    port = int(process.stdout.readline())
 
-    async def main():
+    async def main(port):
         url = f"ws://127.0.0.1:{port}/ws"
         async with Client(url) as good:
             await good.render(cameras)
@@ -325,13 +322,8 @@ def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
                 peer.close()
             return pictures, newcomers
 
-    try:
-        pictures, newcomers = asyncio.run(main())
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(HANG) == 0
-    finally:
-        process.kill()
-        process.communicate()
-    text = errors.read_text().splitlines()
+    with few_descriptors(tmp_path / "log", how) as port:
+        pictures, newcomers = asyncio.run(main(port))
+    text = (tmp_path / "log").read_text().splitlines()
     assert newcomers == pictures // 20 == 3
     assert 1 <= len(text) <= 4 and all(line.startswith("LOG ") and len(line) < 140 for line in text), text[:5]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import re
 import socket
@@ -13,7 +14,7 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
 from tests.net.guard.plain_http import ask, get, status
-from tests.net.wire import UPGRADE, frame, native, still_serves, until
+from tests.net.wire import EYE, UPGRADE, frame, native, still_serves, until
 
 
 @pytest.fixture
@@ -37,6 +38,7 @@ STRANGE = {
     "a header of 9 kB": f"GET / HTTP/1.1\r\nHost: a\r\nX: {SECRET * 500}\r\n\r\n".encode(),
     "another method": f"{SECRET} / HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
     "an address that is none": f"GET http://[{SECRET}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
+    "an address with a name that is none": f"GET http://xn--a.{SECRET}/ HTTP/1.1\r\nHost: localhost\r\n\r\n".encode(),
     "two lengths": f"POST /{SECRET} HTTP/1.1\r\nHost: a\r\nContent-Length: 3\r\nContent-Length: 4\r\n\r\nabc".encode(),
     "an Upgrade that is no text": UPGRADE.replace(b"Upgrade: websocket", b"Upgrade: webs\xefcket"),
     "a version that is no text": UPGRADE.replace(b"Version: 13", b"Version: 13\x80"),
@@ -88,3 +90,30 @@ def test_a_fault_of_the_server_is_one_line_with_its_place(serve, lines, monkeypa
 
     assert asyncio.run(main()) == [500] * 5
     assert len(lines()) == 1 and re.search(r"KeyError at test_quiet_log\.py:\d+$", lines()[0])
+
+
+def test_clients_that_read_nothing_are_one_line(serve, fake_backend, lines):
+    """However many of them are cut off."""
+    config = ServerConfig(port=0, write_timeout=0.1, heartbeat=1e6)
+    large = {"eyes": [{**EYE, "K": [500, 500, 512, 512]}] * 2, "size": [1024, 1024], "quality": 100}
+
+    async def main():
+        async with serve(fake_backend(noise=True), config) as server:
+            for _ in range(3):
+                peer = socket.socket()
+                peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+                peer.setblocking(False)
+                peer.connect_ex(("127.0.0.1", server.port))
+                asked = [native(number, **large) for number in range(1, 9)]
+                sent = UPGRADE + frame(0x1, asked[0].replace('"ack": 0, ', "").encode())
+                await asyncio.get_running_loop().sock_sendall(peer, sent)
+                await until(lambda: server.stats()["clients"])
+                with contextlib.suppress(ConnectionError):
+                    for text in asked[1:]:
+                        await asyncio.get_running_loop().sock_sendall(peer, frame(0x1, text.encode()))
+                        await asyncio.sleep(0.05)
+                await until(lambda: not server.stats()["clients"])
+                peer.close()
+
+    asyncio.run(main())
+    assert [line for line in lines() if "read" in line] == ["a client does not read its pictures; cut off"]

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.errors import ProtocolError
 from glsplat.net.messages import Decoder, WireOptions
+from glsplat.skinning.skeleton import Skeleton
 
 
 def decode(message, options=None):
@@ -51,6 +52,17 @@ def test_old_forms():
     bundle = decode({"frame_id": 3, "cameras": [head, head | {"eye": "left"}], "smplx": smplx})
     assert bundle.form == "bundle-legacy" and bundle.eyes == (0, 1) and bundle.frame_id == 3
     assert bundle.cameras[0].name == "left"
+
+
+def test_a_pose_is_for_the_rig_that_is_shown():
+    """Else it would be a pose of other joints, which nobody in a room could be drawn in."""
+    head = unity_camera((0, 1.6, -2), (0, 0, 0, 1), "left")
+    rod = Skeleton.from_joints(["root", "tip"], [-1, 0], [[0, 0, 0], [0, 1, 0]])
+    text = json.dumps({"frame_id": 4, "cameras": [head], "smplx": {"root_pose": [0, 0.5, 0]}})
+    with pytest.raises(ProtocolError, match="takes poses") as refused:
+        Decoder(skeleton=rod).decode(text)
+    assert (refused.value.code, refused.value.frame_id) == ("bad_pose", 4)
+    assert Decoder(skeleton=rod).decode(json.dumps({"frame_id": 4, "cameras": [head]})).pose is None
 
 
 @pytest.mark.parametrize(

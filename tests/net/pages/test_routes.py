@@ -11,6 +11,7 @@ from contextlib import closing
 from importlib import resources
 from pathlib import Path
 
+import aiohttp
 import pytest
 
 from glsplat.net.backend import AvatarInfo
@@ -70,6 +71,28 @@ def test_every_file_of_the_page_is_served_without_a_token(serve):
         assert policy.pop("img-src") == "'self' blob:" and "unsafe" not in str(policy)
         assert policy.pop("default-src") == policy["base-uri"] == policy["frame-ancestors"] == "'none'"
         assert policy["script-src"] == policy["connect-src"] == policy["worker-src"] == "'self'"
+
+
+def test_no_other_site_shows_or_measures_what_is_answered(serve, cameras):
+    """Cross-Origin-Resource-Policy on every address there is, pictures of people before all."""
+
+    async def main():
+        async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
+            await client.render(cameras)
+            routes = {route.resource.canonical for route in server._runner.app.router.routes()} - {"/ws", "/vr"}
+            names = {"{name}": "default", "{number}": "1", "{path}": "index.html", "{sha256}": "0" * 64}
+            found = {}
+            for path in (*routes, "/nosuch"):
+                for name, value in names.items():
+                    path = path.replace(name, value)
+                async with http.get(f"http://127.0.0.1:{server.port}{path}") as response:
+                    found[path] = response.status, response.headers.get("Cross-Origin-Resource-Policy")
+            return found
+
+    found = asyncio.run(main())
+    assert {policy for _, policy in found.values()} == {"same-origin"}, found
+    assert found["/pictures/1"][0] == found["/thumbnails/default"][0] == found["/status.json"][0] == 200
+    assert not any("{" in path for path in found), found
 
 
 def test_a_browser_that_has_a_file_is_not_sent_it_again(serve):

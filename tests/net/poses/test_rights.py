@@ -65,17 +65,17 @@ def test_accounts_get_whom_they_drive_or_meet(serve: Serve, tmp_path: Path) -> N
             async def all_of_them() -> dict[str, int]:
                 return {name: await status(server, digest, token) for name, token in tokens.items()}
 
-            assert await all_of_them() == {"ann": 200, "bob": 403, "eve": 403}
+            assert await all_of_them() == {"ann": 200, "bob": 404, "eve": 404}
             url = f"{server.url}?room=lab&avatar=ann"
             async with Client(url, tokens["ann"], timeout=HANG) as client:
                 await client.poses(tracking=head())
-                assert await all_of_them() == {"ann": 200, "bob": 200, "eve": 403}
+                assert await all_of_them() == {"ann": 200, "bob": 200, "eve": 404}
                 seen = Client(f"{server.url}?room=lab&avatar=bob", tokens["bob"], timeout=HANG)
                 async with seen as other:
                     reply = await other.poses(tracking=head())
                     assert [body.sha256 for body in reply.bodies] == [digest]  # bob is nothing a browser draws
             await until(lambda: not server._channels)
-            assert await all_of_them() == {"ann": 200, "bob": 403, "eve": 403}
+            assert await all_of_them() == {"ann": 200, "bob": 404, "eve": 404}
 
     asyncio.run(talk())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from threading import Event, Thread
@@ -12,17 +13,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.errors import ProtocolError
+from glsplat.errors import PoseError, ProtocolError
 from glsplat.net.accounts.users import User
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.messages import WireOptions
+from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import NAME, NOT_ALLOWED, RequestedOptions, client_options
+from glsplat.net.poses.body import unpack_bodies
+from glsplat.net.poses.history import PoseHistory
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
 from glsplat.net.rooms.room import Room, RoomError
 from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.rooms.seats import RADIUS, free_seat, place_at, seat
 from glsplat.net.session import SessionConfig
-from glsplat.rotations import FLIP_X
+from glsplat.rotations import FLIP_X, rotation_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from tests.net.wire import HANG
@@ -71,8 +74,9 @@ def test_everybody_is_shown_where_they_are() -> None:
     ann = room.join("Ann", "a", 0.0)
     bob = room.join("Bob", "b", 0.0, place=place_at(1.0, 2.0, np.pi / 2))
     for person, turn in ((ann, 0.1), (bob, 0.2)):
-        room.moved(person, replace(moved(0.0, turn), scale=1.1, floor=0.2))
-        room.look(person, (EYE,), moved(0.0, turn), 0.0)
+        own = replace(moved(0.0, turn), scale=1.1, floor=0.2)
+        room.moved(person, own)
+        room.look(person, (EYE,), own, 0.0)
     cameras, view = room.look(ann, (EYE,), replace(moved(0.1, 0.3, 7), scale=1.1, floor=0.2), 0.1)
     shown = {one.name: one for one in view.people}
     assert view.viewer == shown["Ann"].key and shown["Ann"].frame_id == 7
@@ -189,24 +193,89 @@ def test_who_is_silent_fades_and_who_is_lost_goes() -> None:
 def test_names_and_seats() -> None:
     room = Room("lab", 2)
     ended: list[str] = []
-    ann = room.join("Ann", "a", 0.0, "1.2.3.4", leave=lambda: ended.append("Ann"))
+    ann = room.join("Ann", "a", 0.0, leave=lambda: ended.append("Ann"))
     room.moved(ann, moved(0.0))
     with pytest.raises(RoomError, match='there is somebody called "Ann"') as refused:
-        room.join("Ann", "a", 0.1, "1.2.3.4")
+        room.join("Ann", "a", 0.1)
     assert refused.value.status == 409
-    room.join("Bob", "a", 0.1)
+    bob = room.join("Bob", "a", 0.1)
     with pytest.raises(RoomError, match=r"full \(2 people\)") as refused:
         room.join("Carl", "a", 0.2)
     assert refused.value.status == 503
-    # dead as far as anybody can tell: who comes from the same place is the same person, on the same seat
-    with pytest.raises(RoomError, match="somebody called"):
-        room.join("Ann", "a", SILENT + 0.1, "6.6.6.6")
-    again = room.join("Ann", "b", SILENT + 0.1, "1.2.3.4")
-    assert ended == ["Ann"] and again.key != ann.key and np.array_equal(again.seat, ann.seat)
+    # however silent a connection is, its name is taken: only its own token brings the person back, to the same seat
+    for token in ("", bob.resume, ann.resume[:-1], "é"):
+        with pytest.raises(RoomError, match="somebody called"):
+            room.join("Ann", "a", 50.0, token)
+    again = room.join("Ann", "b", 50.0, ann.resume, leave=lambda: ended.append("again"))
+    assert ended == ["Ann"] and again.key != ann.key and again.seat is ann.seat and again.resume == ann.resume
     room.left(ann)  # the old connection's end is not the new one's
-    assert room.count(2.2) == 2
+    assert room.count(50.1) == 2
+    moves = room.join("", "b", 50.2, ann.resume, place=place_at(1, 2, 3))  # nameless, elsewhere
+    assert moves.name == "Ann" and np.array_equal(moves.seat, place_at(1, 2, 3)) and ended == ["Ann", "again"]
+    assert len({ann.resume, bob.resume, Room("hall").join("Ann", "a", 0.0).resume}) == 3
+
+
+def test_the_name_of_a_connection_that_broke_is_kept_until_its_person_has_faded() -> None:
+    room = Room("lab", 2)
+    ann = room.join("Ann", "a", 0.0)
+    room.moved(ann, moved(1.0))
+    room.lost(ann)
+    with pytest.raises(RoomError, match="somebody called"):
+        room.join("Ann", "a", 1.0 + SILENT + FADE - 0.01)
+    again = room.join("Ann", "a", 1.0 + SILENT + FADE - 0.01, ann.resume)
     room.lost(again)
-    assert room.join("Ann", "b", 2.3, "1.2.3.4").key > again.key
+    newcomer = room.join("Ann", "a", 20.0)
+    assert newcomer.resume != ann.resume
+    with pytest.raises(RoomError, match="somebody called"):  # an old token is none
+        room.join("Ann", "a", 20.1, ann.resume)
+    assert room.join("Ann 2", "a", 20.2, newcomer.resume).resume != newcomer.resume  # another name, another person
+
+
+def test_nobody_keeps_the_nameless_out_by_taking_their_names() -> None:
+    room = Room("lab", 4)
+    taken = [room.join(f"guest {number}", "a", 0.0).name for number in (7, 8)]
+    assert taken == ["guest 7", "guest 8"]
+    guest = room.join("", "a", 0.0, guest=7)
+    assert guest.name == "guest 9" and guest.label == "driven by guest 9, synthetic"
+
+
+@pytest.mark.parametrize(("scale", "floor"), [(np.nan, 0.0), (1.0, np.inf), (0.0, 0.0), (-1.0, 0.0), (1.0, 1e9)])
+def test_who_can_stand_nowhere_is_shown_where_they_stood(scale: float, floor: float) -> None:
+    """A solver of one's own may find anything."""
+    room = Room("lab", 4)
+    ann, bob = room.join("Ann", "a", 0.0), room.join("Bob", "a", 0.0)
+    room.moved(bob, replace(moved(1.0), scale=1.5))
+    with pytest.raises(PoseError, match="nobody can stand"):
+        room.moved(bob, replace(moved(1.1), scale=scale, floor=floor))
+    room.look(ann, (EYE,), moved(1.1), 1.1)
+    _, view = room.look(ann, (EYE,), moved(1.2), 1.2)
+    (shown,) = (one for one in view.people if one.name == "Bob")
+    assert np.allclose(np.linalg.det(shown.transform[:3, :3]), 1.5**3)
+    bodies = room.poses(ann, PoseHistory(), lambda name: bytes(32), 1.2).bodies
+    assert len(unpack_bodies(bytes((len(bodies),)) + b"".join(bodies))) == 1
+
+
+def test_a_movement_that_leads_beyond_all_limits_is_not_continued() -> None:
+    person = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
+    for at, x in ((0.0, 999999.7), (0.05, 999999.95)):
+        person.moved(Moved(pose(x=x), at))
+    newest = person.newest
+    assert newest is not None and person.at(0.1) == (newest.pose, 0.0)
+
+
+def test_a_camera_is_placed_whatever_rounding_it_came_with() -> None:
+    room, row = Room("lab"), [9e-7, 0, -9e-7, 1 + 9e-7]
+    person = room.join("Ann", "a", 0.0, place=place_at(100, -100, 1))
+    chance = np.random.default_rng(1)
+    for off in 2e-5 - 10.0 ** np.arange(-16, -4):
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = rotation_matrices(chance.normal(size=3)) * np.sqrt(1 + max(off, 0.0))
+        viewmat[3] = row if off < 1e-5 else viewmat[3]
+        eye = {"viewmat": viewmat.ravel().tolist(), "K": [40, 40, 32, 32]}
+        request = Decoder().decode(json.dumps({"v": 1, "frame_id": 1, "size": [64, 64], "eyes": [eye]}))
+        assert isinstance(request, Request)
+        ((camera,), _) = room.look(person, request.cameras, moved(0.0), 0.0)
+        assert np.allclose(camera.viewmat, viewmat @ person.from_room(), atol=3e-3)
 
 
 class Slow(float):
@@ -286,14 +355,14 @@ def test_what_an_address_asks_for() -> None:
     with pytest.raises(ProtocolError, match="label needs 0 or 1"):
         asked(label="yes")
     assert place is not None and np.allclose(place @ (0, 0, 1, 1), (2.5, 0, -2, 1))
-    for wrong in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,inf,0", "1e9,0,0", "0,0,361"):
+    for wrong in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,nan,0", "0,0,nan", "0,inf,0", "1e9,0,0", "0,0,361"):
         with pytest.raises(ProtocolError, match="at needs x,z,degrees"):
             asked(room="lab", at=wrong)
 
 
 QUERY = st.dictionaries(
-    st.sampled_from(["avatar", "room", "name", "at", "label", "mirror", "window", "height", "span", "x"]),
-    st.text(max_size=40) | st.sampled_from(["lab", "../lab", "default", "1", "0", "1.7", "0,0,0", "nan,0,0", "%00"]),
+    st.sampled_from(["avatar", "room", "name", "at", "label", "mirror", "window", "height", "span", "resume", "x"]),
+    st.text(max_size=40) | st.sampled_from(["lab", "../lab", "default", "1", "0", "1.7", "0,0,0", "0,nan,0", "%00"]),
     max_size=6,
 )
 
@@ -304,7 +373,7 @@ def test_whatever_is_asked_for_is_understood_or_refused(query: dict[str, str], u
     shown = AvatarInfo(name="default", skeleton=Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]]))
     try:
         wish = asked(user, **query)
-        member = rooms.join(wish, shown, 1, "here", 0.0, lambda: None)
+        member = rooms.join(wish, shown, 1, 0.0, lambda: None)
     except ProtocolError as refused:
         assert str(refused).isprintable()
         return

@@ -18,7 +18,8 @@ from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.gl.context import Context, create_context
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends.labels import Label, notice
+from glsplat.net.backends.figure_bounds import FigureBounds
+from glsplat.net.backends.labels import Label
 from glsplat.net.backends.lettering import draw_labels
 from glsplat.net.backends.renderer_pool import RendererPool, SceneRenderer
 from glsplat.net.backends.room import RoomRenderer
@@ -107,8 +108,11 @@ def _direct(person: Avatar, background: Item, seats: list[NDArray[np.float64]], 
     cameras = [replace(eye, viewmat=eye.viewmat @ np.linalg.inv(seats[viewer])) for eye in EYES]
     with Renderer(Scene([background, *people]), size=(SIZE, SIZE), config=RenderConfig()) as renderer:
         images = renderer.render(cameras)
+    bounds = FigureBounds(person, 3.33, whole=True)
     words = [
-        Label(f"driven by P{i}, synthetic", _above(person, i, seat)) for i, seat in enumerate(seats) if i != viewer
+        Label(f"driven by P{i}, synthetic", _above(person, i, seat), box=partial(bounds.box, arm(i), seat))
+        for i, seat in enumerate(seats)
+        if i != viewer
     ]
     draw_labels(images, cameras, words)
     encoder = Encoder()
@@ -254,6 +258,6 @@ def test_a_notice_is_in_the_picture_wherever_one_looks() -> None:
     for target in ((0, 0, 1), (3, 9, -2), (0, -1, 0.01)):
         eye = Camera(look_at((0, 1.5, 0), target), pinhole(320, 240), 320, 240)
         image = np.zeros((1, 240, 320, 4), np.uint8)
-        x, y, width, height = draw_labels(image, [eye], [notice("no consent on file", [eye])])
+        x, y, width, height = draw_labels(image, [eye], [], "no consent on file")
         assert 0 < x and x + width < 320 and 160 < y and y + height < 240
         assert cv2.countNonZero(image[0, :, :, 0]) > 100

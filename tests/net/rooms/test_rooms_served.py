@@ -171,6 +171,59 @@ def test_a_lost_connection_fades_and_may_come_back(serve: Serve, hands: Hands) -
     asyncio.run(talk())
 
 
+def test_a_silent_member_keeps_its_name_and_is_back_with_the_next_request(serve: Serve, hands: Hands) -> None:
+    """A second tab of the same browser is refused, however long the first says nothing; a token is no other's."""
+
+    async def talk() -> None:
+        async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
+            server.render_loop._clock = hands  # type: ignore[union-attr]
+            async with member(server, "Bob") as bob:
+                token = (await bob.render(EYES, pose=POSE)).info["room"]["resume"]
+                await ann.render(EYES, pose=POSE)
+                hands.now += 10 * (SILENT + FADE)
+                for address in ("Ann", "Ann&resume=", f"Ann&resume={token}"):
+                    with pytest.raises(ProtocolError, match="409"):
+                        await member(server, address).connect()
+
+                async def seen() -> dict[str, float]:
+                    room = (await bob.render(EYES, pose=POSE)).info["room"]
+                    return {one["name"]: one["opacity"] for one in room["people"]}
+
+                assert await seen() == {"Ann": 0.0, "Bob": 1.0}
+                assert (await ann.render(EYES, pose=POSE)).info["room"]["resume"] != token  # the same connection
+                assert await seen() == {"Ann": 1.0, "Bob": 1.0}
+
+    asyncio.run(talk())
+
+
+@pytest.mark.parametrize("name", ["&name=Ann", ""])
+def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -> None:
+    """Although the server has not heard yet that the other connection is dead; that one is closed."""
+
+    async def talk() -> None:
+        async with serve(FakeBackend(), config(), offered=OFFERS) as server:
+            url = f"{server.url}?room=lab{name}"
+            async with member(server, "Bob"), Client(f"{url}&at=1,2,90") as first:
+                room = (await first.poses(pose=POSE)).info["room"]
+                (own,) = (one for one in room["people"] if one["you"])
+                async with Client(f"{url}&resume={room['resume']}") as again:
+                    now = (await again.render(EYES, pose=POSE)).info["room"]
+                    assert [one["name"] for one in now["people"] if one["you"]] == [own["name"]]
+                    assert now["resume"] == room["resume"]
+                    seats = [channel.member.person.seat for channel in server._channels.values() if channel.member]
+                    assert np.allclose(seats[-1][:3, 3], (1, 0, 2))
+                    with pytest.raises(ProtocolError, match="1001"):
+                        while True:
+                            await first.render(EYES, pose=POSE)
+                    assert await until(lambda: len(server._channels) == 2)
+                    await again.render(EYES, pose=POSE)  # the end of the old connection is not that of the new one
+            assert await until(lambda: server.stats()["rooms"][0]["people"] == [])
+            async with Client(f"{url}&resume={room['resume']}") as late:  # a token of somebody who is gone
+                assert (await late.render(EYES, pose=POSE)).info["room"]["resume"] != room["resume"]
+
+    asyncio.run(talk())
+
+
 def test_eight_in_a_room_have_equal_shares(serve: Serve, hands: Hands) -> None:
     """Of a renderer that is never idle; and each picture shows all eight, at most a tick apart."""
 

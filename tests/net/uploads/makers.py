@@ -45,6 +45,8 @@ def make(order: Order, progress: Progress) -> Avatar:
         os.write(2, word.encode())
     if "refuse" in word:
         raise GlsplatError("the JPEG file is damaged;\n  copy it again")
+    if "many" in word:
+        raise LowConfidenceError("\U00010000" * 70_000, [("front", "small", "\U00010000" * 5000)] * 100)
     if "doubt" in word and not order.anyway:
         go_on = partial(_finished, order, progress, word) if "known" in word else None
         raise LowConfidenceError("the picture has two faults", _FAULTS, go_on)

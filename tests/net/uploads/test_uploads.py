@@ -10,6 +10,7 @@ import pytest
 
 from glsplat.formats import load
 from glsplat.net.guard.access import Access
+from glsplat.net.guard.forwarded import proxy_network
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
@@ -376,11 +377,13 @@ def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes, tmp_
     asyncio.run(main())
 
 
-def test_where_others_look_on_drawing_goes_first(tmp_path):
+@pytest.mark.parametrize(
+    "access", [Access(host="0.0.0.0", insecure=True), Access(proxies=(proxy_network("127.0.0.1"),))]
+)
+def test_where_others_look_on_drawing_goes_first(tmp_path, access):
     async def main():
         uploads = Uploads(UploadConfig(folder=tmp_path, make=make), described)
-        config = ServerConfig(port=0, access=Access(host="0.0.0.0", insecure=True))
-        server = Server(FakeBackend(), config, uploads=uploads)
+        server = Server(FakeBackend(), ServerConfig(port=0, access=access), uploads=uploads)
         await server.start()
         try:
             url = f"http://127.0.0.1:{server.port}/avatars?consent=yes"

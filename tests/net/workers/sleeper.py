@@ -12,7 +12,7 @@ import numpy as np
 from glsplat.errors import BudgetError, ContextError, FormatError, PoseError
 from glsplat.net.backend import Rendered, RenderJob
 
-__all__ = ["STEP", "Sleeper"]
+__all__ = ["STEP", "Fragile", "Sleeper"]
 
 STEP = 8  # grey values between two numbers: JPEG moves a flat half by less
 
@@ -64,6 +64,16 @@ class Sleeper:
     def kill(self) -> None: ...
 
     def close(self) -> None: ...
+
+
+class Fragile(Sleeper):
+    """Does not survive a picture that shows somebody called "eve" to others."""
+
+    def render(self, request: RenderJob) -> Rendered:
+        room = request.room
+        if room is not None and request.others and any(p.name == "eve" and p.key != room.viewer for p in room.people):
+            os.kill(os.getpid(), signal.SIGSEGV)
+        return super().render(request)
 
 
 def _grey(number: int) -> int:

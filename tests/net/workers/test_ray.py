@@ -21,7 +21,7 @@ from tests.net.workers.test_pool import pids
 
 pytest.importorskip("ray", reason="needs the extra glsplat[ray]")
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # Ray's own
+pytestmark = [pytest.mark.check, pytest.mark.filterwarnings("ignore")]  # Ray's own
 
 
 @pytest.fixture(scope="module")

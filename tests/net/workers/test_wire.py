@@ -14,8 +14,10 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.codec.depth import grid_of
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.messages import PictureOptions
+from glsplat.net.rooms.view import RoomView, VisiblePerson
 from glsplat.net.workers import wire
 from glsplat.net.workers.wire import Drawn, Kind, Reader, WorkerLostError, Writer, greet, pack
+from glsplat.skinning.pose import Pose
 from tests.net.workers.fakes import camera
 
 
@@ -90,6 +92,24 @@ def test_a_request_arrives_as_it_is():
     np.testing.assert_array_equal(request.cameras[0].K, camera(3).K)
 
 
+def test_a_room_of_people_with_the_longest_expressions_arrives():
+    """64 people are the most in a room, and a message of 64 KiB holds so many names."""
+    faces = [{f"{key:02d}{number:03d}".ljust(64, "n"): 0.5 for number in range(256)} for key in range(64)]
+    people = tuple(
+        VisiblePerson(key, "", "ann", Pose(np.zeros((55, 3)), expression=face), np.eye(4))
+        for key, face in enumerate(faces)
+    )
+    job = RenderJob(cameras=(camera(3),), room=RoomView("lab", 0, 0, people))
+    data = Writer(b"k" * 32).pack(Kind.DRAW, 1, job)
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        sender = threading.Thread(target=ours.sendall, args=(data,))
+        sender.start()
+        _, _, found = Reader(theirs, b"k" * 32).receive()
+        sender.join()
+    assert len(data) > 2**20 and found.room.people[63].pose.expression == faces[63]
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -109,8 +129,8 @@ def test_a_message_that_is_repeated_or_too_long_is_refused():
     first, _ = messages(2)
     with pytest.raises(GlsplatError, match="its gateway has not sent"):
         read(first + first, 2)
-    with pytest.raises(GlsplatError, match="at most 1048576 bytes, not 2000000"):
-        read(wire.HEAD.pack(2_000_000, 1, 1))
+    with pytest.raises(GlsplatError, match="at most 16777216 bytes, not 20000000"):
+        read(wire.HEAD.pack(20_000_000, 1, 1))
     with pytest.raises(EOFError):
         read(first[:-1])
 

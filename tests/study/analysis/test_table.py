@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,20 @@ def test_missing_answers(tmp_path: Path) -> None:
         table = read_table(written(tmp_path, text), ["view", "group"])
         assert table.incomplete == ("P10",) and not table.balanced and table.unanswered == 1 and len(table.values) == 7
         assert table.of(["P2", "P3", "P4"]).incomplete == ()
+
+
+def test_a_table_of_any_size(tmp_path: Path) -> None:
+    """Rows of other measures, with the longest answers in words, do not stay in memory."""
+    path = written(tmp_path, GOOD)
+    words = f"P2,a,x,words,{'word ' * 800},\n"
+    with open(path, "a", encoding="utf-8") as file:
+        while file.tell() < 65 << 20:
+            file.write(words * 100)
+    tracemalloc.start()
+    table = read_table(path, ["view", "group"], measure="m")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert table.values.tolist() == [1, 2, 3, 4.5] and peak < 2 << 20
 
 
 MISTAKES = [

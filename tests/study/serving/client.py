@@ -20,7 +20,7 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.study.serving.lead import HEADER, StudyLead
 from glsplat.study.serving.live import Live
-from glsplat.study.store import SESSION, Store, read_log
+from glsplat.study.store import SESSION, Log
 from tests.net.conftest import FakeBackend
 from tests.net.wire import UNLIMITED
 from tests.study.designs import planned
@@ -68,8 +68,14 @@ class Client:
         return (await self.post("state", {"page": PAGE}))[1]
 
     async def answer_all(self) -> None:
+        await self.answer_all_but()
+
+    async def answer_all_but(self, *names: str) -> None:
+        """Answer and hand in the questionnaire; ``names`` have their answers."""
         state = await self.state()
         for item in state["items"]:
+            if item["name"] in names:
+                continue
             value = {"choice": item["labels"][:1], "text": ["words"]}.get(item["kind"], [item.get("from")])[0]
             assert (await self.do("answer", step=state["step"], item=item["name"], value=value))[0] == 200
         assert (await self.do("submit", step=state["step"]))[0] == 200
@@ -80,7 +86,7 @@ class Client:
         assert (await self.do("consent", step="001-consent", accepted=True))[0] == 200
 
     def log(self) -> list[str]:
-        return [event.kind for event in read_log(self.live.store.folder / SESSION).events]
+        return [event.kind for event in Log(self.live.store.folder / SESSION)]
 
     @asynccontextmanager
     async def socket(self, query: str) -> AsyncIterator[aiohttp.ClientWebSocketResponse]:
@@ -105,12 +111,14 @@ async def serving(
     clock: Callable[[], float] = time.monotonic,
     wall: Callable[[], float] = time.time,
     limits: Limits = UNLIMITED,
+    participant: int = 1,
+    **more: Any,  # of ServerConfig
 ) -> AsyncIterator[Client]:
     study, plan = planned(folder)
-    live = Live(study, plan, 1, Store(folder / "data", 1), clock, wall)
-    lead, solver = StudyLead(live, {"fast": "a", "slow": "b"}), Solver()
-    offered = [AvatarInfo(name=name, solver=lambda height, span: solver) for name in ("a", "b")]
-    config = ServerConfig(port=0, access=Access(token=TOKEN), limits=limits)
+    live = Live(study, plan, participant, folder / "data", clock, wall)
+    lead, solver = StudyLead(live, {"fast": "avatar-fast", "slow": "avatar-slow"}), Solver()
+    offered = [AvatarInfo(name=name, solver=lambda height, span: solver) for name in ("avatar-fast", "avatar-slow")]
+    config = ServerConfig(port=0, access=Access(token=TOKEN), limits=limits, **more)
     server = Server(FakeBackend(), config, offered, lead=lead)
     await server.start()
     try:

@@ -50,7 +50,7 @@ def test_a_hostile_page_changes_nothing(tmp_path: Path) -> None:
     async def test(client: Client) -> None:
         await client.begin()
         before = client.log()
-        step = "002-nasa-tlx"
+        step = "002-questionnaire"
         wrong = [
             *[
                 ("answer", {"step": step, "item": "mental", "value": v}, 422)
@@ -58,8 +58,8 @@ def test_a_hostile_page_changes_nothing(tmp_path: Path) -> None:
             ],
             ("answer", {"step": step, "item": "__class__", "value": 5}, 422),
             ("answer", {"step": step, "item": ["mental"], "value": 5}, 422),
-            ("answer", {"step": "011-own", "item": "sex", "value": "one"}, 409),
-            ("answer", {"step": "../002-nasa-tlx", "item": "mental", "value": 5}, 409),
+            ("answer", {"step": "011-questionnaire", "item": "sex", "value": "one"}, 409),
+            ("answer", {"step": "../002-questionnaire", "item": "mental", "value": 5}, 409),
             ("submit", {"step": step}, 422),
             ("ready", {"step": step}, 409),
             ("consent", {"step": step, "accepted": True}, 409),
@@ -111,9 +111,9 @@ def test_two_at_once_are_one_after_the_other(tmp_path: Path) -> None:
     async def test(client: Client) -> None:
         await client.begin()
         items = [item["name"] for item in (await client.state())["items"]]
-        doing = [client.do("answer", step="002-nasa-tlx", item=item, value=50) for item in items * 10]
+        doing = [client.do("answer", step="002-questionnaire", item=item, value=50) for item in items * 10]
         await asyncio.gather(*doing)
-        await asyncio.gather(*[client.do("submit", step="002-nasa-tlx") for _ in range(20)])
+        await asyncio.gather(*[client.do("submit", step="002-questionnaire") for _ in range(20)])
         kinds = client.log()
         assert kinds.count("answer") == 6 and kinds.count("submit") == 1
 
@@ -126,10 +126,10 @@ def test_of_two_pages_the_newer_counts(tmp_path: Path) -> None:
         await client.begin()
         assert (await client.do("enter", OTHER))[0] == 200
         for path in ("state", "do"):
-            status, said = await client.post(path, {"page": PAGE, "do": "submit", "step": "002-nasa-tlx"})
+            status, said = await client.post(path, {"page": PAGE, "do": "submit", "step": "002-questionnaire"})
             assert (status, said["error"]["code"]) == (409, "elsewhere")
         assert (await client.do("enter"))[0] == 200
-        assert (await client.do("answer", step="002-nasa-tlx", item="mental", value=5))[0] == 200
+        assert (await client.do("answer", step="002-questionnaire", item="mental", value=5))[0] == 200
 
     run(tmp_path, test)
 

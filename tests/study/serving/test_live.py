@@ -16,7 +16,7 @@ from glsplat.net.reply import parse_reply
 from glsplat.study.serving.light import dim
 from glsplat.study.serving.live import GONE, resumed_at
 from glsplat.study.session import Event
-from glsplat.study.store import SESSION, TRACKING, read_log
+from glsplat.study.store import SESSION, TRACKING, Log
 from tests.study.serving.client import PAGE, Client, Clock, run, until
 
 SAMPLE = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": [-0.3, 1, 0, 0, 0, 0, 1], "right": [0.3, 1, 0, 0, 0, 0, 1]}
@@ -40,14 +40,14 @@ def test_a_full_disk_is_not_acknowledged(tmp_path: Path, monkeypatch: pytest.Mon
             return write(file, data)
 
         monkeypatch.setattr(os, "write", full)
-        status, said = await client.do("answer", step="002-nasa-tlx", item="mental", value=5)
+        status, said = await client.do("answer", step="002-questionnaire", item="mental", value=5)
         assert status == 507 and str(tmp_path) not in json.dumps(said)  # files are the experimenter's business
         state = await client.state()
         assert state["answers"] == {} and state["trouble"] is True
         watched = (await client.post("watch", {}, "experimenter"))[1]
         assert "No space left on device" in watched["trouble"]
         monkeypatch.undo()
-        assert (await client.do("answer", step="002-nasa-tlx", item="mental", value=5))[0] == 200
+        assert (await client.do("answer", step="002-questionnaire", item="mental", value=5))[0] == 200
         assert (await client.state())["trouble"] is False
         assert client.log().count("answer") == 1
 
@@ -71,16 +71,16 @@ def test_time_passes_while_the_page_is_there(tmp_path: Path) -> None:
         assert client.live.session.state.attempt == 2
         clock.now += 10_000
         await asyncio.sleep(0.3)
-        assert client.live.session.step.name == state["step"] and client.log()[-1] == "lost"
+        assert client.live.session.step.alias == state["step"] and client.log()[-1] == "lost"
 
     run(tmp_path, test, clock=clock)
 
 
 def test_a_clock_that_leaps() -> None:
     """The wall clock says how long a server was away; where it was set meanwhile, time still does not run backwards."""
-    log = [Event(0.0, "x", "open", {"wall": "2027-01-15T08:00:00+00:00"}), Event(100.0, "x", "note", {"text": "x"})]
+    opened = Event(0.0, "x", "open", {"wall": "2027-01-15T08:00:00+00:00"})
     for away, expected in ((3600, 3600), (0, 100), (-1e6, 100), (1e12, 100), (float("nan"), 100)):
-        assert resumed_at(log, 1800000000 + away) == expected
+        assert resumed_at(100.0, opened, 1800000000 + away) == expected
 
 
 def test_a_restart_goes_on_in_time(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_a_restart_goes_on_in_time(tmp_path: Path) -> None:
     run(tmp_path, test, clock=Clock(), wall=lambda: 1.8e9)
     run(tmp_path, test, clock=Clock(), wall=lambda: 1.8e9 + 60)
     run(tmp_path, test, clock=Clock(), wall=lambda: 1.8e9 - 60)  # set back
-    opened = [e.t for e in read_log(tmp_path / "data/sub-001" / SESSION).events if e.kind == "open"]
+    opened = [e.t for e in Log(tmp_path / "data/sub-001" / SESSION) if e.kind == "open"]
     assert opened == [0, 60, 60]
 
 
@@ -103,9 +103,9 @@ def test_a_condition_is_applied_to_the_client(tmp_path: Path) -> None:
         await client.answer_all()
         order = client.live.session.steps
         for condition in (order[2].condition, order[6].condition):
-            avatar, hands = {"fast": ("a", True), "slow": ("b", False)}[condition]
+            avatar, hands = {"fast": ("avatar-fast", True), "slow": ("avatar-slow", False)}[condition]
             client.solver.requests.clear()
-            async with client.socket(f"?study={PAGE}&avatar=a&room=nowhere") as ws:
+            async with client.socket(f"?study={PAGE}&avatar=avatar-fast&room=nowhere") as ws:
                 await ws.send_json({"v": 1, "frame_id": 1, "tracking": SAMPLE, "t": 5, **EYES})
                 reply = parse_reply((await ws.receive(20)).data)
                 pixels = reply.images()[0].reshape(-1, 3)
@@ -121,7 +121,7 @@ def test_a_condition_is_applied_to_the_client(tmp_path: Path) -> None:
                 async with asyncio.timeout(30):
                     while (await client.state())["kind"] == "task":
                         if client.live.session.state.phase == "instruction":
-                            await client.do("ready", step=client.live.session.step.name)
+                            await client.do("ready", step=client.live.session.step.alias)
                         clock.now += 3  # of the page's silence fewer than GONE
                         await asyncio.sleep(0.15)
                 await client.answer_all()

@@ -40,7 +40,7 @@ async function look() {
     $('trouble').textContent = '';
     summary(stats);
     curves(history);
-    clients(stats.clients);
+    clients(stats.clients, stats.connected);
     now(stats.clients, sentLast, avatars);
     await people(avatars);
   } catch (error) {
@@ -49,10 +49,10 @@ async function look() {
   setTimeout(look, document.hidden ? 5 * PAUSE : PAUSE);
 }
 
-function summary({ scene, driver, uptime, totals, fps, clients: there, max_clients: most, healthy }) {
+function summary({ scene, driver, uptime, totals, fps, connected, max_clients: most, healthy }) {
   const minutes = Math.floor(uptime / 60);
   const up = minutes ? `${minutes} min` : `${Math.floor(uptime)} s`;
-  $('summary').textContent = `${scene} on ${driver}; up ${up}, ${totals.sent} pictures sent, ${fps.toFixed(1)} a second, ${there.length} of ${most} clients, ${healthy ? 'healthy' : 'failing'}.`;
+  $('summary').textContent = `${scene ? `${scene} on ` : ''}${driver}; up ${up}, ${totals.sent} pictures sent, ${fps.toFixed(1)} a second, ${connected} of ${most} clients, ${healthy ? 'healthy' : 'failing'}.`;
 }
 
 function curves(history) {
@@ -72,7 +72,7 @@ function curves(history) {
   $('curves').replaceChildren(...made);
 }
 
-function clients(list) {
+function clients(list, connected) {
   const at = performance.now();
   const rows = list.map((client) => {
     const before = sent.get(client.id) ?? { count: client.sent, at };
@@ -81,7 +81,10 @@ function clients(list) {
     return COLUMNS.map((name) => (name === 'a second' ? rate.toFixed(1) : `${client[name] ?? '–'}`));
   });
   for (const id of sent.keys()) if (!list.some((client) => client.id === id)) sent.delete(id);
-  if (!rows.length) return $('clients').replaceChildren(make('p', 'Nobody is connected. Open the viewer to be the first.'));
+  if (!rows.length) {
+    const words = connected ? 'None of the clients is yours.' : 'Nobody is connected. Open the viewer to be the first.';
+    return $('clients').replaceChildren(make('p', words));
+  }
   const table = make('table');
   const row = (cells, tag) => {
     const made = make('tr');

@@ -38,6 +38,7 @@ export class Connection extends EventTarget {
   #lost = false; // the video cannot go on from what was decoded
   #undecoded = 0; // key frames that were not
   #arrival = null; // {age, at} of that picture, in ms, until the server has heard of it
+  #resume = ''; // token of the person in a room that this page is: the next connection comes back as them
 
   /** `options()` gives the query of /ws at each attempt: {avatar, height, span, window}, those that are set. */
   constructor(options) {
@@ -121,7 +122,8 @@ export class Connection extends EventTarget {
     this.#become('connecting', this.#failures ? this.reason : '', this.#failures ? this.problem : '');
     const url = this.address('ws');
     url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
-    for (const [name, value] of Object.entries(this.#options())) {
+    const asked = this.#options();
+    for (const [name, value] of Object.entries({ ...asked, resume: asked.room && this.#resume })) {
       if (value !== null && value !== undefined && value !== '') url.searchParams.set(name, value);
     }
     const protocols = ['glsplat.v1', ...(this.#token ? [`token.${this.#token}`] : [])];
@@ -169,6 +171,7 @@ export class Connection extends EventTarget {
       if (key) this.#lost = false;
     }
     if (reply.info?.datagrams) this.#openDatagrams(reply.info.datagrams);
+    if (reply.info?.room?.resume) this.#resume = reply.info.room.resume;
     this.#failures = 0; // not when it opens: a server may accept and drop at once
     this.received++;
     this.receivedId = this.#acknowledged = Math.max(this.#acknowledged, reply.id);

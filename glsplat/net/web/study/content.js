@@ -31,7 +31,7 @@ function task(state, heading, left) {
 function question(questions, trouble) {
   const { item, index, items } = questions;
   if (!item) return { kind: 'wait', text: 'Please wait…', cells: [] };
-  const heading = `${index + 1} of ${items.length}${trouble ? ` · not saved yet: ${trouble}` : ''}`;
+  const heading = `${index + 1} of ${items.length}${trouble ? ` · not saved${questions.saving ? ' yet' : ''}: ${trouble}` : ''}`;
   const answer = questions.answers[item.name];
   const cells = [];
   if (index > 0) cells.push(button('back', 'Back', 0));

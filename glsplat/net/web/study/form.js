@@ -26,7 +26,7 @@ export class Form {
     this.#set('progress', state.ended ? '' : `Step ${state.number} of ${state.of}`);
     const key = JSON.stringify([
       state.step, state.phase, state.attempt, state.paused, state.ended,
-      state.kind === 'questionnaire' ? [this.#questions.step, this.#questions.index] : 0,
+      state.kind === 'questionnaire' ? [this.#questions.step, this.#questions.index, this.#questions.refused] : 0,
     ]);
     if (key !== this.#shown) {
       const had = this.#shown !== '' && this.#get('step').contains(this.#document.activeElement);
@@ -131,7 +131,8 @@ export class Form {
     if (next) next.disabled = !this.#questions.free;
     const saved = this.#document.getElementById('saved');
     const { saving, trouble } = this.#questions;
-    if (saved) saved.textContent = saving && trouble ? `Not saved yet: ${trouble}. Trying again.` : saving ? 'Saving…' : '';
+    const why = saving ? `Not saved yet: ${trouble}. Trying again.` : `Not saved: ${trouble}.`;
+    if (saved) saved.textContent = trouble ? why : saving ? 'Saving…' : '';
     const words = this.#complaint || (state.trouble ? 'The server cannot write to its disk just now.' : '');
     this.#get('status').dataset.level = words ? 'error' : 'info';
     this.#set('status', words || 'Connected');

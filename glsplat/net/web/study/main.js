@@ -166,12 +166,6 @@ function figures() {
   return { fps, age_ms: ageMs, age_p95_ms: ageP95Ms, rtt_ms: rttMs, frame_rate: frameRate, session: immersive.mode || 'page' };
 }
 
-/** Who looks down at their own body is not to look out of its head: can it be left out of all avatars? */
-async function askHeads() {
-  const response = await connection.fetch('session').catch(() => null);
-  if (response?.ok) stage.canHide = (await response.json()).avatars.every(({ head }) => head);
-}
-
 /** Ask for news for as long as the page is there. */
 async function follow() {
   let failures = 0;
@@ -180,9 +174,8 @@ async function follow() {
     try {
       if (!entered) {
         fresh = true;
-        await send({ do: 'enter' });
+        stage.canHide = (await send({ do: 'enter' })).heads; // who looks down at their own body does not look out of its head
         entered = true;
-        await askHeads();
       }
       const found = await link.ask('study/state', { page, after: state?.revision ?? -1, figures: figures() });
       failures = 0;

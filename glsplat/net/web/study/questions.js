@@ -11,6 +11,8 @@ export class Questions extends EventTarget {
   index = 0;
   answers = {};
   trouble = ''; // why the newest answers are not saved
+  refused = 0; // answers that the server will not take: what it has counts
+  #saved = {}; // the answers that it has
   #send;
   #queue = JSON.parse(sessionStorage.getItem(KEY) ?? '[]'); // [{step, item, value, seconds}]
   #running = false;
@@ -51,6 +53,7 @@ export class Questions extends EventTarget {
       this.items = [];
       return;
     }
+    this.#saved = state.answers;
     const again = state.step === this.step && state.attempt === this.attempt;
     if (!again) {
       const unsaved = this.#queue.filter(({ step }) => step === state.step).map(({ item, value }) => [item, value]);
@@ -96,7 +99,16 @@ export class Questions extends EventTarget {
     this.#tell();
   }
 
+  /** Show what the server has in place of an answer that it refused, unless another one was given since. */
+  #restore({ step, item, value }) {
+    if (step !== this.step || this.answers[item] !== value) return;
+    const { [item]: _, ...others } = this.answers;
+    this.answers = item in this.#saved ? { ...others, [item]: this.#saved[item] } : others;
+    this.refused++;
+  }
+
   #go(index) {
+    if (!this.saving) this.trouble = '';
     this.index = index;
     this.#asked = performance.now();
     this.#tell();
@@ -123,6 +135,7 @@ export class Questions extends EventTarget {
         }
         this.trouble = refusal.message; // it will never do: the state says what is asked now
         this.#queue = this.#queue.filter((one) => one !== first);
+        if (!submit) this.#restore(first);
       }
       this.#keep();
       this.#tell();

@@ -1,6 +1,6 @@
 // Records tracking as JSON Lines, which `glsplat replay`, `glsplat tracking` and the page itself play.
 
-/** Bytes of one recording: the most that glsplat reads. With both hands about an hour at 120 Hz. */
+/** Bytes of one recording that the page keeps. With both hands about an hour at 120 Hz. */
 export const MAX_BYTES = 2 ** 30;
 
 const PART = 1 << 20; // characters kept as text before they become a Blob, which the browser may put on disk

@@ -7,7 +7,11 @@ from aiohttp import web
 __all__ = ["set_headers"]
 
 _ALWAYS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
-_UNLESS_SAID = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'", "Cache-Control": "no-store"}
+_UNLESS_SAID = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",  # no other site's page shows or measures what is answered
+}
 
 
 async def set_headers(request: web.Request, response: web.StreamResponse) -> None:

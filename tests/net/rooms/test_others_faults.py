@@ -1,0 +1,163 @@
+"""Pictures that go wrong because of others in them: the viewer is not to blame, and is sent one without those."""
+
+from __future__ import annotations
+
+import asyncio
+
+import aiohttp
+import numpy as np
+import pytest
+
+from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, ProtocolError
+from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.client import Client
+from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.server import Server, ServerConfig
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.net.conftest import FakeBackend, Serve
+from tests.net.rooms.conftest import Hands
+from tests.net.workers.fakes import GUARD, camera, pool
+from tests.net.workers.sleeper import Fragile
+
+EYES = stereo_cameras(head_matrix((0, 1.6, 0), (0, 1, 0, 0)), size=(32, 32))
+RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
+OFFERS = (AvatarInfo(name="ann", skeleton=RIG, parts=frozenset(["head"])),)
+POSE = {"root_pose": [0, 0.1, 0]}
+CONFIG = ServerConfig(port=0, rooms={"lab": 4})
+SLOW = BudgetError("the picture took more than 5 s", "too_slow")
+
+
+def member(server: Server, name: str) -> Client:
+    return Client(f"{server.url}?room=lab&name={name}", timeout=GUARD)
+
+
+def shows_eve(job: RenderJob) -> bool:
+    assert job.room is not None
+    return bool(job.others) and any(p.name == "eve" and p.key != job.room.viewer for p in job.room.people)
+
+
+@pytest.fixture(autouse=True)
+def _here(nobody_fades: None) -> None:
+    """However long it takes."""
+
+
+async def asks(client: Client, count: int) -> list[str]:
+    """What each of so many requests is answered: "" for a picture, else the error's code."""
+    answers = []
+    for _ in range(count):
+        try:
+            await client.render(EYES, pose=POSE, hide=["head"])
+            answers.append("")
+        except ProtocolError as error:
+            answers.append(error.code)
+            if error.code == "closed":
+                break
+    return answers
+
+
+@pytest.mark.parametrize(
+    ("error", "shares"),
+    [
+        (SLOW, {0.25, 0.0}),
+        (ContextLostError("the context is lost"), {0.0}),
+        (ContextError("9000000 splats need larger textures"), {0.0}),
+        (GlsplatError("an OpenGL error"), {0.0}),
+        (ZeroDivisionError("a fault of the renderer's"), {0.0}),
+    ],
+)
+def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
+    serve: Serve, hands: Hands, error: Exception, shares: set[float]
+) -> None:
+    """Twenty minutes long: no error, no end, nobody held off; in between others are shown again."""
+    backend = FakeBackend(fail=lambda job: error if shows_eve(job) and job.others > 0.25 else None)
+
+    async def main() -> tuple[list[str], list[float], int]:
+        async with (
+            serve(backend, CONFIG, offered=OFFERS) as server,
+            member(server, "eve") as eve,
+            member(server, "ann") as ann,
+        ):
+            server.render_loop._clock = hands  # type: ignore[union-attr]
+            assert await asks(eve, 1) == [""]
+            backend.drawn.clear()
+            answers = []
+            for _ in range(300):
+                hands.now += 4
+                answers += await asks(ann, 1)
+            others = [job.others for job in backend.drawn]
+            async with aiohttp.ClientSession() as http, http.get(f"http://127.0.0.1:{server.port}/session") as response:
+                return answers, others, response.status
+
+    answers, others, status = asyncio.run(main())
+    assert answers == [""] * 300 and status == 200
+    assert 7 <= others.count(1.0) <= 10  # after 10, 20, 40 ... 300 s
+    tried = [i for i, share in enumerate(others) if share == 1.0]
+    assert all(others[i + 1] == 0.0 for i in tried)  # at once, for the same request
+    assert {share for i, share in enumerate(others) if share != 1.0 and i - 1 not in tried} == shares
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "warned"),
+    [
+        (SLOW, "too_slow", 1),
+        (ContextLostError("lost"), "render", 1),
+        (BudgetError("1e12 pixels", "too_costly"), "too_costly", 8),
+    ],
+)
+def test_what_goes_wrong_without_the_others_is_the_viewers_own(
+    serve: Serve, error: Exception, code: str, warned: int
+) -> None:
+    """As ever: a warning, then the end, and the address is held off. The others are not left out for too much cost."""
+    backend = FakeBackend(fail=lambda job: error if job.room is not None and job.room.viewer == 2 else None)
+
+    async def main() -> tuple[list[str], int, list[str]]:
+        async with serve(backend, CONFIG, offered=OFFERS) as server, member(server, "ann") as ann:
+            assert await asks(ann, 1) == [""]
+            async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(local_addr=("127.0.0.9", 0))) as http:
+                async with http.ws_connect(f"{server.url}?room=lab&name=eve") as ws:
+                    answers = []
+                    for number in range(1, warned + 2):
+                        await ws.send_json({"v": 1, "frame_id": number, "ack": 0, "eyes": [EYE], "size": [32, 32]})
+                        answers.append((await ws.receive(timeout=GUARD)).json()["error"]["code"])
+                    closed = (await ws.receive(timeout=GUARD)).data
+                async with http.get(f"http://127.0.0.1:{server.port}/session") as response:
+                    return [*answers, closed], response.status, await asks(ann, 2)
+
+    answers, status, anns = asyncio.run(main())
+    assert answers == [code] * (warned + 1) + [1008] and status in (429, 503) and anns == ["", ""]
+    others = [job.others for job in backend.drawn if job.room is not None and job.room.viewer == 2]
+    assert others == ([1.0] * (warned + 1) if code == "too_costly" else [1.0, *others[1:]])
+    assert len(others) <= warned + 3
+
+
+EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 16, 16]}
+
+
+def test_a_worker_that_does_not_survive_another_person_is_no_viewers_fault(serve: Serve) -> None:
+    """Two workers, then one: each picture comes, drawn by the next worker without the others."""
+
+    async def main() -> tuple[list[int], int]:
+        async with serve(pool(makes=[Fragile, Fragile]), CONFIG, offered=OFFERS) as server:
+            async with member(server, "eve") as eve, member(server, "ann") as ann:
+                await eve.render([camera(1)], pose=POSE)
+                frames = [(await ann.render([camera(2)], pose=POSE)).frame_id for _ in range(6)]
+                await eve.render([camera(1)], pose=POSE)
+                return frames, server.render_loop.rebuilds
+
+    assert asyncio.run(main()) == ([1, 2, 3, 4, 5, 6], 1)
+
+
+def test_others_are_suspected_for_longer_each_time() -> None:
+    tracker, now = FaultTracker(), 1000.0
+    assert tracker.others("a", now) == 1.0
+    for number, seconds in enumerate((10, 20, 40, 80, 160, 300, 300)):
+        tracker.suspect_others("a", now, slow=True)
+        assert tracker.others("a", now + seconds - 0.1) == (0.25 if number == 0 else 0.0)
+        assert tracker.others("a", now + seconds) == 1.0 == tracker.others("b", now)
+        assert not tracker.suspects("a", now)  # the viewer is not
+        now += seconds
+    tracker.suspect_others("a", now + 1e4, slow=False)
+    assert tracker.others("a", now + 1e4) == 0.0
+    assert tracker.others("a", now + 1e4 + 10) == 1.0  # all of it was forgotten

@@ -1,0 +1,283 @@
+"""Senders that take their time: who keeps up the rate is served, all others lose their place and leave nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, replace
+
+import pytest
+
+from glsplat.net.guard.limits import Limits, RateFloor
+from glsplat.net.uploads import form as form_module
+from glsplat.net.uploads.job import UploadConfig
+from tests.net.uploads.conftest import LIMITS, TOKEN, Client, until
+from tests.net.uploads.makers import PICTURE
+
+NOTHING = dict.fromkeys(("receiving", "waiting", "making", "done", "failed"), 0)
+RATE = 4000  # bytes a second, of UploadConfig
+JPEG = "Content-Type: image/jpeg"
+
+
+def length(nbytes: int) -> str:
+    return f"{JPEG}\r\nContent-Length: {nbytes}"
+
+
+CHUNKED = f"{JPEG}\r\nTransfer-Encoding: chunked"
+EXPECTS = f"{length(100_000)}\r\nExpect: 100-continue"
+FORM = "Content-Type: multipart/form-data; boundary=BBBB\r\nContent-Length: 10000000"
+
+
+def chunk(data: bytes) -> bytes:
+    return b"%x\r\n%b\r\n" % (len(data), data)
+
+
+class Hours:
+    """Stands for ``asyncio`` and the clock where pictures are read: time passes when a test says so."""
+
+    def __init__(self) -> None:
+        self.now, self.begun = 0.0, 0
+        self._open: dict[asyncio.Timeout, float] = {}
+
+    @contextlib.asynccontextmanager
+    async def timeout(self, seconds: float) -> AsyncIterator[None]:
+        self.begun += 1
+        async with asyncio.timeout(None) as deadline:
+            self._open[deadline] = self.now + seconds
+            try:
+                yield
+            finally:
+                del self._open[deadline]
+
+    def pass_(self, seconds: float) -> None:
+        self.now += seconds
+        for deadline, at in self._open.items():
+            if at <= self.now:
+                deadline.reschedule(asyncio.get_running_loop().time())
+
+
+@pytest.fixture
+def hours(monkeypatch: pytest.MonkeyPatch) -> Hours:
+    hours = Hours()
+    monkeypatch.setattr(form_module, "asyncio", hours)
+    monkeypatch.setattr(form_module, "clock", lambda: hours.now)
+    return hours
+
+
+@dataclass
+class Sender:
+    """A connection from an address of its own that has sent a request's head."""
+
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+    hours: Hours | None = None
+
+    @classmethod
+    async def open(cls, client: Client, headers: str, address: str = "127.0.0.1", hours: Hours | None = None) -> Sender:
+        reader, writer = await asyncio.open_connection("127.0.0.1", client.server.port, local_addr=(address, 0))
+        head = f"POST /avatars?consent=yes HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {TOKEN}\r\n{headers}"
+        begun = 0 if hours is None else hours.begun
+        writer.write(f"{head}\r\n\r\n".encode())
+        await until(lambda: hours is None or hours.begun == begun + 2)  # of all the pictures, and of the first bytes
+        return cls(reader, writer, hours)
+
+    async def send(self, data: bytes) -> None:
+        """Send, and wait until it was read."""
+        assert self.hours is not None
+        begun = self.hours.begun
+        self.writer.write(data)
+        await until(lambda: self.hours is not None and self.hours.begun > begun)
+
+    async def answer(self) -> tuple[int, str]:
+        """Status and the line of the answer, at the end of which the server closed the connection."""
+        with contextlib.suppress(ConnectionError):
+            head, _, line = (await self.reader.read()).decode().rpartition("\r\n\r\n")
+            self.writer.close()
+            return int(head.split("HTTP/1.1 ")[-1].split()[0]), line
+        return 0, "cut off"
+
+    async def status(self) -> int:
+        """Of an answer after which the connection stays."""
+        return int((await self.reader.readuntil(b"\r\n\r\n")).split()[1])
+
+
+def late(pieces: list[tuple[float, int]], end: float = 1e9) -> float | None:
+    """When a sender of (seconds since the last, bytes) is too slow; None: it is not, until ``end``."""
+    floor, now = RateFloor(RATE, 10.0, 0.0), 0.0
+    for after, nbytes in pieces:
+        if now + floor.left(now) < now + after:
+            return now + floor.left(now)
+        now += after
+        floor.receive(nbytes, now)
+    return now + floor.left(now) if now + floor.left(now) < end else None
+
+
+def test_the_rate() -> None:
+    assert UploadConfig(folder=None, make=None).rate == RATE  # type: ignore[arg-type]
+    assert late([]) == 10
+    assert late([(3, 1)] * 40) == pytest.approx(10, abs=0.01)  # a byte every three seconds
+    assert late([(1, RATE // 2)] * 120) == pytest.approx(19.5, abs=1)  # half the rate: twice the slack
+    assert late([(0, 10**7)]) == 10  # what came at once earns ten seconds, not more
+    assert late([(0, 10**7)] + [(1, RATE - 400)] * 120) == pytest.approx(100, abs=11)
+    assert late([(1, 8000)] * 120, end=121) is None  # 64 kbit/s
+    assert late([(5, 40_000)] * 24, end=121) is None  # the same in bursts
+    assert late([(9.9, RATE * 10)] * 12, end=121) is None  # bursts of just the rate
+
+
+@pytest.mark.parametrize(
+    ("headers", "first", "again", "seconds"),
+    [(length(1_000_000), b"ok", b"x", 10.1), (CHUNKED, chunk(b"ok"), chunk(b"x"), 10.1), (EXPECTS, b"", b"", 10.1),
+     (FORM, b"--BBBB\r\nContent-Disposition: ", b"x" * RATE, 120), (length(10**7), b"ok", b"x" * RATE, 120),
+     (FORM, b"--BBBB\r\nContent-Disposition: ", b"x" * (RATE // 4), 13),
+     (CHUNKED, chunk(PICTURE), b"", 10.1), (length(len(PICTURE) + 1), PICTURE, b"", 10.1)],
+    ids=["a byte now and then", "chunks of a byte", "nothing after 100 Continue", "a header without end",
+         "just the rate", "a slow header without end", "no last chunk", "all but one byte"],
+)  # fmt: skip
+def test_a_slow_sender_loses_its_place(
+    takes, hours: Hours, headers: str, first: bytes, again: bytes, seconds: float
+) -> None:
+    """After ``seconds``, with 408 and a line, and not before; the place is free for the next one."""
+
+    async def main() -> None:
+        async with takes(waiting=0) as client:
+            slow = await Sender.open(client, headers, hours=hours)
+            await client.received(1)
+            if first:
+                await slow.send(first)
+            while hours.now < seconds - 1.1:
+                hours.pass_(1)
+                if again:
+                    await slow.send(again)
+                assert client.counts()["receiving"] == 1
+            hours.pass_(1.2)
+            await client.received(0)
+            status, line = await slow.answer()
+            assert status == 408 and line.count("\n") == 1
+            assert "too slowly: at least 4 kB a second are needed, all of them within 120 s" in line
+            assert client.counts() == NOTHING
+            await client.made()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(("kind", "gap"), [("length", 1), ("chunked", 1), ("length", 5)])
+def test_an_honest_slow_link_is_served(takes, hours: Hours, kind: str, gap: int) -> None:
+    """64 kbit/s without a break, or in bursts: 0.9 MB come through in the time."""
+    whole = PICTURE + bytes(900_000)
+
+    async def main() -> None:
+        async with takes() as client:
+            headers = CHUNKED if kind == "chunked" else length(len(whole))
+            slow = await Sender.open(client, headers, hours=hours)
+            await client.received(1)
+            for at in range(0, len(whole), 8000 * gap):
+                hours.pass_(gap)
+                piece = whole[at : at + 8000 * gap]
+                await slow.send(chunk(piece) if kind == "chunked" else piece)
+            if kind == "chunked":
+                slow.writer.write(chunk(b""))
+            assert hours.now < 120 and await slow.status() == 202
+            slow.writer.close()
+
+    asyncio.run(main())
+
+
+def test_one_sender_an_address(takes) -> None:
+    """However many connections it opens, another address has a place; a job of its own may wait beside."""
+
+    async def main() -> None:
+        async with takes() as client:
+            await client.post(b"wait")
+            many = [await Sender.open(client, length(1000), "127.0.0.9") for _ in range(20)]
+            answers = [asyncio.create_task(one.answer()) for one in many]
+            await until(lambda: sum(task.done() for task in answers) == 19)
+            assert client.counts()["receiving"] == 1
+            said = {task.result() for task in answers if task.done()}
+            assert said == {(503, "other pictures from this address are on their way; send yours after them\n")}
+            assert (await client.post(b"wait"))[0] == 202
+            for task in answers:
+                task.cancel()
+            for one in many:
+                one.writer.transport.abort()
+            await client.received(0)
+
+    asyncio.run(main())
+
+
+def test_two_addresses_that_trickle_leave_a_place(takes) -> None:
+    async def main() -> None:
+        async with takes() as client:
+            slow = [await Sender.open(client, length(1000), f"127.0.0.{host}") for host in (11, 12, 11, 12)]
+            await client.received(2)
+            await client.made()
+            for one in slow:
+                one.writer.transport.abort()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("how", ["reset", "closed", "half closed"])
+def test_who_leaves_in_the_middle_leaves_nothing(takes, how: str) -> None:
+    async def main() -> None:
+        async with takes(waiting=0) as client:
+            for _ in range(8):
+                gone = await Sender.open(client, length(1000))
+                gone.writer.write(b"abc")
+                await client.received(1)
+                if how == "reset":
+                    gone.writer.transport.abort()
+                elif how == "closed":
+                    gone.writer.close()
+                else:
+                    gone.writer.write_eof()
+                await client.received(0)
+                gone.writer.close()
+            assert client.counts() == NOTHING
+            await client.made()
+
+    asyncio.run(main())
+
+
+def test_a_sender_that_stops_after_the_last_byte_is_served(takes) -> None:
+    """It reads no answer and stays connected: its job waits and is made like any other, and its place is free."""
+
+    async def main() -> None:
+        async with takes() as client:
+            silent = await Sender.open(client, length(len(PICTURE)))
+            silent.writer.write(PICTURE)
+            await until(lambda: client.counts()["done"] == 1)
+            await client.made()
+            silent.writer.transport.abort()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("how", ["waits", "leaves"])
+def test_a_place_held_for_nothing_counts(takes, how: str) -> None:
+    """As further requests of that address, and of no other: it cannot come back again and again."""
+
+    async def main() -> None:
+        limits = replace(LIMITS, uploads=1e-6, uploads_burst=2.0, uploads_unfinished=10.0)
+        async with takes(limits=limits, stall=0.4) as client:
+            slow = await Sender.open(client, length(1000), "127.0.0.21")
+            await client.received(1)
+            if how == "leaves":
+                await asyncio.sleep(0.3)
+                slow.writer.transport.abort()
+            else:
+                assert (await slow.answer())[0] == 408
+            await client.received(0)
+            again = await Sender.open(client, length(1000), "127.0.0.21")
+            status, line = await again.answer()
+            assert status == 429 and "too many pictures from one address" in line
+            await client.made()
+
+    asyncio.run(main())
+
+
+def test_coming_back_is_no_way_to_hold_a_place() -> None:
+    """A place that is held to the last second without a picture costs an address five times as long without one."""
+    limits, stall = Limits(), UploadConfig(folder=None, make=None).stall  # type: ignore[arg-type]
+    assert limits.uploads_unfinished * stall + 1 >= 3
+    assert stall / ((1 + limits.uploads_unfinished * stall) / limits.uploads) < 1 / 6

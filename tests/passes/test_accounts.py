@@ -1,0 +1,69 @@
+"""What passes count and keep: bytes, boxes, reach, and owners in a cache."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from glsplat.gl.context import Context
+from glsplat.passes.item.buffers import ItemBuffers
+from glsplat.passes.item.reach import reach_of
+from glsplat.passes.lru_cache import LruCache
+from glsplat.passes.stats import union
+from glsplat.shaders import Programs
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import Skin
+from tests.api.variants import sheet
+from tests.skinning.faces import expressive
+
+
+@dataclass
+class Owner:
+    nbytes: int
+    released: bool = False
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_the_box_of_two_boxes() -> None:
+    assert union((10, 40, 5, 6), (12, 20, 9, 4)) == (10, 20, 11, 26)
+    assert union((10, 20, 5, 6), (3, 40, 9, 4)) == (3, 20, 12, 24)
+    assert union((0, 0, 0, 0), (3, 4, 5, 6)) == union((3, 4, 5, 6), (9, 9, 0, 3)) == (3, 4, 5, 6)
+
+
+@pytest.mark.parametrize(("most_bytes", "kept"), [(100, True), (99, False)])
+def test_a_cache_keeps_as_many_bytes_as_it_may(most_bytes: int, kept: bool) -> None:
+    """Bytes of what is in use do not count."""
+    cache: LruCache[str, Owner] = LruCache(8, most_bytes)
+    first = cache.get("first", lambda: Owner(100))
+    cache.get("second", lambda: Owner(1000))
+    assert first.released != kept and len(cache) == 1 + kept
+
+
+def test_the_reach_of_joints_is_to_the_farthest_vertex_that_rides_them() -> None:
+    """A weight of zero does not ride, and nothing rides the last joint."""
+    joints = np.array([[0.0, 0, 0], [0, 3, 0], [0, 9, 0]])
+    skeleton = Skeleton.from_joints(("root", "arm", "tip"), [-1, 0, 1], joints)
+    mesh = replace(sheet(), skeleton=skeleton)
+    ids = np.array([[0, 2], [0, 1], [1, 0], [1, 2]])
+    reach = reach_of(mesh, Skin.create(ids, [[1.0, 0], [0.5, 0.5], [1, 0], [1, 0]], 3))
+    assert reach == pytest.approx([2**0.5, 17**0.5, -1])
+
+
+@pytest.mark.gl
+def test_bytes_of_an_item(context: Context, current: None) -> None:
+    """An avatar with expressions has its own buffers and theirs."""
+    avatar = expressive(300)
+    assert avatar.skin is not None and avatar.shapes is not None
+    parts = [
+        ItemBuffers(context, Programs(context.ctx), avatar.splats, avatar.skin, 4, False, shapes)
+        for shapes in (None, avatar.shapes)
+    ]
+    plain, whole = (part.nbytes for part in parts)
+    assert plain == 300 * (11 * 4 + avatar.skin.joints.itemsize * 4 + avatar.skin.weights.itemsize * 4)
+    assert whole - plain >= avatar.shapes.texels().nbytes
+    for part in parts:
+        part.release()

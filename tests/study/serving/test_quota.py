@@ -1,0 +1,184 @@
+"""What a participant's link may append: a rate and a size, said in the answer, and never in the way of the session."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from glsplat.study.serving import quota, recording
+from glsplat.study.serving.quota import BURST_BYTES, MAX_LOG_BYTES, RATE_BYTES_S, LinkQuota, QuotaError
+from glsplat.study.serving.recording import Recording
+from glsplat.study.store import FRAMES, SESSION, Log
+from tests.study.serving.client import OTHER, PAGE, Client, Clock, run, until
+
+FIGURES = {"fps": 50.0, "age_ms": 30.0, "session": "vr"}
+
+
+async def answered(client: Client, item: str, value: int) -> int:
+    """Status of an answer to an item of the questionnaire in hand."""
+    return (await client.do("answer", step=(await client.state())["step"], item=item, value=value))[0]
+
+
+async def refused(client: Client, what: str, page: str = PAGE, **more: Any) -> tuple[int, str, int | None]:
+    """Status, code and Retry-After of a refusal."""
+    url = f"http://127.0.0.1:{client.server.port}/study/do"
+    headers = {"X-Glsplat-Study": client.lead.secrets["participant"], "Authorization": "Bearer 0123456789abcdef"}
+    async with client.http.post(url, json={"do": what, "page": page, **more}, headers=headers) as answer:
+        wait = answer.headers.get("Retry-After")
+        code = (await answer.json())["error"]["code"] if answer.status >= 400 else ""
+        return answer.status, code, None if wait is None else int(wait)
+
+
+def test_answers_that_come_too_fast_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Changed back and forth without end: 429 with the time to wait; what was acknowledged is what the log has."""
+    monkeypatch.setattr(quota, "BURST_BYTES", 8000)
+    monkeypatch.setattr(quota, "RATE_BYTES_S", 100.0)
+    clock = Clock()
+
+    async def test(client: Client) -> None:
+        await client.begin()
+        step = (await client.state())["step"]
+        kept, count = [], 0
+        while True:
+            value = 5 * (count % 2)
+            status, code, wait = await refused(client, "answer", step=step, item="mental", value=value)
+            if status != 200:
+                break
+            kept.append(value)
+            count += 1
+            assert count < 200
+        assert (status, code) == (429, "rate") and count > 20
+        for _ in range(20):
+            again = await refused(client, "answer", step=step, item="effort", value=5)
+            assert again == (429, "rate", wait)  # trying costs nothing
+        found = [e.values["value"] for e in Log(client.live.store.folder / SESSION) if e.kind == "answer"]
+        assert found == kept and (await client.state())["answers"] == {"mental": kept[-1]}
+        # the experimenter is not held up by it
+        assert (await client.post("command", {"do": "note", "text": "x"}, "experimenter"))[0] == 200
+        assert wait is not None and wait > 0
+        clock.now += wait
+        assert await answered(client, "effort", 5) == 200
+        clock.now += 100
+        await client.answer_all()
+
+    run(tmp_path, test, clock=clock)
+
+
+def test_a_full_log_takes_what_leads_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No answer is changed, no task begun anew by another page; the session is finished all the same."""
+    monkeypatch.setattr(quota, "MAX_LOG_BYTES", 100)
+    clock = Clock()
+
+    async def test(client: Client) -> None:
+        await client.begin()
+        step = (await client.state())["step"]
+        assert await answered(client, "mental", 5) == 200
+        assert await refused(client, "answer", step=step, item="mental", value=10) == (413, "full", None)
+        assert await answered(client, "mental", 5) == 200  # sent again
+        assert (await client.state())["answers"] == {"mental": 5}
+        await client.answer_all_but("mental")
+        state = await client.state()
+        assert (state["kind"], state["phase"]) == ("task", "instruction")
+        assert (await client.do("enter", OTHER))[0] == 200  # nothing is under way: nothing is written
+        assert (await client.do("enter"))[0] == 200
+        assert (await client.do("ready", step=state["step"]))[0] == 200
+        assert await refused(client, "enter", OTHER) == (413, "full", None)
+        assert (await client.state())["phase"] == "countdown"
+        for _ in range(40):
+            state = await client.state()
+            if state["ended"]:
+                break
+            if state["kind"] == "questionnaire":
+                await client.answer_all()
+            elif state["kind"] == "task" and state["phase"] == "instruction" and state["ready"]:
+                await client.do("ready", step=state["step"])
+            else:
+                clock.now += 4.5
+                client.live.seen()
+                await until(lambda: client.live.session.left(client.live.t) != 0)
+        assert state["ended"] == "done"
+
+    run(tmp_path, test, clock=clock)
+
+
+def test_a_log_beyond_the_size_is_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def first(client: Client) -> None:
+        await client.begin()
+        for value in (5, 10, 15):
+            assert await answered(client, "mental", value) == 200
+
+    async def second(client: Client) -> None:
+        await client.do("enter")
+        step = (await client.state())["step"]
+        assert (await client.state())["answers"] == {"mental": 15}
+        assert (await refused(client, "answer", step=step, item="mental", value=5))[:2] == (413, "full")
+        await client.answer_all_but("mental")
+
+    run(tmp_path, first)
+    monkeypatch.setattr(quota, "MAX_LOG_BYTES", 10)
+    run(tmp_path, second)
+
+
+def test_the_page_on_studies_has_the_numbers() -> None:
+    text = " ".join((Path(__file__).parents[3] / "docs" / "study.md").read_text(encoding="utf-8").split())
+    for phrase in (
+        f"may take {BURST_BYTES >> 20} MiB at once and {RATE_BYTES_S / 1024:g} KiB a second after that",
+        f"From {MAX_LOG_BYTES >> 20} MiB on the log takes only what leads on",
+        f"They end at {recording.MAX_BYTES >> 30} GiB each, and while less than {recording.MIN_FREE_BYTES >> 20} MiB",
+    ):
+        assert phrase in text, phrase
+
+
+def test_the_numbers() -> None:
+    """An hour of the quickest honest answers passes; the longest answers without end come to the rate."""
+    honest, t = LinkQuota(0.0), 0.0
+    for _ in range(3600):
+        t += 1
+        honest.check(t, 0, False)
+        honest.charge(t, 250)
+    hostile, written = LinkQuota(0.0), 0
+    for n in range(36_000):
+        try:
+            hostile.check(n / 10, written, False)
+        except QuotaError:
+            continue
+        hostile.charge(n / 10, 48_200)
+        written += 48_200
+    assert written <= BURST_BYTES + 3600 * RATE_BYTES_S + 48_200 < MAX_LOG_BYTES
+
+
+def test_figures_are_written_twice_a_second_at_most(tmp_path: Path) -> None:
+    clock = Clock()
+
+    async def test(client: Client) -> None:
+        await client.begin()
+        await client.answer_all()
+        for _ in range(30):
+            assert (await client.post("state", {"page": PAGE, "after": -1, "figures": FIGURES}))[0] == 200
+        clock.now += 1
+        await client.post("state", {"page": PAGE, "after": -1, "figures": FIGURES})
+
+    run(tmp_path, test, clock=clock)
+    lines = [json.loads(line) for line in (tmp_path / "data/sub-001" / FRAMES).read_text().splitlines()]
+    assert len(lines) == 2 and lines[1]["t"] == lines[0]["t"] + 1
+
+
+@pytest.mark.parametrize(("limit", "value", "said"), [("MAX_BYTES", 3000, "most that is recorded"),
+                                                     ("MIN_FREE_BYTES", 1 << 62, "kept for answers")])  # fmt: skip
+def test_a_recording_leaves_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, limit: str, value: int, said: str
+) -> None:
+    """It ends at its size, and before the disk is full: the log's answers need it."""
+    monkeypatch.setattr(recording, limit, value)
+    path = tmp_path / "tracking.jsonl"
+    one = Recording(path)
+    for n in range(1000):
+        one.add(n, "x", "tracking", {"head": [n] * 7})
+    one.close()
+    size = path.stat().st_size if path.exists() else 0
+    lines = path.read_text().splitlines() if size else []
+    assert size <= 3000 and one.lost == 1000 - len(lines) > 0 and all(map(json.loads, lines))
+    assert [said in record.getMessage() for record in caplog.records] == [True]
