@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 import time
 from collections.abc import Iterator
@@ -69,6 +70,16 @@ def running(backend: Stripes, **offered: str) -> Iterator[str]:
     finally:
         state["loop"].call_soon_threadsafe(state["end"].set)
         thread.join(60)
+
+
+@pytest.fixture(autouse=True)
+def _no_log_of_commands() -> Iterator[None]:
+    """A command that logs in the tests' own process writes to the standard error that it had."""
+    yield
+    root = logging.getLogger()
+    for handler in [one for one in root.handlers if type(one) is logging.StreamHandler]:
+        root.removeHandler(handler)
+    logging.captureWarnings(False)
 
 
 @pytest.fixture

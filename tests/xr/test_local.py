@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from math import nan
@@ -214,10 +215,8 @@ def test_passthrough_shows_by_alpha(context: Context, person: glsplat.Avatar) ->
         assert np.all(pair[pair[..., 3] == 0] == 0) and (pair[..., 3] > 200).any()  # premultiplied, no background
     with Worn(context, file, "facing") as worn:
         worn.frames()
-        assert (
-            np.all(np.abs(worn.pair()[:, 0, 0, :3] - [76.5, 51, 25.5]) < 1)
-            and not worn.runtime.shown[-1][0].transparent
-        )  # type: ignore[union-attr]
+        assert np.all(np.abs(worn.pair()[:, 0, 0, :3] - [76.5, 51, 25.5]) < 1)
+        assert not worn.runtime.shown[-1][0].transparent  # type: ignore[union-attr]
 
 
 def test_a_scene_around_its_wearer(context: Context, person: glsplat.Avatar, rng: np.random.Generator) -> None:
@@ -243,54 +242,17 @@ def test_runtimes_that_come_and_go_leave_nothing(context: Context, person: glspl
     runtimes = [FakeRuntime(context, size=(40 + 8 * k, 32)) for k in range(3)]
     left = list(runtimes)
     show = LocalShow(SceneFile.of(person), context, Wearer("facing"), floor=False)
-    clock = [0.0]
-
-    def sleep(seconds: float) -> None:
-        clock[0] += seconds
-
-    session = Session(lambda: left.pop(0), show, clock=lambda: clock[0], sleep=sleep)  # type: ignore[arg-type, return-value]
-    for runtime in runtimes[:2]:
-        for _ in range(4):
-            assert session.step()
-        assert show.eyes is not None and show.eyes.size == runtime.size and runtime.shown[-1][0] is not None
+    clock = itertools.count(0, 0.1)
+    session = Session(lambda: left.pop(0), show, clock=lambda: next(clock), sleep=lambda _: None)  # type: ignore[arg-type, return-value]
+    for runtime in runtimes:
+        while not runtime.shown or runtime.shown[-1][0] is None:
+            assert session.step() and next(clock) < 60
+        assert show.eyes is not None and show.eyes.size == runtime.size
         runtime.kill()
-        for _ in range(200):
-            assert session.step()
-            if session.runtime not in (None, runtime):
-                break
-    for _ in range(4):
-        session.step()
-    assert session.losses == 2 and runtimes[2].shown[-1][0] is not None
-    assert all(chain.closed for runtime in runtimes[:2] for chain in runtime.swapchains)
+    session.step()
+    assert session.losses == 3 and all(chain.closed for runtime in runtimes for chain in runtime.swapchains)
     session.close()
     show.release()
-
-
-def test_a_window_shows_what_the_image_holds(context: Context, person: glsplat.Avatar) -> None:
-    """At its size every byte of it; in another window as much as fits, upright, in the middle."""
-    with Worn(context, person, "mirror", floor=True) as worn:
-        worn.frames()
-        pair, (width, height) = worn.pair(), SIZE
-        seen = {}
-        for size in (SIZE, (width + 41, height), (width // 2, height // 2)):
-            texture = context.ctx.texture(size, 4)
-            framebuffer = context.ctx.framebuffer([texture])
-            for eye in (0, 1):
-                assert worn.show.look(framebuffer, size, eye)
-                image = np.frombuffer(texture.read(), np.uint8).reshape(size[1], size[0], 4)[::-1]
-                seen[size, eye] = image[..., :3]
-            context.scratch.use()
-            framebuffer.release()
-            texture.release()
-        for eye in (0, 1):
-            exact = seen[SIZE, eye]
-            assert np.array_equal(exact, pair[eye, ..., :3]) and exact.max() > 100
-            wide = seen[(width + 41, height), eye]
-            assert (
-                np.array_equal(wide[:, 20 : 20 + width], exact) and not wide[:, :20].any() and not wide[:, -21:].any()
-            )
-            small = seen[(width // 2, height // 2), eye]
-            assert np.abs(small.astype(int) - exact[::2, ::2]).mean() < 20
 
 
 def test_a_lost_head_and_eyes_that_see_nothing_leave_the_last_picture(context: Context, person: glsplat.Avatar) -> None:

@@ -171,19 +171,6 @@ def test_a_runtime_that_goes_and_comes_back(how: str) -> None:
     assert [{blend for _, blend in runtime.shown} for runtime in runtimes] == [{"alpha"}, {"additive"}]
 
 
-def test_one_that_stays_away_is_asked_for_ever_less_often() -> None:
-    runtime, show, said = FakeRuntime(), Show(), []
-    session, clock = session_of([runtime], show, said)
-    steps(session, 3)
-    runtime.kill()
-    for _ in range(2000):
-        assert session.step()
-    waits = [float(text.split("trying again in ")[1].split(" ")[0]) for text in said]
-    assert waits[:5] == [0.5, 1, 2, 4, 8] and set(waits[5:]) <= {8} and clock.now < 60
-    session.quit()
-    assert not session.step()
-
-
 def test_it_may_die_in_any_call() -> None:
     for call in ("wait_frame", "begin_frame", "devices", "views", "acquire", "release", "end_frame"):
         runtimes, show = [FakeRuntime(), FakeRuntime()], Show()

@@ -251,31 +251,26 @@ def test_pictures_are_shown_for_the_eyes_that_they_were_asked_for(context: Conte
     assert not said
 
 
-def test_the_own_body_comes_without_a_head_and_with_alpha(context: Context) -> None:
-    backend = Seen()
-    runtime = FakeRuntime(context, size=(64, 48))
-    with serving(lambda: tracking(backend)) as url, feeding(url, quality=100) as feed:
-        show = FeedShow(feed, context, Wearer("own"), transparent=True)
-        session = Session(lambda: runtime, show)  # type: ignore[arg-type, return-value]
-        until(session, lambda: show.pictures >= 1)
-        assert backend.requests[-1].options.hide == ("head",) and backend.requests[-1].options.alpha
-        projection, pair = runtime.shown[-1][0], runtime.swapchains[0].read()
-        assert projection is not None and projection.transparent
-        assert pair[:, :20].max() <= 3 and abs(int(pair[:, 30:, :, 3].min()) - 128) <= 3  # premultiplied
-        session.close()
-        show.release()
-
-
-def test_pictures_smaller_than_asked_for_and_a_server_that_goes(context: Context) -> None:
+def test_pictures_smaller_than_asked_for_and_a_server_that_goes(
+    context: Context, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the own body, which comes without a head and with alpha; and the whole command."""
     backend, said = Seen(), []
     runtime = FakeRuntime(context, size=(150, 100))  # more than the server's 64
     with serving(lambda: tracking(backend)) as url:
-        feed = Feed(url)
+        worn("--url", url, "--json", "--quality", "90")
+        report = json.loads(capsys.readouterr().out)
+        assert report["pictures"] >= 1 and report["age_ms"] > 0 and backend.requests
+        feed = Feed(url, quality=100)
         feed.start()
-        show = FeedShow(feed, context, Wearer("facing"), say=said.append)
+        show = FeedShow(feed, context, Wearer("own"), transparent=True, say=said.append)
         session = Session(lambda: runtime, show)  # type: ignore[arg-type, return-value]
         until(session, lambda: show.pictures >= 1)
         assert runtime.swapchains[-1].size == (38, 25)
+        assert backend.requests[-1].options.hide == ("head",) and backend.requests[-1].options.alpha
+        projection, pair = runtime.shown[-1][0], runtime.swapchains[-1].read()
+        assert projection is not None and projection.transparent
+        assert pair[:, :10].max() <= 3 and abs(int(pair[:, 15:, :, 3].min()) - 128) <= 3  # premultiplied
     try:
         until(session, lambda: bool(said))
         assert "trying again" in said[0]
@@ -287,11 +282,3 @@ def test_pictures_smaller_than_asked_for_and_a_server_that_goes(context: Context
         session.close()
         show.release()
         feed.close()
-
-
-def test_the_command_with_a_server(capsys: pytest.CaptureFixture[str]) -> None:
-    backend = Seen()
-    with serving(lambda: tracking(backend)) as url:
-        runtime = worn("--url", url, "--json", "--quality", "90")
-    report = json.loads(capsys.readouterr().out)
-    assert report["pictures"] >= 1 and report["age_ms"] > 0 and runtime.closed and backend.requests

@@ -10,10 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from apps.preview.files import motion_names, read_dropped
-from apps.preview.keys import ACTIONS, FLIGHT, HELP_LINES, TURNS
+from apps.preview.keys import HELP_LINES
 from apps.preview.overlay import Overlay, text_image
 from apps.preview.player import Player
-from apps.preview.viewer import Viewer
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
@@ -69,16 +68,6 @@ def test_joints_are_turned_on_top_of_the_motion() -> None:
     assert player.turned == pytest.approx(35.9, abs=0.1) and not player.pose().rotations[2].any()
     player.straighten()
     assert player.pose().rotations[1, 2] == pytest.approx(0.2) and player.turned == 0
-
-
-def test_every_key_does_something_and_is_explained() -> None:
-    keys = [*ACTIONS, *FLIGHT, *TURNS]
-    assert len(set(keys)) == len(keys)
-    for name in ACTIONS.values():
-        assert callable(getattr(Viewer, name)), name
-    words = " ".join(first for first, _ in HELP_LINES).lower().split()
-    for key in [*ACTIONS, *FLIGHT]:
-        assert key.lower()[:3] in [word[:3] for word in words], key
 
 
 def test_text() -> None:

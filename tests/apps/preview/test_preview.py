@@ -4,10 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +23,6 @@ from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
-from tests import needs
 from tests.scenes import cloud, limb
 from tests.xvfb import ROOT, display, psnr, python  # noqa: F401  (a fixture)
 
@@ -241,49 +236,6 @@ def test_window_session(display: str, tmp_path: Path, context: Context, headless
     assert found["after resizing"] and set(found["gl errors"]) == {"GL_NO_ERROR"}
     rest = found["rest"]
     assert rest["draws"] <= 1 and 1 <= len(rest["turns"]) <= 6, rest  # it sleeps: 40 turns where it looked each frame
-
-
-@pytest.mark.check
-def test_real_keys_and_mouse(display: str, tmp_path: Path) -> None:
-    """The whole command as a user has it: window found, mouse moved, keys typed, closed by Esc."""
-    needs.require("xdotool")
-    save(cloud(), tmp_path / "cloud.ply")
-    environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
-    environment.pop("WAYLAND_DISPLAY", None)
-
-    def do(*arguments: str) -> str:
-        return subprocess.run(
-            ["xdotool", *arguments], env=environment, check=True, capture_output=True, text=True, timeout=60
-        ).stdout
-
-    def shots(count: int) -> list[Path]:
-        end = time.monotonic() + 60
-        while len(files := sorted(tmp_path.glob("glsplat-*.png"))) < count and time.monotonic() < end:
-            time.sleep(0.02)
-        assert len(files) == count
-        return sorted(files, key=lambda file: file.stat().st_mtime_ns)
-
-    command = [sys.executable, "-W", "error", "-m", "apps.cli", "preview", "cloud.ply", "--size", "200x150"]
-    with subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            window = do("search", "--sync", "--onlyvisible", "--name", "glsplat: cloud.ply").split()[0]
-            do("windowfocus", "--sync", window)
-            do("key", "p")
-            shots(1)
-            do("mousemove", "--window", window, "60", "75", "mousedown", "1")
-            do("mousemove", "--window", window, "100", "75", "mouseup", "1", "key", "p")
-            shots(2)
-            do("key", "2", "key", "p")
-            pictures = [cv2.imread(str(file)) for file in shots(3)]
-            do("key", "Escape")
-            assert process.wait(60) == 0 and process.stderr is not None and process.stderr.read() == ""
-        finally:
-            process.kill()
-    plain, turned, pair = pictures
-    assert plain.shape == turned.shape == pair.shape == (150, 200, 3)
-    assert (plain != turned).mean() > 0.05 and (turned != pair).mean() > 0.05
-    halves = [np.corrcoef(p[:, :100].ravel(), p[:, 100:].ravel())[0, 1] for p in (turned, pair)]
-    assert halves[0] < 0.5 < 0.7 < halves[1]  # the pair's halves are one scene seen twice
 
 
 @pytest.mark.check

@@ -113,11 +113,12 @@ def test_a_late_picture_looks_more_like_a_new_one(open_page: OpenPage, serve: An
         open_page, serve(backend, offered=(posed,)), {"view": "own", "size": 384, "quality": 90, "place": "studio"}
     )
     start, moved = (pose([x, 1.7, 0.1], yaw=180, pitch=-50) for x in (0, 0.08))
+    steer(page, head=start, input="hands", hands=hands(LEFT, RIGHT), side=384)
     enter(page, run=False)
     found = []
     for knows in (True, False):
         backend.knows = knows
-        steer(page, head=start, input="hands", hands=hands(LEFT, RIGHT), side=384)
+        steer(page, head=start)
         fresh(page, 120)
         backend.last = backend.begun
         steer(page, head=moved)
