@@ -44,6 +44,7 @@ def test_a_fitted_level_is_closer_to_the_finest_than_a_merged_one(finest: Avatar
     assert apart(level, finest) < 0.5 * apart(merged(finest, 120), finest)
 
 
+@pytest.mark.check
 def test_same_seed_same_bytes(finest: Avatar) -> None:
     once, again = (fitted_levels(finest, [300, 120], 5, QUICK) for _ in range(2))
     for a, b in zip(once, again, strict=True):
@@ -61,6 +62,7 @@ def test_levels_grow_fewer(finest: Avatar) -> None:
     assert fitted_levels(finest, [], config=QUICK) == ()
 
 
+@pytest.mark.check
 def test_a_level_moves_as_the_finest_does(finest: Avatar) -> None:
     (level,) = fitted_levels(finest, [250], config=replace(QUICK, steps=60))
     assert np.allclose(level.skin.weights.sum(axis=1), 1, atol=1e-6)

@@ -1,8 +1,5 @@
 """Avatars from elsewhere: LHM dumps, splats bound to a mesh, rigged glTF; and posed exports."""
 
-import json
-import struct
-
 import cv2
 import numpy as np
 import pytest
@@ -21,6 +18,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 from glsplat.splats import SH_C0, Splats
+from tests.formats.scenes import glb_arrays, glb_of
 
 LEFT_HIP = JOINT_NAMES.index("left_hip")
 
@@ -132,18 +130,13 @@ def gltf(**changes):
     texture = np.zeros((2, 2, 4), np.uint8)
     texture[0], texture[1] = (0, 0, 255, 255), (0, 255, 0, 60)  # BGRA: red above, green below
     image = cv2.imencode(".png", texture)[1].tobytes()
-    blobs = [
-        (mesh.vertices.astype("<f4"), 5126, "VEC3"),
-        (np.pad(mesh.joints, ((0, 0), (0, 2))).astype("u1"), 5121, "VEC4"),
-        (np.pad(mesh.weights, ((0, 0), (0, 2))).astype("<f4"), 5126, "VEC4"),
-        (np.stack([mesh.vertices[:, 0], 1 - mesh.vertices[:, 1]], 1).astype("<f4"), 5126, "VEC2"),
-        (mesh.faces.reshape(-1, 1).astype("<u2"), 5123, "SCALAR"),
-    ]
-    binary, views, accessors = b"", [], []
-    for array, component, kind in blobs:
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes})
-        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind})
-        binary += array.tobytes() + b"\0" * (-array.nbytes % 4)
+    accessors, views, binary = glb_arrays(
+        mesh.vertices.astype("<f4"),
+        np.pad(mesh.joints, ((0, 0), (0, 2))).astype("u1"),
+        np.pad(mesh.weights, ((0, 0), (0, 2))).astype("<f4"),
+        np.stack([mesh.vertices[:, 0], 1 - mesh.vertices[:, 1]], 1).astype("<f4"),
+        mesh.faces.reshape(-1, 1).astype("<u2"),
+    )
     views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(image)})
     binary += image + b"\0" * (-len(image) % 4)
     attributes = {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2, "TEXCOORD_0": 3}
@@ -165,10 +158,7 @@ def gltf(**changes):
         "buffers": [{"byteLength": len(binary)}],
     }
     document.update(changes)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    return glb_of(document, binary)
 
 
 def test_rigged_gltf(tmp_path):

@@ -1,7 +1,6 @@
 """LAM zips: splats that ride the vertices of a skinned mesh."""
 
 import json
-import struct
 import tracemalloc
 import zipfile
 
@@ -19,6 +18,7 @@ from glsplat.formats.gltf import morphs
 from glsplat.formats.gltf.container import parse
 from glsplat.formats.ply import save_ply
 from glsplat.splats import SH_C0, Splats
+from tests.formats.scenes import glb_arrays, glb_of
 from tests.formats.test_fuzz import json_values, places
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0.5]])
@@ -30,20 +30,15 @@ BLINK = np.array([[0, 0, 0], [0, 0, 0], [0, -0.003, 0], [0, 0, 0]], "<f4")
 
 def skin_glb(change=lambda document: None) -> bytes:
     """Two triangles on two joints, the second a metre above the first, and two morph targets, one of them sparse."""
-    arrays = [
-        (VERTICES.astype("<f4"), 5126, "VEC3"),
-        (np.tile([0, 1, 0, 0], (4, 1)).astype("u1"), 5121, "VEC4"),
-        (np.pad(WEIGHTS, ((0, 0), (0, 2))).astype("<f4"), 5126, "VEC4"),
-        (np.array([[0], [1], [2], [0], [2], [3]], "<u2"), 5123, "SCALAR"),
-        (BLINK, 5126, "VEC3"),
-        (np.array(list(SMILE), "<u2")[:, None], 5123, "SCALAR"),
-        (np.array(list(SMILE.values()), "<f4"), 5126, "VEC3"),
-    ]
-    binary, views, accessors = b"", [], []
-    for array, component, kind in arrays:
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes})
-        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind})
-        binary += array.tobytes() + b"\0" * (-array.nbytes % 4)
+    accessors, views, binary = glb_arrays(
+        VERTICES.astype("<f4"),
+        np.tile([0, 1, 0, 0], (4, 1)).astype("u1"),
+        np.pad(WEIGHTS, ((0, 0), (0, 2))).astype("<f4"),
+        np.array([[0], [1], [2], [0], [2], [3]], "<u2"),
+        BLINK,
+        np.array(list(SMILE), "<u2")[:, None],
+        np.array(list(SMILE.values()), "<f4"),
+    )
     del accessors[5:]
     sparse = {"count": 2, "indices": {"bufferView": 5, "componentType": 5123}, "values": {"bufferView": 6}}
     accessors.append({"componentType": 5126, "count": 4, "type": "VEC3", "sparse": sparse})
@@ -68,10 +63,7 @@ def skin_glb(change=lambda document: None) -> bytes:
         "accessors": accessors,
     }
     change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x4E4942) + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    return glb_of(document, binary)
 
 
 @pytest.fixture
@@ -285,8 +277,6 @@ def test_hostile_zips(packed, tmp_path, monkeypatch):
 
 
 @settings(
-    max_examples=100,
-    deadline=None,
     database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -94,6 +94,7 @@ def test_wrong_bodies(tmp_path, changes):
         read_body(tmp_path / "body.npz")
 
 
+@pytest.mark.check
 @pytest.mark.shared
 def test_a_clothed_person_on_the_open_body(shared_data: Path, tmp_path):
     """The person's own weights against those transferred from the body: the same to a few percent."""

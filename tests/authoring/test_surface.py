@@ -219,6 +219,7 @@ def test_gradients_are_finite_differences(rng, antialias):
         assert np.abs(exact - numeric).max() < limit * np.abs(numeric).max(), key
 
 
+@pytest.mark.check
 def test_fitting_comes_closer_to_the_mesh():
     mesh = rigged(ball())
     start = made(mesh, 150)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import time
+from collections.abc import Iterator
 from threading import Event
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,53 +50,44 @@ def test_one_heap_is_asked_of_the_c_library_and_not_missed_elsewhere(monkeypatch
     assert asked == [(-8, 1), (-3, 32 << 20), (-1, 256 << 20)]
 
 
-def test_products_are_on_one_core_meanwhile_and_as_before_afterwards() -> None:
-    blas = _openblas()
-    before = [get() for get, _ in blas]
-    for _, put in blas:
+@pytest.fixture
+def blas() -> Iterator[list[Any]]:
+    """The ways to ask for threads and to set them, of two threads each; as before afterwards."""
+    libraries = _openblas()
+    if not libraries:
+        pytest.skip("numpy has another library for products of matrices")
+    before = [get() for get, _ in libraries]
+    for _, put in libraries:
         put(2)
-    try:
-        with pytest.raises(KeyError), one_blas_thread():
-            assert [get() for get, _ in blas] == [1] * len(blas)
-            raise KeyError
-        assert [get() for get, _ in blas] == [2] * len(blas)
-    finally:
-        for (_, put), count in zip(blas, before, strict=True):
-            put(count)
+    yield libraries
+    for (_, put), count in zip(libraries, before, strict=True):
+        put(count)
 
 
-def test_whoever_leaves_last_gives_the_threads_back() -> None:
-    blas = _openblas()
-    before = [get() for get, _ in blas]
-    first, second = one_blas_thread(), one_blas_thread()
-    try:
-        for _, put in blas:
-            put(2)
-        first.__enter__()
-        second.__enter__()
-        first.__exit__(None, None, None)
+def test_products_are_on_one_core_meanwhile_and_as_before_afterwards(blas: list[Any]) -> None:
+    with pytest.raises(KeyError), one_blas_thread():
         assert [get() for get, _ in blas] == [1] * len(blas)
-        second.__exit__(None, None, None)
-        assert [get() for get, _ in blas] == [2] * len(blas)
-    finally:
-        for (_, put), count in zip(blas, before, strict=True):
-            put(count)
+        raise KeyError
+    assert [get() for get, _ in blas] == [2] * len(blas)
 
 
-@pytest.mark.skipif(not _openblas(), reason="numpy has another library for products of matrices")
-def test_sums_do_not_hang_on_the_number_of_threads() -> None:
-    rows = np.random.default_rng(3).normal(size=(2, 200_000))
-    blas, found = _openblas(), set()
-    before = [get() for get, _ in blas]
-    try:
-        for count in (1, 2, 3):
-            for _, put in blas:
-                put(count)
-            with one_blas_thread():
-                found.add(float(rows[0] @ rows[1]))
-    finally:
-        for (_, put), count in zip(blas, before, strict=True):
+def test_whoever_leaves_last_gives_the_threads_back(blas: list[Any]) -> None:
+    first, second = one_blas_thread(), one_blas_thread()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert [get() for get, _ in blas] == [1] * len(blas)
+    second.__exit__(None, None, None)
+    assert [get() for get, _ in blas] == [2] * len(blas)
+
+
+def test_sums_do_not_hang_on_the_number_of_threads(blas: list[Any]) -> None:
+    rows, found = np.random.default_rng(3).normal(size=(2, 200_000)), set()
+    for count in (1, 2, 3):
+        for _, put in blas:
             put(count)
+        with one_blas_thread():
+            found.add(float(rows[0] @ rows[1]))
     assert len(found) == 1
 
 

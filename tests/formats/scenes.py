@@ -132,6 +132,20 @@ def glb_of(document: dict[str, Any], blob: bytes) -> bytes:
     return head + text + struct.pack("<II", len(blob), 0x004E4942) + blob
 
 
+def glb_arrays(*arrays: np.ndarray) -> tuple[list[dict[str, Any]], list[dict[str, Any]], bytes]:
+    """Accessors, buffer views and the blob of arrays [N, K], each in a view of its own."""
+    codes = {"|u1": 5121, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+    kinds = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+    accessors: list[dict[str, Any]] = []
+    views, blob = [], b""
+    for view, array in enumerate(arrays):
+        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": array.nbytes})
+        accessor = {"bufferView": view, "componentType": codes[array.dtype.str], "count": len(array)}
+        accessors.append(accessor | {"type": kinds[array.shape[1]]})
+        blob += array.tobytes() + bytes(-array.nbytes % 4)
+    return accessors, views, blob
+
+
 def write_glb(path: Path, document: dict[str, Any], blob: bytes) -> None:
     path.write_bytes(glb_of(document, blob))
 

@@ -12,6 +12,7 @@ from tests.golden.test_drivers import ROOT, environment_of
 TESTS = "tests/light/test_lit_frames.py"
 
 
+@pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.parametrize(
     ("driver", "chosen", "passes"),

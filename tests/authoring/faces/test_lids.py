@@ -73,7 +73,7 @@ def opening(ball: Eyeball) -> np.ndarray:
     return np.stack([np.cos(up) * np.sin(side), np.sin(up), np.cos(up) * np.cos(side)], axis=2).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.check), 1])
 def test_an_eye_that_is_shut_is_covered_by_skin_and_an_open_one_is_not(which: int) -> None:
     ball = eyes()[which].ball
     count = len(painted().splats)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import pytest
 
 from glsplat import reference
 from glsplat.authoring.faces.carry import deformed
@@ -43,6 +44,7 @@ def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
         assert shut[mesh.faces[edges.upper_face[middle]], 1].mean() < -0.004
 
 
+@pytest.mark.check
 def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     mesh = expressive()
     avatar = smiling()

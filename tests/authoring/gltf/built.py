@@ -10,7 +10,7 @@ import numpy as np
 from glsplat.authoring.fit.body import open_body
 from glsplat.rotations import matrix_quaternions, rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
-from tests.formats.scenes import glb_of
+from tests.formats.scenes import glb_arrays, glb_of
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 _CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.02
@@ -245,19 +245,13 @@ def _file(family: Family, nodes: list[tuple[str, str | None, np.ndarray]]) -> Bu
             joints += [(*pair, 0, 0)] * 8
             weights += [(0.5, 0.5, 0, 0)] * 8
     stack = np.concatenate([p.T for p in points]).astype("<f4")
-    data = {
-        "positions": (stack, "VEC3", 5126),
-        "joints": (np.array(joints, np.uint16), "VEC4", 5123),
-        "weights": (np.array(weights, "<f4"), "VEC4", 5126),
-        "indices": (np.concatenate(faces).reshape(-1).astype("<u4"), "SCALAR", 5125),
-        "binds": (np.linalg.inv(stored).transpose(0, 2, 1).reshape(-1, 16).astype("<f4"), "MAT4", 5126),
-    }
-    blob, views, accessors = b"", [], []
-    for array, kind, component in data.values():
-        raw = array.tobytes()
-        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(raw)})
-        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind})
-        blob += raw + bytes(-len(raw) % 4)
+    accessors, views, blob = glb_arrays(
+        stack,
+        np.array(joints, np.uint16),
+        np.array(weights, "<f4"),
+        np.concatenate(faces).reshape(-1, 1).astype("<u4"),
+        np.linalg.inv(stored).transpose(0, 2, 1).reshape(-1, 16).astype("<f4"),
+    )
     attributes = {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2}
     children = {name: [i for i, (_, parent, _) in enumerate(nodes) if parent == name] for name in names}
     count = len(nodes)

@@ -14,7 +14,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load
 from glsplat.meshes import RiggedMesh
 from glsplat.pictures import to_linear, to_srgb
-from tests.formats.scenes import write_glb
+from tests.formats.scenes import glb_arrays, write_glb
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
 UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], "<f4")  # v down: the picture upright
@@ -35,18 +35,10 @@ def square(
 ) -> RiggedMesh:
     """A square of two triangles in a file, read."""
     arrays = {"POSITION": CORNERS, "TEXCOORD_0": UV, **attributes}
-    blob, views, accessors, named = b"", [], [], {}
-    for name, array in [*arrays.items(), ("indices", np.array(indices, "<u2")[:, None])]:
-        raw = array.tobytes()
-        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(raw)})
-        codes = {"<f4": 5126, "<u2": 5123, "|u1": 5121}
-        types = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
-        accessor: dict[str, Any] = {"bufferView": len(views) - 1, "componentType": codes[array.dtype.str]}
-        accessor |= {"count": len(array), "type": types[array.shape[1]], "normalized": array.dtype.kind == "u"}
-        accessors.append(accessor)
-        named[name] = len(accessors) - 1
-        blob += raw + bytes(-len(raw) % 4)
-    accessors[named["indices"]]["normalized"] = False
+    accessors, views, blob = glb_arrays(*arrays.values(), np.array(indices, "<u2")[:, None])
+    for accessor in accessors[:-1]:
+        accessor["normalized"] = accessor["componentType"] != 5126
+    named = {name: place for place, name in enumerate([*arrays, "indices"])}
     primitive: dict[str, Any] = {"indices": named.pop("indices"), "mode": mode, "material": 0}
     targets = [{"POSITION": named.pop(name)} for name in list(named) if name.startswith("target")]
     if targets:

@@ -42,6 +42,7 @@ def test_a_ball_is_open_and_its_normals_point_out() -> None:
     assert surface.ao.min() > 0.9
 
 
+@pytest.mark.check
 def test_what_lies_inside_is_dark_and_lends_nothing_its_normal() -> None:
     mesh = rigged(ball(0.3), ball(0.27, name="inside"))
     outer = len(ball(0.3)[0])
@@ -100,6 +101,7 @@ def test_colours_that_no_photograph_gave_hold_no_light() -> None:
     assert surface.shades[:90] == pytest.approx(0.5, rel=0.02) and surface.shades[90:] == pytest.approx(1.0)
 
 
+@pytest.mark.check
 def test_only_what_lies_before_a_head_is_mixed_as_seen() -> None:
     vertices, part = ball(0.3)
     inner = ball(0.296, name="inside")

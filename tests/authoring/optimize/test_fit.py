@@ -189,6 +189,7 @@ def test_ctrl_c_keeps_what_was_reached(pictures: list[TargetPicture]) -> None:
     assert (moved > 1e-4).mean() > 0.9
 
 
+@pytest.mark.check
 def test_poses_are_fitted_to_as_well() -> None:
     vertices = mesh().posed(BENT)
     pictures = []
@@ -238,7 +239,7 @@ def drawn(avatar: Avatar, values: np.ndarray, camera: Camera, pose: Pose) -> np.
     return prints.picture(values[:, 10:])
 
 
-@pytest.mark.parametrize(("antialias", "pose"), [(False, None), (True, BENT)])
+@pytest.mark.parametrize(("antialias", "pose"), [pytest.param(False, None, marks=pytest.mark.check), (True, BENT)])
 def test_the_slope_by_every_number_is_that_of_finite_differences(antialias: bool, pose: Pose | None) -> None:
     avatar, other = person(antialias, 0), person(antialias, 9)
     view = Camera(look_at((0.3, 0.5, 6), (0, 0, 0)), pinhole(48, 48, 22), 48, 48)

@@ -16,6 +16,7 @@ from tests.authoring.optimize.without import without_numba
 FEW = {"body": 8, "poses": 1, "each": 1, "size": 96}
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_a_fit_comes_closer_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in FEW.items():

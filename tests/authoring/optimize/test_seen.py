@@ -61,6 +61,7 @@ def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
     assert (ones == 1).all() and (unlit * found).sum(axis=1)[outer].min() > 0.95
 
 
+@pytest.mark.check
 def test_a_hand_of_one_splat_is_looked_at_like_any_other() -> None:
     avatar, ways, normals, occlusion = cheek()
     skeleton = Skeleton.from_joints(("base", "left_wrist"), [-1, 0], [[0, 0, 0], [0, 1, 0]])
@@ -78,6 +79,7 @@ def test_without_numba_all_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert same is normals and opened is occlusion and (shade == 1).all()
 
 
+@pytest.mark.check
 def test_the_same_bytes_come_of_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     avatar, _, normals, occlusion = cheek()
     found = set()
@@ -88,6 +90,7 @@ def test_the_same_bytes_come_of_any_number_of_cores(monkeypatch: pytest.MonkeyPa
     assert len(found) == 1
 
 
+@pytest.mark.check
 def test_loading_beforehand_loads_all_that_looking_needs(monkeypatch: pytest.MonkeyPatch) -> None:
     ready()
     kernels: tuple[Any, ...] = project, list_entries, shared, agreed

@@ -7,6 +7,7 @@ from functools import cache
 
 import cv2
 import numpy as np
+import pytest
 
 from glsplat.authoring.paint.layers.fill import continued, only_in_the_middle
 from glsplat.authoring.paint.layers.labels import NOTHING, labels_of
@@ -124,6 +125,7 @@ def test_prints_are_in_the_middle_alone_and_stripes_are_not() -> None:
     assert not found[:76].any() and not found[:, :40].any()
 
 
+@pytest.mark.check
 def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     """The made-up person's left arm is said to be over the trunk by its label: a stripe of green on the belly."""
     scene = photographed("front")
@@ -133,7 +135,7 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     twin = twins_across()
     assert (layer_of(segment)[twin] == np.array([0, 2, 1])[layer_of(segment)]).mean() > 0.99
     shot = FittedPicture(front.rgb, front.mask, front.focal, front.view, front.mesh, segment)
-    points = even_points(scene.mesh, 4000)
+    points = even_points(scene.mesh, 1500)
     plain, layered = (paint(scene.body, [each], points) for each in (front, shot))
     close = layer_of(segment)[points.corners[:, 0]] == 0
     assert np.median(np.abs(plain.rgb - layered.rgb)[close]) < 0.01  # arms are away: nothing changes

@@ -31,12 +31,6 @@ def some_points(scene: Scene, seed: int = 5) -> SurfacePoints:
     return scatter(scene.mesh, 500, np.random.default_rng(seed)).points
 
 
-def test_linear_light_and_back() -> None:
-    values = np.linspace(0, 1, 256)
-    assert np.abs(to_srgb(to_linear(values)) - values).max() < 1e-12
-    assert to_linear(np.array([0.5]))[0] == pytest.approx(0.21404, abs=1e-5)
-
-
 @pytest.mark.parametrize("lamp", [(0.5, -0.6, -0.62), (-0.6, -0.5, -0.6), (0.0, -0.9, -0.4)])
 def test_the_lamp_is_found(lamp: tuple[float, float, float]) -> None:
     scene = photographed("front", lamp=lamp)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from glsplat.authoring.paint.paint import paint
 from glsplat.authoring.paint.scatter import scatter
@@ -11,13 +12,14 @@ from glsplat.splats import SH_C0
 from tests.authoring.paint.scene import photographed
 
 
+@pytest.mark.check
 def test_the_picture_comes_back() -> None:
     scene = photographed("front")
     rng = np.random.default_rng(0)
-    strewn = scatter(scene.mesh, 6000, rng)
+    strewn = scatter(scene.mesh, 3000, rng)
     painted = paint(scene.body, scene.shots, strewn.points)
     avatar = strewn.avatar(scene.mesh, painted.rgb, painted.busy, rng)
-    assert 0.99 * 6000 < len(avatar.splats) <= 6000
+    assert 0.99 * 3000 < len(avatar.splats) <= 3000
     assert np.isfinite(avatar.splats.means).all() and np.isfinite(avatar.splats.scales).all()
     matrix, target = _equations(avatar, scene.shots[0])
 

@@ -53,7 +53,7 @@ def test_triangles_beyond_the_edge_and_without_area_do_no_harm() -> None:
     assert set(found.face) == {0} and found.index.min() >= 0 and found.index.max() < 256
 
 
-@pytest.mark.parametrize("size", [256, 1000])
+@pytest.mark.parametrize("size", [256, pytest.param(1000, marks=pytest.mark.check)])
 def test_the_texture_shows_the_colours(size: int) -> None:
     mesh = baked(person(), by_place, size)
     assert [part.name for part in mesh.parts] == ["skin", "eyes", "mouth"]
@@ -77,6 +77,7 @@ def test_smaller_pictures_of_the_texture_find_nothing_unpainted() -> None:
             texture = cv2.resize(texture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
+@pytest.mark.check
 def test_eyes_have_texels_enough() -> None:
     """An iris is 12 mm wide."""
     eyes = baked(person(), by_place, 2048).parts[1]
