@@ -48,6 +48,7 @@ def test_a_server_that_fits_nothing_predicts_nothing(adapts: bool) -> None:
     assert isinstance(request, Request) and (request.arrival is not None) == adapts
 
 
+@pytest.mark.check
 def test_hands_are_nearer_to_where_they_are_when_seen() -> None:
     """A motion that nothing was chosen by, as its headset sees it, 60 ms later; no noise."""
     skeleton = default_avatar().skeleton

@@ -23,6 +23,8 @@ RUN = """
 import asyncio, json, os, sys
 from kosoku import FailureError, run_fuzzingclient
 
+pytestmark = pytest.mark.check
+
 async def main():
     url, cases, without = json.loads(sys.argv[1])
     try:
@@ -86,7 +88,6 @@ def test_what_aiohttp_gets_wrong_is_known(fake_backend):
     assert run(fake_backend(), KNOWN) == [0, KNOWN]
 
 
-@pytest.mark.check
 def test_large_and_many_messages(fake_backend, monkeypatch):
     """Cases 9: messages up to 16 MiB, with the limit raised, and thousands of small ones."""
     monkeypatch.setattr("glsplat.net.conversation.MAX_BYTES", 17 * 2**20)

@@ -27,6 +27,8 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.net.wire import EYE, HANG, UNLIMITED, UPGRADE, all_of, frame, native, raw, still_serves, until
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -314,7 +316,6 @@ async def visits(url, connections, frames):
         return sum(await asyncio.gather(*(user(http) for _ in range(4))))
 
 
-@pytest.mark.check
 def test_memory_after_hundreds_of_connections_and_thousands_of_frames():
     """The server's resident memory within 3 % of what it was after a quarter of that, then an orderly end."""
     process = subprocess.Popen([sys.executable, "-c", SERVER, str(ROOT)], stdout=subprocess.PIPE, text=True)

@@ -178,6 +178,7 @@ def test_others_are_drawn_while_a_sample_is_solved(serve, fake_backend, cameras)
     assert asyncio.run(main()) == 1
 
 
+@pytest.mark.check
 def test_a_stream_of_samples_that_is_faster_than_the_solver_is_drawn_all_the_same(serve, fake_backend):
     """The newest sample is never solved when its turn comes, so the one that was newest when a picture was due is."""
     solver, backend = Gated(), fake_backend()

@@ -244,6 +244,7 @@ def test_there_is_no_number_after_the_highest():
     assert isinstance(told, Warn) and "connect again" in told.text and take(s) is None
 
 
+@pytest.mark.check
 def test_memory_is_bounded_whatever_comes():
     s = session(rate=1e9, burst=1e9)
     for i in range(1, 5000):

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from glsplat.net.server import ServerConfig
 from tests.net.wire import HANG, UNLIMITED, all_of, frame, native, raw, until
+
+pytestmark = pytest.mark.check
 
 
 def test_slow_handshakes_and_silence_are_ended(serve, ahead):

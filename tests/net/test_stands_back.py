@@ -13,6 +13,8 @@ from glsplat.net.client import Client
 from glsplat.net.server import Server, ServerConfig
 from tests.net.conftest import FakeBackend, eyes
 
+pytestmark = pytest.mark.check
+
 TOOK = 0.02  # seconds of a picture, at least
 
 

@@ -20,6 +20,7 @@ def loaded_by(script: str) -> set[str]:
     return set(next(line for line in run.stdout.splitlines() if line.startswith("LOADED")).split()[1:])
 
 
+@pytest.mark.check
 def test_the_serving_process():
     """The command and its options, the scene, tracking, a picture encoded whole and cropped, alpha too."""
     loaded = loaded_by("""

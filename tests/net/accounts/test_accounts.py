@@ -165,6 +165,7 @@ def test_who_is_removed_is_put_out(serve, made, cameras, monkeypatch):
 NAMES = st.sampled_from(["default", "ann", "bob", "lab", "*", "", ".."]) | st.text(max_size=70)
 
 
+@pytest.mark.check
 @settings(max_examples=200, deadline=None)
 @given(
     query=st.fixed_dictionaries({}, optional={"avatar": NAMES, "room": NAMES}),

@@ -18,7 +18,7 @@ from tests.net.attacks.light import light_avatar
 from tests.net.attacks.victim import victim
 from tests.net.wire import until
 
-pytestmark = [pytest.mark.gl, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.gl, pytest.mark.timeout(240), pytest.mark.check]
 
 MEASURED = [
     "pings",

@@ -13,6 +13,8 @@ from tests.net.attacks.fuzz_messages import fuzz, valid
 from tests.net.attacks.light import light_avatar
 from tests.net.attacks.victim import victim
 
+pytestmark = pytest.mark.check
+
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_fuzzed_messages(seed):

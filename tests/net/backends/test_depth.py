@@ -49,6 +49,7 @@ def test_it_is_how_far_away_the_picture_is():
         assert np.median(off) <= 0.03 and np.percentile(off, 95) <= 0.06, np.percentile(off, [50, 80, 95])
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_the_pictures_are_what_they_are_without_it():
     """Bytes, levels and what was covered, also of the pictures after it; in a process of its own, too."""

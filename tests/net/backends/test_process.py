@@ -84,6 +84,7 @@ def test_errors_come_back_as_what_they_are(backend):
         backend.render(request()).done()
 
 
+@pytest.mark.check
 def test_a_backend_that_cannot_open():
     before = {child.pid for child in psutil.Process().children()}
     with pytest.raises(ContextError, match=r"^no EGL here$"):
@@ -94,6 +95,7 @@ def test_a_backend_that_cannot_open():
     assert all("spawn_main" not in " ".join(child.cmdline()) for child in new)
 
 
+@pytest.mark.check
 def test_a_driver_that_hangs_is_given_up(monkeypatch):
     backend, told = ProcessBackend(Boxed, 64, seconds=0.0), []
     driver = backend.open()
@@ -109,6 +111,7 @@ def test_a_driver_that_hangs_is_given_up(monkeypatch):
     backend.close()
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("end", ["crash", "killed"])
 def test_a_renderer_that_crashes_is_started_again(serve, cameras, end):
     """A segmentation fault in the driver: one picture lost, the connection stays."""
@@ -130,6 +133,7 @@ def test_a_renderer_that_crashes_is_started_again(serve, cameras, end):
     assert before != after and rebuilds == 1
 
 
+@pytest.mark.check
 def test_no_process_or_file_is_left_behind(tmp_path, monkeypatch):
     monkeypatch.setattr(slots, "SHM", str(tmp_path))
     own = psutil.Process()

@@ -293,6 +293,7 @@ def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     assert grown.box[1, 1] == pytest.approx(1.7, abs=0.12) and grown.box[0, 1] == pytest.approx(0, abs=0.09)
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_many_changes_leave_nothing_behind() -> None:
     """Five things in turn on four places, so that renderers come and go: no more objects and memory than before."""

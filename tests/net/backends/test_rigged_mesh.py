@@ -47,6 +47,7 @@ def request(**more: object) -> RenderJob:
     return RenderJob(frame_id=1, cameras=tuple(PAIR), options=options, **more)  # type: ignore[arg-type]
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("own_process", [False, True])
 def test_poses_parts_and_boxes(own_process: bool) -> None:
     """In a room of one joint, beside another avatar by name."""

@@ -19,6 +19,8 @@ from glsplat.net.session import SessionConfig
 from glsplat.watermark.detect import detect
 from glsplat.watermark.mark import WatermarkKey
 
+pytestmark = pytest.mark.check
+
 WATERMARK = WatermarkKey(0x1A2B, b"sixteen bytes 01")
 CONFIG = ServerConfig(port=0, session=SessionConfig(watermark=WATERMARK))
 

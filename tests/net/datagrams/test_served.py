@@ -26,7 +26,7 @@ from tests.net.datagrams.viewer import CONFIG, viewing, ways
 from tests.net.wire import HANG, native, until
 from tests.net.workers.fakes import pool
 
-pytestmark = pytest.mark.usefixtures("every_link_is_long")
+pytestmark = [pytest.mark.usefixtures("every_link_is_long"), pytest.mark.check]
 
 
 class TestPictures:

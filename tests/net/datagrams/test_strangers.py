@@ -21,7 +21,7 @@ from tests.net.datagrams.client import open_path, open_quic
 from tests.net.datagrams.viewer import CONFIG, viewing
 from tests.net.wire import HANG, until
 
-pytestmark = pytest.mark.usefixtures("every_link_is_long")
+pytestmark = [pytest.mark.usefixtures("every_link_is_long"), pytest.mark.check]
 
 
 class TestStrangers:

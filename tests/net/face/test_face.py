@@ -197,6 +197,7 @@ def test_it_listens_on_this_machine_alone_and_a_port_that_is_taken_is_said(liste
         FaceListener(FaceFeed(), listener.port)
 
 
+@pytest.mark.check
 def test_five_thousand_hostile_packets_do_no_harm(listener: FaceListener) -> None:
     """Random bytes, good packets with flipped, cut and doubled parts, lies about sizes, numbers that are none."""
     chance = random.Random(36)
@@ -225,6 +226,7 @@ def test_five_thousand_hostile_packets_do_no_harm(listener: FaceListener) -> Non
     until(heard)
 
 
+@pytest.mark.check
 def test_a_flood_does_not_take_a_core(listener: FaceListener) -> None:
     packet = bundle(*(message(f"{FT}{name}", 0.5) for name in sorted(PARAMETERS)[:100]))
     before, end = time.process_time(), time.monotonic() + 1.0

@@ -24,6 +24,8 @@ from glsplat.net.guard.kept import state_folder
 from glsplat.net.server import ServerConfig
 from tests import needs
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).parents[3]
 TOKEN = "correct-horse-battery"
 

@@ -155,6 +155,7 @@ def test_a_picture_nobody_waits_for_is_given_up(serve, cameras):
     assert asyncio.run(main()) == (True, 0)
 
 
+@pytest.mark.check
 def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch):
     monkeypatch.setattr("glsplat.net.server._HOPELESS", 0.1)
     backend = ProcessBackend(Boxed, 64, seconds=1e6)
@@ -178,6 +179,7 @@ def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch):
     assert asyncio.run(main())
 
 
+@pytest.mark.check
 def test_clients_that_leave_take_no_picture_slot_with_them():
     """While their picture waits for the encoder, is encoded, or lies ready; or when there is one too many of them."""
     backend = ProcessBackend(Boxed, 64)

@@ -60,6 +60,7 @@ def test_a_flood_is_told_why_put_out_and_held_off(serve, cameras, stopped, kind)
     assert answer.count(b"\x8a\x00") <= Limits().control_burst  # no more pongs than pings are allowed
 
 
+@pytest.mark.check
 def test_a_hold_off_ends(serve, cameras, stopped):
     async def main():
         async with serve() as server:
@@ -294,6 +295,7 @@ def test_the_parts_of_aiohttp_that_connections_rely_on(serve):
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("how", ["as it is", "no room kept"])
 def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_path):
     """Pictures go on, new clients get in, the log stays short, the idle connections are the ones that go."""

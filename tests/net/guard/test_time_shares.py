@@ -121,6 +121,7 @@ def test_normal_tracking_is_solved_sample_by_sample():
     assert np.allclose(solved, [120, 90, 72], atol=2) and [s.merged for s in each] == [0, 0, 0]
 
 
+@pytest.mark.check
 def test_six_clients_at_220_samples_a_second_leave_a_good_one_its_own():
     limits = Limits(work=0.35)
     solved, _ = clients([72.0] + [220.0] * 6, cost=0.0006, seconds=20.0, limits=limits)

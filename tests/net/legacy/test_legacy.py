@@ -21,6 +21,8 @@ from glsplat.net.messages import WireOptions
 from glsplat.net.server import ServerConfig
 from tests.net.wire import HANG
 
+pytestmark = pytest.mark.check
+
 IPD, SIZE, DISTANCE = 0.055, 128, 2.0  # metres, pixels, metres
 FOCAL = SIZE / 2 / np.tan(np.radians(65) / 2)
 

@@ -71,6 +71,7 @@ def test_levels_go_first_then_the_size(full: float, bias: float, scale: float) -
     assert all(detail.scale == 1 or level_of(detail) == 3 for detail in order)
 
 
+@pytest.mark.check
 def test_it_does_not_swing() -> None:
     """A level that takes 0.97 of the time, its finer one far too long: tried again, but ever less often."""
     history = run(AdaptiveQuality(45), {1: machine(0.043, noise=0.01)}, 600)

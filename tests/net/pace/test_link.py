@@ -47,6 +47,7 @@ def test_a_fast_link_gets_what_was_asked_for() -> None:
     assert min(alone(100.0, 0.02).losses) == max(alone(100.0, 0.02).losses) == visible_loss(ladder(80, False)[0])
 
 
+@pytest.mark.check
 def test_lost_packets_are_not_taken_for_a_thin_link() -> None:
     """One in a hundred, 20 ms: as fresh as who knows the link, and nothing that is seen is taken away at 20 Mbit/s."""
     for rate in (20.0, 5.0, 2.0):
@@ -68,6 +69,7 @@ def test_a_rate_that_falls_and_comes_back(round_trip: float) -> None:
     assert outcome.losses[-1] == visible_loss(ladder(80, False)[0])  # and all that was seen before is back
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("starts", [(0.0, 0.003), (0.0, 7.0)])
 @pytest.mark.parametrize(("rate", "round_trip"), [(20.0, 0.02), (5.0, 0.06)])
 def test_two_clients_share_a_link(rate: float, round_trip: float, starts: tuple[float, float]) -> None:

@@ -74,6 +74,7 @@ def test_places_of_any_size_and_turn() -> None:
         assert np.allclose(glsplat.scene.similarity(translation, rotation, scale), matrix)
 
 
+@pytest.mark.check
 def test_five_thousand_damaged_replies_are_read_or_refused_in_one_line() -> None:
     rng = np.random.default_rng(11)
     bodies = [pack_body(someone(i, 55, i == 2), SHA, HERE, at=i, t=i) for i in (1, 2)]

@@ -193,6 +193,7 @@ def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
     asyncio.run(talk())
 
 
+@pytest.mark.check
 def test_a_hundred_switches_keep_their_order(serve: Serve) -> None:
     """Answers come in the order of their requests, whatever each asked for, and every picture is a picture."""
 

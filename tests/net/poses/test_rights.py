@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import pytest
 
 from glsplat.net.accounts.users import Accounts, new_user, write_users
 from glsplat.net.client import Client
@@ -103,6 +104,7 @@ def test_the_window_holds_poses_too(serve: Serve) -> None:
     asyncio.run(talk())
 
 
+@pytest.mark.check
 def test_poses_go_on_while_the_only_worker_stands_still(serve: Serve) -> None:
     async def talk() -> None:
         async with serve(pool(1, patience=600.0), config("ann"), offered=OFFERS) as server:
@@ -117,6 +119,7 @@ def test_poses_go_on_while_the_only_worker_stands_still(serve: Serve) -> None:
     asyncio.run(talk())
 
 
+@pytest.mark.check
 def test_answers_leave_nothing_behind(serve: Serve) -> None:
     """People come and go, wants change, samples are solved or not: what is kept does not grow."""
 

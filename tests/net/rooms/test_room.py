@@ -330,6 +330,7 @@ def test_names_that_nobody_can_have(name: str) -> None:
         asked(name=name)
 
 
+@pytest.mark.check
 @given(st.text(max_size=40))
 def test_a_name_is_taken_as_it_is_or_refused(name: str) -> None:
     try:

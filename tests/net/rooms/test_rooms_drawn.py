@@ -59,6 +59,7 @@ def psnr(image: NDArray[np.uint8], wanted: NDArray[np.uint8]) -> float:
     return float(10 * np.log10(255**2 / max(float(error), 1e-9)))
 
 
+@pytest.mark.check
 @pytest.mark.gl
 @pytest.mark.usefixtures("nobody_fades")
 def test_everybody_sees_the_others_where_they_are(person: Avatar) -> None:

@@ -20,6 +20,8 @@ from glsplat.net.workers.pool import WorkerPool
 from glsplat.scene import Scene
 from tests.net.workers.fakes import GUARD, held, patient
 
+pytestmark = pytest.mark.check
+
 EYES = stereo_cameras(head_matrix((0, 1.5, 0.1), (0, 1, 0, 0)), size=(96, 96))
 POSE = {"root_pose": [0, 0.1, 0]}
 

@@ -26,6 +26,8 @@ from tests.net.uploads.conftest import GUARD, LIMITS, Client
 from tests.net.uploads.makers import PICTURE, make
 from tests.scenes import limb
 
+pytestmark = pytest.mark.check
+
 SIZE = (96, 80)
 PAIR = stereo_cameras(head_matrix((0.1, 1.2, 2.2), (0, 0, 0, 1)), size=SIZE)
 PERSON = thinned(default_avatar(), 40)

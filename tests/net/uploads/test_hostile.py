@@ -19,6 +19,8 @@ from tests.net.uploads.conftest import GUARD, HEADERS, LIMITS, TOKEN
 from tests.net.uploads.makers import PICTURE
 from tests.net.uploads.test_uploads import form
 
+pytestmark = pytest.mark.check
+
 BOUNDARY = "x" * 20
 
 

@@ -57,6 +57,7 @@ def test_a_photograph_becomes_an_avatar_that_is_offered_and_kept(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_a_form_brings_all_sides_and_the_height(takes):
     async def main():
         async with takes() as client:
@@ -68,6 +69,7 @@ def test_a_form_brings_all_sides_and_the_height(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_what_is_wrong_with_a_picture_is_told_and_it_is_made_anyway(takes):
     async def main():
         async with takes() as client:
@@ -83,6 +85,7 @@ def test_what_is_wrong_with_a_picture_is_told_and_it_is_made_anyway(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_what_was_guessed_is_told(takes):
     async def main():
         async with takes() as client:
@@ -95,6 +98,7 @@ def test_what_was_guessed_is_told(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     ("word", "line"),
     [
@@ -120,6 +124,7 @@ def test_a_failure_is_one_line_and_the_next_picture_is_made(takes, caplog, capfd
         assert {b"crash": "signal 11", b"fault": "ValueError at makers.py"}[word] in caplog.text
 
 
+@pytest.mark.check
 def test_what_the_maker_prints_reaches_nobody(takes, capfd):
     async def main():
         async with takes() as client:
@@ -129,6 +134,7 @@ def test_what_the_maker_prints_reaches_nobody(takes, capfd):
     assert "secret" not in "".join(capfd.readouterr())
 
 
+@pytest.mark.check
 def test_steps_are_bounded(takes):
     async def main():
         async with takes() as client:
@@ -139,6 +145,7 @@ def test_steps_are_bounded(takes):
     assert len(told["steps"]) <= 40 and told["share"] == 1
 
 
+@pytest.mark.check
 def test_one_is_made_at_a_time_and_few_wait(takes, tmp_path):
     async def main():
         async with takes(per_address=9) as client:
@@ -156,6 +163,7 @@ def test_one_is_made_at_a_time_and_few_wait(takes, tmp_path):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_one_address_leaves_room_for_others(takes):
     async def main():
         async with takes(per_address=1) as client:
@@ -168,6 +176,7 @@ def test_one_address_leaves_room_for_others(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("state", ["making", "waiting"])
 def test_a_cancelled_job_ends_at_once_and_leaves_nothing(takes, state):
     async def main():
@@ -186,6 +195,7 @@ def test_a_cancelled_job_ends_at_once_and_leaves_nothing(takes, state):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_a_job_that_takes_too_long_is_given_up(takes):
     async def main():
         async with takes(seconds=0.2) as client:
@@ -196,6 +206,7 @@ def test_a_job_that_takes_too_long_is_given_up(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_the_server_stops_while_one_is_made(takes):
     async def main():
         async with takes() as client:
@@ -209,6 +220,7 @@ def test_the_server_stops_while_one_is_made(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_an_avatar_is_deleted_and_who_sees_it_is_told(takes):
     async def main():
         async with takes() as client:
@@ -229,6 +241,7 @@ def test_an_avatar_is_deleted_and_who_sees_it_is_told(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     "name", ["default", "photo-", "photo-../../x", "..%2f..%2fetc%2fpasswd", "mine", "photo-abcd1234"]
 )
@@ -243,6 +256,7 @@ def test_only_what_was_made_here_is_deleted(takes, name):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_a_full_folder_says_so(takes):
     async def main():
         async with takes(most_files=1) as client:
@@ -260,6 +274,7 @@ def test_a_full_folder_says_so(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_a_server_without_a_folder_takes_nothing(serve):
     async def main():
         async with serve() as server, aiohttp.ClientSession() as http:
@@ -272,6 +287,7 @@ def test_a_server_without_a_folder_takes_nothing(serve):
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("word", [b"doubt known", b"doubt known worse"])
 def test_what_was_refused_goes_on_where_it_was(takes, word):
     async def main():
@@ -294,6 +310,7 @@ def test_what_was_refused_goes_on_where_it_was(takes, word):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_a_server_that_is_busy_says_when_to_ask_again(takes):
     async def main():
         async with takes(waiting=1) as client:
@@ -312,6 +329,7 @@ def test_a_server_that_is_busy_says_when_to_ask_again(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_what_was_refused_is_forgotten_when_another_comes_or_nobody_does(takes):
     async def main():
         async with takes(patience=0.3) as client:
@@ -338,6 +356,7 @@ def test_what_was_refused_is_forgotten_when_another_comes_or_nobody_does(takes):
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("title", ["Zoë", "Ann-Marie O'Neil 2", "日本語"])
 def test_its_owner_names_it(takes, title):
     async def main():
@@ -348,6 +367,7 @@ def test_its_owner_names_it(takes, title):
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("title", ["<b>x</b>", "a" * 33, "../etc", "a\nb", "\u202egnp.exe", " "])
 def test_names_that_are_none_are_refused(takes, title):
     async def main():
@@ -359,6 +379,7 @@ def test_names_that_are_none_are_refused(takes, title):
     asyncio.run(main())
 
 
+@pytest.mark.check
 def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes, tmp_path):
     async def main():
         async with takes() as client:
@@ -377,6 +398,7 @@ def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes, tmp_
     asyncio.run(main())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     "access", [Access(host="0.0.0.0", insecure=True), Access(proxies=(proxy_network("127.0.0.1"),))]
 )

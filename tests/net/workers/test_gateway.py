@@ -29,6 +29,8 @@ GATEWAY = """
 import asyncio, json, sys
 from glsplat.net.server import Server, ServerConfig
 from tests.net.workers.fakes import pool
+
+pytestmark = pytest.mark.check
 if __name__ == "__main__":
     server = Server(pool(2), ServerConfig(port=int(sys.argv[1])))
     asyncio.run(server.run(lambda: print(json.dumps(server.render_loop.workers()), flush=True)))

@@ -24,6 +24,8 @@ from tests.net.wire import native
 from tests.net.workers.fakes import GUARD, camera, held, pool, until, until_more, watching
 from tests.net.workers.sleeper import Sleeper
 
+pytestmark = pytest.mark.check
+
 
 def pids(server: Server) -> list[int]:
     return [int(one["driver"].split()[1]) for one in server.render_loop.workers()]
