@@ -75,8 +75,10 @@ def running(backend: Stripes, **offered: str) -> Iterator[str]:
 @pytest.fixture(autouse=True)
 def _no_log_of_commands() -> Iterator[None]:
     """A command that logs in the tests' own process writes to the standard error that it had."""
-    yield
     root = logging.getLogger()
+    level = root.level
+    yield
+    root.setLevel(level)
     for handler in [one for one in root.handlers if type(one) is logging.StreamHandler]:
         root.removeHandler(handler)
     logging.captureWarnings(False)

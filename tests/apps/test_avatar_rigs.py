@@ -85,17 +85,6 @@ def test_what_no_person_is_keeps_its_joints(tmp_path, capsys) -> None:
 
 
 @pytest.mark.check
-def test_a_map_mends_one_joint(tmp_path) -> None:
-    """What it leaves out is still told by names; null is a joint that the rig does not have."""
-    person = written(tmp_path, FAMILIES["Unreal"])
-    names = tmp_path / "map.json"
-    names.write_text(json.dumps({"spine1": "spine_02", "spine2": None, "left_thumb3": None}))
-    rig = made(tmp_path, person, "--rig-map", str(names)).meta["rig"]
-    assert rig["spine1"] == "spine_02" and "spine2" not in rig and "left_thumb3" not in rig
-    assert rig["left_thumb2"] == "thumb_02_l" and rig["head"] == "head"
-
-
-@pytest.mark.check
 def test_wrong_maps_are_one_line(tmp_path, capsys) -> None:
     person, names = written(tmp_path, FAMILIES["Unreal"]), tmp_path / "map.json"
     make = ["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), *QUICK, "--rig-map", str(names)]
@@ -110,20 +99,8 @@ def test_wrong_maps_are_one_line(tmp_path, capsys) -> None:
         names.write_text(text)
         assert main(make) == 1 and not (tmp_path / "me.glb").exists()
         assert words in (said := capsys.readouterr().err) and said.count("\n") == 1
-    names.write_text('{"head": null}')  # a person without a head is made, and cannot be driven
+    names.write_text('{"head": null, "spine1": "spine_02"}')  # a person without a head is made, and cannot be driven
     assert main(make) == 0 and "no joint for head" in capsys.readouterr().err
-
-
-@pytest.mark.check
-def test_sizes(tmp_path, capsys) -> None:
-    huge = written(tmp_path, replace(FAMILIES["Unreal"], unit=1.0, names=FAMILIES["SMPL"].names))
-    avatar = made(tmp_path, huge, "--extra-scale", "2.5")
-    said = capsys.readouterr().err
-    assert "m tall; --extra-scale" in said and said.count("\n") == 1
-    high = np.ptp(avatar.skeleton.joints[:, 1])
-    smaller = made(tmp_path, huge, "--extra-scale", "0.5")
-    assert capsys.readouterr().err == ""
-    assert np.ptp(smaller.skeleton.joints[:, 1]) == pytest.approx(high / 5)
 
 
 @pytest.mark.check
@@ -144,7 +121,7 @@ def test_a_thing_of_no_size_that_things_have_and_its_axes(tmp_path, capsys) -> N
 
 @pytest.mark.shared
 @pytest.mark.check
-@pytest.mark.parametrize("name", ["mannequiny_gdquest.glb", "robot_expressive.glb", "cool_loops.vrm"])
+@pytest.mark.parametrize("name", ["robot_expressive.glb", "cool_loops.vrm"])
 def test_real_files(shared_data: Path, tmp_path, name) -> None:
     avatar = made(tmp_path, shared_data / "real" / "models" / name)
     assert avatar.skeleton.names == JOINT_NAMES and len(avatar.splats) >= 500

@@ -69,23 +69,21 @@ def test_an_opencv_without_vp9_says_what_it_wrote(tmp_path, monkeypatch):
 
 
 @pytest.mark.check
-# VP9 writes when it ends, so few frames are enough; MPEG-4 as well at once, which may fail frame by frame
-@pytest.mark.parametrize(("ending", "limit", "count", "code"), [(".webm", 1, 6, ""), (".mp4", 20, 90, "mp4v")])
-def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, ending, limit, count, code):
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
+    """VP9 writes when it ends, so few frames are enough."""
     script = (
         "import sys, numpy as np; from apps import clip; from glsplat.errors import FormatError\n"
-        "if sys.argv[2] != '6': clip.CLIPS['.mp4'] = clip.CLIPS['.webm'] = sys.argv[3]\n"
         "noise = np.random.default_rng(1)\n"
         "try:\n"
         "    with clip.Clip(sys.argv[1], 30) as made:\n"
-        "        for _ in range(int(sys.argv[2])): made.add(noise.integers(0, 255, (128, 128, 3), dtype=np.uint8))\n"
+        "        for _ in range(6): made.add(noise.integers(0, 255, (128, 128, 3), dtype=np.uint8))\n"
         "except FormatError as error: print(error)\n"
     )
-    limited = f'ulimit -f {limit}; exec {sys.executable} -c "$1" "$2" "$3" "$4"'
-    command = ["bash", "-c", limited, "sh", script, tmp_path / f"a{ending}", str(count), code]
+    limited = f'ulimit -f 1; exec {sys.executable} -c "$1" "$2"'
+    command = ["bash", "-c", limited, "sh", script, tmp_path / "a.webm"]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=120)
     assert done.stderr == "" and done.returncode == 0
-    assert done.stdout.count("\n") == 1 and done.stdout.startswith(f"{tmp_path}/a{ending}: ")
+    assert done.stdout.count("\n") == 1 and done.stdout.startswith(f"{tmp_path}/a.webm: ")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -43,11 +43,10 @@ def test_inspect_says_which_are_broken(tmp_path: Path, caplog: pytest.LogCapture
     assert cli.main(["inspect", str(tmp_path / "a.glb"), "--strict"]) == 1
 
 
-@pytest.mark.parametrize("up", ["-y", "z"])
-def test_convert_keeps_them_and_turns_them(tmp_path: Path, capsys: pytest.CaptureFixture[str], up: str) -> None:
+def test_convert_keeps_them_and_turns_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, scene in (("a", avatar_with_levels()), ("s", splats_with_levels())):
         save(scene, tmp_path / f"{name}.glb")
-        assert ok(capsys, "convert", tmp_path / f"{name}.glb", tmp_path / f"{name}2.glb", "--up", up) == ""
+        assert ok(capsys, "convert", tmp_path / f"{name}.glb", tmp_path / f"{name}2.glb", "--up", "z") == ""
         found = load(tmp_path / f"{name}2.glb", strict=True)
         assert type(found) is type(scene) and len(found.levels) == 3
         whole = found.splats if isinstance(found, Avatar) else found

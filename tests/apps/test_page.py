@@ -12,7 +12,6 @@ import pytest
 import glsplat
 from apps import cli
 from glsplat.formats.web.read import decode_avatar
-from glsplat.skinning.skeleton import Skeleton
 from tests.scenes import cloud, limb
 
 
@@ -53,20 +52,6 @@ def test_nobody_is_given_away_without_having_agreed(tmp_path: Path, capsys: pyte
     for words in ([splats], [tmp_path / "nothing.glb"], ["--motion", "nonsense"]):
         assert page(*words, "-o", tmp_path / "out") in (1, 2) and not (tmp_path / "out").exists()
         assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_an_avatar_that_no_page_reads_makes_no_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from apps.webpage import command
-
-    rod = limb(60)
-    old = rod.skeleton
-    named = Skeleton([*old.names[:-1], "j" * 65], old.parents, old.rest, old.inverse_bind)
-    monkeypatch.setattr(command, "default_avatar", lambda: replace(rod, skeleton=named))
-    assert page("-o", tmp_path / "out") == 1 and not (tmp_path / "out").exists()
-    said = capsys.readouterr().err
-    assert said.splitlines()[-1] == "glsplat page: a joint's name needs 1 to 64 characters"
 
 
 def test_a_full_disk_leaves_no_page_that_lacks_something(

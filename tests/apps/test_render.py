@@ -84,19 +84,13 @@ def test_views_poses_and_png(avatar: Path, tmp_path: Path) -> None:
     assert main(["render", str(tmp_path / "empty.ply"), "--size", "8", "-o", str(tmp_path / "a.png")]) == 0
 
 
-@pytest.mark.parametrize("output", ["clip.mp4", "frames/"])
-def test_turntable(scene: Path, tmp_path: Path, output: str) -> None:
-    target = str(tmp_path) + "/" + output
-    assert main(["render", str(scene), "--size", "32x32", "--turntable", "5", "-o", target]) == 0
-    if output == "clip.mp4":
-        clip = cv2.VideoCapture(target)
-        assert int(clip.get(cv2.CAP_PROP_FRAME_COUNT)) == 5
-        clip.release()
-    else:
-        names = sorted(p.name for p in Path(target).iterdir())
-        assert names == [f"{i:05d}.png" for i in range(5)]
-        first, third = (cv2.imread(f"{target}{names[i]}") for i in (0, 2))
-        assert np.abs(first.astype(int) - third).max() > 20
+def test_turntable(scene: Path, tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    assert main(["render", str(scene), "--size", "32x32", "--turntable", "5", "-o", f"{frames}/"]) == 0
+    names = sorted(p.name for p in frames.iterdir())
+    assert names == [f"{i:05d}.png" for i in range(5)]
+    first, third = (cv2.imread(str(frames / names[i])) for i in (0, 2))
+    assert np.abs(first.astype(int) - third).max() > 20
 
 
 def test_a_motion_of_the_default_avatar(tmp_path: Path) -> None:

@@ -1,26 +1,12 @@
-"""The tools of these tests hold what the tests rest on: stamps, the fake headset, watching eyes."""
+"""The tools of these tests hold what the tests rest on: the fake headset, and complaints that are noticed."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-import simplejpeg
 
-from glsplat.net.codec.encode import encode_picture
 from tests.browser.opened import Opened
-from tests.browser.stored import read_stamp, stamp
-
-
-def test_a_stamp_survives_the_codec() -> None:
-    for number in (0, 1, 77, 2**19 - 1, 300_001):
-        for eye in (0, 1):
-            image = np.random.default_rng(1).integers(0, 255, (128, 160, 4), np.uint8)
-            stamp(image, number, eye)
-            shown = simplejpeg.decode_jpeg(encode_picture(image, 30))
-            assert read_stamp(shown) == (number, eye)
-    assert read_stamp(np.zeros((128, 160, 3), np.uint8)) is None
-    assert read_stamp(np.full((128, 160, 3), 255, np.uint8)) is None
 
 
 def test_the_fake_eyes_are_as_told(modules: Opened) -> None:
@@ -60,30 +46,6 @@ def test_the_fake_eyes_are_as_told(modules: Opened) -> None:
     apart = np.subtract(right["matrix"][12:15], left["matrix"][12:15])
     np.testing.assert_allclose(apart, 0.063 * np.array([math.cos(0.6), 0, -math.sin(0.6)]), atol=1e-6)
     np.testing.assert_allclose(seen["head"][12:15], [0.1, 1.7, 0.2], atol=1e-6)
-
-
-def test_uploads_are_read_where_they_lie(modules: Opened) -> None:
-    image = np.zeros((256, 256, 4), np.uint8)
-    stamp(image, 4711, 1)
-    jpeg = list(encode_picture(image, 80))
-    modules.js(
-        """async (jpeg) => {
-          const gl = document.createElement('canvas').getContext('webgl2');
-          const options = {premultiplyAlpha: 'none', colorSpaceConversion: 'none'};
-          const bitmap = await createImageBitmap(new Blob([new Uint8Array(jpeg)]), options);
-          gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-          gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
-          gl.bindTexture(gl.TEXTURE_2D_ARRAY, gl.createTexture());
-          gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA8, 300, 300, 2);
-          gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 9, 7, 1, 256, 256, 1, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
-          bitmap.close();
-          bitmap.close();
-        }""",
-        jpeg,
-    )
-    uploads = modules.js("watch.uploads")
-    assert [(u["id"], u["eye"], u["width"]) for u in uploads] == [(4711, 1, 256)] * 2
-    assert modules.js("[watch.opened, watch.closed]") == [1, 1]
 
 
 def test_a_complaint_of_the_page_is_a_fault(modules: Opened) -> None:

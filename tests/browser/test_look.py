@@ -22,7 +22,6 @@ from tests.browser.served import Served
 from tests.browser.vr import enter, fresh, pose, see, settings, steer
 
 COVERED = 0.62  # of the window's height that the avatar's free part has at least
-MOST_BYTES = 400_000  # before the avatar's first picture
 
 
 @pytest.fixture(scope="module")
@@ -97,20 +96,6 @@ def test_vr_stands_in_each_place_before_its_mirror(
         assert beside.mean() > 4 and not blue(image[y - 20 : y + 20, x + 110 : x + 140]).any()
         feet = image[int(np.nonzero(shirt)[0].max()) :].astype(float)
         assert feet.std() > 5
-
-
-def test_the_first_picture_comes_before_much_is_loaded(open_page: OpenPage, demo: Any) -> None:
-    """400 kB at most, thumbnails after it; and most of the time is the server's first picture, not ours."""
-    page = open_page(None, xr=None, init=settings(size=512))
-    page.page.goto(demo.page)
-    page.until("window.glsplat?.stats().shown > 0")
-    loaded = page.js("""() => ['resource', 'navigation'].flatMap((kind) => performance.getEntriesByType(kind))
-      .map(({name, encodedBodySize}) => [name, encodedBodySize])""")
-    before = [(url, size) for url, size in loaded if "thumbnails" not in url]
-    assert len(before) > 20 and sum(size for _, size in before) < MOST_BYTES, sorted(before, key=lambda one: -one[1])[
-        :8
-    ]
-    assert not [url for url, _ in before if "emulate" in url or "study" in url]
 
 
 def test_the_status_page_shows_who_is_there(open_page: OpenPage, demo: Any, axe: str) -> None:

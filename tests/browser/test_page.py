@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.server
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
@@ -13,15 +12,13 @@ import pytest
 from glsplat.data import default_avatar
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.server import make_server
-from glsplat.net.guard.access import Access
-from glsplat.net.guard.certificate import kept_certificate
-from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import as_tracked
 from tests.browser.stored import StoredPairs
-from tests.browser.vr import enter, visit
+from tests.browser.vr import visit
 
 OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
+MOST_BYTES = 400_000  # before the avatar's first picture
 
 
 @pytest.fixture
@@ -127,29 +124,6 @@ def test_a_page_from_elsewhere_cannot_connect(open_page: OpenPage, stored: Any, 
     assert stored.stats()["clients"] == []
 
 
-def test_nobody_frames_the_page(open_page: OpenPage, stored: Any, elsewhere: str) -> None:
-    page = open_page(f"{elsewhere}/", xr=None, allow=["frame-ancestors", "Refused to frame", "Framing", "frame"])
-    page.js(
-        """(address) => new Promise((done) => {
-          const frame = document.createElement('iframe');
-          frame.src = address;
-          frame.onload = () => done();
-          document.body.append(frame);
-        })""",
-        stored.page,
-    )
-    assert page.faults, "nothing was refused"
-
-
-def test_vr_works_under_tls(open_page: OpenPage, serve: Any, tmp_path: Path) -> None:
-    kept = kept_certificate(tmp_path, ())
-    config = ServerConfig(port=0, tls=(kept.path, kept.path), access=Access(tls=True))
-    page = visit(open_page, serve(StoredPairs(), config, offered=OFFERED))
-    page.until("window.glsplat.stats().shown > 3")
-    enter(page)
-    page.until("window.glsplat.stats().shown > 6")
-
-
 def test_the_keyboard_alone_is_enough(open_page: OpenPage, stored: Any) -> None:
     page = visit(open_page, stored)
     page.until("window.glsplat.stats().shown > 0")
@@ -181,8 +155,13 @@ def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: O
       requestAnimationFrame(look);""")
     page.page.goto(served.page)
     seen = {name.split("?")[0].removeprefix(served.origin) for name in page.until("window.seen")}
+    loaded = page.js("""() => ['resource', 'navigation'].flatMap((kind) => performance.getEntriesByType(kind))
+      .map(({name, encodedBodySize}) => [name, encodedBodySize])""")
+    sizes = {url: size for url, size in loaded if "thumbnails" not in url}
+    assert len(sizes) > 20 and sum(sizes.values()) < MOST_BYTES, sorted(sizes.items(), key=lambda one: -one[1])[:8]
     html = page.page.request.get(f"{served.page}/").text()
     preloaded = {f"/vr/{part.split(chr(34))[0]}" for part in html.split('modulepreload" href="')[1:]}
     # the decoder's worker starts by itself; all other modules are known from the page's first bytes
     assert {name for name in seen if name.endswith(".js")} == preloaded and len(preloaded) > 30
+    assert not [name for name in seen if "emulate" in name or "study" in name]
     assert not [name for name in seen if "avatars/" in name or "thumbnails" in name or name.endswith("programs.json")]
