@@ -20,10 +20,7 @@ _HIP: _Reach = (1.30, 0.13, 0.0, (1.0, 0.0, -0.35))
 _POCKET: _Reach = (1.0, -0.12, 0.045, (0.7, 0.0, -0.8))
 POSES: dict[str, tuple[dict[str, _Reach], float]] = {
     "arms at 3 degrees": ({}, 0.0),
-    "crossed": (
-        {"left": (-0.55, 0.52, 0.10, (0.8, -0.5, 0.1)), "right": (-0.55, 0.42, 0.05, (0.8, -0.5, 0.1))},
-        0.0,
-    ),
+    "crossed": ({"left": (-0.55, 0.52, 0.10, (0.8, -0.5, 0.1)), "right": (-0.55, 0.42, 0.05, (0.8, -0.5, 0.1))}, 0.0),
     "hands on hips": ({"left": _HIP, "right": _HIP}, 0.0),
     "hands at the pockets": ({"left": _POCKET, "right": _POCKET}, 0.0),
     "a hand on the belly": ({"left": (0.1, 0.25, 0.05, (1.0, -0.3, -0.2))}, 0.0),

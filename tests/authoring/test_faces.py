@@ -91,7 +91,6 @@ def test_what_hardly_moves_and_what_is_far_is_left_out() -> None:
     little[:, 2] = 5e-5
     half = np.where(mesh.vertices[:, :1] > 0.1, 1.0, 0.0) * (0, 0, 0.02)
     avatar = with_shapes(discs(), sheet({"cheekPuff": little, "jawOpen": half}))
-    assert avatar.shapes is not None
     assert set(avatar.shapes.targets) == {1} and avatar.shapes.names == ("cheekPuff", "jawOpen")
     assert avatar.splats.means[avatar.shapes.rows, 0].min() > 0.04
     away = replace(discs(), splats=replace(discs().splats, means=discs().splats.means + np.float32((0, 0, 0.1))))
@@ -244,7 +243,6 @@ def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
     face = with_shapes(avatar, sheet({"jawOpen": half}))
     few = ConeConfig(directions=16, poses=2, size=64, choosing=2, tests=2, rounds=1, test_size=64, psnr=25.0)
     cones, still = (with_cones(one, few).splats.cones for one in (face, avatar))
-    assert cones is not None and still is not None and face.shapes is not None
     near = (means[:, 0] > 0.2) & (means[:, 2] > -0.1)
     assert (cones[near, 3] == -127).all() and (still[near, 3] > -127).mean() > 0.3
     assert np.array_equal(cones[means[:, 0] < 0.0], still[means[:, 0] < 0.0])

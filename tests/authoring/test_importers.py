@@ -143,11 +143,7 @@ def gltf(**changes):
     document = {
         "asset": {"version": "2.0"},
         "scenes": [{"nodes": [0, 1]}],
-        "nodes": [
-            {"mesh": 0, "skin": 0},
-            {"name": "a", "children": [2]},
-            {"name": "b", "translation": [1, 0, 0]},
-        ],
+        "nodes": [{"mesh": 0, "skin": 0}, {"name": "a", "children": [2]}, {"name": "b", "translation": [1, 0, 0]}],
         "skins": [{"joints": [1, 2]}],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 4, "material": 0}]}],
         "materials": [{"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],

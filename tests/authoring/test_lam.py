@@ -276,10 +276,7 @@ def test_hostile_zips(packed, tmp_path, monkeypatch):
     assert not is_lam_zip(tmp_path / "absent.zip")
 
 
-@settings(
-    database=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(database=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_mutated_members(packed, data):
     """Any bytes, any JSON: an avatar, or one line that names the zip."""

@@ -23,7 +23,6 @@ SMALL = Grid((1024, 2048, 4096), (16, 32, 64), (1, 2, 4), size=32, frames=2, alo
 
 def test_lines() -> None:
     line = fitted([1, 2, 3, 10], [5, 7, 9, 23])
-    assert line is not None
     assert line["slope"] == pytest.approx(2) and line["constant"] == pytest.approx(3)
     assert line["largest_relative_error"] == pytest.approx(0, abs=1e-9)
     bent = fitted([1, 2, 3], [1, 2, 6])

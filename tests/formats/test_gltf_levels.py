@@ -351,7 +351,6 @@ def test_levels_stand_where_the_finest_stands(tmp_path: Path) -> None:
     found = load(path)
     matrix = np.diag([-2.0, 2, -2, 1])
     matrix[:3, 3] = 1, 2, 3
-    assert isinstance(found, Splats)
     for one, other in zip(found.levels, scene.levels, strict=True):
         assert one.density == other.density / 2
         expected = transformed(other.content, matrix)

@@ -20,7 +20,6 @@ from tests.light.lit import surfaced
 
 
 def same(a: Surface | None, b: Surface | None) -> None:
-    assert a is not None and b is not None
     assert np.array_equal(a.normals, b.normals) and np.array_equal(a.occlusion, b.occlusion)
     assert (a.shade is None) == (b.shade is None) and np.array_equal(a.shades, b.shades)
 

@@ -319,7 +319,6 @@ def test_files_of_splat_transform(name: str) -> None:
     if name == "v4" and _zstd is None:
         pytest.skip("no zstd")
     splats = load(DATA / f"minimal-{name}.spz")
-    assert isinstance(splats, Splats)
     z = 1 if name in ("raw", "v2") else -1
     np.testing.assert_array_equal(splats.means, [[-1, 0, z], [0, 0, z], [-1, 0, 0], [0, 0, 0]])
     np.testing.assert_allclose(splats.scales, np.exp(123 / 16 - 10), rtol=1e-6)

@@ -67,7 +67,6 @@ def test_normals_turn_as_the_skin_does() -> None:
     posed = reference.skin(avatar.splats, avatar.skin, pose.bones(avatar.skeleton))
     found = reference.shading(posed, avatar.splats, light)
     surface = avatar.splats.surface
-    assert surface is not None
     turned = np.einsum("nij,nj->ni", posed.rotations, surface.units)
     facing = np.maximum(turned @ light.sun_direction, 0)
     wanted = light.irradiance(turned) * surface.ao[:, None]

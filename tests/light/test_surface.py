@@ -60,11 +60,8 @@ def test_splats_need_one_row_each() -> None:
 
 def test_take_replace_and_pickle_keep_it() -> None:
     splats = surfaced(cloud(50))
-    assert splats.surface is not None
     few = splats.take([7, 3])
-    assert few.surface is not None
     assert few.surface.normals.tolist() == splats.surface.normals[[7, 3]].tolist()
-    assert few.surface.shade is not None and splats.surface.shade is not None
     assert few.surface.shade.tolist() == splats.surface.shade[[7, 3]].tolist()
     assert replace(splats, antialias=True).surface is splats.surface
     again = pickle.loads(pickle.dumps(splats)).surface
@@ -77,17 +74,14 @@ def test_take_replace_and_pickle_keep_it() -> None:
 def test_normals_turn_with_the_splats() -> None:
     splats, turn = surfaced(cloud(200)), similarity((1, 2, 3), (0.1, 0.4, -0.3, 0.8), 1.7)
     made = transformed(splats, turn).surface
-    assert made is not None and splats.surface is not None
     wanted = splats.surface.units @ (turn[:3, :3] / 1.7).T
     assert np.abs(made.units - wanted).max() < 0.01
     squeezed = transformed(splats, np.diag([3.0, 1, 1, 1])).surface  # a plane's normal leans away from what grows
-    assert squeezed is not None
     leaning = splats.surface.units / (3, 1, 1)
     leaning /= np.maximum(np.linalg.norm(leaning, axis=1, keepdims=True), 1e-9)
     assert np.abs(squeezed.units - leaning).max() < 0.01
     avatar = surfaced(limb(100))
     posed = posed_splats(avatar, Pose(np.array([[0, 0, np.pi / 2], [0, 0, 0], [0, 0, 0], [0, 0, 0]]))).surface
-    assert posed is not None and avatar.splats.surface is not None
     x, y, z = avatar.splats.surface.units.T
     assert np.abs(posed.units - np.stack([-y, x, z], axis=1)).max() < 0.01
 
@@ -97,7 +91,6 @@ def test_fewer_splats_take_the_surface_of_those_they_stand_for() -> None:
     away = splats.means / np.linalg.norm(splats.means, axis=1, keepdims=True)
     splats = replace(splats, surface=Surface.of(away.astype(float), np.full(400, 0.5), np.full((400, 3), 0.7)))
     few = merged(splats, 150)
-    assert few.surface is not None
     outside = np.linalg.norm(few.means, axis=1) > 0.4
     direction = few.means / np.linalg.norm(few.means, axis=1, keepdims=True)
     assert (few.surface.units * direction).sum(axis=1)[outside].min() > 0.7

@@ -96,7 +96,6 @@ def test_an_item_is_posed_once_for_all_viewers(renderer_of: Make) -> None:
         levels[name] = renderer.stats.levels
     assert len(set(levels.values())) == 3
     in_use = {(i, level) for chosen in levels.values() for i, level in enumerate(chosen)}
-    assert renderer._staged is not None
     made = renderer._staged.arenas
     for tick in range(5):
         for i, item in enumerate(items):

@@ -171,7 +171,6 @@ def test_choices_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch)
     thing = leveled()
     items = [Item(thing, transform=similarity((x, 0, 0))) for x in (-0.3, 0, 0.3)]
     renderer = renderer_of(Scene(items), level="auto")
-    assert renderer._staged is not None
     for x in np.linspace(0, 1, 30):
         for item, depth in zip(items, (-30 * x, -12 * x, -5 * x), strict=True):
             item.transform = similarity((0, 0, float(depth)))

@@ -88,7 +88,6 @@ def test_only_what_moved_is_posed_again(renderer_of: Make) -> None:
     scene = Scene([first, second, still])
     renderer = renderer_of(scene, views=2)
     renderer.render(eyes())
-    assert renderer._staged is not None
     arena, arenas = renderer._staged.arena, renderer._staged.arenas
     assert arena.runs == 3  # one an item
     renderer.render(eyes())
@@ -129,7 +128,6 @@ def test_pipelines_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatc
     for size in range(8, 40):
         renderer.resize(size, size)
         renderer.render(eyes(size))
-    assert renderer._staged is not None and renderer._staged._drawable is not None
     pipelines = renderer._staged._drawable.pipelines
     assert len(pipelines) <= drawable._KEPT
     monkeypatch.setattr(pipelines, "most_bytes", 1)

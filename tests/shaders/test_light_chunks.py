@@ -24,7 +24,6 @@ void main() { factor = shading(int(at), mat3(c0, c1, c2)); shown = lit(colour, f
 
 def surfaces_of(splats: Splats) -> np.ndarray:
     """The texture of one row of the arena."""
-    assert splats.surface is not None
     rows = np.zeros((ROW, 2, 4))
     n = len(splats)
     rows[:n, 0, :3] = splats.surface.in_axes(signed_axes(splats.quats, splats.scales))

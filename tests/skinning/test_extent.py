@@ -53,7 +53,6 @@ def check(avatar: Avatar, largest: float, typical: float, short: float) -> None:
     for pose in poses(avatar):
         bones = pose.bones(avatar.skeleton)
         box, posed = extent.box(bones), reference.skin(avatar.splats, avatar.skin, bones)
-        assert box is not None
         inside = ((posed.means >= box[0]) & (posed.means <= box[1])).all(axis=1)
         assert inside.mean() >= 0.995
         reach = 2 * np.linalg.norm(posed.shapes, axis=2)

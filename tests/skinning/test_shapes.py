@@ -173,7 +173,6 @@ def test_parts_of_an_avatar_keep_their_shapes() -> None:
     avatar = expressive(200)
     joint = avatar.skeleton.names[2]
     one, other = avatar.only(joint), avatar.without(joint)
-    assert one.shapes is not None and other.shapes is not None and avatar.shapes is not None
     assert one.shapes.splats == len(one.splats)
     assert len(one.shapes.targets) + len(other.shapes.targets) == len(avatar.shapes.targets)
 
@@ -204,7 +203,6 @@ def test_the_thin_axis_is_the_first_of_the_least() -> None:
 
 def test_no_splat_moves_farther_than_is_said() -> None:
     avatar = expressive(300)
-    assert avatar.shapes is not None
     weights = np.array([0.5, 1.0, 0.2, 0.0])
     moved = reference.expressed(avatar.splats, avatar.shapes, weights).means - avatar.splats.means
     assert 0 < np.linalg.norm(moved, axis=1).max() <= avatar.shapes.farthest(weights)

@@ -28,7 +28,6 @@ def played(seconds: float, yaw=lambda t: 0.0, faces=(), seed=3, rate=RATE) -> li
 
 def in_world(sample: Sample, eye="left_eye") -> np.ndarray:
     x, y, z = getattr(sample, eye)
-    assert sample.head is not None
     _, qy, _, qw = sample.head[3:]
     yaw = 2 * np.arctan2(qy, qw)
     return np.array([cos(yaw) * x + sin(yaw) * z, y, cos(yaw) * z - sin(yaw) * x])

@@ -39,8 +39,7 @@ def test_a_failed_recording_leaves_the_old_file(stage: Stage, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["{", "[1, 2]", '{"t": 0}', '{"head": [1, 2]}', '{"head": "here"}', "null", "\x00\x01", "[" * 100_000],
+    "text", ["{", "[1, 2]", '{"t": 0}', '{"head": [1, 2]}', '{"head": "here"}', "null", "\x00\x01", "[" * 100_000]
 )
 def test_bad_lines_name_file_and_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "rec.jsonl"

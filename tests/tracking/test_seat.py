@@ -46,7 +46,6 @@ def test_a_seated_start_is_told_and_sits(stage: Stage, track: Track, lean: float
 def test_who_gets_up_stands(stage: Stage, track: Track) -> None:
     samples = seated(stage, 6.0)
     top = samples[-1].head
-    assert top is not None
     for i, t in enumerate(seconds(3.0, 1 / RATE)):
         up = 0.5 - 0.5 * np.cos(np.pi * min(t, 1.0))
         height = top[1] + up * (0.98 * stage.body.eye_height - top[1])

@@ -139,7 +139,6 @@ def test_a_calibration_learns_how_they_are_mounted(skeleton: Skeleton, tmp_path:
     """Against the mounts that ``derive`` gave them: the joint in the tracker's frame is the inverse of those."""
     found = fitted(skeleton, ("waist", "feet"))
     for mount, (offset, vector) in zip(found.mounts, MOUNTS, strict=True):
-        assert mount is not None
         turn = rotation_matrices(np.array(vector))
         np.testing.assert_allclose(mount[:3], -turn.T @ np.array(offset), atol=0.003)
         x, y, z, w = mount[3:]

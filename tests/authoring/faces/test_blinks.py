@@ -41,7 +41,6 @@ def seeing() -> RiggedMesh:
 
 def shut(mesh: RiggedMesh) -> np.ndarray:
     """[V, 3] the offsets of a blink of both eyes."""
-    assert mesh.morphs is not None
     return mesh.morphs.moved(Pose(STILL, expression=dict.fromkeys(BLINKS, 1.0)), len(mesh.vertices))
 
 

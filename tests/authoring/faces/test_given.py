@@ -38,7 +38,6 @@ def faced() -> Avatar:
 
 def posed(**expression: float) -> reference.SkinnedSplats:
     made = faced()
-    assert made.shapes is not None
     weights = made.shapes.weights(expression)
     bones = Pose(STILL).bones(made.skeleton)
     return reference.skin(made.splats, made.skin, bones, shapes=made.shapes, expression=weights)
@@ -150,7 +149,6 @@ def test_the_mouth_of_a_photograph_without_colours_is_grey() -> None:
 
 def test_a_tongue_that_is_put_out_parts_the_lips_and_hangs() -> None:
     mesh, body = face().mesh, open_body()
-    assert mesh.morphs is not None
     moved = mesh.vertices + mesh.morphs.dense("tongueOut", len(mesh.vertices))
     straight = mesh.vertices + with_expressions(person(), of_open_body(mesh)).morphs.dense("tongueOut", len(moved))
     upper, lower = mouth_lining().upper, mouth_lining().lower
@@ -198,7 +196,6 @@ def test_where_no_eye_is_seen_what_the_photograph_has_there_stays() -> None:
 
 def test_an_eye_that_is_shut_has_a_face_all_the_same() -> None:
     mesh = face().mesh
-    assert mesh.morphs is not None
     shut = mesh.morphs.dense("eyeBlinkLeft", len(mesh.vertices))
     right = [eye for eye in face().eyes if "left" not in eye.ball.joint]
     blind = MovingFace(replace(mesh, vertices=mesh.vertices + shut), right)

@@ -173,7 +173,6 @@ def test_an_eye_whose_ball_comes_through_its_lids_gets_one_too() -> None:
     """Fits of people who smile shut their lids within the ball, which is what is seen."""
     mesh = person()
     morphs = with_expressions(mesh, np.arange(len(mesh.vertices))).morphs
-    assert morphs is not None
     blink = sum(morphs.dense(name, len(mesh.vertices)) for name in BLINKS)
     squinting = replace(mesh, vertices=mesh.vertices + blink)
     for ball in eyeballs(mesh, "eyes"):

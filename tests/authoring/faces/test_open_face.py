@@ -57,7 +57,6 @@ def test_lower_teeth_go_with_the_jaw_as_one_piece_and_upper_ones_stay() -> None:
     same = np.arange(len(mesh.vertices))
     made = with_mouth(with_expressions(mesh, same), same)
     assert [one.name for one in made.parts] == ["skin", "eyes", "mouth", "teeth"]  # the tongue is in the mouth
-    assert made.morphs is not None
     first, face = len(mesh.vertices), open_face()
     moved = made.morphs.moved(Pose(STILL, expression={"jawOpen": 1.0}), len(made.vertices))[first:]
     assert not moved[~face.lower].any()
@@ -92,7 +91,6 @@ def test_a_person_without_a_tongue_gets_one_that_can_be_shown() -> None:
     same = np.where(np.isin(np.arange(len(mesh.vertices)), without.faces), np.arange(len(mesh.vertices)), -1)
     made = with_mouth(with_expressions(without, same), same)
     assert [one.name for one in made.parts] == ["skin", "eyes", "teeth", "tongue"]
-    assert made.morphs is not None
     tongue = np.unique(made.parts[-1].faces)
     moved = made.morphs.moved(Pose(STILL, expression={"tongueOut": 1.0}), len(made.vertices))[tongue]
     assert moved[:, 2].max() > 0.015

@@ -38,7 +38,6 @@ def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
         reach = np.linalg.norm(np.concatenate([edges.upper_at, edges.lower_at]) - ball.centre, axis=1) / ball.radius
         assert reach.min() > 0.85 and reach.max() < 1.4
         side = "Left" if ball.joint.startswith("left") else "Right"
-        assert mesh.morphs is not None
         shut = mesh.morphs.moved(Pose(STILL, expression={f"eyeBlink{side}": 1.0}), len(mesh.vertices))
         middle = slice(len(edges.side) // 3, 2 * len(edges.side) // 3)
         assert shut[mesh.faces[edges.upper_face[middle]], 1].mean() < -0.004
@@ -72,7 +71,6 @@ def smiling() -> Avatar:
 
 def test_an_expression_as_an_affine_map_is_what_skinning_does() -> None:
     avatar = smiling()
-    assert avatar.shapes is not None
     weights = avatar.shapes.weights({"jawOpen": 0.6, "mouthSmileLeft": 1.0, "browInnerUp": 0.3})
     assert weights is not None
     bend, move = deformed(avatar.shapes, avatar.splats, weights)

@@ -142,7 +142,6 @@ def test_the_turn_of_faces(pose: str) -> None:
         taken = standing(person, pose)
         front = person.camera.viewmat[:3, :3] @ person.mesh.skeleton.forward(taken.rotations, taken.trans)[0, :3, 2]
         read = find_person(person.shown(taken))
-        assert read is not None
         focal, middle = float(person.camera.K[0, 0]), person.camera.width / 2
         turn = face_turn(body, read.face, focal, middle)
         assert turn == pytest.approx(float(np.degrees(np.arctan2(front[0], -front[2]))), abs=6)

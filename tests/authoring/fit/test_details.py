@@ -103,7 +103,6 @@ def test_a_bent_and_twisted_hand_is_found_again(side: str) -> None:
     (fit, views), true = fitted("front"), bent(side)
     marks = hand_marks(true, side)
     found = fit_hand(open_body(), fit, fit.views[0], views[0], hand_at(marks), side)
-    assert found is not None
     assert off(body_pose(), true, side) > 9 and off(found, true, side) < 2
     other = [k for k, name in enumerate(JOINT_NAMES) if not name.startswith(f"{side}_")]
     assert (found[other] == body_pose()[other]).all()
@@ -120,7 +119,6 @@ def test_left_and_right_hands_are_mirrored() -> None:
         for side in ("left", "right")
     ]
     rows = [[JOINT_NAMES.index(f"{side}_{name}") for name in FINGERS] for side in ("left", "right")]
-    assert both[0] is not None and both[1] is not None
     assert np.allclose(both[0][rows[0]], both[1][rows[1]] * (1, -1, -1), atol=0.05)
 
 
@@ -165,7 +163,6 @@ def face_at(moved: np.ndarray, turn: np.ndarray = TURN, presence: float = 1.0) -
 def test_a_turned_and_other_face_is_found_again() -> None:
     (fit, views), body, true = fitted("front"), open_body(), other_face()
     found = fit_face(body, fit, fit.views[0], views[0], face_at(true))
-    assert found is not None
     head, table = JOINT_NAMES.index("head"), face_places()
     neck = [JOINT_NAMES.index("neck"), head]
     assert np.abs(found[0][neck].sum(axis=0) - body_pose()[neck].sum(axis=0) - TURN).max() < 0.04
@@ -197,7 +194,6 @@ def test_a_hidden_half_follows_the_one_that_is_seen(rng: np.random.Generator) ->
     points = face.points.copy()
     points[table.numbers[hidden], :2] += rng.normal(0, 8, (int(hidden.sum()), 2))  # the network guesses
     found = fit_face(body, fit, fit.views[0], views[0], Face(points, 1.0, CROP))
-    assert found is not None
     left = np.linalg.norm(table.of(body, found[1] - true)[:, :2], axis=1)
     assert left[hidden].mean() < 0.004 and left[~hidden].mean() < 0.003
 
@@ -216,7 +212,6 @@ def test_a_face_that_was_found_elsewhere_is_followed_farther() -> None:
     points = face.points + (0, 0.05 * metre, 0)
     assert fit_face(open_body(), fit, fit.views[0], views[0], Face(points, 0.6, CROP)) is None
     found = fit_face(open_body(), fit, fit.views[0], views[0], Face(points, 0.6, CROP, elsewhere=True))
-    assert found is not None
     for side in ("left", "right"):
         assert found[1][eyeball(open_body(), side).vertices[0], 1] < -0.02
 

@@ -48,7 +48,6 @@ def test_participants(name: str) -> None:
     needs_networks()
     person = capture(name)
     read = find_person(person.picture)
-    assert read is not None
     mask = person_mask(person.picture, read.body)
     view = View(mask, read.body.points, read.body.visible, float(person.camera.K[0, 0]))
     fit = fit_body([view])
@@ -67,5 +66,4 @@ def test_hair_over_an_eye(name: str, hidden: str) -> None:
     needs_networks()
     picture = capture(name).picture
     read = find_person(picture)
-    assert read is not None
     assert {side for side, look in read_eyes(picture, read.face).items() if not look.seen} == {hidden}

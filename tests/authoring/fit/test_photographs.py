@@ -45,7 +45,6 @@ def test_people_as_they_stand(shots: dict[str, tuple[CheckedPhoto, str]]) -> Non
             continue
         assert not shot.capture.refused, (name, findings)
         assert ("face" in [finding.code for finding in findings]) == (name == "11.jpg"), (name, findings)  # a mask
-        assert shot.capture.person is not None
         body, focal = shot.capture.person.body, PHONE * max(shot.photo.picture.shape[:2])
         face = face_turn(open_body(), shot.capture.person.face, focal, shot.photo.picture.shape[1] / 2)
         fit = fit_body([View(shot.capture.mask, body.points, body.visible, focal, world=body.world, face=face)])
@@ -68,7 +67,6 @@ def test_made_up_people_who_do_not_pose(pose: str, most: float) -> None:
         taken = standing(person, pose)
         picture = person.shown(taken)
         read = find_person(picture)
-        assert read is not None
         mask = person_mask(picture, read.body)
         focal = float(person.camera.K[0, 0])
         face = face_turn(open_body(), read.face, focal, picture.shape[1] / 2)

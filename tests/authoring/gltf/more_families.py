@@ -194,7 +194,7 @@ NAMED = {
             **sided(hip="leg_{L}0_0_jnt", knee="leg_{L}0_1_jnt", ankle="foot_{L}0_0_jnt"),
             **sided(collar="shoulder_{L}0_0_jnt", shoulder="arm_{L}0_0_jnt", elbow="arm_{L}0_1_jnt"),
             **sided(wrist="arm_{L}0_2_jnt"),
-        },
+        }
     ),
     "ARKit": Named(
         {
@@ -227,7 +227,7 @@ NAMED = {
             **_trunk("Pelvis", "L5", "L3", "T8", "Neck", "Head"),
             **sided(hip="{S}UpperLeg", knee="{S}LowerLeg", ankle="{S}Foot", foot="{S}Toe", collar="{S}Shoulder"),
             **sided(shoulder="{S}UpperArm", elbow="{S}ForeArm", wrist="{S}Hand"),
-        },
+        }
     ),
     "a robot with joints in words": Named(
         {
@@ -333,6 +333,6 @@ NAMED = {
             **_trunk("hips", "spine", "chest", "neck", "head"),
             **sided(hip="leg1_{L}", knee="leg2_{L}", ankle="foot_{L}", shoulder="arm1_{L}", elbow="arm2_{L}"),
             **sided(wrist="hand_{L}"),
-        },
+        }
     ),
 }

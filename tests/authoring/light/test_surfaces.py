@@ -97,7 +97,6 @@ def test_colours_that_no_photograph_gave_hold_no_light() -> None:
     normals = vertex_normals(mesh.vertices, mesh.faces)
     captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count), normals)
     surface = with_captured_light(on_the_vertices(mesh, 100), mesh, captured, 90).splats.surface
-    assert surface is not None
     assert surface.shades[:90] == pytest.approx(0.5, rel=0.02) and surface.shades[90:] == pytest.approx(1.0)
 
 
@@ -116,7 +115,6 @@ def test_only_what_lies_before_a_head_is_mixed_as_seen() -> None:
         captured = CapturedLight(Light.uniform(), np.full(count, 0.5), np.ones(count), normals)
         avatar = on_the_vertices(mesh, count)
         surface = with_captured_light(avatar, mesh, captured).splats.surface
-        assert surface is not None
         away = avatar.splats.means[len(vertices) :] - (0, 1, 0)
         out = (surface.units[len(vertices) :] * away).sum(axis=1) / np.linalg.norm(away, axis=1)
         assert (np.median(out) > 0) == changes, name

@@ -137,7 +137,6 @@ def test_a_face_without_eyes_is_looked_for_nearby(
 def test_swapping_twice_is_nothing() -> None:
     needs_networks()
     body = person.find_body(capture("p02").picture)
-    assert body is not None
     other = swapped(body)
     assert np.array_equal(other.point("left_knee"), body.point("right_knee")) and not np.array_equal(
         other.world, body.world

@@ -29,7 +29,6 @@ def test_it_comes_back_to_the_byte_with_its_levels(shaded: bool) -> None:
     for one, was in ((back, first), (back.levels[0].content, coarse)):
         at = [int(np.abs(was.splats.means - mean).sum(axis=1).argmin()) for mean in one.splats.means]
         found, expected = one.splats.surface, was.splats.surface
-        assert found is not None and expected is not None
         wanted = expected.take(at)
         assert np.array_equal(found.normals, wanted.normals) and np.array_equal(found.occlusion, wanted.occlusion)
         assert (found.shade is None) == (wanted.shade is None)
