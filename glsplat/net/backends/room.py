@@ -166,7 +166,7 @@ class RoomRenderer:
         """What is shown of somebody who is new. Raises what keeps the viewer's own avatar from being had."""
         try:
             return _shown(one, self._figure_of(one.avatar))
-        except (GlsplatError, OSError) as error:
+        except (GlsplatError, OSError, KeyError) as error:
             if one.key == view.viewer:
                 raise
             log.warning("person %d of a room is not shown to the others: %s", one.key, error)
