@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from typing import Any
 
 import pytest
@@ -13,11 +14,17 @@ __all__ = ["mistake", "ok", "parsed", "run"]
 
 
 def run(*words: object) -> int:
-    """The exit code of ``glsplat WORDS``."""
+    """The exit code of ``glsplat WORDS``; log records go where they went before."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
     try:
         return main([str(word) for word in words])
     except SystemExit as end:  # argparse's
         return int(end.code or 0)
+    finally:
+        root.handlers[:] = handlers
+        root.setLevel(level)
+        logging.captureWarnings(False)
 
 
 def ok(capsys: pytest.CaptureFixture[str], *words: object) -> str:

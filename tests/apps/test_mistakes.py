@@ -306,6 +306,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "text.jpg").write_text("neither a picture nor splats")
     (folder / "degrees.json").write_text('{"joints": {"joint1": [0, 0, 90]}}')
     (folder / "mark").write_text("1a2b " + b"sixteen bytes 01".hex())
+    (folder / "mark").chmod(0o600)
     (folder / "r.jsonl").write_text(json.dumps({"t": 0.0, "head": [0, 1.6, 0, 0, 0, 0, 1]}) + "\n")
     assert cli.main(["avatar", "consent", "--new-key", str(folder / "key")]) == 0
     path = write(folder, SMALL.replace("latency = 150", 'avatar = "{participant}.glb"'))

@@ -38,6 +38,7 @@ def pictures():
 def key(tmp_path):
     path = tmp_path / "key"
     path.write_text(text_of(OWNER))
+    path.chmod(0o600)
     return path
 
 

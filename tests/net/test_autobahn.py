@@ -16,14 +16,14 @@ from glsplat.net.conversation import Conversation
 from glsplat.net.server import Server, ServerConfig
 from tests.net.wire import UNLIMITED
 
+pytestmark = pytest.mark.check
+
 pytest.importorskip("kosoku")
 
 # in a process of its own: it patches the standard library and puts old case files on the module path
 RUN = """
 import asyncio, json, os, sys
 from kosoku import FailureError, run_fuzzingclient
-
-pytestmark = pytest.mark.check
 
 async def main():
     url, cases, without = json.loads(sys.argv[1])

@@ -54,16 +54,17 @@ def test_the_reach_of_joints_is_to_the_farthest_vertex_that_rides_them() -> None
 
 
 @pytest.mark.gl
-def test_bytes_of_an_item(context: Context, current: None) -> None:
+def test_bytes_of_an_item(context: Context) -> None:
     """An avatar with expressions has its own buffers and theirs."""
     avatar = expressive(300)
     assert avatar.skin is not None and avatar.shapes is not None
-    parts = [
-        ItemBuffers(context, Programs(context.ctx), avatar.splats, avatar.skin, 4, False, shapes)
-        for shapes in (None, avatar.shapes)
-    ]
-    plain, whole = (part.nbytes for part in parts)
+    with context.ctx:
+        parts = [
+            ItemBuffers(context, Programs(context.ctx), avatar.splats, avatar.skin, 4, False, shapes)
+            for shapes in (None, avatar.shapes)
+        ]
+        plain, whole = (part.nbytes for part in parts)
+        for part in parts:
+            part.release()
     assert plain == 300 * (11 * 4 + avatar.skin.joints.itemsize * 4 + avatar.skin.weights.itemsize * 4)
     assert whole - plain >= avatar.shapes.texels().nbytes
-    for part in parts:
-        part.release()

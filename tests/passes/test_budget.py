@@ -60,7 +60,7 @@ def test_slices_end_where_the_records_do(renderer_of, context, rng, monkeypatch,
         pytest.skip("this driver cannot")
     renderer = renderer_of(scene(rng), size=SIZE, sorter=sorter, fetch=fetch)
     aside = [Camera(look_at((0, 0, 2.5), (1.6, 0, 0)), pinhole(*SIZE), *SIZE)]
-    whole = PictureBudget().render(renderer, aside)
+    whole = PictureBudget().render(renderer.prepare(aside))
     drawn, cost = renderer.stats.drawn, renderer.stats.cost
     renderer.render(pair()[:1])
     assert renderer.stats.drawn > drawn + 20
@@ -73,7 +73,7 @@ def test_slices_end_where_the_records_do(renderer_of, context, rng, monkeypatch,
 
     monkeypatch.setattr(DrawPass, "run_slices", noted)
     slices = PictureBudget(slice_cost=cost / 5, abandoned=lambda: False)
-    np.testing.assert_array_equal(slices.render(renderer, aside), whole)
+    np.testing.assert_array_equal(slices.render(renderer.prepare(aside)), whole)
     assert len(ends) >= 4 and ends == sorted(ends) and ends[-1] == drawn
 
 

@@ -24,13 +24,13 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.workers.options import Workers
 from tests.net.workers.fakes import GUARD, Seen, until, until_more, watching
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).resolve().parents[3]
 GATEWAY = """
 import asyncio, json, sys
 from glsplat.net.server import Server, ServerConfig
 from tests.net.workers.fakes import pool
-
-pytestmark = pytest.mark.check
 if __name__ == "__main__":
     server = Server(pool(2), ServerConfig(port=int(sys.argv[1])))
     asyncio.run(server.run(lambda: print(json.dumps(server.render_loop.workers()), flush=True)))
