@@ -353,6 +353,7 @@ def test_a_pass_that_cannot_be_made_leaves_nothing(context: Context, monkeypatch
             context.ctx.gc_mode = None
 
 
+@pytest.mark.check
 def test_nothing_is_left_behind(context: Context) -> None:
     """Render, resize, load another scene and release, 50 times: no GL object stays, memory does not grow."""
     import psutil

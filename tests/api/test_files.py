@@ -302,6 +302,7 @@ def test_a_file_that_may_not_be_written_is_not_replaced() -> None:
         assert path.read_bytes() == b"precious" and len(list(Path(folder).iterdir())) == 1
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_disk_that_is_full_leaves_the_old_file_and_nothing_else(tmp_path: Path, suffix: str) -> None:
     """The system refuses in the middle of writing: a limit on the size of files stands in for the disk."""

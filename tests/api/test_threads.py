@@ -121,6 +121,7 @@ def test_run_in_thread_from_many_threads_and_asyncio() -> None:
     assert not [t for t in threading.enumerate() if t.name.startswith("glsplat renderer")]
 
 
+@pytest.mark.check
 def test_what_was_dropped_is_freed_and_named() -> None:
     kind = KINDS[0]
     for make, name in ((kind.make, "a Renderer .500 splats, 64x64."), (KINDS[-1].make, "a MeshRenderer .64x64.")):
@@ -142,6 +143,7 @@ def resident() -> float:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE") / 2**20
 
 
+@pytest.mark.check
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_dropped_renderers_do_not_add_up() -> None:
@@ -196,6 +198,7 @@ def test_dropped_on_another_thread_is_freed_on_its_own() -> None:
     stays.release()
 
 
+@pytest.mark.check
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_dropped_in_the_middle_of_a_frame() -> None:
     """The collector runs whenever it likes: what shares the context waits until the frame is over."""
@@ -260,6 +263,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.check
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 @pytest.mark.parametrize("script", [FORK, SPAWN], ids=["fork", "spawn"])
 def test_children(script: str, tmp_path: Path) -> None:

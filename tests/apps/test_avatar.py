@@ -64,6 +64,7 @@ def person(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.check
 @pytest.mark.usefixtures("quickly_made")
 def test_make_import_export(person, tmp_path, monkeypatch, capsys):
     for name, value in {"size": 48, "test_size": 64, "tests": 2, "choosing": 2}.items():

@@ -46,6 +46,7 @@ def test_another_dilation_is_drawn_in_numpy(scene: Splats, monkeypatch: pytest.M
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_cones_are_the_same_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     quick = ConeConfig(directions=32, size=40, psnr=40, choosing=3, tests=3, rounds=1, test_size=44)
     fast = with_cones(ball(800), quick)

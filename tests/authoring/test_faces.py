@@ -216,6 +216,7 @@ def test_a_vrm_blinks(tmp_path: Path) -> None:
 
 
 @pytest.mark.check
+@pytest.mark.check
 @pytest.mark.shared
 def test_an_avatar_of_the_open_body_has_its_52(tmp_path: Path) -> None:
     body = read_body(SHARED_DATA / "people/open_body55.npz")
@@ -249,6 +250,7 @@ def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
     assert (cones[np.diff(face.shapes.starts) > 0, 3] == -127).all()
 
 
+@pytest.mark.check
 @pytest.mark.check
 def test_the_fit_without_compiled_loops_carries_shapes_and_surface() -> None:
     mesh = rigged(ball(0.3))

@@ -220,6 +220,7 @@ def test_gradients_are_finite_differences(rng, antialias):
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_fitting_comes_closer_to_the_mesh():
     mesh = rigged(ball())
     start = made(mesh, 150)

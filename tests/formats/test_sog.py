@@ -232,6 +232,7 @@ def test_codebook(rng: np.random.Generator) -> None:
     assert (book[index] - normal).std() < 1.15 * math.sqrt(math.sqrt(3) * math.pi / 2) / 256
 
 
+@pytest.mark.check
 def test_palette(rng: np.random.Generator) -> None:
     assert [palette_size(n) for n in (0, 1, 3, 1023, 1024, 31_000, 10**6)] == [0, 1, 2, 512, 1024, 16384, 65536]
     few = rng.normal(size=(100, 9)).astype(np.float32)

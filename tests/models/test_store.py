@@ -127,6 +127,7 @@ def test_a_source_archive_is_pinned_and_the_two_are_apart(tmp_path, monkeypatch)
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_pip_runs_nothing_of_a_source_archive(tmp_path, monkeypatch) -> None:
     """Real pip, a folder instead of an index, an archive whose setup.py leaves a trace if it is run."""
     trace = tmp_path / "it-ran"

@@ -66,6 +66,7 @@ def test_who_looks_at_the_avatar_is_looked_at():
     assert looked_at(ASIDE, eyes=eyes_at(ASIDE)) > 0.6
 
 
+@pytest.mark.check
 def test_before_a_mirror_its_user_meets_the_own_eyes():
     """A mirror at x = .3: the eye that is sent is FLIP_X of the image, and the image is what is looked at."""
     image = [0.7, 1.6, -1.6]
@@ -73,6 +74,7 @@ def test_before_a_mirror_its_user_meets_the_own_eyes():
     assert looked_at(image, eyes=eyes_at(mirrored), mirror=True) > 0.6
 
 
+@pytest.mark.check
 def test_the_own_eyes_are_no_face():
     assert looked_at([0.0, 1.6, -5.0], eyes=eyes_at(HEAD[:3])) == looked_at([0.0, 1.6, -5.0], want="pose")
 

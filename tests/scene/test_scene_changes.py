@@ -135,6 +135,7 @@ def test_pipelines_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatc
     assert len(pipelines) == 1
 
 
+@pytest.mark.check
 def test_coming_and_going_leaves_nothing(context: Context) -> None:
     """100 times an item comes, is drawn and goes: no GL object stays."""
     with context.ctx:

@@ -57,6 +57,7 @@ def at_the_end(folder: Path) -> str:
     return str(live.session.state.answers["words"])
 
 
+@pytest.mark.check
 def test_a_log_is_exported_in_constant_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", lambda file: None)

@@ -185,6 +185,7 @@ def test_a_level_head_low_over_the_floor_that_trembles_does_not_shake_the_body(
     assert moved(track(samples))[144:].max() < 2.0
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("height", [0.7, 0.8])
 def test_a_slow_turn_in_a_deep_squat_takes_steps_without_kicks(stage: Stage, track: Track, height: float) -> None:
     """The thighs are asked for more flexion than hips have; a swinging foot itself moves at 2 m/s."""

@@ -61,6 +61,7 @@ raise SystemExit(apps.cli.main(["avatar", "reduce", "no.glb", "-o", "out.glb", "
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_all_that_can_do_without_it_does(tmp_path: Path) -> None:
     words = [sys.executable, "-c", WITHOUT]
     at = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -239,6 +239,7 @@ def drawn(avatar: Avatar, values: np.ndarray, camera: Camera, pose: Pose) -> np.
     return prints.picture(values[:, 10:])
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(("antialias", "pose"), [pytest.param(False, None, marks=pytest.mark.check), (True, BENT)])
 def test_the_slope_by_every_number_is_that_of_finite_differences(antialias: bool, pose: Pose | None) -> None:
     avatar, other = person(antialias, 0), person(antialias, 9)

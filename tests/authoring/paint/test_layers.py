@@ -126,6 +126,7 @@ def test_prints_are_in_the_middle_alone_and_stripes_are_not() -> None:
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     """The made-up person's left arm is said to be over the trunk by its label: a stripe of green on the belly."""
     scene = photographed("front")

@@ -13,6 +13,7 @@ from tests.authoring.paint.scene import photographed
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_the_picture_comes_back() -> None:
     scene = photographed("front")
     rng = np.random.default_rng(0)

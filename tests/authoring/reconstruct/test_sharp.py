@@ -92,6 +92,7 @@ def test_large_photographs_are_looked_at_smaller(scene: Scene, painted: tuple[Av
     assert missed(painted[0], small) < 1.2 * missed(painted[0], whole)
 
 
+@pytest.mark.check
 @pytest.mark.gl
 def test_the_photograph_comes_back(
     scene: Scene, painted: tuple[Avatar, Colours], monkeypatch: pytest.MonkeyPatch

@@ -78,6 +78,7 @@ def test_smaller_pictures_of_the_texture_find_nothing_unpainted() -> None:
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_eyes_have_texels_enough() -> None:
     """An iris is 12 mm wide."""
     eyes = baked(person(), by_place, 2048).parts[1]

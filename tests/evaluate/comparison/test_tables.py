@@ -72,6 +72,7 @@ def compare(
     return results
 
 
+@pytest.mark.check
 @pytest.mark.usefixtures("no_lpips", "strangers")
 @pytest.mark.parametrize("name", WRONG)
 def test_tables_are_those_by_hand(people, pictures, tmp_path, monkeypatch, name) -> None:

@@ -111,6 +111,7 @@ def test_results_hold_for_their_files_and_protocol_alone(people, short, tmp_path
         assert finished(task) == []
 
 
+@pytest.mark.check
 def test_what_fails_says_why_and_the_others_count(people, short, tmp_path) -> None:
     folder = tmp_path / "people"
     folder.mkdir()

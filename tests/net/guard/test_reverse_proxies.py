@@ -25,6 +25,8 @@ from tests import needs
 from tests.net.conftest import Serve
 from tests.net.wire import HANG, UPGRADE, all_of, frame, native
 
+pytestmark = pytest.mark.check
+
 DOCS = (Path(__file__).parents[3] / "docs" / "deploying.md").read_text(encoding="utf-8")
 SECTION = DOCS[DOCS.index("## Behind a reverse proxy") : DOCS.index("## A UDP port")]
 NAME = "avatars.example.org"

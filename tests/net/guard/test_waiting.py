@@ -218,6 +218,7 @@ async def gone_without_reading(peer: socket.socket) -> None:
     await asyncio.sleep(0.05)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(("attack", "count"), [(refused, 60), (half_closed, 60), (gone_without_reading, 45)])
 def test_at_the_limit_of_descriptors_newcomers_are_answered(
     cameras: object, tmp_path: Path, attack: Callable[[socket.socket], Awaitable[None]], count: int

@@ -30,6 +30,7 @@ def arm() -> np.ndarray:
     return cv2.line(np.zeros((260, 160), np.uint8), (20, 120), (140, 140), 1, 30) > 0
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     "kind", ["stripes", *(pytest.param(kind, marks=pytest.mark.check) for kind in ("aslant", "checks"))]
 )
@@ -45,6 +46,7 @@ def test_a_pattern_goes_on_behind_an_arm(kind: str) -> None:
 
 
 @pytest.mark.check
+@pytest.mark.check
 def test_a_person_twice_as_large_is_filled_as_well() -> None:
     true, hole = (cv2.resize(some, None, fx=2, fy=2) for some in (cloth("stripes"), arm().astype(np.uint8)))
     hole = hole > 0
@@ -59,6 +61,7 @@ def test_where_nothing_is_known_nothing_changes() -> None:
     assert patched(true, ~hole, np.zeros_like(hole), HEIGHT) is true
 
 
+@pytest.mark.check
 @pytest.mark.check
 def test_only_what_the_body_has_behind_an_arm_is_carried_on() -> None:
     """The trunk ends beside the arm's tip; a thing over it hides it as an arm does, a thin rim of nobody's does not."""
