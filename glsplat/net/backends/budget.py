@@ -17,17 +17,20 @@ if TYPE_CHECKING:
 __all__ = ["PictureBudget", "others_share"]
 
 _LARGE = 2 * 2048 * 2048  # pixels of a picture to which others may add all that it may cost; smaller ones in proportion
+_EACH = 0.5  # of that for one of them
 _SPLAT_PIXELS = 64  # covered pixels of a splat in a view that are granted however small the picture is: four blocks
 
 
-def others_share(max_cost: float, views: Sequence[Camera], splats: int) -> float:
-    """Return the covered pixels that all other people of a room, of so many splats, may add to one member's picture.
+def others_share(max_cost: float, views: Sequence[Camera], splats: int, each: bool = False) -> float:
+    """Return the covered pixels that others of a room, of so many splats, may add to one member's picture.
 
-    Somebody whose eyes are nearly in one's own takes two fifths of it, a circle of eight people as much, so that nobody
-    meets it who does not force themselves on others (docs/protocol.md, section 5).
+    All of them together, or one (``each``). Somebody whose eyes are nearly in the viewer's takes four fifths of one's
+    share, a circle of eight people two fifths of all (docs/protocol.md, section 5): nobody meets either who does not
+    force themselves on others.
     """
     pixels = sum(view.width * view.height for view in views)
-    return max(max_cost * pixels / _LARGE, float(_SPLAT_PIXELS * len(views) * splats))
+    share = (_EACH if each else 1.0) * max_cost * pixels / _LARGE
+    return max(share, float(_SPLAT_PIXELS * len(views) * splats))
 
 
 class PictureBudget:

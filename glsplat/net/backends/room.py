@@ -108,25 +108,26 @@ class RoomRenderer:
     def prepare(self, job: RenderJob, max_cost: float) -> Prepared:
         """Prepare the picture of a request that ``follow`` was given, of which ``max_cost`` covered pixels are drawn.
 
-        Others who add too much to it (``others_share``) are drawn at coarser levels of detail, those who add most
-        first, and then left out. So only what the viewer looks from and at, and is, can cost more than ``max_cost``.
+        Others who add too much to it (``others_share``) are drawn at their coarsest level of detail, then left out.
+        So only the background and the viewer's own avatar can cost more than ``max_cost``.
         """
         view, views, renderer = _view(job), self.views(job), self.renderer
         others = [shown for key, shown in self._people.items() if shown is not None and key != view.viewer]
         if not (others and job.others):
             return renderer.prepare(views)
         share = job.others * others_share(max_cost, views, sum(shown.splats for shown in others))
+        each = {one: job.others * others_share(max_cost, views, one.splats, each=True) for one in others if one.splats}
         prepared = renderer.prepare(views)
         posed = renderer.stats.posed
         for reduce in (_coarser, _left_out, _left_out):  # again, should costs have been other than were expected
-            if prepared.cost <= min(share, max_cost):
+            if prepared.cost <= min(share, max_cost, *each.values()):
                 break
             prepared = renderer.prepare(views, itemised=True)
-            costs = {shown: sum(prepared.items.get(item, 0) for item in shown.items) for shown in others}
+            costs = {one: sum(prepared.items.get(item, 0) for item in one.items) for one in each}
             room = min(share, max_cost - (prepared.cost - sum(costs.values())))
-            if room < 0 or sum(costs.values()) <= room:
+            if room < 0 or (sum(costs.values()) <= room and all(costs[one] <= each[one] for one in each)):
                 break
-            reduce(costs, room)
+            reduce(costs, each, room)
             prepared = renderer.prepare(views)
         renderer.stats = replace(renderer.stats, posed=posed)
         return prepared
@@ -231,26 +232,26 @@ def _items(shown: _Shown | None) -> tuple[Item, ...]:
     return () if shown is None else shown.items
 
 
-def _coarser(costs: Mapping[_Shown, int], room: float) -> None:
+def _coarser(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
     """Draw those at their coarsest level of detail who cost more than they would, if all took as much at most."""
     left = most = room
     for number, cost in enumerate(sorted(costs.values())):  # what the others leave is shared by those who take more
         most = left / (len(costs) - number)
         left -= min(cost, most)
-    for shown, cost in costs.items():
-        for item in shown.items if cost > most else ():
-            item.finest = len(item.content.levels)  # type: ignore[union-attr]  # meshes cost nothing here
+    for one, cost in costs.items():
+        if cost > min(most, each[one]):
+            for item in one.items:
+                item.finest = len(item.content.levels)  # type: ignore[union-attr]  # no meshes: they have no cost here
 
 
-def _left_out(costs: Mapping[_Shown, int], room: float) -> None:
-    """Leave out those who cost most, as many as it takes for the others to have ``room``."""
+def _left_out(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
+    """Leave out those who cost more than one may, then those who cost most, until the others fit into ``room``."""
     total = sum(costs.values())
-    for shown, cost in sorted(costs.items(), key=lambda one: -one[1]):
-        if total <= room:
-            break
-        total -= cost
-        for item in shown.items:
-            item.layers = 0
+    for one, cost in sorted(costs.items(), key=lambda pair: -pair[1]):
+        if total > room or cost > each[one]:
+            total -= cost
+            for item in one.items:
+                item.layers = 0
 
 
 def _shown(one: VisiblePerson, figure: Rigged) -> _Shown:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -30,6 +30,7 @@ from glsplat.net.fields import PictureOptions
 from glsplat.net.messages import WireOptions
 from glsplat.net.rooms.view import RoomView, VisiblePerson
 from glsplat.net.server import ServerConfig
+from glsplat.passes.frame.key import KeyPass
 from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
@@ -169,7 +170,9 @@ def test_whatever_others_do_the_viewer_gets_a_picture(
         drawn = prepared(room, request, most)
         share = others_share(most, [VIEW], (1 + len(hostile)) * len(PERSON.splats))
         theirs = sum(cost for name, cost in costs(room, request).items() if name != "P0")
+        most_each = others_share(most, [VIEW], len(PERSON.splats), each=True)
         assert theirs <= share and drawn.cost <= most
+        assert all(cost <= most_each for name, cost in costs(room, request).items() if name != "P0")
         PictureBudget(most).render(prepared(room, request, most))
 
 
@@ -200,16 +203,16 @@ def test_they_are_drawn_coarser_before_they_are_left_out(room_of: Make) -> None:
 
 @pytest.mark.gl
 def test_rooms_without_attackers_do_nothing_more(room_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One preparation a picture, whose bytes are those of the same scene without any limit."""
+    """Splats are looked at once a picture, whose bytes are those of the same scene without any limit."""
     room = room_of()
-    calls: list[bool] = []
-    prepare = room.renderer.prepare
+    calls: list[int] = []
+    run = KeyPass.run
 
-    def counted(views: list[Camera], pose: Pose | None = None, itemised: bool = False) -> Prepared:
-        calls.append(itemised)
-        return prepare(views, pose, itemised)
+    def counted(keys: KeyPass, ranges: Sequence[tuple[int, int]]) -> None:
+        calls.append(sum(count for _, count in ranges))
+        run(keys, ranges)
 
-    monkeypatch.setattr(room.renderer, "prepare", counted)
+    monkeypatch.setattr(KeyPass, "run", counted)
     crowd = [
         person(key, place=similarity((1.2 * np.sin(a), 0, 1.2 - 1.2 * np.cos(a)), (0, np.sin(a / 2), 0, np.cos(a / 2))))
         for key, a in enumerate(np.arange(8) * 2 * np.pi / 8)
@@ -221,8 +224,9 @@ def test_rooms_without_attackers_do_nothing_more(room_of: Make, monkeypatch: pyt
         for people in ([ANN], [ANN, BOB], crowd, [*crowd, whispering]):
             request = job(*people, camera=camera, options=PictureOptions(hide=("head",)))
             image = prepared(room, request).render()
+            room.renderer.load(room.scene)
             assert np.array_equal(image, room.renderer.render(room.views(request)))
-    assert calls == [False] * 12
+    assert len(calls) == 2 * 12  # one of the other's, to compare with
 
 
 @pytest.mark.gl
@@ -306,6 +310,6 @@ def test_the_share_follows_the_picture() -> None:
     """All of a picture of two eyes of 2048 x 2048, and four blocks a splat and view however small the picture is."""
     large = [VIEW.resized(2048, 2048)] * 2
     assert others_share(MOST, large, 0) == MOST
-    assert others_share(MOST, large[:1], 0) == MOST / 2
+    assert others_share(MOST, large[:1], 0) == MOST / 2 == others_share(MOST, large, 0, each=True)
     assert others_share(MOST, [VIEW.resized(16, 16)], 1000) == 64_000
     assert others_share(float("inf"), large, 10) == float("inf")
