@@ -65,6 +65,7 @@ def test_old_opengl_is_refused(context: Context, monkeypatch: pytest.MonkeyPatch
         create_context(given=Old())
 
 
+@pytest.mark.check
 def test_osmesa_draws_what_egl_draws() -> None:
     """In a process of its own: two OpenGL loaders in one process are asking for trouble."""
     needs.require("osmesa")

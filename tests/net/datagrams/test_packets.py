@@ -120,6 +120,7 @@ class TestRedundancy:
         assert parity_for(50, 0.5) == 20 and parity_for(1, 0.9) == 2
 
 
+@pytest.mark.check
 def test_the_page_puts_together_what_python_sent_and_the_other_way_round(tmp_path: Path) -> None:
     """The twins agree: sizes of one piece to several groups, with as many lost as there is parity for."""
     require("node")

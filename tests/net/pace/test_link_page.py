@@ -7,10 +7,14 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
 import glsplat
 from glsplat.net.messages import Ack, Decoder
 from tests.needs import program, require
 from tests.net.wire import EYE
+
+pytestmark = pytest.mark.check
 
 STREAM = Path(glsplat.__file__).parent / "net" / "web" / "stream"
 

@@ -235,7 +235,7 @@ def play(seeds: range, avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]
 
 
 def test_a_member_fails_nobody_elses_picture(avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]) -> None:
-    assert play(range(30), avatars, offers) < 0.3
+    assert play(range(30), avatars, offers) < 0.4
 
 
 @pytest.mark.check

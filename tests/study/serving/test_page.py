@@ -15,6 +15,8 @@ from glsplat.study.serving import quota
 from tests.needs import program, require
 from tests.study.serving.client import TOKEN, Client, run
 
+pytestmark = pytest.mark.check
+
 STUDY = Path(glsplat.__file__).parent / "net" / "web" / "study"
 SCRIPT = Path(__file__).with_name("questions_page.mjs")
 
