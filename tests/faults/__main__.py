@@ -121,7 +121,8 @@ class Trial:
             spent += self._map.seconds[test]
             if spent < limit and test not in result.passed:
                 todo.append(test)
-        if not selected.intersection(result.by):
+        known = _is_known(result.fault)
+        if not known and not selected.intersection(result.by):
             copy, start = self._copies.get(), time.monotonic()
             self._try(copy, result, todo)
             copy.restore()
@@ -132,7 +133,7 @@ class Trial:
         state = "missed" if {*result.passed, *self._map.red} >= set(direct) else "limit"
         if found := selected.intersection(result.by):
             state = "found"
-        elif result.gone or _is_known(result.fault):
+        elif result.gone or known:
             state = "gone" if result.gone else "known"
         f, by = result.fault, f" by {min(found)}" if found else ""
         outcome = f"{state}{by}, {len(direct)} tests, {result.seconds:.0f} s"

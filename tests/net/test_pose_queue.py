@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import numpy as np
@@ -107,6 +107,18 @@ def test_of_who_draws_itself_only_a_few_wait_and_the_newest_is_next(thread):
     gate.set()
     assert told.wait(HANG) and solving.take(103).result(HANG)[0].notes == ("103",)
     assert solver.seen == [4, 5, 6, 103] and solving.merged == 96
+
+
+def test_samples_are_queued_between_two_looks_of_the_solving_thread(thread):
+    """Else the thread ends for want of samples just when one is queued, which nobody solves then."""
+    solving = PoseQueue(Solver(), thread, time.perf_counter)
+    with ThreadPoolExecutor(1) as loop:
+        with solving._lock:
+            adding = loop.submit(solving.add, request(4))
+            done = wait([adding], 0.2).done
+        adding.result(HANG)
+    assert not done
+    assert solving.take(4).result(HANG)[0].notes == ("4",)
 
 
 def test_a_client_that_left_is_not_solved_for(thread):

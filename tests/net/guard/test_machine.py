@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+import struct
 
 import pytest
 
@@ -26,6 +27,23 @@ def test_addresses_are_ones_to_bind_to():
         assert not parsed.is_loopback and not parsed.is_unspecified
         with socket.socket(socket.AF_INET6 if parsed.version == 6 else socket.AF_INET) as own:
             own.bind((address, 0))  # fails for those of other machines
+
+
+def test_each_interface_has_its_address(monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+    addresses = {b"lo": "127.0.0.1", b"eth0": "192.0.2.9", b"eth1": "198.51.100.254"}
+
+    def ioctl(of, code, name):
+        return (
+            name[:16]
+            + struct.pack("<HH", socket.AF_INET, 0)
+            + socket.inet_aton(addresses[name[:16].rstrip(b"\0")])
+            + bytes(232)
+        )
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    monkeypatch.setattr(machine.socket, "if_nameindex", lambda: [(1, "lo"), (2, "eth0"), (3, "eth1")])
+    assert machine._interfaces() == ["192.0.2.9", "198.51.100.254"]
 
 
 def test_temporary_addresses_are_left_out(tmp_path, monkeypatch):

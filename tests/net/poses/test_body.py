@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import glsplat
-from glsplat.errors import ProtocolError
+from glsplat.errors import PoseError, ProtocolError
 from glsplat.net.poses.body import HERE, pack_body, place_of, unpack_bodies, yours
 from glsplat.net.reply import pack_poses, pack_reply, parse_reply
 from glsplat.rotations import turn_between
@@ -47,6 +47,11 @@ def test_what_was_packed_comes_back(joints: int, stretched: bool, face: bool) ->
         assert np.allclose(body.pose.translations, pose.translations, atol=1e-7)
     mine = unpack_bodies(bytes((1,)) + yours(packed, True, 0.2))[0]
     assert mine.you and abs(mine.opacity - 0.2) < 0.003 and yours(packed, False, 0.5) is packed
+
+
+def test_a_body_that_its_size_cannot_count_is_refused() -> None:
+    with pytest.raises(PoseError, match="a pose of 12000 joints is too long for the wire"):
+        pack_body(glsplat.Pose(np.zeros((12000, 3))), SHA, HERE, at=0.0, t=None)
 
 
 def test_two_people_are_below_a_kilobyte_each_and_skipped_by_their_size() -> None:

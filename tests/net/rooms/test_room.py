@@ -146,6 +146,15 @@ def test_late_tracking_goes_on_for_a_tenth_of_a_second_and_is_held_then() -> Non
         assert there.trans[0] == pytest.approx(0.09 + 0.01 * 72 * ahead)
 
 
+def test_tracking_without_a_clock_of_its_own_goes_by_its_arrival() -> None:
+    person = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
+    for k in range(10):
+        person.moved(moved(500 + k / 72, 0.02 * k))
+    found = person.at(500 + 9 / 72 + 0.03)
+    assert found is not None and found[1] == pytest.approx(0.03)
+    assert found[0].rotations[16, 2] == pytest.approx(0.18 + 0.02 * 72 * 0.03)
+
+
 def test_nobody_is_torn_apart_by_extrapolation() -> None:
     person = Person(1, "Ann", "a", seat(0, 2), "", 0.0)
     person.moved(Moved(pose(0.0), 0.0, 0.0))
