@@ -18,7 +18,6 @@ if TYPE_CHECKING:  # a folder whose tests need neither OpenGL nor NumPy starts w
     from glsplat.gl.context import Context
     from glsplat.splats import Splats
 
-ONLY_CHECKED = {Path(__file__).parent / "browser"}  # folders whose tests are all marked `check`
 SHARED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
@@ -90,12 +89,6 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
         terminalreporter.section("skipped")
         for reason, count in reasons.most_common():
             terminalreporter.write_line(f"{count:5d} {reason}")
-
-
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Without tests that are in ``make check`` only, a folder of nothing else is not even imported."""
-    left_out = config.getoption("markexpr") == "not check" and collection_path in ONLY_CHECKED
-    return True if left_out else None
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
