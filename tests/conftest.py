@@ -75,6 +75,11 @@ def pytest_configure() -> None:
     settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave the browser tests, which are all checks, unread where `make test` asks for none."""
+    return True if collection_path.name == "browser" and config.option.markexpr == "not check" else None
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("root") and os.geteuid() != 0:
         pytest.skip("only root can: sudo .venv/bin/pytest -m root")
