@@ -42,7 +42,7 @@ PROGRAMS = {
 OTHERS = {
     *("--no-deps", "--shm-size", "--no-healthcheck", "--gpus", "--use-file-for-fake-audio-capture"),
     *("--alone", "--beside", "--datagrams", "--here", "--hour", "--no-NAME", "--ignoreexternal", "--verifytypes"),
-    "--experimental-websocket",
+    *("--experimental-websocket", "--select", "--again", "--tree"),
 }
 """Options of programs that are not ours, of scripts, and a pattern."""
 WHOLE = {"python.md": "tests/api/test_examples.py", "extending.md": "tests/formats/test_own_format.py"}

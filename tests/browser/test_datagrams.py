@@ -65,10 +65,11 @@ def test_pictures_come_by_datagrams_and_lost_packets_are_made_up_for(
     served, page = opened(open_page, serve)
     page.meanwhile(lambda: ways(served)["sent"] >= 40)
     before = ways(served), page.stats()["shown"]
-    page.until(f"window.glsplat.stats().shown > {before[1] + 30}")
+    page.until(f"window.glsplat.stats().shown > {before[1] + 60}")
     after = ways(served)
     assert after["open"] == 1 and sent[1] >= 3 and after["loss"] > 0.004
-    assert after["lost"] - before[0]["lost"] <= 2 and after["sent"] - before[0]["sent"] >= 25
+    lost, by_datagrams = (after[key] - before[0][key] for key in ("lost", "sent"))
+    assert by_datagrams >= 50 and lost <= by_datagrams / 10  # a picture of many packets rarely loses none
     assert len(heard) >= 20 and all(message.startswith(b'{"v":1,') for message in heard)
 
     async def end() -> None:
