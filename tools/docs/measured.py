@@ -4,8 +4,8 @@
     python -m tools.docs.measured frame         # one of them
     python -m tools.docs.measured --copies      # measures nothing: writes the copies anew
 
-Another page shows a table between ``<!-- measured: PAGE/TABLE -->`` and ``<!-- end -->``; `make docs` writes the copies anew
-where they differ.
+Another page shows a table between ``<!-- measured: PAGE/TABLE -->`` and ``<!-- end -->``; `make docs` writes the
+copies anew.
 """
 
 from __future__ import annotations
