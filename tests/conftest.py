@@ -80,11 +80,6 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if collection_path.name == "browser" and config.option.markexpr == "not check" else None
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    if item.get_closest_marker("root") and os.geteuid() != 0:
-        pytest.skip("only root can: sudo .venv/bin/pytest -m root")
-
-
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """One line a reason for what was skipped, with how many tests; the reason says what to install."""
     reasons = Counter(
