@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from math import nan
 from typing import Any
@@ -15,6 +16,8 @@ import glsplat
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context, create_context
+from glsplat.passes.eyes import DepthRange, EyeImages, EyePass
+from glsplat.passes.target import Target
 from glsplat.scene import Item, Scene
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.splats import Splats
@@ -277,3 +280,17 @@ def test_sizes() -> None:
     runtime: Any = FakeRuntime(size=(2000, 2200))
     found = [fitting(runtime, *how) for how in ((1.0, 16384), (0.5, 16384), (4.0, 16384), (1.0, 1100), (1e-9, 16384))]
     assert found == [(2000, 2200), (1000, 1100), (3723, 4096), (1000, 1100), (1, 1)]  # the shape is kept
+
+
+@pytest.mark.parametrize("depth", [None, DepthRange(0.1, 10.0)])
+def test_images_of_depth_need_a_picture_with_depth_and_its_range(context: Context, depth: DepthRange | None) -> None:
+    """With one of the two it is refused before anything is drawn."""
+    with context, ExitStack() as made:
+        ctx = context.ctx
+        colour, deep = [ctx.texture((8, 8), 4) for _ in "ab"], [ctx.depth_texture((8, 8)) for _ in "ab"]
+        target = Target(ctx, 8, 8, 2, "f4", depth=depth is None)
+        eyes = EyePass(context)
+        for owner in (*colour, *deep, target, eyes):
+            made.callback(owner.release)
+        with pytest.raises(ContextError, match="images of depth need a picture with depth and the range"):
+            eyes.run(target, EyeImages(*(tuple(texture.glo for texture in images) for images in (colour, deep))), depth)

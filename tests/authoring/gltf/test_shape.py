@@ -68,3 +68,26 @@ def test_nobody_else_is() -> None:
     line = np.stack([np.zeros(30), np.linspace(0, 2, 30), np.zeros(30)], axis=1)
     assert match_shape(np.arange(30) - 1, line, np.ones(30, bool)) == {}
     assert len(JOINT_NAMES) == 55
+
+
+def standing(head: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A person 1 m tall without names, whose head leans that far aside."""
+    middle = [(0.0, 0.4, 0.0), (0, 0.55, 0), (0, 0.7, 0), (head, 0.75, 0), (head, 0.85, 0), (head, 1.0, 0)]
+    legs = [(side * 0.1, y, 0.0) for side in (1, -1) for y in (0.4, 0.2, 0.0)]
+    arms = [(side * x, 0.7, 0.0) for side in (1, -1) for x in (0.1, 0.33, 0.55)]
+    parents = [-1, 0, 1, 2, 3, 4, 0, 6, 7, 0, 9, 10, 2, 12, 13, 2, 15, 16]
+    return np.array([*middle, *legs, *arms]), np.array(parents)
+
+
+def test_a_person_is_told_wherever_the_origin_is() -> None:
+    points, parents = standing()
+    found = match_shape(parents, points, np.ones(18, bool))
+    assert found["head"] in (4, 5)
+    for moved in ((0.0, -5.0, 0.0), (3.0, 7.0, -2.0)):
+        assert match_shape(parents, points + moved, np.ones(18, bool)) == found
+
+
+@pytest.mark.parametrize(("lean", "is_one"), [(0.1, True), (0.11, False)])
+def test_a_head_leans_a_tenth_of_the_height_at_most(lean: float, is_one: bool) -> None:
+    points, parents = standing(lean)
+    assert bool(match_shape(parents, points, np.ones(18, bool))) == is_one

@@ -175,3 +175,11 @@ def test_what_begins_anew_takes_a_part_of_the_time(monkeypatch):
     assert 0.05 * seconds <= 0.2 * len(opened) <= 0.1 * seconds + 1.2
     clock.now += 20
     assert stream.encode(moved(0, 96, 64, 1)[0], ["vp9"]).video["key"]  # who was quiet may again
+
+
+@pytest.mark.parametrize("quality", [STEPS[-1] + 1, 100])
+def test_the_best_quality_is_the_last_step(quality: int) -> None:
+    best, better = VideoStream(), VideoStream()
+    images, box = moved(0)
+    pictures = [stream.encode(images, CODECS, q, box).pictures for stream, q in ((best, STEPS[-1]), (better, quality))]
+    assert pictures[0] == pictures[1]
