@@ -25,8 +25,10 @@ REFUSED = [r"Failed to establish a connection to https://127\.0\.0\.1"]
 
 @pytest.fixture(autouse=True)
 def every_link_is_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The way there and back takes next to nothing here."""
+    """The way there and back takes next to nothing here; one that ended is soon offered again."""
     monkeypatch.setattr(way, "LONG", 0.0)
+    monkeypatch.setattr(way, "_AGAIN", 1.0)
+    monkeypatch.setattr(way, "_TRIES", 100)
 
 
 def opened(open_page: OpenPage, serve: Any, **options: Any) -> tuple[Any, Any]:
@@ -64,21 +66,25 @@ def test_pictures_come_by_datagrams_and_lost_packets_are_made_up_for(
     monkeypatch.setattr(UdpSocket, "sendto", lossy)
     served, page = opened(open_page, serve)
     page.meanwhile(lambda: ways(served)["sent"] >= 40)
-    before = ways(served), page.stats()["shown"]
-    page.until(f"window.glsplat.stats().shown > {before[1] + 60}")
-    after = ways(served)
-    assert after["open"] == 1 and sent[1] >= 3 and after["loss"] > 0.004
-    lost, by_datagrams = (after[key] - before[0][key] for key in ("lost", "sent"))
-    assert by_datagrams >= 50 and lost <= by_datagrams / 10  # a picture of many packets rarely loses none
+    before = ways(served)
+
+    def enough() -> bool:
+        now = ways(served)
+        return now["open"] == 1 and now["sent"] >= before["sent"] + 30 and now["loss"] > 0.004 and sent[1] >= 3
+
+    page.meanwhile(enough)  # a busy machine may fall back to the WebSocket in between
+    lost, by_datagrams = (ways(served)[key] - before[key] for key in ("lost", "sent"))
+    assert lost <= by_datagrams / 2  # with no redundancy nearly every picture would lose one of its packets
     assert len(heard) >= 20 and all(message.startswith(b'{"v":1,') for message in heard)
 
     async def end() -> None:
-        paths[0].end()
+        paths[-1].end()
 
     served.call(end())
+    assert ways(served)["open"] == 0
     shown = page.stats()["shown"]
     page.until(f"window.glsplat.stats().shown > {shown + 10}")  # by its WebSocket
-    assert ways(served)["open"] == 0 and page.stats()["reconnects"] == 0
+    assert page.stats()["reconnects"] == 0
 
 
 def test_where_udp_does_not_get_through_the_page_notices_nothing(
