@@ -1,5 +1,4 @@
-// The page's connection on a socket that only listens; prints what it sent as JSON. test_link_page.py runs it.
-
+// Runs the page's connection on a fake socket and prints what it sent as JSON (test_link_page.py).
 globalThis.location = new URL('http://localhost:8000/vr/index.html');
 // Node 18 has none
 globalThis.CustomEvent ??= class extends Event {

@@ -1,4 +1,4 @@
-"""Fair turns, on a clock of our own: who gets how much of one renderer's time."""
+"""Fair turns on a simulated clock."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.pace.fair_queue import FairQueue
 
 
 @dataclass(eq=False)
 class Client:
-    """Asks for pictures that take ``length`` seconds: always, or every ``period`` seconds, the newest request wins."""
+    """Asks for pictures of ``length`` seconds: always, or every ``period`` seconds."""
 
     address: str
     length: float
@@ -52,12 +51,6 @@ class World:
             self.turns.charge(client.address, client, client.length, self.now)
 
 
-def test_time_is_shared_and_not_pictures() -> None:
-    a, b = Client("a", 0.1), Client("b", 0.3)
-    World(a, b).run(60)
-    assert a.time == pytest.approx(b.time, rel=0.05)
-
-
 def test_addresses_share_first_then_their_clients() -> None:
     many, one = [Client("a", 0.02) for _ in range(7)], Client("b", 0.03)
     World(*many, one).run(60)
@@ -75,14 +68,11 @@ def test_a_small_client_keeps_its_rate_beside_seven_big_ones() -> None:
     assert sum(c.time for c in big) > 0.4 * 60
 
 
-@pytest.mark.parametrize("length", [1.0, 4.5])
-def test_pictures_of_seconds_leave_the_others_five_sixths_of_the_time(length) -> None:
-    """However many addresses they come from."""
-    good, slow = Client("g", 0.06, period=0.2), [Client(f"b{i}", length) for i in range(15)]
+def test_pictures_of_seconds_leave_the_others_five_sixths_of_the_time() -> None:
+    good, slow = Client("g", 0.06, period=0.2), [Client(f"b{i}", 4.5) for i in range(15)]
     World(good, *slow).run(600)
     assert len(good.drawn) >= 0.8 * 600 / 0.2
-    assert sum(c.time for c in slow) > 0.15 * 600  # and yet nobody starves
-    assert min(len(c.drawn) for c in slow) > 0
+    assert sum(c.time for c in slow) > 0.15 * 600 and min(len(c.drawn) for c in slow) > 0
 
 
 def test_a_rest_begins_also_when_short_pictures_come_later() -> None:
@@ -124,25 +114,22 @@ def test_idle_and_new_clients_have_no_credit() -> None:
     assert len(a.drawn) - before[0] == pytest.approx(len(b.drawn) - before[1], abs=2)
 
 
-def test_a_stream_of_new_addresses_starves_nobody() -> None:
-    old, stream = Client("old", 0.05), []
+def test_a_stream_of_new_clients_starves_nobody() -> None:
+    old = Client("old", 0.05)
     world = World(old)
-    for i in range(400):
-        client = Client(f"n{i}", 0.05)
-        world.turns.add(client.address, client)
-        stream.append(client)
-        world.run(0.05)
-        if i >= 4:
-            world.turns.remove(f"n{i - 4}", stream[i - 4])
-    assert old.time > 0.2 * world.now
-    same = [Client("old", 0.05) for _ in range(200)]
-    before = old.time
-    for i, client in enumerate(same):  # and at its own address
-        world.turns.add("old", client)
-        world.run(0.05)
-        if i >= 4:
-            world.turns.remove("old", same[i - 4])
-    assert old.time - before > 0.3 * (200 * 0.05 / 5)  # of the fifth of the time that its address has
+
+    def stream(address: str, count: int) -> float:
+        """Clients come and go; return what the old one gets of the time."""
+        clients, before, began = [Client(address.format(i), 0.05) for i in range(count)], old.time, world.now
+        for i, client in enumerate(clients):
+            world.turns.add(client.address, client)
+            world.run(0.05)
+            if i >= 4:
+                world.turns.remove(clients[i - 4].address, clients[i - 4])
+        return (old.time - before) / (world.now - began)
+
+    assert stream("n{}", 400) > 0.2
+    assert stream("old", 200) > 0.3 / 5  # of the fifth of the time that its address has
 
 
 def test_leaving_and_coming_back_wipes_out_no_debt() -> None:
@@ -164,13 +151,12 @@ def test_leaving_and_coming_back_wipes_out_no_debt() -> None:
 
 
 def test_whoever_is_ready_is_drawn_in_the_end() -> None:
-    """Random lengths, readiness, coming and going: never one that is not ready, never nobody without a reason."""
     rng = random.Random(7)
     turns: FairQueue[int] = FairQueue()
     here: dict[int, str] = {}
     waiting: dict[int, int] = {}
     now, longest_wait = 0.0, 0
-    for step in range(5000):
+    for step in range(3000):
         if rng.random() < 0.02 and len(here) < 12:
             here[step] = rng.choice("abcd")
             turns.add(here[step], step)
@@ -190,16 +176,7 @@ def test_whoever_is_ready_is_drawn_in_the_end() -> None:
         seconds = 10 ** rng.uniform(-3, -0.5)
         now += seconds
         turns.charge(here[chosen], chosen, seconds, now)
-    assert longest_wait < 500 and len(turns._addresses) <= 4
-
-
-def test_the_second_bad_picture_of_an_address_is_one_too_many() -> None:
-    blame = FaultTracker()
-    assert [blame.again("a", 0.0), blame.again("b", 1.0), blame.again("a", 2.0)] == [False, False, True]
-    assert not blame.again("b", 1000.0)  # forgotten
-    for i in range(10000):
-        assert not blame.again(f"c{i}", 1001.0)
-    assert len(blame._since) <= 4096
+    assert longest_wait < 300 and len(turns._addresses) <= 4
 
 
 def test_who_is_known_for_short_pictures_does_not_rest_when_it_comes() -> None:

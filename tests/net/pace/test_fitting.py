@@ -1,4 +1,4 @@
-"""The size of pictures that a server can draw often enough."""
+"""Stage times, and the size of pictures that a server can draw often enough."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from glsplat.net.pace.fitting import Fitted, fit
+from glsplat.net.pace.stages import StageTimes
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import FakeBackend
 
@@ -42,3 +43,13 @@ def test_a_server_says_what_it_found(serve):
     assert isinstance(fitted, Fitted) and offer["size"] == (fitted.side,) * 2
     assert offer["rate"] == round(fitted.rate, 1) and sent == 0  # nobody was sent anything
     assert asyncio.run(main(False))[0]["size"] == (1024, 1024)
+
+
+def test_frames_are_counted_and_the_last_ones_summed_up():
+    times = StageTimes(3)
+    for ms in (1000.0, 1.0, 2.0, 6.0):
+        times.add({"draw": ms})
+    times.add({"encode": 0.5})
+    assert times.frames == 5 and times.lately(60)
+    summary = times.summary()
+    assert summary["draw"]["median"] == 2.0 and summary["encode"] == {"median": 0.5, "p95": 0.5}

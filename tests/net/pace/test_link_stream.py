@@ -1,4 +1,4 @@
-"""Fitting pictures to links over real sockets and in sessions: who asked for it, and nobody else."""
+"""Fitting pictures to links over real sockets and in sessions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Ack, Arrival, Decoder, Request
-from glsplat.net.pace.adaptive_quality import FULL, AdaptiveQuality, Detail
 from glsplat.net.pace.ladder import ladder
 from glsplat.net.pace.link_control import LinkControl
 from glsplat.net.reply import parse_reply
@@ -44,33 +43,15 @@ class TestField:
     @pytest.mark.parametrize(
         "arrival",
         [
-            {"age": -1},
-            {"age": 60_001},
-            {"age": 1e300},
-            {"age": 1, "held": -0.1},
-            {"age": 1, "held": 1e9},
-            {"held": 1},
-            {},
-            [],
-            3,
-            "soon",
-            {"age": "1"},
-            {"age": True},
-            {"age": None},
-            {"age": [1]},
+            *({"age": age} for age in (-1, 60_001, "1", True, None)),
+            *({"age": 1, "held": held} for held in (-0.1, 1e9)),
+            *({"held": 1}, {}, [], "soon"),
         ],
     )
     def test_what_is_none_is_refused(self, arrival) -> None:
         with pytest.raises(ProtocolError) as caught:
             Decoder().decode(said(ack=7, arrival=arrival))
         assert caught.value.code in ("bad_request", "bad_field")
-
-    @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
-    def test_numbers_are_finite(self, number: str) -> None:
-        with pytest.raises(ProtocolError):
-            Decoder().decode(f'{{"v":1,"ack":7,"arrival":{{"age":{number}}}}}')
-
-    def test_it_is_about_a_picture(self) -> None:
         with pytest.raises(ProtocolError, match="arrival needs ack"):
             Decoder().decode(asking(8, arrival={"age": 1}))
 
@@ -111,15 +92,11 @@ class TestSession:
                 drawn = taken[0].frame_id
         assert drawn >= 115
 
-    def test_a_server_that_does_not_adapt_reads_it_and_does_nothing(self) -> None:
-        session = self.opened(adapt=False)
-        assert session.receive(asking(1, ack=0, arrival={"age": 50}), 0.1) is not None
-        assert session.link is None and session.window == 2 and session.rest(0.2) == 0
-
-    def test_a_window_that_the_client_names_is_kept(self) -> None:
-        session = self.opened(window=3, widest=3)
-        session.receive(asking(1, ack=0, arrival={"age": 50}), 0.1)
-        assert session.window == 3
+    def test_servers_that_do_not_adapt_ignore_it_and_named_windows_are_kept(self) -> None:
+        fixed, named = self.opened(adapt=False), self.opened(window=3, widest=3)
+        for session in (fixed, named):
+            assert session.receive(asking(1, ack=0, arrival={"age": 50}), 0.1) is not None
+        assert fixed.link is None and fixed.window == 2 and fixed.rest(0.2) == 0 and named.window == 3
 
     def test_a_lie_about_what_was_never_sent_is_an_error(self) -> None:
         session = self.opened()
@@ -127,9 +104,9 @@ class TestSession:
         assert isinstance(answer, Warn) and "bad_ack" in answer.text and session.link is None
 
     def test_turned_on_and_off_a_hundred_times_a_second(self) -> None:
-        """With and without, in turn, with wishes that change as often: no limit is passed, nothing grows."""
+        """Nothing grows."""
         session = self.opened(rate=1e6, burst=10**6)
-        for number in range(1, 3001):
+        for number in range(1, 1001):
             now = number / 100
             more = {"arrival": {"age": number % 60_000, "held": (number * 37) % 60_000}} if number % 2 else {}
             request = session.receive(asking(number, ack=max(0, number - 2), quality=1 + number % 100, **more), now)
@@ -142,40 +119,16 @@ class TestSession:
             session.sent(taken[0], 1000)
         status = session.status()
         assert status["unacknowledged"] <= 8 and status["under_way"] == 0
-        assert session.link is not None and session.link.link.on_the_way <= 8 and session.rest(31.0) <= 0.05
-
-
-class TestDetail:
-    def test_one_decision_of_the_smaller_size(self) -> None:
-        rungs = ladder(80, False)
-        small = next(rung for rung in rungs if rung.scale == 0.75)
-        assert FULL.within(rungs[0]) is FULL
-        assert Detail(-0.5, 0.5).within(small) == Detail(-0.5, 0.5, small)
-        assert Detail(-0.5, 1.0).within(small) == Detail(-0.5, 0.75, small)
-        said = FULL.within(small).fields((0,))
-        assert said["scale"] == 0.75 and said["quality"] == small.quality and said["why"] == "link"
-        assert "why" not in Detail(-0.5, 0.5).fields((0,))
-
-    def test_what_the_link_made_small_gives_no_time_back(self) -> None:
-        """Pictures that are quick because they are small do not bring back a level that was too slow."""
-        held = {}
-        for smaller in (False, True):
-            quality, now = AdaptiveQuality(20), 0.0
-            for index in range(400):
-                now += 0.05
-                quality.detail(1, now)
-                quality.drawn(1, 0.2 if index < 40 else 0.005, False, now, smaller)
-            held[smaller] = quality.detail(1, now).bias
-        assert held[True] < held[False]
+        assert session.link is not None and session.link.link.on_the_way <= 8 and session.rest(11.0) <= 0.05
 
 
 class TestSockets:
-    async def _bytes(self, server, count: int, **more) -> list[bytes]:
+    async def _bytes(self, server, tells: bool = False) -> list[bytes]:
         """Replies, without what no two have alike."""
         out = []
         async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
-            for number in range(1, count + 1):
-                told = {"arrival": {"age": 5_000, "held": 0}} if more.get("tells") and number > 1 else {}
+            for number in range(1, 6):
+                told = {"arrival": {"age": 5_000, "held": 0}} if tells and number > 1 else {}
                 await ws.send_str(asking(number, ack=number - 1, t=None, **told).decode())
                 reply = parse_reply((await ws.receive(timeout=HANG)).data)
                 assert "detail" not in reply.info and reply.info["crop"] is None
@@ -185,9 +138,9 @@ class TestSockets:
     def test_who_says_nothing_and_fixed_get_the_same_bytes(self, serve, fake_backend) -> None:
         async def main():
             async with serve(fake_backend(), ADAPTS) as server:
-                silent = await self._bytes(server, 5)
+                silent = await self._bytes(server)
             async with serve(fake_backend()) as server:
-                return silent, await self._bytes(server, 5), await self._bytes(server, 5, tells=True)
+                return silent, await self._bytes(server), await self._bytes(server, tells=True)
 
         silent, fixed, told = asyncio.run(main())
         assert silent == fixed == told and len(silent) == 5
@@ -195,7 +148,6 @@ class TestSockets:
     def test_a_thin_link_brings_smaller_pictures_that_can_be_read(
         self, serve, fake_backend, monkeypatch, cameras
     ) -> None:
-        """The control is told of a link of 1 Mbit/s; what comes is cropped, of less quality, and decodes."""
         small = next(rung for rung in ladder(80, False) if rung.scale == 0.5)
         monkeypatch.setattr(LinkControl, "rung", lambda *_: small)
 
@@ -212,18 +164,8 @@ class TestSockets:
         assert np.isclose(second.info["eyes"][0]["K"][0], first.info["eyes"][0]["K"][0] / 2)
         assert stats["clients"][0]["link"]["round_trip"] is not None
 
-    def test_on_loopback_nothing_is_taken_away(self, serve, fake_backend, cameras) -> None:
-        async def main():
-            async with serve(fake_backend(), ADAPTS) as server, Client(server.url, adapt=True) as client:
-                replies = [await client.render(cameras) for _ in range(40)]
-                return replies, server.stats()["clients"][0]["link"]
-
-        replies, link = asyncio.run(main())
-        assert not any("detail" in reply.info for reply in replies)
-        assert link["rate"] > 0 and link["age"] > 0
-
     def test_a_ping_follows_each_picture_and_its_pong_costs_the_client_nothing(self, serve, fake_backend) -> None:
-        """300 pictures, as fast as they come: far more pongs than control frames are allowed of a client's own."""
+        """Pongs of pictures do not count as the client's own control frames."""
         quick = ServerConfig(port=0, session=SessionConfig(adapt=True, rate=1e6))  # as the machine may be
 
         async def main():
@@ -240,6 +182,7 @@ class TestSockets:
                             await ws.pong(message.data)
                         else:
                             assert message.type == aiohttp.WSMsgType.BINARY, message
+                            assert "detail" not in parse_reply(message.data).info
                             told = {"arrival": {"age": 5, "held": 0}}
                             number += 1
                             await ws.send_str(asking(number, ack=number - 1, **told).decode())
@@ -250,13 +193,3 @@ class TestSockets:
         behind = [kinds[i + 1] for i, kind in enumerate(kinds[:-1]) if kind == aiohttp.WSMsgType.BINARY]
         assert behind[2:] == [aiohttp.WSMsgType.PING] * len(behind[2:])
         assert client["link"]["rate"] > 0 and client["limited"] == 0
-
-    def test_pings_of_clients_are_still_answered(self, serve) -> None:
-        async def main():
-            async with serve() as server, aiohttp.ClientSession() as http:
-                async with http.ws_connect(server.url, autoping=False) as ws:
-                    await ws.ping(b"there?")
-                    message = await ws.receive(timeout=HANG)
-                    return message.type, bytes(message.data)
-
-        assert asyncio.run(main()) == (aiohttp.WSMsgType.PONG, b"there?")
