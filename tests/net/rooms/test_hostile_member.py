@@ -1,4 +1,4 @@
-"""Three members, one hostile: whatever legal messages it sends, the others' pictures come and keep their labels."""
+"""Three members, one hostile: whatever legal messages it sends, the others' pictures come with their labels."""
 
 from __future__ import annotations
 
@@ -50,14 +50,12 @@ def offers(avatars: dict[str, Rigged]) -> dict[str, AvatarInfo]:
 
 
 class NoRenderer:
-    """Of a room's renderer what is not asked to draw."""
-
     def nbytes(self) -> dict[str, int]:
         return {}
 
 
 class Drawn:
-    """Checks a picture's job up to what a renderer uploads, without one; remembers who was in it."""
+    """Checks a picture's job up to what a renderer uploads; remembers who was in it."""
 
     def __init__(self, avatars: dict[str, Rigged]) -> None:
         self.job: RenderJob | None = None
@@ -117,15 +115,9 @@ class Play:
                     self.meeting.now += self.chance.choice((0.0, 0.004, 0.04))
         for name in NAMES:  # however it ended
             self.asks(name)
-        assert set(self.meeting.ended) <= self.eves and not self.loop_failures()
-
-    def loop_failures(self) -> int:
-        return self.meeting._loop.failures
-
-    # -- the others
+        assert set(self.meeting.ended) <= self.eves and not self.meeting._loop.failures
 
     def asks(self, name: str) -> None:
-        """A picture or bodies, which come, with everybody who moves well in them."""
         self.frame += 1
         channel = self.friends[name]
         place = [self.chance.uniform(-0.2, 0.2), 0.0, self.chance.uniform(-0.1, 0.1)]
@@ -147,7 +139,6 @@ class Play:
             assert all(body.pose is not None and np.isfinite(body.place).all() for body in reply.bodies)
 
     def sees(self, name: str, reply: Reply) -> None:
-        """Everybody who sent something, the other one well, and the words over all heads but one's own."""
         people = {one["name"]: one for one in reply.info["room"]["people"]}
         assert people[name]["you"] and np.isfinite([one["at"] for one in people.values()]).all()
         if not isinstance(self.drawn, Drawn):
@@ -164,8 +155,6 @@ class Play:
             assert np.abs(self.drawn.labels[f"driven by {other}, synthetic"].place - head).max() < 1.5
             assert np.abs(one.pose.trans).max() < 1.0  # where they went, and at most 0.3 m ahead of it
 
-    # -- Eve
-
     @property
     def eves(self) -> set[int]:
         """Numbers of her connections: all but those of the others."""
@@ -178,8 +167,6 @@ class Play:
         elif roll < 0.04:
             self.meeting.leave(self.eve, goodbye=self.chance.random() < 0.5)
             self.eve = None
-        elif roll < 0.14:
-            self.takes_names()
         else:
             self.says()
 
@@ -196,16 +183,6 @@ class Play:
             return
         self.token = self.person(self.eve).resume if self.chance.random() < 0.7 else ""
 
-    def takes_names(self) -> None:
-        """Of somebody who may have been silent for long, with a token or without."""
-        if self.chance.random() < 0.3:
-            self.meeting.now += 2 * (SILENT + FADE)
-            self.heard.clear()  # they have faded, and are back with their next request
-        wrong = ("", self.token, "x" * 22, "\udcff", self.person(self.friends["Ann"]).resume[:-1])
-        with pytest.raises(RoomError) as refused:
-            self.meeting.enter({"room": "lab", "name": self.chance.choice(NAMES), "resume": self.chance.choice(wrong)})
-        assert refused.value.status == 409
-
     def says(self) -> None:
         self.frame, self.said = self.frame + 1, self.said + 1
         assert self.eve is not None
@@ -220,9 +197,13 @@ class Play:
         return channel.member.person
 
 
-def play(seeds: range, avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]) -> float:
-    """Which share of a hostile member's messages was refused, and no one else's."""
-    said = refused = 0
+@pytest.mark.parametrize(
+    ("seeds", "refused"), [(range(20), 0.4), pytest.param(range(20, 500), 0.3, marks=pytest.mark.check)], ids=str
+)
+def test_a_member_fails_nobody_elses_picture(
+    seeds: range, refused: float, avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]
+) -> None:
+    said = no = 0
     for seed in seeds:
         one = Play(seed, offers, Drawn(avatars))
         try:
@@ -230,25 +211,12 @@ def play(seeds: range, avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]
         except BaseException as error:
             error.add_note(f"sequence {seed}")
             raise
-        said, refused = said + one.said, refused + one.refused
-    return refused / said
-
-
-def test_a_member_fails_nobody_elses_picture(avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]) -> None:
-    assert play(range(30), avatars, offers) < 0.4
-
-
-@pytest.mark.check
-@pytest.mark.timeout(3600)
-def test_a_member_fails_nobody_elses_picture_in_2000_sequences(
-    avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]
-) -> None:
-    assert play(range(2000), avatars, offers) < 0.3
+        said, no = said + one.said, no + one.refused
+    assert no / said < refused  # of the hostile member's own messages
 
 
 @pytest.fixture(scope="module")
 def backend(avatars: dict[str, Rigged]) -> Iterator[RendererBackend]:
-    """As a server has it, but for costs: those are another test's."""
     lab = {"lab": SceneFile.of(Scene())}
     one = RendererBackend(avatars["person"], (SIZE, SIZE), avatars=avatars, rooms=lab, max_cost=1e30, max_time=300)
     one.open()
@@ -257,7 +225,7 @@ def backend(avatars: dict[str, Rigged]) -> Iterator[RendererBackend]:
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_pictures_are_drawn_and_the_same_once_the_member_is_gone(
     seed: int, avatars: dict[str, Rigged], offers: dict[str, AvatarInfo], backend: RendererBackend
 ) -> None:

@@ -1,22 +1,17 @@
-"""Rooms over the WebSocket, on a renderer made of numpy: the way in and out, what the replies say, fair shares."""
+"""Rooms over the WebSocket, on a renderer made of numpy."""
 
 from __future__ import annotations
 
 import asyncio
-import json
-import time
-from pathlib import Path
 from typing import Any
 
-import aiohttp
 import numpy as np
 import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import AvatarInfo, RenderJob, Solved
+from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.client import Client
-from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Request
 from glsplat.net.rooms.person import FADE, SILENT
 from glsplat.net.server import Server, ServerConfig
@@ -62,11 +57,8 @@ def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
                 await ann.render(EYES, pose=POSE)
                 reply = await bob.render(EYES, tracking={"head": [0.25, 1.6, 0, 0, 0, 0, 1]}, hide=["head"])
                 room = reply.info["room"]
-                assert room["name"] == "lab" and [(p["name"], p["you"]) for p in room["people"]] == [
-                    ("Ann", False),
-                    ("Bob", True),
-                ]
-                assert room["people"][1]["frame_id"] == reply.frame_id
+                assert room["name"] == "lab" and room["people"][1]["frame_id"] == reply.frame_id
+                assert [(p["name"], p["you"]) for p in room["people"]] == [("Ann", False), ("Bob", True)]
                 # each in Bob's own space: Ann on the other side, he where twice his avatar's x is
                 assert [p["at"] for p in room["people"]] == [
                     pytest.approx([0, 0, 2.4], abs=2e-3),
@@ -79,8 +71,6 @@ def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
                 assert np.allclose(np.linalg.det(bobs.transform[:3, :3]), 8)  # twice his avatar's size
                 # his own eyes, from his own place
                 assert np.allclose(drawn.cameras[0].viewmat @ server._channels[2].member.person.seat, EYES[0].viewmat)  # type: ignore[union-attr]
-            stats = server.stats()["rooms"]
-            assert [room["name"] for room in stats] == ["lab", "small"]
 
     asyncio.run(talk())
 
@@ -91,45 +81,26 @@ def test_the_way_in(serve: Serve) -> None:
             async with member(server, "Ann") as ann, member(server, "Ann", "small"):
                 await ann.render(EYES, pose=POSE)
                 refused = {
-                    "room=lab&name=Ann": (409, "somebody called"),
-                    "room=small&name=Bob": (503, "the room is full"),
-                    "room=Lab&name=Bob": (404, "no such room"),
-                    "room=../lab&name=Bob": (404, "no such room"),
-                    "room=&name=Bob": (404, "no such room"),
-                    "room=lab&name=../Bob": (400, "name needs"),
-                    "room=lab&name=": (400, "name needs"),
-                    "room=lab&name=Bob&avatar=scenery": (400, "needs people"),
-                    "room=lab&name=Bob&avatar=../ann": (400, "avatar needs a name"),
-                    "room=lab&name=Bob&at=nowhere": (400, "at needs"),
+                    "room=lab&name=Ann": 409,
+                    "room=small&name=Bob": 503,
+                    "room=../lab&name=Bob": 404,
+                    "room=lab&name=": 400,
+                    "room=lab&name=Bob&avatar=scenery": 400,
+                    "room=lab&name=Bob&at=nowhere": 400,
                 }
-                async with aiohttp.ClientSession() as http:
-                    for query, (status, words) in refused.items():
-                        with pytest.raises(aiohttp.WSServerHandshakeError) as error:
-                            await http.ws_connect(f"{server.url}?{query}")
-                        assert error.value.status == status, query
-                        async with http.get(
-                            f"{server.url.replace('ws://', 'http://')}?{query}",
-                            headers={
-                                "Connection": "Upgrade",
-                                "Upgrade": "websocket",
-                                "Sec-WebSocket-Version": "13",
-                                "Sec-WebSocket-Key": "A" * 22 + "==",
-                            },
-                        ) as answer:
-                            assert answer.status == status and words in await answer.text()
-                    async with http.get(f"http://127.0.0.1:{server.port}/session") as answer:
-                        offer = await answer.json()
-                assert offer["rooms"] == [
+                for query, status in refused.items():
+                    with pytest.raises(ProtocolError, match=rf"\({status}\)"):
+                        await Client(f"{server.url}?{query}").connect()
+                assert server.offer()["rooms"] == [
                     {"name": "lab", "people": 1, "seats": 4, "scene": False},
                     {"name": "small", "people": 1, "seats": 1, "scene": False},
                 ]
-                # who was refused left nothing behind
                 assert len(server._channels) == 2
             # without a name one is given, with a goodbye one goes at once
             async with Client(f"{server.url}?room=small") as guest:
                 await guest.render(EYES, pose=POSE)
-                people = server.stats()["rooms"][1]["people"]
-                assert len(people) == 1 and people[0]["name"].startswith("guest ")
+                (person,) = server.stats()["rooms"][1]["people"]
+                assert person["name"].startswith("guest ")
             assert await until(lambda: server.stats()["rooms"][1]["people"] == [])
 
     asyncio.run(talk())
@@ -171,34 +142,9 @@ def test_a_lost_connection_fades_and_may_come_back(serve: Serve, hands: Hands) -
     asyncio.run(talk())
 
 
-def test_a_silent_member_keeps_its_name_and_is_back_with_the_next_request(serve: Serve, hands: Hands) -> None:
-    """A second tab of the same browser is refused, however long the first says nothing; a token is no other's."""
-
-    async def talk() -> None:
-        async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
-            server.render_loop._clock = hands  # type: ignore[union-attr]
-            async with member(server, "Bob") as bob:
-                token = (await bob.render(EYES, pose=POSE)).info["room"]["resume"]
-                await ann.render(EYES, pose=POSE)
-                hands.now += 10 * (SILENT + FADE)
-                for address in ("Ann", "Ann&resume=", f"Ann&resume={token}"):
-                    with pytest.raises(ProtocolError, match="409"):
-                        await member(server, address).connect()
-
-                async def seen() -> dict[str, float]:
-                    room = (await bob.render(EYES, pose=POSE)).info["room"]
-                    return {one["name"]: one["opacity"] for one in room["people"]}
-
-                assert await seen() == {"Ann": 0.0, "Bob": 1.0}
-                assert (await ann.render(EYES, pose=POSE)).info["room"]["resume"] != token  # the same connection
-                assert await seen() == {"Ann": 1.0, "Bob": 1.0}
-
-    asyncio.run(talk())
-
-
 @pytest.mark.parametrize("name", ["&name=Ann", ""])
 def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -> None:
-    """Although the server has not heard yet that the other connection is dead; that one is closed."""
+    """And closes the other connection."""
 
     async def talk() -> None:
         async with serve(FakeBackend(), config(), offered=OFFERS) as server:
@@ -224,65 +170,10 @@ def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -> None
     asyncio.run(talk())
 
 
-def test_eight_in_a_room_have_equal_shares(serve: Serve, hands: Hands) -> None:
-    """Of a renderer that is never idle; and each picture shows all eight, at most a tick apart."""
-
-    async def talk() -> None:
-        def all_others_wait(request: RenderJob) -> None:
-            """However long that takes: whose turn it is next is decided among all."""
-            end = time.monotonic() + GUARD
-            while started.is_set() and not over.is_set() and time.monotonic() < end:
-                others = [one for number, one in list(server._channels.items()) if number != request.viewer]
-                if all(one.session.newest is not None for one in others):
-                    return
-                time.sleep(0.001)
-
-        backend = FakeBackend(fail=all_others_wait)
-        # by this clock each picture takes as long, so that nobody's rests because the machine did something else
-        hands.of = lambda: 1000 + 0.004 * len(backend.drawn)
-        rooms = ServerConfig(port=0, rooms={"lab": 8}, limits=Limits(work=1e9))
-        async with serve(backend, rooms, offered=OFFERS) as server:
-            server.render_loop._clock = hands  # type: ignore[union-attr]
-            counts = [0] * 8
-            over = asyncio.Event()
-
-            async def take_part(number: int) -> None:
-                async with member(server, f"P{number}") as client:
-                    await client.render(EYES, pose=POSE)
-                    ready[number].set()
-                    await started.wait()
-                    await client.send(EYES, pose=POSE)  # one more than is answered: there is always one to draw
-                    while not over.is_set():
-                        await client.send(EYES, pose=POSE)
-                        reply = (await client.receive()).reply
-                        people = reply.info["room"]["people"]
-                        assert len(people) == 8 and [one["name"] for one in people if one["you"]] == [f"P{number}"]
-                        counts[number] += 1
-                        if sum(counts) >= 320:
-                            over.set()
-                    ended[number].set()
-                    await asyncio.gather(*(event.wait() for event in ended))
-
-            ready, ended = ([asyncio.Event() for _ in range(8)] for _ in range(2))
-            started = asyncio.Event()
-            tasks = [asyncio.create_task(take_part(number)) for number in range(8)]
-            await asyncio.gather(*(event.wait() for event in ready))
-            first = server.stats()["rooms"][0]["ticks"]
-            started.set()
-            await asyncio.gather(*tasks)
-            ticks = server.stats()["rooms"][0]["ticks"] - first
-            assert max(counts) <= 1.2 * min(counts) + 1
-            assert ticks <= max(counts) + 2
-
-    asyncio.run(talk())
-
-
-def test_pictures_say_nothing_of_rooms_to_who_is_in_none(serve: Serve, tmp_path: Path) -> None:
+def test_pictures_say_nothing_of_rooms_to_who_is_in_none(serve: Serve) -> None:
     async def talk() -> None:
         async with serve(FakeBackend(), config(), offered=OFFERS) as server, Client(server.url) as client:
-            reply = await client.render(EYES, pose=POSE)
-            assert "room" not in reply.info
-            assert json.dumps(server.offer())
+            assert "room" not in (await client.render(EYES, pose=POSE)).info
         async with serve(FakeBackend(), ServerConfig(port=0), offered=OFFERS) as server:
             assert server.offer()["rooms"] == [] and server.stats()["rooms"] == []
             with pytest.raises(ProtocolError, match="no such room"):

@@ -1,7 +1,8 @@
-"""Words lie in the picture as a whole and can be read, whatever the cameras: notices always, labels by their rule."""
+"""Words in pictures: whole and readable whatever the cameras; notices always, labels by their rule."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -10,13 +11,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
+from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import default_avatar
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.labels import Label, driven_by
 from glsplat.net.backends.lettering import draw_labels
+from glsplat.net.backends.server import make_server
+from glsplat.net.client import Client
+from glsplat.net.messages import WireOptions
+from glsplat.net.reply import Reply
 from glsplat.net.rooms.view import RoomView, VisiblePerson
+from glsplat.net.server import ServerConfig
 from glsplat.scene import Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
@@ -29,13 +37,9 @@ NAMES = ["Ann", "Zoë", "Ἀλέξανδρος", "山田太郎", "محمد", "W"
 Pixels = NDArray[np.uint8]
 
 
-def blank(cameras: list[Camera]) -> Pixels:
-    return np.zeros((len(cameras), cameras[0].height, cameras[0].width, 4), np.uint8)
-
-
 def written(cameras: list[Camera], labels: list[Label], notice: str = "") -> Pixels:
-    """[V, H, W, 4] words on nothing; nothing is changed outside the box that is told."""
-    images = blank(cameras)
+    """Return [V, H, W, 4] words on nothing; assert that nothing lies outside the returned box."""
+    images = np.zeros((len(cameras), cameras[0].height, cameras[0].width, 4), np.uint8)
     x, y, width, height = draw_labels(images, cameras, labels, notice)
     outside = images.copy()
     outside[:, y : y + height, x : x + width] = 0
@@ -49,8 +53,14 @@ def extent(image: Pixels) -> tuple[int, int, int, int]:
     return int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1
 
 
+def as_large(image: Pixels, wanted: Pixels) -> bool:
+    """Whether the words are as large as the wanted ones, to a pixel."""
+    found, usual = extent(image), extent(wanted)
+    return all(abs((found[i + 2] - found[i]) - (usual[i + 2] - usual[i])) <= 1 for i in (0, 1))
+
+
 def reads(image: Pixels, wanted: Pixels) -> float:
-    """How well words [H, W, 4] are found in another picture: 1 to the pixel, above .8 shifted by a part of one."""
+    """How well words are found in another picture: 1 to the pixel, above 0.8 shifted by part of a pixel."""
     left, top, right, bottom = extent(wanted)
     shape = cv2.cvtColor(np.ascontiguousarray(wanted[top:bottom, left:right, :3]), cv2.COLOR_RGB2GRAY)
     padded = cv2.copyMakeBorder(np.ascontiguousarray(image[..., :3]), 2, 2, 2, 2, cv2.BORDER_CONSTANT)
@@ -63,17 +73,16 @@ def seen(eye: object, target: object, size: tuple[int, int] = (320, 240), fov: f
 
 
 def hostile_cameras(size: tuple[int, int] = (320, 240)) -> Iterator[tuple[str, Camera]]:
-    """One picture each: what a client may ask for (protocol.md, section 3)."""
     plain = seen((0, 1.2, 3), (0, 1, 0), size)
-    for near in (1e-6, 0.5, 1.49, 1.5, 1.56, 1.6, 3.0, 1e9):
+    for near in (1e-6, 1.5, 1.56, 3.0, 1e9):
         yield f"near {near}", replace(plain, near=near)
-    for far in (0.02, 1.49, 1.5):
+    for far in (0.02, 1.5):
         yield f"far {far}", replace(plain, far=far)
-    for cx, cy in ((-900, 120), (1e4, 120), (-1e4, -1e4), (160, 1e4), (160, -1e4), (1e12, -1e12)):
+    for cx, cy in ((-900, 120), (1e4, 120), (160, -1e4), (1e12, -1e12)):
         yield f"centre {cx} {cy}", replace(plain, K=[[300, 0, cx], [0, 300, cy], [0, 0, 1]])
-    for fx, fy in ((300, 30), (30, 3000), (1e-3, 1e-3), (1e9, 1e9), (1e12, 1e-6), (1e-9, 1e12)):
+    for fx, fy in ((300, 30), (1e-3, 1e-3), (1e9, 1e9), (1e12, 1e-6), (1e-9, 1e12)):
         yield f"focal {fx} {fy}", replace(plain, K=[[fx, 0, size[0] / 2], [0, fy, size[1] / 2], [0, 0, 1]])
-    for up in ((1, 0, 0), (0, -1, 0), (-1, 1, 0)):
+    for up in ((1, 0, 0), (0, -1, 0)):
         yield f"up {up}", seen((0, 1.2, 3), (0, 1, 0), size, up=up)
     yield "from above", seen((0, 3.2, 0.9), (0, 1.3, 0), size)
     yield "straight down", seen((0, 5, 0), (0, 0, 0), size)
@@ -87,15 +96,12 @@ def hostile_cameras(size: tuple[int, int] = (320, 240)) -> Iterator[tuple[str, C
 def test_a_notice_is_whole_in_every_picture(name: str, camera: Camera) -> None:
     wanted = written([seen((0, 1.2, 3), (0, 1, 0))], [], NOTICE)[0]
     image = written([camera], [], NOTICE)[0]
-    found, usual = extent(image), extent(wanted)
-    assert abs((found[2] - found[0]) - (usual[2] - usual[0])) <= 1
-    assert abs((found[3] - found[1]) - (usual[3] - usual[1])) <= 1
-    assert reads(image, wanted) > 0.8
+    assert as_large(image, wanted) and reads(image, wanted) > 0.8
 
 
 @pytest.mark.parametrize(("width", "height"), [(96, 96), (64, 64), (120, 500), (500, 40), (73, 131), (2048, 1152)])
 def test_a_notice_can_be_read_in_a_picture_of_any_usual_size(width: int, height: int) -> None:
-    """12 pixels a line and more, in several lines where one is too long; at most half of the picture's height."""
+    """At least 12 pixels a line, at most half of the picture's height."""
     camera = seen((0, 1.2, 3), (0, 1, 0), (width, height))
     left, top, right, bottom = extent(written([camera], [], NOTICE)[0])
     lines = round((bottom - top) / max(12, 0.03 * height))
@@ -104,23 +110,21 @@ def test_a_notice_can_be_read_in_a_picture_of_any_usual_size(width: int, height:
 
 
 @pytest.mark.parametrize(
-    ("text", "size"),
+    ("text", "size", "lines"),  # as docs/consent.md says: 12 pixels a line
     [
-        (NOTICE, (64, 48)),
-        (driven_by("Alexandria"), (96, 72)),
-        (driven_by("Maximiliane Mustermann-Beispieli"), (160, 120)),
-        (driven_by("W" * 32, NOTICE), (160, 120)),
+        (NOTICE, (64, 48), 2),
+        (driven_by("Alexandria"), (96, 72), 3),
+        (driven_by("Maximiliane Mustermann-Beispieli"), (160, 120), 2),
+        (driven_by("W" * 32, NOTICE), (160, 120), 4),
     ],
 )
-def test_the_smallest_pictures_in_which_words_can_be_read(text: str, size: tuple[int, int]) -> None:
-    """As docs/consent.md says: 12 pixels a line."""
+def test_the_smallest_pictures_in_which_words_can_be_read(text: str, size: tuple[int, int], lines: int) -> None:
     camera = seen((0, 1.2, 3), (0, 1, 0), size)
     left, top, right, bottom = extent(written([camera], [Label(text, HEAD)])[0])
-    lines = {NOTICE: 2, driven_by("Alexandria"): 3, driven_by("W" * 32, NOTICE): 4}.get(text, 2)
     assert bottom - top == pytest.approx(12 * lines, abs=1) and right - left > size[0] / 2
 
 
-@pytest.mark.parametrize("side", [1, 2, 7, 16, 32])
+@pytest.mark.parametrize("side", [1, 7, 32])
 def test_a_picture_that_is_too_small_to_read_anything_still_has_the_board(side: int) -> None:
     camera = seen((0, 1.2, 3), (0, 1, 0), (side, side))
     image = written([camera], [], NOTICE)[0]
@@ -141,7 +145,7 @@ def test_both_eyes_see_a_notice_at_one_distance_where_that_is_inside_of_both_pic
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("size", [(512, 512), (256, 256), (160, 120)])
+@pytest.mark.parametrize("size", [(512, 512), (160, 120)])
 def test_any_name_can_be_read_over_a_head(name: str, size: tuple[int, int]) -> None:
     camera = seen((0, 1.2, 3), (0, 1, 0), size)
     label = Label(driven_by(name, NOTICE), HEAD, box=lambda: BODY)
@@ -190,7 +194,6 @@ def test_a_head_out_of_the_picture_has_its_label_at_that_edge() -> None:
 
 
 def test_a_notice_is_never_covered_by_a_label() -> None:
-    """However near the label's person is, and wherever its head."""
     camera = seen((0, 1.2, 3), (0, 1, 0))
     alone = written([camera], [], NOTICE)[0]
     for depth in (0.05, 0.4, 1.0, 1.4, 2.9):
@@ -200,7 +203,6 @@ def test_a_notice_is_never_covered_by_a_label() -> None:
 
 
 def test_people_at_one_place_do_not_cover_each_others_labels() -> None:
-    """Nineteen boards in 512 x 512: all can be read, none lies over another, the notice included."""
     camera = seen((0, 1.5, 3), (0, 1.4, 0), (512, 512))
     labels = [Label(f"driven by person {i:02}", HEAD - (0, 0, 0.01 * i), box=lambda: BODY) for i in range(19)]
     found = written([camera], labels, NOTICE)[0]
@@ -211,10 +213,9 @@ def test_people_at_one_place_do_not_cover_each_others_labels() -> None:
     assert min(reads(found, one) for one in single) > 0.8
 
 
-def test_random_cameras_never_cut_words(seed: int = 7) -> None:
-    """300 of them, with one or two eyes: every board is whole, in each eye as large as it is on its own."""
-    chance = np.random.default_rng(seed)
-    for _ in range(300):
+def test_random_cameras_never_cut_words() -> None:
+    chance = np.random.default_rng(7)
+    for _ in range(150):
         width, height = (int(side) for side in chance.integers(60, 400, 2))
         views = []
         eye, target = chance.normal(0, 3, 3), chance.normal(0, 1, 3)
@@ -228,15 +229,106 @@ def test_random_cameras_never_cut_words(seed: int = 7) -> None:
         text = driven_by(NAMES[int(chance.integers(len(NAMES)))])
         upright = [seen((0, 1.2, 3), (0, 1, 0), (width, height)) for _ in views]
         wanted, images = written(upright, [], text), written(views, [], text)
-        for image, whole in zip(images, wanted, strict=True):
-            found, usual = extent(image), extent(whole)
-            assert abs((found[2] - found[0]) - (usual[2] - usual[0])) <= 1
-            assert abs((found[3] - found[1]) - (usual[3] - usual[1])) <= 1
+        assert all(as_large(image, whole) for image, whole in zip(images, wanted, strict=True))
+
+
+FACING_Z = stereo_cameras(head_matrix((0, 1.5, 0), (0, 1, 0, 0)), ipd=0.064, size=(512, 512))
+
+
+def drawn(labels: list[Label]) -> Pixels:
+    return written(FACING_Z, labels)
+
+
+def alone(label: Label) -> NDArray[np.bool_]:
+    return drawn([label])[..., 3] > 0
+
+
+def rows(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """The rows in which each eye sees something, from and to."""
+    found = [np.nonzero(one.any(axis=1))[0] for one in mask]
+    return [(int(each.min()), int(each.max())) for each in found]
+
+
+def test_two_people_at_one_bearing_can_both_be_read() -> None:
+    near = Label("driven by Ann, synthetic", np.array([0.0, 1.55, 1.6]))
+    far = Label("driven by Zoë, synthetic", np.array([0.0, 1.56, 2.1]))
+    assert (alone(near) & alone(far)).any(axis=(1, 2)).all()  # where they are they cover each other
+    for order in ([near, far], [far, near]):
+        both = drawn(order)
+        assert np.array_equal(both[alone(near)], drawn([near])[alone(near)])  # the nearer stands where it stood
+        above = both.copy()
+        above[alone(near)] = 0
+        edges = zip(rows(above[..., 3] > 0), rows(alone(near)), rows(alone(far)), strict=True)
+        for (top, bottom), (other, _), own in edges:
+            assert bottom < other and bottom - top >= own[1] - own[0] - 1  # all of it, over the nearer
+        # read in full, fainter, and still at its own distance
+        assert 0.7 < above[..., 3].max() / drawn([far])[..., 3].max() < 0.9
+        middles = [np.nonzero(one.any(axis=0))[0][[0, -1]].mean() for one in above[..., 3] > 0]
+        assert middles[0] - middles[1] == pytest.approx(FACING_Z[0].K[0, 0] * 0.064 / 2.1, abs=1)
+
+
+@pytest.mark.parametrize(("size", "least"), [(256, 12), (512, 13), (1024, 26)])
+def test_from_afar_it_keeps_a_share_of_the_picture(size: int, least: int) -> None:
+    eyes = stereo_cameras(head_matrix((0, 1.5, 0), (0, 1, 0, 0)), ipd=0.064, size=(size, size))
+    for low, high in rows(written(eyes, [Label("driven by Ann", np.array([0.0, 1.5, 30.0]))])[..., 3] > 0):
+        assert high - low + 1 == pytest.approx(least, abs=1)
+
+
+def test_at_the_upper_edge_it_goes_below_and_without_room_it_stays() -> None:
+    top = 1.5 + 1.6 * (FACING_Z[0].K[1, 2] - 12) / FACING_Z[0].K[1, 1]
+    near, far = (Label("driven by Ann", np.array([0.0, top - 0.01 * z, z])) for z in (1.6, 1.7))
+    both = drawn([near, far])
+    both[alone(near)] = 0
+    (first, _), (second, _) = rows(both[..., 3] > 0)
+    assert first > rows(alone(near))[0][0] and second > rows(alone(near))[1][0]
+    crowd = [Label(f"P{i}", np.array([0.0, 1.5, 1.6 + 0.01 * i]), 0.5) for i in range(8)]
+    bright = drawn(crowd[:1])[..., :3].min(axis=-1) > 200  # the letters of the nearest
+    assert bright.any() and (drawn(crowd)[..., :3].min(axis=-1)[bright] > 200).all()  # without room it is in front
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_crowd_can_be_read(seed: int) -> None:
+    """People in random places: no two boards share a pixel, and no board leaves the picture."""
+    chance = np.random.default_rng([37, seed])
+    places = [np.array([chance.uniform(-0.3, 0.3), chance.uniform(1.3, 1.6), chance.uniform(1.5, 4)]) for _ in range(5)]
+    labels = [Label(f"P{i}, synthetic", place) for i, place in enumerate(places)]
+    inked = sum(int(np.count_nonzero(alone(label))) for label in labels)
+    assert np.count_nonzero(drawn(labels)[..., 3]) == pytest.approx(inked, rel=0.05)
+
+
+def test_who_stands_apart_is_left_alone() -> None:
+    labels = [Label("Ann", np.array([x, 1.5, 2.0])) for x in (-0.6, 0.6)]
+    assert np.array_equal(drawn(labels), np.maximum(drawn(labels[:1]), drawn(labels[1:])))
+
+
+def test_a_label_is_at_its_place_in_both_eyes() -> None:
+    place = np.array([0.1, 1.55, 1.6])
+    for image, camera in zip(drawn([Label("driven by Zoë, synthetic", place)]), FACING_Z, strict=True):
+        left, top, right, bottom = extent(image)
+        at = camera.K @ (camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3])
+        assert np.abs(np.array([(left + right) / 2, (top + bottom) / 2]) - at[:2] / at[2]).max() < 1
+        assert image[..., :3].max() > 100 and (image[..., :3].max(axis=2) <= image[..., 3]).all()
+
+
+@pytest.mark.parametrize("behind", [-2.0, 0.0, 0.005])
+def test_a_label_behind_the_eyes_is_not_drawn(behind: float) -> None:
+    assert not drawn([Label("driven by Ann", np.array([0, 1.5, behind]))]).any()
+
+
+def test_labels_are_read_from_left_to_right_in_a_mirror_too() -> None:
+    eye = seen((0, 1.5, 0), (0, 1.5, 2), (256, 256))
+    mirror = replace(eye, viewmat=eye.viewmat @ np.diag([-1.0, 1, 1, 1]))
+    label = Label("LLL ...", np.array([0, 1.5, 1.0]), 0.1)
+    assert np.array_equal(written([eye], [label]), written([mirror], [label]))
 
 
 @pytest.fixture(scope="module")
-def backend() -> Iterator[RendererBackend]:
-    person = replace(default_avatar().levels[-1].content, levels=())
+def person() -> Avatar:
+    return replace(default_avatar().levels[-1].content, levels=())
+
+
+@pytest.fixture(scope="module")
+def backend(person: Avatar) -> Iterator[RendererBackend]:
     made = RendererBackend(person, (96, 72), rooms={"lab": SceneFile.of(Scene())}, max_cost=float("inf"))
     made.open()
     yield made
@@ -255,7 +347,7 @@ def pictures(backend: RendererBackend, cameras: list[Camera], bob: VisiblePerson
 @pytest.mark.gl
 @pytest.mark.parametrize("scale", [0.05, 1.0, 20.0])
 def test_nobody_is_in_a_picture_without_a_label(backend: RendererBackend, scale: float) -> None:
-    """Random cameras around or in a person who stands, moves or is torn apart: who is seen is labelled, per eye."""
+    """Random cameras around or in a person who stands, moves or is torn apart."""
     chance = np.random.default_rng([3, int(scale * 20)])
     shown = bare = 0
     for number in range(60):
@@ -286,3 +378,54 @@ def test_nobody_is_in_a_picture_without_a_label(backend: RendererBackend, scale:
             elif not words.any():
                 bare += 1
     assert shown > 15 and bare > 2  # it is not simply always there
+
+
+def served(person: Avatar, consent: ConsentPolicy | None, *queries: str) -> list[Reply]:
+    """One picture of a server for each query."""
+    facing = stereo_cameras(head_matrix((0, 1.2, 2.4), (0, 0, 0, 1)), size=(256, 256))
+    config = ServerConfig(port=0, wire=WireOptions(size=(256, 256), quality=95), consent=consent)
+
+    async def main() -> list[Reply]:
+        server = make_server(person, config, own_process=False, consent=consent, rooms={"lab": Scene()})
+        await server.start()
+        try:
+            replies = []
+            for query in queries:
+                async with Client(f"{server.url}?{query}", timeout=60) as client:
+                    replies.append(await client.render(facing, pose={"root_pose": [0, 0.1, 0]}))
+            return replies
+        finally:
+            await server.stop()
+
+    return asyncio.run(main())
+
+
+def changed(one: Reply, other: Reply) -> list[NDArray[np.bool_]]:
+    """[H, W] of each eye: what differs by more than JPEG does."""
+    pairs = zip(one.images(), other.images(), strict=True)
+    return [np.abs(a.astype(int) - b.astype(int)).max(axis=2) > 60 for a, b in pairs]
+
+
+@pytest.mark.gl
+def test_the_name_of_who_drives_stands_over_the_head_for_who_asks(person: Avatar) -> None:
+    plain, labelled, unsaid = served(person, None, "", "label=1&name=Ann", "name=Bob")
+    assert (plain.info["driven_by"], labelled.info["driven_by"], unsaid.info["driven_by"]) == ("", "Ann", "Bob")
+    columns = []
+    for picture in changed(labelled, plain):
+        rows, across = np.nonzero(picture)
+        assert len(rows) > 60 and rows.max() < 256 / 3
+        columns.append(across.mean())
+    assert 1 < columns[0] - columns[1] < 12  # at the distance of the head, not of the picture
+    assert not any(picture.any() for picture in changed(unsaid, plain))
+
+
+@pytest.mark.gl
+def test_what_nobody_agreed_to_says_so_in_every_picture(person: Avatar) -> None:
+    policy = ConsentPolicy(without=True)
+    plain, alone, room = served(person, None, "")[0], *served(person, policy, "", "room=lab&name=Ann&at=0,0,0")
+    for picture in changed(alone, plain):
+        rows = np.nonzero(picture)[0]
+        assert len(rows) > 60 and rows.min() > 256 * 0.7
+    for picture in changed(room, alone):
+        rows = np.nonzero(picture)[0]
+        assert len(rows) > 60 and rows.max() < 256 / 3  # the label of the room; the notice is in both
