@@ -29,7 +29,7 @@ def read(picture):
 
 
 def screen(lines, ground):
-    """A terminal's window of 6x12 pixels a character, colours as escape codes say, ``ground`` everywhere else."""
+    """Render a terminal's lines with their colour codes, 6x12 pixels a character, on a grey ground."""
     colours = re.compile(r"\x1b\[38;5;(\d+);48;5;(\d+)m(.*)\x1b\[0m")
     grey = {"231": 255, "16": 0}
     rows = []
@@ -42,7 +42,7 @@ def screen(lines, ground):
 
 
 @pytest.mark.parametrize("text", TEXTS)
-@pytest.mark.parametrize("ground", [0, 40, 255])
+@pytest.mark.parametrize("ground", [0, 255])
 def test_a_terminals_code_is_read_on_any_ground(text, ground):
     lines, columns = qr.terminal(text)
     picture = screen(lines, ground)
@@ -52,14 +52,10 @@ def test_a_terminals_code_is_read_on_any_ground(text, ground):
 
 @pytest.mark.parametrize("text", TEXTS)
 def test_the_pages_code_is_read(text):
-    """Drawn by hand: a path of moves and horizontal strokes."""
     drawn = qr.svg(text)
-    assert (
-        drawn.startswith("<svg ")
-        and ' role="img" ' in drawn
-        and f"<title>{text}</title>" in drawn
-        and "style" not in drawn
-    )
+    assert drawn.startswith("<svg ") and f"<title>{text}</title>" in drawn and "style" not in drawn
+    root = ElementTree.fromstring(drawn)
+    assert root.get("viewBox") == f"0 0 {root.get('width')} {root.get('height')}"
     size = int(re.search(r'width="(\d+)" height="\1"', drawn)[1]) // 4
     picture, x, y = np.full((size, size), 255, np.uint8), 0, 0.0
     path = re.search(r'stroke="#000" d="([^"]+)"', drawn)[1]
@@ -112,7 +108,6 @@ def test_the_status_page_shows_the_address_it_was_asked_by():
 
 @pytest.mark.parametrize(("listens", "name"), [("0.0.0.0", "192.168.7.9"), ("127.0.0.1", "")])
 def test_a_code_never_leads_a_phone_to_itself(monkeypatch, listens, name):
-    """Opened at localhost, the status page names the machine's address in the network, or says that there is none."""
     monkeypatch.setattr("glsplat.net.guard.machine.machine_addresses", lambda: ("192.168.7.9", "2001:db8::7"))
     config = ServerConfig(port=0, access=Access(host=listens, insecure=True))
 
@@ -127,10 +122,3 @@ def test_a_code_never_leads_a_phone_to_itself(monkeypatch, listens, name):
         assert qr.svg(f"http://{name}:{port}/vr") in page and f"<code>http://{name}:{port}/vr</code>" in page
     else:
         assert "<svg" not in page and "glsplat serve --host 0.0.0.0 --self-signed" in page
-
-
-def test_an_svg_can_be_made_smaller() -> None:
-    """Without a view box a page that gives it another size cuts it off."""
-    for text in ("http://localhost:8000/vr", "https://a-longer-name.example:8443/vr#token=" + "x" * 40):
-        root = ElementTree.fromstring(qr.svg(text))
-        assert root.get("viewBox") == f"0 0 {root.get('width')} {root.get('height')}"

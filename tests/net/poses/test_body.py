@@ -1,8 +1,6 @@
-"""A body on the wire: what was put in comes out, within its steps; what was damaged is refused, quickly."""
+"""A body on the wire: packed, unpacked, and refused where it is damaged."""
 
 from __future__ import annotations
-
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ import pytest
 import glsplat
 from glsplat.errors import PoseError, ProtocolError
 from glsplat.net.poses.body import HERE, pack_body, place_of, unpack_bodies, yours
-from glsplat.net.reply import pack_poses, pack_reply, parse_reply
+from glsplat.net.reply import pack_poses, parse_reply
 from glsplat.rotations import turn_between
 from glsplat.skinning.expression import ARKIT
 
@@ -18,7 +16,7 @@ SHA = bytes(range(32))
 
 
 def someone(seed: int, joints: int = 55, stretched: bool = False, face: bool = True) -> glsplat.Pose:
-    """Angles up to two turns: half of the quaternions have a negative w."""
+    """A pose with angles up to two turns: half of the quaternions have a negative w."""
     rng = np.random.default_rng(seed)
     vectors = rng.normal(size=(joints, 3))
     vectors *= (rng.uniform(0, 4 * np.pi, joints) / np.linalg.norm(vectors, axis=1))[:, None]
@@ -56,39 +54,23 @@ def test_a_body_that_its_size_cannot_count_is_refused() -> None:
 
 def test_two_people_are_below_a_kilobyte_each_and_skipped_by_their_size() -> None:
     packed = [pack_body(someone(i), SHA, HERE, at=i, t=i / 3, key=i) for i in (1, 2)]
-    longer = [len(packed[0]) + 5, 0]
-    first = longer[0].to_bytes(2, "little") + packed[0][2:] + b"later"  # a version that appends
+    first = (len(packed[0]) + 5).to_bytes(2, "little") + packed[0][2:] + b"later"  # a version that appends
     data = pack_poses(9, {"want": "pose"}, [first, packed[1]])
     reply = parse_reply(data)
     assert [body.key for body in reply.bodies] == [1, 2] and reply.nbytes == len(data) < 2000
-    assert reply.bodies[1].t == 2 / 3
-
-
-def test_a_reader_of_pictures_finds_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = pack_poses(9, {"want": "pose", "t": 5}, [pack_body(someone(1), SHA, HERE, at=0, t=None)])
-    assert data.startswith(pack_reply(9, (), (), {"want": "pose", "t": 5}))
-    reply = parse_reply(data)
-    assert reply.pictures == {} and reply.images() == [] and repr(reply) == "Reply(frame 9, 1 bodies)"
-
-
-def test_places_of_any_size_and_turn() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        matrix = glsplat.scene.similarity(rng.normal(size=3), rng.normal(size=4), float(rng.uniform(0.1, 10)))
-        translation, rotation, scale = place_of(matrix)
-        assert np.allclose(glsplat.scene.similarity(translation, rotation, scale), matrix)
+    assert reply.bodies[1].t == 2 / 3 and reply.pictures == {} and reply.images() == []
 
 
 @pytest.mark.check
-def test_five_thousand_damaged_replies_are_read_or_refused_in_one_line() -> None:
+def test_damaged_replies_are_read_or_refused_in_one_line() -> None:
     rng = np.random.default_rng(11)
     bodies = [pack_body(someone(i, 55, i == 2), SHA, HERE, at=i, t=i) for i in (1, 2)]
     whole = pack_poses(3, {"want": "pose", "room": {"people": []}}, bodies)
     for size in range(0, len(whole), 3):
         with pytest.raises(ProtocolError):
             parse_reply(whole[:size])
-    read, early = 0, 0
-    for round_ in range(5000):
+    read = 0
+    for round_ in range(3000):
         data = bytearray(whole)
         for at in rng.integers(0, len(data), rng.integers(1, 6)):
             data[at] = rng.integers(0, 256)
@@ -99,13 +81,7 @@ def test_five_thousand_damaged_replies_are_read_or_refused_in_one_line() -> None
             read += 1
         except ProtocolError as error:
             assert "\n" not in str(error) and len(str(error)) < 300
-        if round_ == 4400:
-            tracemalloc.start()
-        if round_ == 4700:
-            early = tracemalloc.get_traced_memory()[0]
-    grown = tracemalloc.get_traced_memory()[0] - early
-    tracemalloc.stop()
-    assert 500 < read < 4500 and grown < 20_000
+    assert 300 < read < 2700
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,9 @@
-"""Poses over the WebSocket, beside a renderer made of numpy: what is said, to whom, and in which order."""
+"""Poses over the WebSocket, beside a renderer made of numpy."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import time
 from typing import Any
 
 import aiohttp
@@ -87,7 +86,7 @@ def test_the_file_is_fetched_by_its_hash_and_kept(serve: Serve) -> None:
 
 
 def test_who_is_not_handed_out_is_drawn_here(serve: Serve) -> None:
-    """Neither file nor pose, also once the right ends under a client that had it; pictures go on."""
+    """Neither file nor pose, also once the consent ends; pictures go on."""
 
     async def talk() -> None:
         settings = config("ann")
@@ -95,10 +94,10 @@ def test_who_is_not_handed_out_is_drawn_here(serve: Serve) -> None:
         async with serve(FakeBackend(), settings, offered=OFFERS) as server, aiohttp.ClientSession() as web:
             for name in ("bob", "scenery"):
                 async with alone(server, name) as client:
-                    for _ in range(30):  # it is no malformed message
+                    for _ in range(10):  # it is no malformed message
                         with pytest.raises(ProtocolError) as error:
                             await client.poses()
-                        assert error.value.code == "no_pose" and "\n" not in str(error.value)
+                        assert error.value.code == "no_pose"
                     assert (await client.render(eyes())).pictures
             async with alone(server) as client:
                 digest = (await client.poses()).bodies[0].sha256
@@ -108,13 +107,7 @@ def test_who_is_not_handed_out_is_drawn_here(serve: Serve) -> None:
                 async with web.get(f"{http(server)}/splats/{digest}") as answer:
                     assert answer.status == 403 and "no consent on file" in await answer.text()
                 assert (await client.render(eyes())).pictures
-
-    asyncio.run(talk())
-
-
-def test_a_server_that_asks_nobody_for_consent_hands_out_nothing(serve: Serve) -> None:
-    async def talk() -> None:
-        async with serve(FakeBackend(), offered=OFFERS) as server, alone(server) as client:
+        async with serve(FakeBackend(), offered=OFFERS) as server, alone(server) as client:  # without consent files
             with pytest.raises(ProtocolError, match="hands out no splats"):
                 await client.poses()
             assert all(one["hand_out"] is None for one in server.offer()["avatars"])
@@ -156,33 +149,19 @@ def test_in_a_room_each_is_told_what_is_news_to_them(serve: Serve) -> None:
     asyncio.run(talk())
 
 
-def test_who_only_listens_is_no_news(serve: Serve) -> None:
-    """They stand at rest, which the others are told once."""
-
-    async def talk() -> None:
-        async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server:
-            async with member(server, "Ann") as ann, member(server, "Cat") as cat:
-                for _ in range(3):
-                    await cat.poses()
-                counts = []
-                for _ in range(3):
-                    counts.append(len((await ann.poses(tracking=head())).bodies))
-                    await cat.poses()
-                assert counts == [2, 1, 1]
-                assert [body.you for body in (await cat.poses()).bodies] == []
-
-    asyncio.run(talk())
-
-
 def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
     async def talk() -> None:
         async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server, member(server, "Ann") as ann:
             async with member(server, "Cat") as cat:
+                counts = []
+                for _ in range(3):
+                    await cat.poses()  # who only listens is news once
+                    counts.append(len((await ann.poses(tracking=head())).bodies))
+                assert counts == [2, 1, 1]
                 await cat.poses(tracking=head(0.3))
-                assert len((await ann.poses(tracking=head())).info["room"]["people"]) == 2
                 person = server._channels[2].member.person  # type: ignore[union-attr]
                 person._heard -= 2.25
-                await asyncio.sleep(0.04)  # a room looks who is silent now and then, not for each who asks
+                await asyncio.sleep(0.04)  # a room looks now and then who is silent
                 bodies = {body.you: body for body in (await ann.poses(tracking=head())).bodies}
                 assert 0.3 < bodies[False].opacity < 0.6
             await until(lambda: len(server._channels) == 1)
@@ -195,8 +174,6 @@ def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
 
 @pytest.mark.check
 def test_a_hundred_switches_keep_their_order(serve: Serve) -> None:
-    """Answers come in the order of their requests, whatever each asked for, and every picture is a picture."""
-
     async def talk() -> None:
         rng = np.random.default_rng(9)
         async with serve(FakeBackend(delay=0.004), config("ann", limits=UNLIMITED), offered=OFFERS) as server:
@@ -213,14 +190,14 @@ def test_a_hundred_switches_keep_their_order(serve: Serve) -> None:
                         got.append(reply.frame_id)
 
                 reader = asyncio.create_task(read())
-                for number in range(1, 301):
+                for number in range(1, 151):
                     asked[number] = bool(rng.integers(2))
                     kind = {"tracking": head(), "t": number * 10.0} if rng.integers(2) else {"pose": POSE}
                     message = request_message(number, eyes(32), want="pose" if asked[number] else None, **kind)
                     await ws.send_str(json.dumps(message | {"ack": got[-1] if got else 0}))
                     await asyncio.sleep(0.002)
                 async with asyncio.timeout(HANG):
-                    while not got or got[-1] != 300:
+                    while not got or got[-1] != 150:
                         await ws.send_str(json.dumps({"v": 1, "ack": got[-1] if got else 0}))
                         await asyncio.sleep(0.02)
                 reader.cancel()
@@ -237,39 +214,33 @@ def test_a_busy_renderer_holds_no_pose_back(serve: Serve) -> None:
             backend.gate.clear()
             waiting = asyncio.create_task(two.render(eyes()))
             await until(lambda: backend.drawn)
-            start = time.perf_counter()
-            for x in range(20):
-                (body,) = (await one.poses(tracking=head(x))).bodies
-                assert body.pose.trans[0] == x
-            assert time.perf_counter() - start < HANG and not waiting.done()
+            for x in range(5):
+                assert (await one.poses(tracking=head(x))).bodies[0].pose.trans[0] == x
+            assert not waiting.done()
             backend.gate.set()
             assert (await waiting).pictures
 
     asyncio.run(talk())
 
 
-@pytest.mark.parametrize(
-    ("message", "code"),
-    [
-        ({"frame_id": 1, "want": "film"}, "bad_request"),
-        ({"frame_id": 1, "want": 7}, "bad_field"),
-        ({"frame_id": 1, "want": ["pose"]}, "bad_field"),
-        ({"ack": 0, "want": "pose"}, "bad_request"),
-        ({"frame_id": 1, "want": "pose", "pose": {"body_pose": [1]}}, "bad_pose"),
-        ({"frame_id": 1, "want": "pose", "pose": POSE, "tracking": {}}, "bad_request"),
-        ({"frame_id": 1, "want": "pose", "tracking": {"head": [1, 2]}}, "bad_request"),
-        ({"frame_id": 1, "want": "pose", "tracking": {"left_curl": 1}}, "bad_pose"),
-    ],
-)
-def test_what_is_wrong_is_said_and_costs_that_message(serve: Serve, message: dict[str, Any], code: str) -> None:
+WRONG = [
+    ({"frame_id": 1, "want": "film"}, "bad_request"),
+    ({"frame_id": 1, "want": ["pose"]}, "bad_field"),
+    ({"ack": 0, "want": "pose"}, "bad_request"),
+    ({"frame_id": 1, "want": "pose", "pose": {"body_pose": [1]}}, "bad_pose"),
+    ({"frame_id": 1, "want": "pose", "pose": POSE, "tracking": {}}, "bad_request"),
+    ({"frame_id": 1, "want": "pose", "tracking": {"left_curl": 1}}, "bad_pose"),
+]
+
+
+def test_what_is_wrong_is_said_and_costs_that_message(serve: Serve) -> None:
     async def talk() -> None:
         async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server, aiohttp.ClientSession() as web:
-            ws = await web.ws_connect(f"{server.url}?avatar=ann")
-            await ws.send_str(json.dumps({"v": 1, **message}))
-            said = json.loads((await ws.receive(timeout=HANG)).data)["error"]
-            assert said["code"] == code and "\n" not in said["message"]
-            await ws.send_str(json.dumps({"v": 1, "frame_id": 9, "want": "pose"}))
-            assert len(parse_reply((await ws.receive(timeout=HANG)).data).bodies) == 1
-            await ws.close()
+            for message, code in WRONG:
+                async with web.ws_connect(f"{server.url}?avatar=ann") as ws:
+                    await ws.send_str(json.dumps({"v": 1, **message}))
+                    assert json.loads((await ws.receive(timeout=HANG)).data)["error"]["code"] == code, message
+                    await ws.send_str(json.dumps({"v": 1, "frame_id": 9, "want": "pose"}))
+                    assert len(parse_reply((await ws.receive(timeout=HANG)).data).bodies) == 1
 
     asyncio.run(talk())
