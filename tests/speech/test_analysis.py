@@ -58,7 +58,7 @@ def test_vowels_open_the_mouth_and_silence_closes_it():
 
 
 def test_lips_close_where_a_voice_needs_them_closed():
-    """A sentence that nothing was learned from, with its maker's own times."""
+    """A sentence with its maker's own times."""
     told = json.loads((DATA / "balloon.json").read_text(encoding="utf-8"))
     speaking = Speaking(read_wav(DATA / "balloon.wav"))
     times = np.arange(0, told["phonemes"][-1][2], 0.01)
@@ -69,14 +69,12 @@ def test_lips_close_where_a_voice_needs_them_closed():
     closed = [bool((jaw[(times > a - 0.02) & (times < b + 0.02)] < 0.02).any()) for a, b in lips]
     pressed = [bool((press[(times > a - 0.02) & (times < b + 0.02)] > 0.3).any()) for a, b in lips]
     assert sum(closed) >= 9 and sum(pressed) >= 9
-    open_ = [
-        jaw[(times > a) & (times < b)].max() for name, a, b in told["phonemes"] if name in ("a", "eI", "V", "aI", "u:")
-    ]
+    vowels = [(a, b) for name, a, b in told["phonemes"] if name in ("a", "eI", "V", "aI", "u:")]
+    open_ = [jaw[(times > a) & (times < b)].max() for a, b in vowels]
     assert min(open_) > 0.05 and max(open_) > 0.25
 
 
 def test_the_jaw_goes_by_loudness():
-    """The same vowel, louder and softer."""
     vowel = np.array([name == "aa" for name in table().visemes], float)
 
     def jaw(level):

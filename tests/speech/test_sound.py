@@ -1,4 +1,4 @@
-"""Sound files: what .wav holds, what it lies about, and FLAC in MP4 as an independent reader finds it."""
+"""Sound files: formats of .wav, damaged ones, and FLAC in MP4 as an independent reader finds it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,12 @@ def test_what_is_no_sound_is_one_line(tmp_path):
         wav(1, 16, b""),
     ]
     wrong += [wav(6, 8, b"abcd"), wav(1, 12, b"abcd"), wav(1, 16, b"ab", channels=0), wav(1, 16, b"ab", rate=0)]
-    wrong += [wav(1, 16, bytes(64), rate=10**9), wav(1, 16, bytes(80), rate=1)[:30], wav(1, 8, bytes(4000), rate=1)]
+    wrong += [
+        wav(1, 16, b""),
+        wav(1, 16, bytes(64), rate=10**9),
+        wav(1, 16, bytes(80), rate=1)[:30],
+        wav(1, 8, bytes(4000), rate=1),
+    ]
     for data in wrong:
         with pytest.raises(FormatError, match=r"a\.wav: [^\n]+$"):
             read(data, tmp_path)
@@ -86,7 +91,7 @@ def test_what_is_no_sound_is_one_line(tmp_path):
 def test_damaged_files_are_read_or_refused(tmp_path):
     chance = random.Random(5)
     good = wav_bytes(Sound(RAMP.astype(np.float32), 16000))
-    for _ in range(300):
+    for _ in range(200):
         data = bytearray(good[: chance.choice([len(good), chance.randrange(len(good))])])
         for _ in range(chance.randrange(4)):
             if data:

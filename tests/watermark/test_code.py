@@ -21,7 +21,7 @@ def test_a_word_comes_back() -> None:
 
 
 def test_the_word_is_the_generators_output() -> None:
-    """Each sign is the parity of a generator over the last nine bits, around the circle (written out once more)."""
+    """Each sign is the parity of a generator over the last nine bits, around the circle."""
     payload = Payload(0x9D31, 0x4E6F2A55)
     word = encode(payload).reshape(-1, 4)
     info = payload.server.to_bytes(2, "big") + payload.session.to_bytes(4, "big")

@@ -1,8 +1,6 @@
-"""FakeRuntime: an OpenXR runtime of our own, with the calls that are used, and images that are OpenGL textures.
+"""FakeRuntime: an OpenXR runtime that behaves like Monado 25.0.0, with images that are OpenGL textures.
 
-It refuses what a runtime refuses (calls out of order, poses that are none, images that are held), and tells what
-Monado 25.0.0 was seen to tell: IDLE and READY at once, SYNCHRONIZED, VISIBLE and FOCUSED after the session began, a
-first frame that is not to be drawn, three images a swapchain in turn, and after STOPPING, IDLE and EXITING together.
+It refuses what a runtime refuses: calls out of order, invalid poses, held images.
 """
 
 from __future__ import annotations
@@ -61,8 +59,6 @@ class FakeRuntime:
         self._events: deque[Event] = deque()
         self._turn(State.IDLE, State.READY)
 
-    # ------------------------------------------------------------------------------------- what happens to a runtime
-
     def kill(self) -> None:
         """As when its process dies: nothing answers any more."""
         self.dead = True
@@ -86,8 +82,6 @@ class FakeRuntime:
         self.log.append(name)
         if not wanted:
             raise ContextError(f"the OpenXR runtime refuses {name}: CallOrderInvalidError: {why}")
-
-    # ------------------------------------------------------------------------------------------------------ Runtime
 
     def poll(self) -> Event | None:
         if self.dead:
@@ -163,8 +157,6 @@ class FakeRuntime:
 
     def close(self) -> None:
         self.closed = True
-
-    # -------------------------------------------------------------------------------------------------------- parts
 
     def _moved(self, pose: Transform) -> Transform:
         """In the space as it was put elsewhere; about the vertical only."""

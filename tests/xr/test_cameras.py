@@ -1,4 +1,4 @@
-"""Eyes to cameras: frusta of any four angles, any pose, and where the avatar is shown, against the page's own code."""
+"""Eyes to cameras: frusta, poses, and where the avatar is shown, against the page's own code."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_facing_is_a_half_turn_and_own_nothing() -> None:
 
 
 def test_the_avatars_metres(rng: np.random.Generator) -> None:
-    """A user 1.1 times as tall whose floor is at -0.2 sees the avatar's world as Tracker.to_avatar puts it."""
+    """A user 1.1 times as tall whose floor is at -0.2."""
     view = ViewPose((0.2, 1.5, 0.3, 0.1, 0.2, 0.0, 0.9), Fov(-0.8, 0.9, 0.7, -0.9))
     place = placing("mirror", matrix_of((0, 1.6, 0, 0, 0, 0, 1)))
     plain, scaled = (camera_of(view, (64, 64), place.shown, scale=s, floor=f) for s, f in ((1, 0), (1.1, -0.2)))
@@ -126,7 +126,7 @@ def test_planes_are_met_where_rays_meet_them(rng: np.random.Generator) -> None:
 
 @pytest.mark.check
 def test_the_page_places_views_likewise(rng: np.random.Generator, tmp_path: Path) -> None:
-    """placing.js itself, by node: the same views for the same heads, straight up and straight down included."""
+    """placing.js by node: the same views for the same heads."""
     needs.require("node")
     shutil.copytree(WEB, tmp_path / "space")
     (tmp_path / "package.json").write_text('{"type": "module"}')  # older ones take .js for no module without it

@@ -1,4 +1,4 @@
-"""A scene in a headset: what lies in the runtime's images, against Renderer.render with the same cameras."""
+"""A scene in a headset: the runtime's images against Renderer.render with the same cameras."""
 
 from __future__ import annotations
 
@@ -47,7 +47,6 @@ def context() -> Iterator[Context]:
 
 @pytest.fixture(scope="module")
 def person() -> glsplat.Avatar:
-    """The embedded avatar's coarsest level."""
     return replace(glsplat.default_avatar().levels[-1].content, levels=())
 
 

@@ -1,4 +1,4 @@
-"""The frame loop and the states, without OpenGL: what is called in which order, and what a runtime that goes does."""
+"""The frame loop and its states, without OpenGL."""
 
 from __future__ import annotations
 

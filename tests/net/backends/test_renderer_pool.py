@@ -1,15 +1,13 @@
-"""What is drawn of what a server offers: avatars by name, with and without parts, and where they are."""
+"""What a server draws of what it offers: avatars by name, with and without parts, and where they are."""
 
 from __future__ import annotations
 
 import asyncio
 import ctypes
-import json
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import psutil
 import pytest
 
 from glsplat import reference
@@ -28,7 +26,6 @@ from glsplat.net.messages import PictureOptions
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
 from tests import needs
@@ -96,7 +93,6 @@ def test_a_hidden_head_is_that_of_an_avatar_without_it(pose) -> None:
 
 @pytest.mark.gl
 def test_a_head_is_hidden_in_a_scene_of_several_things_that_move() -> None:
-    """The rest of the scene stays, and the body goes where the scene's avatar goes."""
     person = Item(PERSON, transform=similarity((0.3, 0, 0.2), scale=1.1))
     rod = Item(limb(200).splats, transform=similarity((-0.5, 1, 0)))
     scene = Scene([rod, person])
@@ -136,19 +132,14 @@ def top(avatar: Avatar) -> float:
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("own_process", [False, True])
-def test_where_the_avatar_is(own_process: bool) -> None:
-    """The box of the splats as posed and placed, from the process that draws too."""
+def test_where_the_avatar_is() -> None:
+    """The box of the splats as posed and placed."""
     transform = similarity((0.5, 0.2, -1), rotation=(0, 0.7071, 0, 0.7071), scale=1.2)
-    make = partial(RendererBackend, Scene([Item(PERSON, transform=transform)]), SIZE)
-    backend = ProcessBackend(make, 128) if own_process else make()
+    backend = RendererBackend(Scene([Item(PERSON, transform=transform)]), SIZE)
     backend.open()
 
     def rendered(**more) -> Rendered:
-        out = backend.render(request(**more))
-        if out.done is not None:
-            out.done()
-        return out
+        return backend.render(request(**more))
 
     try:
         assert not rendered().places
@@ -175,8 +166,7 @@ def test_where_the_avatar_is(own_process: bool) -> None:
 
 
 @pytest.mark.gl
-@pytest.mark.gl
-@pytest.mark.parametrize("own_process", [False, True])
+@pytest.mark.parametrize("own_process", [False, pytest.param(True, marks=pytest.mark.check)])
 def test_the_box_holds_what_a_face_moves(own_process: bool) -> None:
     avatar = expressive(400)
     make = partial(RendererBackend, avatar, SIZE)
@@ -209,29 +199,23 @@ def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
         await server.start()
         try:
             async with Client(server.url) as client:
-                plain = await client.render(PAIR, pose=BENT)
-                posed = await client.render(PAIR, pose=BENT, box=True)
-                mirrored = await client.render(PAIR, pose=BENT, box=True, mirror=True)
+                ask = ({}, {"box": True}, {"box": True, "mirror": True})
+                posed = [await client.render(PAIR, pose=BENT, **more) for more in ask]
                 head = {"head": [1.0, 1.1, 2.0, 0, 0, 0, 1]}
-                for _ in range(3):
-                    tracked = await client.render(PAIR, tracking=head, box=True)
-                return plain, posed, mirrored, tracked
+                return *posed, [await client.render(PAIR, tracking=head, box=True) for _ in range(3)][-1]
         finally:
             await server.stop()
 
     plain, posed, mirrored, tracked = asyncio.run(main())
     assert plain.box is None and not {"box", "feet"} & plain.info.keys()
-    assert np.reshape(tracked.info["feet"], (4, 3))[:, 1].min() > -0.25  # above the user's floor
     means = reference.skin(PERSON.splats, PERSON.skin, BENT.bones(PERSON.skeleton)).means
     assert np.abs(posed.box - [means.min(axis=0), means.max(axis=0)]).max() < 0.12
-    assert (posed.box == mirrored.box).all() and np.linalg.det(
-        np.reshape(mirrored.info["eyes"][0]["viewmat"], (4, 4))
-    ) < 0
+    assert (posed.box == mirrored.box).all()
+    assert np.linalg.det(np.reshape(mirrored.info["eyes"][0]["viewmat"], (4, 4))) < 0
     low, high = tracked.box
     assert low[1] == pytest.approx(-0.25, abs=0.06)  # on the user's floor
-    assert (
-        high[1] == pytest.approx(1.1 + 0.1, abs=0.1) and low[0] < 1.0 < high[0] and low[2] < 2.0 + 0.3
-    )  # about the head
+    assert np.reshape(tracked.info["feet"], (4, 3))[:, 1].min() > -0.25
+    assert high[1] == pytest.approx(1.2, abs=0.1) and low[0] < 1.0 < high[0] and low[2] < 2.3  # about the head
 
 
 @pytest.mark.gl
@@ -296,15 +280,14 @@ def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
 @pytest.mark.check
 @pytest.mark.gl
 def test_many_changes_leave_nothing_behind() -> None:
-    """Five things in turn on four places, so that renderers come and go: no more objects and memory than before."""
+    """Renderers come and go in turn: no more GL objects than before."""
     needs.require("opengl")
-    avatars = {"a": BIG, "b": limb(300), "c": limb(200, seed=7)}
-    backend = RendererBackend(PERSON, SIZE, avatars=avatars)
+    backend = RendererBackend(PERSON, SIZE, avatars={"a": BIG, "b": limb(300), "c": limb(200, seed=7)})
     backend.open()
-    process, gl = psutil.Process(), ctypes.CDLL("libOpenGL.so.0")
+    gl = ctypes.CDLL("libOpenGL.so.0")
 
     def alive() -> list[int]:
-        """Buffers, textures, framebuffers, vertex arrays and programs of this context; names are never given twice."""
+        """Count buffers, textures, framebuffers, vertex arrays and programs; names are never given twice."""
         kinds = [getattr(gl, f"glIs{kind}") for kind in ("Buffer", "Texture", "Framebuffer", "VertexArray", "Program")]
         newest = backend._context.ctx.buffer(reserve=16)
         last = newest.glo
@@ -319,12 +302,11 @@ def test_many_changes_leave_nothing_behind() -> None:
             assert len(backend._pool) <= KEPT
 
     try:
-        change(40)
-        before, memory = alive(), process.memory_info().rss
+        change(16)
+        before = alive()
         assert min(before) > 0
-        change(200)
+        change(48)
         assert alive() == before
-        assert process.memory_info().rss - memory < 30e6
     finally:
         backend.close()
 
@@ -333,7 +315,7 @@ def test_many_changes_leave_nothing_behind() -> None:
     ("avatars", "words"),
     [
         ({"default": PERSON}, 'two avatars are called "default"'),
-        ({"": PERSON}, "a name needs 1 to 64|name needs 1 to 64"),
+        ({"": PERSON}, "name needs 1 to 64"),
         ({"x" * 65: PERSON}, "needs 1 to 64 printable"),
         ({"a\nb": PERSON}, "needs 1 to 64 printable"),
         ({"cloud": PERSON.splats}, '"cloud": clients choose avatars, not Splats'),
@@ -345,10 +327,3 @@ def test_names_and_things_that_cannot_be_offered(avatars, words) -> None:
     bare = replace(PERSON, splats=replace(PERSON.splats, cones=None))
     with pytest.raises(GlsplatError, match='"ben": cull_hidden needs visibility cones'):
         make_server(PERSON, ServerConfig(port=0), rendering=RenderConfig(cull_hidden=True), avatars={"ben": bare})
-
-
-def test_a_client_is_told_who_there_is(serve) -> None:
-    file = SceneFile.of(PERSON)
-    server = make_server(file, ServerConfig(port=0), own_process=False, name="ann", avatars={"ben": BIG})
-    assert [one["name"] for one in server.offer()["avatars"]] == ["ann", "ben"]
-    assert json.loads(json.dumps(server.offer()))["avatars"][0]["head"]

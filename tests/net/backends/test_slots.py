@@ -1,24 +1,27 @@
-"""Shared memory without room: one picture fails with a line that says why, and no process dies of it."""
+"""Slots of shared memory: pictures drawn into them, and no room for one."""
 
 from __future__ import annotations
 
 import errno
 import os
-import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 import numpy as np
 import pytest
 
-from glsplat.camera import Camera
+from glsplat.camera import Camera, head_matrix, stereo_cameras
+from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.net.backend import RenderJob
+from glsplat.net.backend import Placing, RenderJob
 from glsplat.net.backends import slots
+from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
+from glsplat.net.backends.slots import Slots, SlotWriter
+from glsplat.renderer import Renderer
 from tests.net.backends.fakes import Boxed
 
-MIB = 2**20
 SIDE = 1200  # a pair takes 11 MiB, of which 8 are set aside at the start
 
 
@@ -32,49 +35,31 @@ def no_room(descriptor: int, start: int, length: int) -> None:
 
 
 @pytest.fixture
-def small(tmp_path, monkeypatch) -> Iterator[Callable]:
-    """Pictures go to a folder with little room; as a context manager, none of which is left.
-
-    A file system of its own where one may be mounted; else what the system would answer is made up.
-    """
-    folder = tmp_path / "shm"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=40m", "glsplat-test", str(folder)]
-    mounted = subprocess.run(mount, capture_output=True).returncode == 0
-    monkeypatch.setattr(slots, "SHM", str(folder))
-    monkeypatch.setattr("tempfile.tempdir", str(folder))
+def full(tmp_path, monkeypatch) -> Callable[[], AbstractContextManager[None]]:
+    """Pictures go to a folder; no file there can grow within ``full()``."""
+    monkeypatch.setattr(slots, "SHM", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
     @contextmanager
-    def full() -> Iterator[None]:
-        if mounted:
-            with open(folder / "filler", "wb") as file:
-                left = os.statvfs(folder).f_bavail * os.statvfs(folder).f_frsize
-                os.posix_fallocate(file.fileno(), 0, left)
-                yield
-            os.unlink(folder / "filler")
-            return
+    def within() -> Iterator[None]:
         with monkeypatch.context() as patch:
             patch.setattr("os.posix_fallocate", no_room)
             yield
 
-    yield full
-    if mounted:
-        subprocess.run(["umount", "-l", str(folder)], check=True)
+    return within
 
 
-def test_memory_that_fills_up_fails_one_picture(small):
+def test_memory_that_fills_up_fails_one_picture(full):
     backend = ProcessBackend(Boxed, SIDE)
     backend.open()
     try:
         assert backend._slots.folder == slots.SHM
-        with small():
+        with full():
             for _ in range(4):  # every slot
-                with pytest.raises(GlsplatError, match=r"^no room for a picture of 11\.0 MiB: .*shm is full$") as error:
+                with pytest.raises(GlsplatError, match=r"^no room for a picture of 11\.0 MiB: .* is full$") as error:
                     backend.render(request(SIDE))
                 assert not isinstance(error.value, ContextError)
-            rendered = backend.render(request(1000))  # what was set aside at the start is there
-            assert rendered.images[:, -20:-16, -20:-12].min() == 100
-            rendered.done()
+            backend.render(request(1000)).done()  # what was set aside at the start is there
         rendered = backend.render(request(SIDE))
         assert rendered.images[:, -20:-16, -20:-12].min() == 100 and backend.free_slots == 2
         rendered.done()
@@ -83,20 +68,17 @@ def test_memory_that_fills_up_fails_one_picture(small):
     assert os.listdir(slots.SHM) == []
 
 
-def test_memory_that_is_full_at_the_start(small, tmp_path, monkeypatch):
-    backend = ProcessBackend(Boxed, SIDE)
-    with small():
-        with pytest.raises(ContextError, match=r"^no room for pictures in memory or on disk: .*shm is full; free some"):
-            backend.open()
-        backend.close()
+def test_memory_that_is_full_at_the_start(full, tmp_path_factory, monkeypatch):
+    with full(), pytest.raises(ContextError, match=r"^no room for pictures in memory or on disk: .* is full; free"):
+        ProcessBackend(Boxed, SIDE).open()
     assert os.listdir(slots.SHM) == []
-    if os.path.ismount(slots.SHM):  # another folder has room
-        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-        with small():
-            backend.open()
-            assert backend._slots.folder == str(tmp_path)
-            backend.render(request(SIDE)).done()
-        backend.close()
+    # then another folder, where there is one with room
+    reserve, calls = os.posix_fallocate, iter([no_room])
+    monkeypatch.setattr("os.posix_fallocate", lambda *which: next(calls, reserve)(*which))
+    monkeypatch.setattr("tempfile.tempdir", other := str(tmp_path_factory.mktemp("disk")))
+    made = Slots(SIDE * SIDE)
+    assert made.folder == other and os.listdir(slots.SHM) == []
+    made.close()
 
 
 def test_pictures_of_another_number_than_asked_for_take_no_slot():
@@ -115,3 +97,51 @@ class TooMany(Boxed):
     def render(self, request):
         rendered = super().render(request)
         return type(rendered)(np.zeros((3, 64, 64, 4), np.uint8))
+
+
+def pair(side: int):
+    return stereo_cameras(head_matrix((0, 1.2, 2.2), (0, 0, 0, 1)), size=(side, side))
+
+
+@pytest.mark.gl
+def test_a_slot_gets_the_same_picture_without_a_copy():
+    backend, slots = RendererBackend(default_avatar(), (96, 96)), Slots(2 * 96 * 96 * 4)
+    writer = SlotWriter(slots.path, slots.nbytes)
+    slots.unlink()
+    backend.open()
+    try:
+        assert isinstance(backend, Placing)
+        for side in (96, 64, 80):  # what is left of a larger picture must not shine through
+            request, shape = RenderJob(frame_id=1, cameras=pair(side)), (2, side, side, 4)
+            backend.place = None
+            expected = backend.render(request).images
+            slot = slots.take(int(np.prod(shape)))
+            backend.place = writer.place(slot, shape)
+            backend.place.fill(77)
+            rendered = backend.render(request)
+            assert rendered.images is backend.place
+            writer.put(slot, rendered, shape)
+            np.testing.assert_array_equal(slots.picture(slot, shape), expected)
+            slots.give_back(slot)
+    finally:
+        backend.close()
+        slots.close()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(
+    "out",
+    [
+        np.empty((2, 32, 32, 3), np.uint8),
+        np.empty((2, 32, 32, 4), np.float32),
+        np.empty((2, 32, 64, 4), np.uint8)[:, :, ::2],
+    ],
+    ids=["shape", "type", "strides"],
+)
+def test_out_is_checked(out):
+    with Renderer(default_avatar(), size=(32, 32), config=RenderConfig(output="uint8")) as renderer:
+        with pytest.raises(GlsplatError, match=r"out needs a contiguous array \(2, 32, 32, 4\) of uint8"):
+            renderer.render(pair(32), out=out)
+        given = np.full((2, 32, 32, 4), 9, np.uint8)
+        assert renderer.render(pair(32), out=given) is given
+        np.testing.assert_array_equal(given, renderer.render(pair(32)))

@@ -53,12 +53,8 @@ def test_a_reply_brings_them_behind_its_json():
     "fields",
     [
         {"grid": [4, 3], "inverse": [[0.1, 1.0], [0.1, 1.0]]},
-        {"grid": [1, 12], "inverse": [[0.1, 1.0]]},
-        {"grid": [12, 100000], "inverse": [[0.1, 1.0]]},
-        {"grid": [4], "inverse": [[0.1, 1.0]]},
-        {"grid": [4, 3], "inverse": [[-1.0, 1.0]]},
-        {"grid": [4, 3], "inverse": [[0.1, float("inf")]]},
-        {"grid": [4, 3], "inverse": [[0.1, float("nan")]]},
+        *({"grid": grid, "inverse": [[0.1, 1.0]]} for grid in ([1, 12], [12, 100000], [4])),
+        *({"grid": [4, 3], "inverse": [range_]} for range_ in ([-1.0, 1.0], [0.1, float("inf")], [0.1, float("nan")])),
         {"grid": "4 3", "inverse": 1},
         {"grid": [4, 3]},
         7,
@@ -70,8 +66,6 @@ def test_what_does_not_fit_is_refused(fields):
 
 
 def test_what_is_a_thousand_kilometres_away_is_read_again():
-    """Outliers of captures are that far; one that came back as nothing would end the client."""
     far = grid_of(np.full((3, 4), 1e-7))
-    said = DepthGrid.fields((far,))
-    (again,) = read_grids(said, far.data)
+    (again,) = read_grids(DepthGrid.fields((far,)), far.data)
     assert again.metres() == pytest.approx(np.full((3, 4), 1e7), rel=1e-5)

@@ -34,18 +34,11 @@ def psnr(a, b):
 
 def test_both_eyes_come_back(encoder):
     images = np.stack([gradient(), 255 - gradient()])
-    out = encoder.encode(images, 90)
-    assert out.boxes is None and out.ms > 0
+    out, coarse = encoder.encode(images, 90), encoder.encode(images, 20)
+    assert out.boxes is None and out.ms > 0 and len(coarse.pictures[0]) < len(out.pictures[0])
     for image, picture in zip(images, out.pictures, strict=True):
         assert psnr(simplejpeg.decode_jpeg(picture), image[..., :3]) > 38
-
-
-def test_quality_and_chroma(encoder):
-    noise = np.random.default_rng(0).integers(0, 255, (1, 64, 64, 4), np.uint8)
-    sizes = [len(encoder.encode(noise, q).pictures[0]) for q in (20, 60, 95)]
-    assert sizes == sorted(sizes) and sizes[0] < sizes[2] / 3
-    header = simplejpeg.decode_jpeg_header(encoder.encode(noise).pictures[0])
-    assert header[3] == "420"
+        assert simplejpeg.decode_jpeg_header(picture)[3] == "420"
 
 
 @pytest.mark.parametrize("view", [np.s_[:, ::-1], np.s_[::-1], np.s_[8:40, 16:80], np.s_[::2, ::2], np.s_[..., :3]])

@@ -22,7 +22,7 @@ def picture(width, height, box, seed=0):
 
 
 def check(image, box, quality):
-    """What the codec makes of the whole picture, read by two decoders. False if it was not worth while."""
+    """Compare with the codec's whole picture, read by two decoders. Return False where it was not worth while."""
     encoded = encode_covered(image, box, quality)
     if encoded is None:
         return False
@@ -44,9 +44,10 @@ def check(image, box, quality):
         ((2048, 64), (1024, 0, 8, 64)),
     ],
 )
-@pytest.mark.parametrize("quality", [1, 5, 50, 80, 96, 100])  # 100: the black block begins with a byte of ones
+@pytest.mark.parametrize("quality", [1, 50, 80, 100])  # 100: the black block begins with a byte of ones
 def test_it_is_what_the_codec_makes_of_the_whole(size, box, quality):
     assert check(picture(*size, box), box, quality)
+    assert encode_covered(picture(512, 512, (0, 0, 512, 500)), (0, 0, 512, 500), 80) is None  # no gain
 
 
 @settings(max_examples=150, deadline=None)
@@ -56,25 +57,6 @@ def test_any_box_in_any_picture(data):
     x, y = data.draw(st.integers(0, width - 1)), data.draw(st.integers(0, height - 1))
     box = x, y, data.draw(st.integers(0, width - x)), data.draw(st.integers(0, height - y))
     check(picture(width, height, box, data.draw(st.integers(0, 9))), box, data.draw(st.integers(1, 100)))
-
-
-def test_the_intervals_are_where_a_reader_looks_for_them():
-    """Another encoder that knows restart intervals writes the same headers and as many markers."""
-    image = picture(512, 256, (100, 50, 150, 100))
-    options = [cv2.IMWRITE_JPEG_QUALITY, 80, cv2.IMWRITE_JPEG_RST_INTERVAL, 32]
-    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420]
-    theirs = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGBA2BGR), options)[1].tobytes()
-    mine = encode_covered(image, (100, 50, 150, 100), 80)
-    for name in (b"\xff\xdd", b"\xff\xc0", b"\xff\xda"):
-        at, other = mine.index(name), theirs.index(name)
-        length = 2 + int.from_bytes(mine[at + 2 : at + 4], "big")
-        assert mine[at : at + length] == theirs[other : other + length]
-    for number in range(8):
-        assert mine.count(bytes((0xFF, 0xD0 + number))) == theirs.count(bytes((0xFF, 0xD0 + number)))
-
-
-def test_where_it_is_no_gain_the_codec_does_all():
-    assert encode_covered(picture(512, 512, (0, 0, 512, 500)), (0, 0, 512, 500), 80) is None
 
 
 def test_the_encoder_uses_it_for_whole_pictures():

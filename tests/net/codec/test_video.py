@@ -1,4 +1,4 @@
-"""Video as it is coded, and decoded again by PyAV: every picture by itself, in order, whatever it covers."""
+"""Video as it is coded, decoded again by PyAV."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Clock:
 
 
 def moved(index, width=150, height=130, views=2):
-    """Eyes with a patterned box that moves and changes its size, and its place."""
+    """Eyes with a patterned box that moves and changes its size."""
     out = np.zeros((views, height, width, 4), np.uint8)
     x, y, w, h = 5 + 7 * (index % 9), 3 + 5 * (index % 11), 61 - index % 5, 50 + index % 7
     w, h = min(w, width - x), min(h, height - y)
@@ -50,7 +50,7 @@ def decoded(context, encoded):
 @pytest.mark.parametrize("codec", CODECS)
 def test_each_picture_comes_back_at_once(codec, alpha):
     stream, reader = VideoStream(), decoder(codec)
-    for index in range(12):
+    for index in range(8):
         images, box = moved(index)
         encoded = stream.encode(images, ["av2", codec], 90, box if index % 3 else None, alpha)
         said = encoded.video
@@ -79,13 +79,6 @@ def test_straight_colours_go_on_beyond_the_silhouette():
     assert seen["straight"][inside].mean() > 1.3 * seen[True][inside].mean()
 
 
-def test_what_stands_still_costs_next_to_nothing():
-    stream = VideoStream()
-    images, box = moved(3)
-    sizes = [len(stream.encode(images, ["vp9"], 80, box).pictures[0]) for _ in range(8)]
-    assert max(sizes[4:]) < sizes[0] / 10
-
-
 def test_quality_is_coarser_for_a_thin_link():
     images, box = moved(3)
     sizes = [len(VideoStream().encode(images, ["h264"], quality, box).pictures[0]) for quality in STEPS]
@@ -95,25 +88,11 @@ def test_quality_is_coarser_for_a_thin_link():
 def test_key_frames_are_not_given_without_end():
     clock = Clock()
     stream, keys = VideoStream(clock), 0
-    for index in range(300):  # three seconds
+    for index in range(300):  # 3 s
         images, box = moved(index, 64, 64, 1)
         keys += stream.encode(images, ["vp9"], 80, box, key=True).video["key"]
         clock.now += 0.01
     assert 5 <= keys <= 7
-
-
-def test_other_forms_are_not_taken_without_end(monkeypatch):
-    """Another codec, size and quality a hundred times a second: JPEGs come in between, encoders are opened rarely."""
-    clock, opened = Clock(), []
-    opening = VideoStream._open
-    monkeypatch.setattr(VideoStream, "_open", lambda self, *form: (opened.append(form), opening(self, *form)))
-    stream, coded = VideoStream(clock), 0
-    for index in range(300):
-        images, box = moved(0, 64 + 2 * (index % 3), 64, 1)
-        encoded = stream.encode(images, [("vp9", "h264")[index % 2]], STEPS[index % 5], box)
-        coded += encoded is not None
-        clock.now += 0.01
-    assert len(opened) <= 7 and 20 <= coded < 200
 
 
 def test_another_form_begins_with_a_key_frame():
@@ -155,7 +134,7 @@ def test_without_pyav_one_line_says_what_to_do(monkeypatch):
 
 
 def test_what_begins_anew_takes_a_part_of_the_time(monkeypatch):
-    """A machine on which that takes 0.2 s: some forms at once, then one in two seconds, JPEGs in between."""
+    """On a machine where that takes 0.2 s: some forms at once, then one in two seconds, JPEGs in between."""
     clock, opened = Clock(), []
     opening = VideoStream._open
 
@@ -165,16 +144,15 @@ def test_what_begins_anew_takes_a_part_of_the_time(monkeypatch):
         clock.now += 0.2
 
     monkeypatch.setattr(VideoStream, "_open", slow)
-    stream, images = VideoStream(clock), [moved(0, 64 + 2 * i, 64, 1)[0] for i in range(2)]
-    start = clock.now
-    for index in range(200):  # 0.6 s each
-        stream.encode(images[index % 2], ["vp9"])
+    stream, start = VideoStream(clock), clock.now
+    for index in range(200):
+        stream.encode(moved(0, 64 + 2 * (index % 2), 64, 1)[0], ["vp9"])
         clock.now += 0.6
     seconds = clock.now - start
     assert len([at for at in opened if at < start + 4]) >= 4
     assert 0.05 * seconds <= 0.2 * len(opened) <= 0.1 * seconds + 1.2
     clock.now += 20
-    assert stream.encode(moved(0, 96, 64, 1)[0], ["vp9"]).video["key"]  # who was quiet may again
+    assert stream.encode(moved(0, 96, 64, 1)[0], ["vp9"]).video["key"]
 
 
 @pytest.mark.parametrize("quality", [STEPS[-1] + 1, 100])

@@ -1,11 +1,10 @@
-"""A server that marks: each session by an id of its own, in the log, in /stats, and in the pictures it receives."""
+"""A server that marks: each session by an id of its own, in the log, in /stats, and in its pictures."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 
-import aiohttp
 import numpy as np
 import pytest
 
@@ -26,8 +25,7 @@ CONFIG = ServerConfig(port=0, session=SessionConfig(watermark=WATERMARK))
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("own_process", [False, True])
-def test_pictures_lead_to_their_session(own_process, caplog):
+def test_pictures_lead_to_their_session(caplog):
     avatar, size = default_avatar(), (448, 448)
     motion = load_embedded_motion("walk", avatar.skeleton)
     eyes = stereo_cameras(head_matrix((0, 0.35, 1.0), (0, 0, 0, 1)), size=size)
@@ -35,14 +33,11 @@ def test_pictures_lead_to_their_session(own_process, caplog):
     async def watch(server):
         async with Client(server.url) as client:
             replies = [await client.render(eyes, pose=motion.pose(frame), quality=60) for frame in range(6)]
-            async with aiohttp.ClientSession() as http:
-                page = server.url.replace("ws:", "http:").replace("/ws", "/stats")
-                async with http.get(page) as response:
-                    (row,) = (await response.json())["clients"]
+            (row,) = server.stats()["clients"]
             return [reply.images()[0] for reply in replies], row["mark"]
 
     async def main():
-        server = make_server(avatar, CONFIG, own_process=own_process)
+        server = make_server(avatar, CONFIG)
         await server.start()
         try:
             return [await watch(server) for _ in range(2)]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
-import time
 from dataclasses import replace
 from typing import Any
 
 import pytest
+
+from tests.net.loops import in_a_loop
 
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
@@ -18,7 +19,6 @@ from glsplat.net.datagrams import path as paths
 from glsplat.net.datagrams import udp, way
 from glsplat.net.datagrams.congestion import PictureWindow
 from glsplat.net.datagrams.packets import PICTURE
-from glsplat.net.guard.limits import CpuShare
 from glsplat.net.server import Server, ServerConfig
 from tests.net.conftest import FakeBackend
 from tests.net.datagrams.client import open_path
@@ -30,61 +30,35 @@ pytestmark = [pytest.mark.usefixtures("every_link_is_long"), pytest.mark.check]
 
 
 class TestPictures:
-    def test_they_go_by_datagrams_once_the_way_is_open(self, serve: Any) -> None:
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
-                await viewer.open()
-                await viewer.more(20, by_datagrams=True)
-                first = next(i for i, (_, by) in enumerate(viewer.frames) if by)
-                ids = [number for number, by in viewer.frames if by]
-                assert ids == sorted(set(ids)) and all(by for _, by in viewer.frames[first + 3 :])
-                stats = ways(server)
-                assert stats["open"] == 1 and stats["sent"] >= 20 and stats["lost"] == 0
-                assert server.stats()["clients"][0]["link"]["rate"] > 0 and server.stats()["datagrams"]["open"] == 1
-                assert not viewer.errors
+    @in_a_loop
+    async def test_they_go_by_datagrams_once_the_way_is_open(self, serve: Any) -> None:
+        async with serve(config=CONFIG) as server, viewing(server) as viewer:
+            await viewer.open()
+            await viewer.more(20, by_datagrams=True)
+            first = next(i for i, (_, by) in enumerate(viewer.frames) if by)
+            ids = [number for number, by in viewer.frames if by]
+            assert ids == sorted(set(ids)) and all(by for _, by in viewer.frames[first + 3 :])
+            stats = ways(server)
+            assert stats["open"] == 1 and stats["sent"] >= 20 and stats["lost"] == 0
+            assert server.stats()["clients"][0]["link"]["rate"] > 0 and server.stats()["datagrams"]["open"] == 1
+            assert not viewer.errors
 
-        asyncio.run(main())
-
-    def test_requests_come_by_datagrams_as_well(self, serve: Any) -> None:
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
-                path = await viewer.open()
-                await viewer.more(3, by_datagrams=True)
-                viewer._tasks[1].cancel()
-                for number in range(100_000, 100_005):
-                    told = {"ack": viewer.newest, "arrival": {"age": 5}, "datagrams": True}
-                    path.ask(native(number, **told, t=1.0, faces=[[0.1, 1, 1]] * 16))
-                    await until(lambda number=number: viewer.newest >= number)
-                path.ask("{")
-                await until(lambda: viewer.errors)
-                assert "bad_json" in viewer.errors[-1]
-
-        asyncio.run(main())
-
-    def test_of_requests_beyond_a_clients_time_the_newest_is_read(
-        self, serve: Any, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """One turn in a tenth of a second: a hundred that came at once would be read for ten seconds, one by one."""
-
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
-                path = await viewer.open()
-                await viewer.more(3, by_datagrams=True)
-                viewer.pause()
-                await asyncio.sleep(0.1)
-                monkeypatch.setattr(CpuShare, "left", lambda *_: False)
-                monkeypatch.setattr(CpuShare, "wait", lambda *_: 0.1)
-                for number in range(100_000, 100_100):
-                    path.ask(native(number, ack=viewer.newest, arrival={"age": 5}, datagrams=True))
-                began = time.perf_counter()
-                await until(lambda: viewer.newest == 100_099)
-                assert time.perf_counter() - began < 3.0
-                assert server.stats()["clients"][0]["unread"] > 50
-
-        asyncio.run(main())
+    @in_a_loop
+    async def test_requests_come_by_datagrams_as_well(self, serve: Any) -> None:
+        async with serve(config=CONFIG) as server, viewing(server) as viewer:
+            path = await viewer.open()
+            await viewer.more(3, by_datagrams=True)
+            viewer._tasks[1].cancel()
+            for number in range(100_000, 100_005):
+                told = {"ack": viewer.newest, "arrival": {"age": 5}, "datagrams": True}
+                path.ask(native(number, **told, t=1.0, faces=[[0.1, 1, 1]] * 16))
+                await until(lambda number=number: viewer.newest >= number)
+            path.ask("{")
+            await until(lambda: viewer.errors)
+            assert "bad_json" in viewer.errors[-1]
 
     def test_lost_packets_cost_nothing_and_lost_pictures_one(self, serve: Any, fake_backend: Any) -> None:
-        """Every 20th piece is lost, then half of them: pictures go on, and the session waits for none of them."""
+        """Every 20th piece is lost, then half of them."""
 
         async def main() -> None:
             async with serve(fake_backend(noise=True), CONFIG) as server, viewing(server) as viewer:
@@ -105,77 +79,65 @@ class TestPictures:
 
         asyncio.run(main())
 
-    def test_a_video_goes_the_same_way_and_goes_on_after_a_loss(self, serve: Any) -> None:
-        """A client that misses a number asks for a key frame, over whichever way."""
+    @in_a_loop
+    async def test_a_video_goes_the_same_way_and_goes_on_after_a_loss(self, serve: Any) -> None:
         pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
+        async with serve(config=replace(CONFIG, video=True)) as server, viewing(server) as viewer:
+            viewer.asks = {"video": {"codecs": ["vp9"]}, "alpha": True}
+            path = await viewer.open()
+            await until(lambda: sum("video" in info for info in viewer.infos) > 20)
+            path.keep = lambda datagram: datagram[0] != PICTURE
+            await until(lambda: ways(server)["sent"] - viewer.by_datagrams() > 3 or not ways(server)["open"])
+            path.keep = lambda datagram: True
+            await viewer.more(3, by_datagrams=True)
+            viewer.asks["video"]["key"] = True
+            before = len(viewer.infos)
+            await until(lambda: any(info.get("video", {}).get("key") for info in viewer.infos[before:]))
 
-        async def main() -> None:
-            async with serve(config=replace(CONFIG, video=True)) as server, viewing(server) as viewer:
-                viewer.asks = {"video": {"codecs": ["vp9"]}, "alpha": True}
-                path = await viewer.open()
-                await until(lambda: sum("video" in info for info in viewer.infos) > 20)
-                path.keep = lambda datagram: datagram[0] != PICTURE
-                await until(lambda: ways(server)["sent"] - viewer.by_datagrams() > 3 or not ways(server)["open"])
-                path.keep = lambda datagram: True
-                await viewer.more(3, by_datagrams=True)
-                viewer.asks["video"]["key"] = True
-                before = len(viewer.infos)
-                await until(lambda: any(info.get("video", {}).get("key") for info in viewer.infos[before:]))
+    @in_a_loop
+    async def test_pictures_of_workers_as_well(self, serve: Any) -> None:
+        async with serve(pool(2), CONFIG) as server, viewing(server) as viewer:
+            await viewer.open()
+            await viewer.more(10, by_datagrams=True)
 
-        asyncio.run(main())
-
-    def test_pictures_of_workers_as_well(self, serve: Any) -> None:
-        async def main() -> None:
-            async with serve(pool(2), CONFIG) as server, viewing(server) as viewer:
-                await viewer.open()
-                await viewer.more(10, by_datagrams=True)
-
-        asyncio.run(main())
-
-    @pytest.mark.parametrize(("config", "wants"), [(CONFIG, False), (ServerConfig(port=0, webtransport=True), True)])
-    def test_nobody_else_is_offered_any(self, serve: Any, config: ServerConfig, wants: bool) -> None:
-        """Who does not ask, and everybody where pictures are not fitted to links."""
-
-        async def main() -> None:
-            async with serve(config=config) as server, viewing(server, wants) as viewer:
-                await viewer.more(30)
-                assert not viewer.offers and viewer.by_datagrams() == 0
-
-        asyncio.run(main())
-
-    def test_a_short_link_keeps_the_websocket(self, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(way, "LONG", 10.0)
-
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
-                await viewer.more(40)
-                assert not viewer.offers and server.stats()["datagrams"] == {"open": 0, "refused": 0}
-
-        asyncio.run(main())
+    @pytest.mark.parametrize(
+        ("config", "wants", "long"),
+        [(CONFIG, False, 0.0), (ServerConfig(port=0, webtransport=True), True, 0.0), (CONFIG, True, 10.0)],
+        ids=["does not ask", "pictures are not fitted", "a short link"],
+    )
+    @in_a_loop
+    async def test_nobody_else_is_offered_any(
+        self, serve: Any, monkeypatch: pytest.MonkeyPatch, config: ServerConfig, wants: bool, long: float
+    ) -> None:
+        monkeypatch.setattr(way, "LONG", long)
+        async with serve(config=config) as server, viewing(server, wants) as viewer:
+            await viewer.more(30)
+            assert not viewer.offers and server.stats()["datagrams"] == {"open": 0, "refused": 0}
 
 
 class TestFallingBack:
     @pytest.mark.parametrize("how", ["closed", "silent"])
-    def test_pictures_go_on_over_the_websocket(self, serve: Any, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
-                path = await viewer.open()
-                await viewer.more(5, by_datagrams=True)
-                monkeypatch.setattr(paths, "_SILENT", 0.3)
-                if how == "closed":
-                    path.close()
-                else:
-                    path._transport.sendto = lambda *_: None  # as where a firewall shuts
-                await viewer.more(20)
-                await until(lambda: ways(server)["open"] == 0)
-                assert [by for _, by in viewer.frames[-5:]] == [False] * 5
+    @in_a_loop
+    async def test_pictures_go_on_over_the_websocket(
+        self, serve: Any, monkeypatch: pytest.MonkeyPatch, how: str
+    ) -> None:
+        async with serve(config=CONFIG) as server, viewing(server) as viewer:
+            path = await viewer.open()
+            await viewer.more(5, by_datagrams=True)
+            monkeypatch.setattr(paths, "_SILENT", 0.3)
+            if how == "closed":
+                path.close()
+            else:
+                path._transport.sendto = lambda *_: None  # as where a firewall shuts
+            await viewer.more(20)
+            await until(lambda: ways(server)["open"] == 0)
+            assert [by for _, by in viewer.frames[-5:]] == [False] * 5
 
-        asyncio.run(main())
-
-    def test_a_way_that_lets_no_picture_through_is_left(
+    @in_a_loop
+    async def test_a_way_that_lets_no_picture_through_is_left(
         self, serve: Any, fake_backend: Any, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """What is unsent when the next picture comes is left out, and after some time the WebSocket has them again."""
+        """What is unsent when the next picture comes is left out."""
         allow = PictureWindow.allow
 
         def tight(self: PictureWindow, rate: float, nbytes: int) -> None:
@@ -184,100 +146,75 @@ class TestFallingBack:
 
         narrow: list[bool] = []
         monkeypatch.setattr(PictureWindow, "allow", tight)
+        async with serve(fake_backend(noise=True), CONFIG) as server, viewing(server) as viewer:
+            path = await viewer.open()
+            await viewer.more(3, by_datagrams=True)
+            path.keep = lambda datagram: datagram[0] != PICTURE
+            narrow.append(True)
+            monkeypatch.setattr(paths, "_SILENT", 0.5)
+            await until(lambda: ways(server)["open"] == 0)
+            await viewer.more(10)
+            assert [by for _, by in viewer.frames[-10:]] == [False] * 10
 
-        async def main() -> None:
-            async with serve(fake_backend(noise=True), CONFIG) as server, viewing(server) as viewer:
-                path = await viewer.open()
-                await viewer.more(3, by_datagrams=True)
-                path.keep = lambda datagram: datagram[0] != PICTURE
-                narrow.append(True)
-                monkeypatch.setattr(paths, "_SILENT", 0.5)
-                await until(lambda: ways(server)["open"] == 0)
-                await viewer.more(10)
-                assert [by for _, by in viewer.frames[-10:]] == [False] * 10
-
-        asyncio.run(main())
-
-    def test_a_browser_that_throws_away_what_quic_says_it_has_is_left(
+    @in_a_loop
+    async def test_a_browser_that_throws_away_what_quic_says_it_has_is_left(
         self, serve: Any, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """Its window is full of pictures that it never acknowledges; by the WebSocket it has the next at once."""
+        """Its window is full of pictures that it never acknowledges."""
+        async with serve(config=CONFIG) as server, viewing(server) as viewer:
+            path = await viewer.open()
+            await viewer.more(3, by_datagrams=True)
+            path.keep = lambda datagram: datagram[0] != PICTURE
+            monkeypatch.setattr(paths, "_UNANSWERED", 0.3)
+            await until(lambda: ways(server)["open"] == 0)
+            await viewer.more(10)
+            assert server.stats()["clients"][0]["unacknowledged"] < 8
 
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
-                path = await viewer.open()
-                await viewer.more(3, by_datagrams=True)
-                path.keep = lambda datagram: datagram[0] != PICTURE
-                monkeypatch.setattr(paths, "_UNANSWERED", 0.3)
-                await until(lambda: ways(server)["open"] == 0)
-                await viewer.more(10)
-                assert server.stats()["clients"][0]["unacknowledged"] < 8
-
-        asyncio.run(main())
-
-    def test_an_answer_that_is_lost_before_a_pause_ends_nothing(
+    @in_a_loop
+    async def test_an_answer_that_is_lost_before_a_pause_ends_nothing(
         self, serve: Any, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """One picture that only QUIC acknowledges: nobody waits for it, and the way stays for later."""
+        """Nobody waits for a picture that only QUIC acknowledges."""
         monkeypatch.setattr(paths, "_UNANSWERED", 0.2)
+        async with serve(config=CONFIG) as server, viewing(server) as viewer:
+            path = await viewer.open()
+            await viewer.more(3, by_datagrams=True)
+            viewer.pause()
+            await asyncio.sleep(0.2)
+            path.keep = lambda datagram: datagram[0] != PICTURE
+            await viewer.once()
+            await until(lambda: server.stats()["clients"][0]["unacknowledged"] == 0)
+            await asyncio.sleep(0.4)
+            assert ways(server)["open"] == 1
+            path.keep = lambda datagram: True
+            viewer.go_on()
+            await viewer.more(5, by_datagrams=True)
 
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
+    @in_a_loop
+    async def test_it_is_offered_anew_after_a_while(self, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(way, "_AGAIN", 0.2)
+        async with serve(config=CONFIG) as server, viewing(server) as viewer:
+            await until(lambda: len(viewer.offers) >= 2)
+            with pytest.raises((ConnectionError, TimeoutError)):
+                await open_path(server.url, viewer.offers[0])
+            await viewer.open()
+            await viewer.more(5, by_datagrams=True)
+
+    @in_a_loop
+    async def test_who_leaves_takes_it_along_and_the_server_stops_in_order(self, serve: Any) -> None:
+        async with serve(config=CONFIG) as server:
+            async with viewing(server) as viewer:
                 path = await viewer.open()
                 await viewer.more(3, by_datagrams=True)
-                viewer.pause()
-                await asyncio.sleep(0.2)
-                path.keep = lambda datagram: datagram[0] != PICTURE
-                await viewer.once()
-                await until(lambda: server.stats()["clients"][0]["unacknowledged"] == 0)
-                await asyncio.sleep(0.4)
-                assert ways(server)["open"] == 1
-                path.keep = lambda datagram: True
-                viewer.go_on()
-                await viewer.more(5, by_datagrams=True)
-
-        asyncio.run(main())
-
-    def test_it_is_offered_anew_after_a_while(self, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(way, "_AGAIN", 0.2)
-
-        async def main() -> None:
-            async with serve(config=CONFIG) as server, viewing(server) as viewer:
-                await until(lambda: len(viewer.offers) >= 2)
-                with pytest.raises((ConnectionError, TimeoutError)):
-                    await open_path(server.url, viewer.offers[0])
-                await viewer.open()
-                await viewer.more(5, by_datagrams=True)
-
-        asyncio.run(main())
-
-    def test_who_leaves_takes_it_along_and_the_server_stops_in_order(self, serve: Any) -> None:
-        async def main() -> None:
-            async with serve(config=CONFIG) as server:
-                async with viewing(server) as viewer:
-                    path = await viewer.open()
-                    await viewer.more(3, by_datagrams=True)
-                    viewer.path = None
-                    await viewer.ws.close()
-                    await asyncio.wait_for(path.ended, HANG)
-                await until(lambda: server.stats()["datagrams"]["open"] == 0)
-                async with viewing(server) as viewer:
-                    path = await viewer.open()
-                    await viewer.more(3, by_datagrams=True)
-                    await server.stop()
-                    await asyncio.wait_for(path.ended, HANG)
-
-        asyncio.run(main())
-
-    def test_two_servers_in_a_process(self, serve: Any) -> None:
-        async def main() -> None:
-            async with serve(config=CONFIG) as one, serve(config=CONFIG) as other:
-                async with viewing(one) as first, viewing(other) as second:
-                    await first.open()
-                    await second.open()
-                    await asyncio.gather(first.more(5, by_datagrams=True), second.more(5, by_datagrams=True))
-
-        asyncio.run(main())
+                viewer.path = None
+                await viewer.ws.close()
+                await asyncio.wait_for(path.ended, HANG)
+            await until(lambda: server.stats()["datagrams"]["open"] == 0)
+            async with viewing(server) as viewer:
+                path = await viewer.open()
+                await viewer.more(3, by_datagrams=True)
+                await server.stop()
+                await asyncio.wait_for(path.ended, HANG)
 
     def test_without_what_it_needs_a_line_says_so(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "glsplat.net.datagrams.listener", None)

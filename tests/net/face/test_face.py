@@ -1,4 +1,4 @@
-"""A face over OSC: what VRCFaceTracking sends, what strangers send, and what is left when nobody sends."""
+"""A face over OSC: what VRCFaceTracking and strangers send, and what is left when nobody sends."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import struct
 import time
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -66,23 +67,11 @@ def test_messages_and_bundles_are_read() -> None:
 @pytest.mark.parametrize(
     "packet",
     [
-        b"",
-        b"/",
-        b"/a\0\0,f\0\0\0",
-        b"a\0\0\0,\0\0\0",
-        b"/\xff\0\0,\0\0\0",
-        b"#bundle\0",
-        message("/a") + b"",
-        b"\0" * 64,
-    ]
-    + [
-        bundle(message("/a"))[:-2],
-        bundle(b""),
-        b"#bundle\0" + bytes(8) + b"\xff\xff\xff\xff",
-        padded("/a") + padded(",?"),
+        *(b"", b"/", b"/a\0\0,f\0\0\0", b"a\0\0\0,\0\0\0", b"/\xff\0\0,\0\0\0", b"#bundle\0", b"\0" * 64),
+        *(bundle(message("/a"))[:-2], bundle(b""), b"#bundle\0" + bytes(8) + b"\xff" * 4, padded("/a") + padded(",?")),
     ],
 )
-def test_what_is_no_osc_is_refused_in_one_way_or_says_nothing(packet: bytes) -> None:
+def test_what_is_no_osc_is_refused_or_says_nothing(packet: bytes) -> None:
     try:
         assert all(not arguments for _, arguments in osc_messages(packet))
     except ProtocolError as error:
@@ -189,6 +178,12 @@ def until(true: object, timeout: float = 20.0) -> None:
         time.sleep(0.01)
 
 
+def hears(listener: FaceListener) -> bool:
+    """Send a face again and tell whether it has arrived: of a flood the system drops some."""
+    sent(listener, message(FT + "JawOpen", 0.5))
+    return listener.feed.face(time.perf_counter())[0].get("jawOpen") == 0.5
+
+
 def test_it_listens_on_this_machine_alone_and_a_port_that_is_taken_is_said(listener: FaceListener) -> None:
     assert listener._socket.getsockname()[0] == "127.0.0.1"
     sent(listener, message(FT + "JawOpen", 0.25))
@@ -198,12 +193,12 @@ def test_it_listens_on_this_machine_alone_and_a_port_that_is_taken_is_said(liste
 
 
 @pytest.mark.check
-def test_five_thousand_hostile_packets_do_no_harm(listener: FaceListener) -> None:
-    """Random bytes, good packets with flipped, cut and doubled parts, lies about sizes, numbers that are none."""
+def test_hostile_packets_do_no_harm(listener: FaceListener) -> None:
+    """Random bytes, and good packets with flipped and cut parts."""
     chance = random.Random(36)
     good = bundle(*(message(FT + name, 0.5) for name in sorted(PARAMETERS)[:40]), message(FT + "JawOpen", float("nan")))
     feed = FaceFeed()
-    for _ in range(5000):
+    for _ in range(3000):
         packet = bytearray(good if chance.random() < 0.8 else chance.randbytes(chance.randrange(300)))
         for _ in range(chance.randrange(6)):
             if packet:
@@ -213,17 +208,12 @@ def test_five_thousand_hostile_packets_do_no_harm(listener: FaceListener) -> Non
         feed.heard(bytes(packet), 0.0)
         weights, values = feed.face(0.0)
         assert set(values) <= PARAMETERS and all(0 <= weight <= 1 for weight in weights.values())
-    assert feed.malformed > 1000
+    assert feed.malformed > 600
     for value in (float("inf"), float("-inf"), float("nan"), 3e38):
         feed.heard(message(FT + "TongueOut", value), 0.0)
     assert "TongueOut" not in feed.face(0.0)[1] or feed.face(0.0)[1]["TongueOut"] == 0.5
     sent(listener, *(chance.randbytes(900) for _ in range(300)), b"", bytes(60000))
-
-    def heard() -> bool:
-        sent(listener, message(FT + "JawOpen", 0.5))  # again: of a flood the system itself drops some
-        return listener.feed.face(time.perf_counter())[0].get("jawOpen") == 0.5
-
-    until(heard)
+    until(lambda: hears(listener))
 
 
 @pytest.mark.check
@@ -238,34 +228,26 @@ def test_a_flood_does_not_take_a_core(listener: FaceListener) -> None:
     assert spent < 0.5
 
 
+class Broken(socket.socket):
+    """A socket of which nothing can be read until it is mended."""
+
+    reads, mended = 0, False
+
+    def recv(self, *args: Any) -> bytes:
+        self.reads += 1
+        if self.mended:
+            return super().recv(*args)
+        raise OSError(9, "Bad file descriptor")
+
+
 def test_a_port_that_cannot_be_read_is_said_once_and_takes_no_core(caplog: pytest.LogCaptureFixture) -> None:
-    class Broken:
-        """A socket of which nothing can be read until it is mended."""
-
-        def __init__(self, real: socket.socket) -> None:
-            self.real, self.reads, self.whole = real, 0, False
-
-        def recv(self, size: int) -> bytes:
-            self.reads += 1
-            if self.whole:
-                return self.real.recv(size)
-            raise OSError(9, "Bad file descriptor")
-
-        def __getattr__(self, name: str) -> object:
-            return getattr(self.real, name)
-
     listener = FaceListener(FaceFeed(), 0)
-    broken = listener._socket = Broken(listener._socket)  # type: ignore[assignment]
+    broken = listener._socket = Broken(fileno=listener._socket.detach())
     with listener:
         until(lambda: broken.reads >= 2)
         began, before = time.monotonic(), broken.reads
         until(lambda: broken.reads >= before + 2)
         assert time.monotonic() - began > 0.15
         assert caplog.text.count("cannot be read just now (Bad file descriptor)") == 1
-        broken.whole = True
-
-        def heard() -> bool:
-            sent(listener, message(FT + "JawOpen", 0.5))
-            return listener.feed.face(time.perf_counter())[0].get("jawOpen") == 0.5
-
-        until(heard)
+        broken.mended = True
+        until(lambda: hears(listener))

@@ -19,6 +19,7 @@ from glsplat.net.backends.avatar_store import WithPeople
 from glsplat.net.backends.server import make_server, offered
 from glsplat.net.server import Server, ServerConfig
 from tests.net.conftest import FakeBackend
+from tests.net.loops import in_a_loop
 
 
 async def session(server: Server) -> dict:
@@ -35,7 +36,8 @@ async def started(server):
         await server.stop()
 
 
-def test_what_is_loaded_later_keeps_nobody_waiting():
+@in_a_loop
+async def test_what_is_loaded_later_keeps_nobody_waiting():
     go_on = threading.Event()
 
     def later():
@@ -43,18 +45,15 @@ def test_what_is_loaded_later_keeps_nobody_waiting():
         go_on.wait(60)
         yield AvatarInfo(name="late", height=1.7)
 
-    async def main():
-        async with started(Server(FakeBackend(), ServerConfig(port=0), later=later)) as server:
-            told = await session(server)
-            assert told["loading"] and [(one["name"], one["height"]) for one in told["avatars"]] == [("default", None)]
-            go_on.set()
-            await asyncio.wait_for(server.all_offered.wait(), 60)
-            told = await session(server)
-            assert not told["loading"] and [one["name"] for one in told["avatars"]] == ["default", "late"]
-        async with started(Server(FakeBackend(), ServerConfig(port=0), later=lambda: [AvatarInfo(name="x")])):
-            pass  # stopped while it loads
-
-    asyncio.run(main())
+    async with started(Server(FakeBackend(), ServerConfig(port=0), later=later)) as server:
+        told = await session(server)
+        assert told["loading"] and [(one["name"], one["height"]) for one in told["avatars"]] == [("default", None)]
+        go_on.set()
+        await asyncio.wait_for(server.all_offered.wait(), 60)
+        told = await session(server)
+        assert not told["loading"] and [one["name"] for one in told["avatars"]] == ["default", "late"]
+    async with started(Server(FakeBackend(), ServerConfig(port=0), later=lambda: [AvatarInfo(name="x")])):
+        pass  # stopped while it loads
 
 
 def test_a_fault_in_loading_ends_the_wait(caplog):

@@ -18,6 +18,7 @@ from glsplat.net.guard.access import Access
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server
 from tests.net.conftest import FakeBackend, Serve
+from tests.net.loops import in_a_loop
 from tests.net.poses.conftest import OFFERS, config, head
 from tests.net.wire import HANG, UNLIMITED, until
 
@@ -37,14 +38,12 @@ def digest_of(server: Server, name: str = "ann") -> str:
     return digest.hex()
 
 
-def test_a_token_is_wanted_for_splats(serve: Serve) -> None:
-    async def talk() -> None:
-        access = Access(token="0123456789abcdef")
-        async with serve(FakeBackend(), config("ann", access=access), offered=OFFERS) as server:
-            digest = digest_of(server)
-            assert [await status(server, digest, token) for token in (None, "f" * 16, access.token)] == [401, 401, 200]
-
-    asyncio.run(talk())
+@in_a_loop
+async def test_a_token_is_wanted_for_splats(serve: Serve) -> None:
+    access = Access(token="0123456789abcdef")
+    async with serve(FakeBackend(), config("ann", access=access), offered=OFFERS) as server:
+        digest = digest_of(server)
+        assert [await status(server, digest, token) for token in (None, "f" * 16, access.token)] == [401, 401, 200]
 
 
 def test_accounts_get_whom_they_drive_or_meet(serve: Serve, tmp_path: Path) -> None:
@@ -77,50 +76,46 @@ def test_accounts_get_whom_they_drive_or_meet(serve: Serve, tmp_path: Path) -> N
     asyncio.run(talk())
 
 
-def test_the_window_holds_poses_too(serve: Serve) -> None:
-    async def talk() -> None:
-        async with serve(FakeBackend(), config("ann", limits=UNLIMITED), offered=OFFERS) as server:
-            async with aiohttp.ClientSession() as web:
-                ws = await web.ws_connect(f"{server.url}?avatar=ann&window=2")
-                for number in range(1, 21):
-                    request: dict[str, Any] = {"v": 1, "frame_id": number, "ack": 0, "want": "pose"}
-                    await ws.send_str(json.dumps(request | {"tracking": head(number), "t": number * 14.0}))
-                    if number <= 2:
-                        assert parse_reply((await ws.receive(timeout=HANG)).data).frame_id == number
-                (channel,) = server._channels.values()
-                await until(lambda: channel.session.counts.accepted == 20)
-                assert channel.session.counts.sent == 2 and channel.frames.empty()
-                await ws.send_str(json.dumps({"v": 1, "ack": 2}))
-                last = parse_reply((await ws.receive(timeout=HANG)).data)
-                assert last.frame_id == 20 and last.bodies[0].pose.trans[0] == 20
-                await ws.close()
-
-    asyncio.run(talk())
+@in_a_loop
+async def test_the_window_holds_poses_too(serve: Serve) -> None:
+    async with serve(FakeBackend(), config("ann", limits=UNLIMITED), offered=OFFERS) as server:
+        async with aiohttp.ClientSession() as web:
+            ws = await web.ws_connect(f"{server.url}?avatar=ann&window=2")
+            for number in range(1, 21):
+                request: dict[str, Any] = {"v": 1, "frame_id": number, "ack": 0, "want": "pose"}
+                await ws.send_str(json.dumps(request | {"tracking": head(number), "t": number * 14.0}))
+                if number <= 2:
+                    assert parse_reply((await ws.receive(timeout=HANG)).data).frame_id == number
+            (channel,) = server._channels.values()
+            await until(lambda: channel.session.counts.accepted == 20)
+            assert channel.session.counts.sent == 2 and channel.frames.empty()
+            await ws.send_str(json.dumps({"v": 1, "ack": 2}))
+            last = parse_reply((await ws.receive(timeout=HANG)).data)
+            assert last.frame_id == 20 and last.bodies[0].pose.trans[0] == 20
+            await ws.close()
 
 
 @pytest.mark.check
-def test_answers_leave_nothing_behind(serve: Serve) -> None:
-    async def talk() -> None:
-        settings = config("ann", limits=UNLIMITED)
-        settings = replace(settings, session=replace(settings.session, rate=1e9, burst=10**9))
-        async with serve(FakeBackend(), settings, offered=OFFERS) as server:
+@in_a_loop
+async def test_answers_leave_nothing_behind(serve: Serve) -> None:
+    settings = config("ann", limits=UNLIMITED)
+    settings = replace(settings, session=replace(settings.session, rate=1e9, burst=10**9))
+    async with serve(FakeBackend(), settings, offered=OFFERS) as server:
 
-            async def visit(count: int) -> None:
-                async with Client(f"{server.url}?room=lab&name=Ann&avatar=ann", timeout=HANG) as one:
-                    for number in range(count):
-                        await one.poses(tracking=head(number) if number % 3 else None)
-                await until(lambda: not server._channels)
+        async def visit(count: int) -> None:
+            async with Client(f"{server.url}?room=lab&name=Ann&avatar=ann", timeout=HANG) as one:
+                for number in range(count):
+                    await one.poses(tracking=head(number) if number % 3 else None)
+            await until(lambda: not server._channels)
 
-            for _ in range(2):
-                await visit(50)
-            tracemalloc.start()
-            before = tracemalloc.get_traced_memory()[0]
-            for _ in range(4):
-                await visit(50)
-            grown = tracemalloc.get_traced_memory()[0] - before
-            tracemalloc.stop()
-            assert grown < 200_000, grown
-            room = server._rooms._rooms["lab"]
-            assert not room._guests and not room._news
-
-    asyncio.run(talk())
+        for _ in range(2):
+            await visit(50)
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(4):
+            await visit(50)
+        grown = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+        assert grown < 200_000, grown
+        room = server._rooms._rooms["lab"]
+        assert not room._guests and not room._news

@@ -19,6 +19,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.net.conftest import FakeBackend, Serve
+from tests.net.loops import in_a_loop
 from tests.net.rooms.conftest import Hands
 from tests.net.workers.fakes import GUARD, until
 
@@ -49,61 +50,57 @@ def member(server: Server, name: str, room: str = "lab", **options: Any) -> Clie
     return Client(f"{server.url}?room={room}&name={name}", timeout=GUARD, **options)
 
 
-def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
-    async def talk() -> None:
-        backend = FakeBackend()
-        async with serve(backend, config(), offered=OFFERS) as server:
-            async with member(server, "Ann") as ann, member(server, "Bob") as bob:
-                await ann.render(EYES, pose=POSE)
-                reply = await bob.render(EYES, tracking={"head": [0.25, 1.6, 0, 0, 0, 0, 1]}, hide=["head"])
-                room = reply.info["room"]
-                assert room["name"] == "lab" and room["people"][1]["frame_id"] == reply.frame_id
-                assert [(p["name"], p["you"]) for p in room["people"]] == [("Ann", False), ("Bob", True)]
-                # each in Bob's own space: Ann on the other side, he where twice his avatar's x is
-                assert [p["at"] for p in room["people"]] == [
-                    pytest.approx([0, 0, 2.4], abs=2e-3),
-                    pytest.approx([0.5, 0, 0], abs=2e-3),
-                ]
-                drawn = backend.drawn[-1]
-                assert drawn.room is not None and drawn.options.hide == ("head",)
-                bobs = drawn.room.people[1]
-                assert bobs.pose is not None and bobs.pose.trans[0] == 0.25 and bobs.label == "driven by Bob, synthetic"
-                assert np.allclose(np.linalg.det(bobs.transform[:3, :3]), 8)  # twice his avatar's size
-                # his own eyes, from his own place
-                assert np.allclose(drawn.cameras[0].viewmat @ server._channels[2].member.person.seat, EYES[0].viewmat)  # type: ignore[union-attr]
-
-    asyncio.run(talk())
+@in_a_loop
+async def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
+    backend = FakeBackend()
+    async with serve(backend, config(), offered=OFFERS) as server:
+        async with member(server, "Ann") as ann, member(server, "Bob") as bob:
+            await ann.render(EYES, pose=POSE)
+            reply = await bob.render(EYES, tracking={"head": [0.25, 1.6, 0, 0, 0, 0, 1]}, hide=["head"])
+            room = reply.info["room"]
+            assert room["name"] == "lab" and room["people"][1]["frame_id"] == reply.frame_id
+            assert [(p["name"], p["you"]) for p in room["people"]] == [("Ann", False), ("Bob", True)]
+            # each in Bob's own space: Ann on the other side, he where twice his avatar's x is
+            assert [p["at"] for p in room["people"]] == [
+                pytest.approx([0, 0, 2.4], abs=2e-3),
+                pytest.approx([0.5, 0, 0], abs=2e-3),
+            ]
+            drawn = backend.drawn[-1]
+            assert drawn.room is not None and drawn.options.hide == ("head",)
+            bobs = drawn.room.people[1]
+            assert bobs.pose is not None and bobs.pose.trans[0] == 0.25 and bobs.label == "driven by Bob, synthetic"
+            assert np.allclose(np.linalg.det(bobs.transform[:3, :3]), 8)  # twice his avatar's size
+            # his own eyes, from his own place
+            assert np.allclose(drawn.cameras[0].viewmat @ server._channels[2].member.person.seat, EYES[0].viewmat)  # type: ignore[union-attr]
 
 
-def test_the_way_in(serve: Serve) -> None:
-    async def talk() -> None:
-        async with serve(FakeBackend(), config(), offered=OFFERS) as server:
-            async with member(server, "Ann") as ann, member(server, "Ann", "small"):
-                await ann.render(EYES, pose=POSE)
-                refused = {
-                    "room=lab&name=Ann": 409,
-                    "room=small&name=Bob": 503,
-                    "room=../lab&name=Bob": 404,
-                    "room=lab&name=": 400,
-                    "room=lab&name=Bob&avatar=scenery": 400,
-                    "room=lab&name=Bob&at=nowhere": 400,
-                }
-                for query, status in refused.items():
-                    with pytest.raises(ProtocolError, match=rf"\({status}\)"):
-                        await Client(f"{server.url}?{query}").connect()
-                assert server.offer()["rooms"] == [
-                    {"name": "lab", "people": 1, "seats": 4, "scene": False},
-                    {"name": "small", "people": 1, "seats": 1, "scene": False},
-                ]
-                assert len(server._channels) == 2
-            # without a name one is given, with a goodbye one goes at once
-            async with Client(f"{server.url}?room=small") as guest:
-                await guest.render(EYES, pose=POSE)
-                (person,) = server.stats()["rooms"][1]["people"]
-                assert person["name"].startswith("guest ")
-            assert await until(lambda: server.stats()["rooms"][1]["people"] == [])
-
-    asyncio.run(talk())
+@in_a_loop
+async def test_the_way_in(serve: Serve) -> None:
+    async with serve(FakeBackend(), config(), offered=OFFERS) as server:
+        async with member(server, "Ann") as ann, member(server, "Ann", "small"):
+            await ann.render(EYES, pose=POSE)
+            refused = {
+                "room=lab&name=Ann": 409,
+                "room=small&name=Bob": 503,
+                "room=../lab&name=Bob": 404,
+                "room=lab&name=": 400,
+                "room=lab&name=Bob&avatar=scenery": 400,
+                "room=lab&name=Bob&at=nowhere": 400,
+            }
+            for query, status in refused.items():
+                with pytest.raises(ProtocolError, match=rf"\({status}\)"):
+                    await Client(f"{server.url}?{query}").connect()
+            assert server.offer()["rooms"] == [
+                {"name": "lab", "people": 1, "seats": 4, "scene": False},
+                {"name": "small", "people": 1, "seats": 1, "scene": False},
+            ]
+            assert len(server._channels) == 2
+        # without a name one is given, with a goodbye one goes at once
+        async with Client(f"{server.url}?room=small") as guest:
+            await guest.render(EYES, pose=POSE)
+            (person,) = server.stats()["rooms"][1]["people"]
+            assert person["name"].startswith("guest ")
+        assert await until(lambda: server.stats()["rooms"][1]["people"] == [])
 
 
 def test_a_lost_connection_fades_and_may_come_back(serve: Serve, hands: Hands) -> None:
@@ -143,40 +140,35 @@ def test_a_lost_connection_fades_and_may_come_back(serve: Serve, hands: Hands) -
 
 
 @pytest.mark.parametrize("name", ["&name=Ann", ""])
-def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -> None:
+@in_a_loop
+async def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -> None:
     """And closes the other connection."""
-
-    async def talk() -> None:
-        async with serve(FakeBackend(), config(), offered=OFFERS) as server:
-            url = f"{server.url}?room=lab{name}"
-            async with member(server, "Bob"), Client(f"{url}&at=1,2,90") as first:
-                room = (await first.poses(pose=POSE)).info["room"]
-                (own,) = (one for one in room["people"] if one["you"])
-                async with Client(f"{url}&resume={room['resume']}") as again:
-                    now = (await again.render(EYES, pose=POSE)).info["room"]
-                    assert [one["name"] for one in now["people"] if one["you"]] == [own["name"]]
-                    assert now["resume"] == room["resume"]
-                    seats = [channel.member.person.seat for channel in server._channels.values() if channel.member]
-                    assert np.allclose(seats[-1][:3, 3], (1, 0, 2))
-                    with pytest.raises(ProtocolError, match="1001"):
-                        while True:
-                            await first.render(EYES, pose=POSE)
-                    assert await until(lambda: len(server._channels) == 2)
-                    await again.render(EYES, pose=POSE)  # the end of the old connection is not that of the new one
-            assert await until(lambda: server.stats()["rooms"][0]["people"] == [])
-            async with Client(f"{url}&resume={room['resume']}") as late:  # a token of somebody who is gone
-                assert (await late.render(EYES, pose=POSE)).info["room"]["resume"] != room["resume"]
-
-    asyncio.run(talk())
+    async with serve(FakeBackend(), config(), offered=OFFERS) as server:
+        url = f"{server.url}?room=lab{name}"
+        async with member(server, "Bob"), Client(f"{url}&at=1,2,90") as first:
+            room = (await first.poses(pose=POSE)).info["room"]
+            (own,) = (one for one in room["people"] if one["you"])
+            async with Client(f"{url}&resume={room['resume']}") as again:
+                now = (await again.render(EYES, pose=POSE)).info["room"]
+                assert [one["name"] for one in now["people"] if one["you"]] == [own["name"]]
+                assert now["resume"] == room["resume"]
+                seats = [channel.member.person.seat for channel in server._channels.values() if channel.member]
+                assert np.allclose(seats[-1][:3, 3], (1, 0, 2))
+                with pytest.raises(ProtocolError, match="1001"):
+                    while True:
+                        await first.render(EYES, pose=POSE)
+                assert await until(lambda: len(server._channels) == 2)
+                await again.render(EYES, pose=POSE)  # the end of the old connection is not that of the new one
+        assert await until(lambda: server.stats()["rooms"][0]["people"] == [])
+        async with Client(f"{url}&resume={room['resume']}") as late:  # a token of somebody who is gone
+            assert (await late.render(EYES, pose=POSE)).info["room"]["resume"] != room["resume"]
 
 
-def test_pictures_say_nothing_of_rooms_to_who_is_in_none(serve: Serve) -> None:
-    async def talk() -> None:
-        async with serve(FakeBackend(), config(), offered=OFFERS) as server, Client(server.url) as client:
-            assert "room" not in (await client.render(EYES, pose=POSE)).info
-        async with serve(FakeBackend(), ServerConfig(port=0), offered=OFFERS) as server:
-            assert server.offer()["rooms"] == [] and server.stats()["rooms"] == []
-            with pytest.raises(ProtocolError, match="no such room"):
-                await member(server, "Ann").connect()
-
-    asyncio.run(talk())
+@in_a_loop
+async def test_pictures_say_nothing_of_rooms_to_who_is_in_none(serve: Serve) -> None:
+    async with serve(FakeBackend(), config(), offered=OFFERS) as server, Client(server.url) as client:
+        assert "room" not in (await client.render(EYES, pose=POSE)).info
+    async with serve(FakeBackend(), ServerConfig(port=0), offered=OFFERS) as server:
+        assert server.offer()["rooms"] == [] and server.stats()["rooms"] == []
+        with pytest.raises(ProtocolError, match="no such room"):
+            await member(server, "Ann").connect()

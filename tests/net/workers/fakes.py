@@ -1,4 +1,4 @@
-"""Farms of sleeping workers, clients that look whose pictures they get, and what waits for either."""
+"""Farms of sleeping workers, clients that check whose pictures they get, and waits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gateway as a program: killed, restarted in turn by a signal; and its pictures beside those of a server alone."""
+"""The gateway as a program: killed, restarted by a signal; its pictures beside those of a server alone."""
 
 from __future__ import annotations
 
@@ -39,15 +39,10 @@ if __name__ == "__main__":
 
 def begin(script: Path, port: int) -> tuple[subprocess.Popen, list[int]]:
     """A gateway, ready, and its workers' processes."""
-    process = subprocess.Popen(
-        [sys.executable, str(script), str(port)],
-        stdout=subprocess.PIPE,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": "."},
-    )
+    command, environment = [sys.executable, str(script), str(port)], {**os.environ, "PYTHONPATH": "."}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT, env=environment)
     assert process.stdout is not None
-    workers = json.loads(process.stdout.readline())
-    return process, [int(one["driver"].split()[1]) for one in workers]
+    return process, [int(one["driver"].split()[1]) for one in json.loads(process.stdout.readline())]
 
 
 def port_of_its_own() -> int:
@@ -60,7 +55,7 @@ def port_of_its_own() -> int:
 
 
 def runs(pid: int) -> bool:
-    """False also for one that has ended and that nobody has asked how."""
+    """Whether the process lives; a zombie does not."""
     try:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
@@ -106,7 +101,7 @@ def drivers_of(seen: Seen) -> set[int]:
 
 @pytest.mark.gl
 def test_a_worker_draws_what_a_server_alone_draws():
-    """The same JPEGs, byte by byte; poses, boxes and tracking reach the worker, or what is solved of them."""
+    """The same JPEGs byte by byte; poses, boxes and tracking reach the worker."""
     avatar = glsplat.default_avatar()
     cameras = stereo_cameras(head_matrix((0, 1.4, 1.2), (0, 0, 0, 1)), size=(128, 128))
     pose = {"body_pose": [[0.1 * (i % 3), 0, 0.05 * (i % 5)] for i in range(21)]}
@@ -122,10 +117,8 @@ def test_a_worker_draws_what_a_server_alone_draws():
                     await client.render(cameras, pose=pose, crop=True, alpha="straight", box=True, hide=["head"]),
                     await client.render(cameras, tracking=tracking),
                 ]
-                return [
-                    (one.pictures, one.alphas, {k: v for k, v in one.info.items() if k not in ("t", "times")})
-                    for one in replies
-                ]
+                infos = [{k: v for k, v in one.info.items() if k not in ("t", "times")} for one in replies]
+                return [(one.pictures, one.alphas, info) for one, info in zip(replies, infos, strict=True)]
         finally:
             await server.stop()
 

@@ -15,36 +15,30 @@ def worker(*costs: float, has: tuple[str, ...] = (), key: str = "avatar:ann", sh
 ANN = PlacedClient(99, "avatar:ann", 0.03)
 
 
+QUICK = PlacedClient(99, "avatar:ann", 0.002)
+ROOM = [worker(), worker(*[0.03] * 9, key="room:lab")]
+
+
 @pytest.mark.parametrize(
-    ("workers", "chosen"),
+    ("client", "workers", "chosen"),
     [
-        ([], None),
-        ([worker(), worker()], 0),
-        ([worker(0.03), worker()], 1),
-        ([worker(), worker(has=("avatar:ann",))], 1),
-        ([worker(0.03), worker(0.03, has=("avatar:ann",))], 1),
-        ([worker(0.03), worker(0.03, 0.03, 0.03, has=("avatar:ann",))], 0),  # twice as slow there
-        ([worker(0.03, 0.03), worker(0.03, 0.03, 0.001, has=("avatar:ann",))], 1),  # hardly slower
-        ([worker(0.03, share=0.25), worker(0.03, 0.03)], 1),  # a quarter of a GPU
-        ([worker(0.0, 0.0), worker(0.0)], 1),  # nobody knows how long their pictures take
+        (ANN, [], None),
+        (ANN, [worker(), worker()], 0),
+        (ANN, [worker(0.03), worker()], 1),
+        (ANN, [worker(), worker(has=("avatar:ann",))], 1),
+        (ANN, [worker(0.03), worker(0.03, has=("avatar:ann",))], 1),
+        (ANN, [worker(0.03), worker(0.03, 0.03, 0.03, has=("avatar:ann",))], 0),  # twice as slow there
+        (ANN, [worker(0.03, 0.03), worker(0.03, 0.03, 0.001, has=("avatar:ann",))], 1),  # hardly slower
+        (ANN, [worker(0.03, share=0.25), worker(0.03, 0.03)], 1),  # a quarter of a GPU
+        (ANN, [worker(0.0, 0.0), worker(0.0)], 1),  # of unknown cost
+        (QUICK, [worker(), worker(*[0.002] * 3, has=("avatar:ann",))], 1),  # 8 ms for all four, 90 a second
+        (QUICK, [worker(), worker(*[0.002] * 5, has=("avatar:ann",))], 0),
+        (PlacedClient(99, "room:lab"), ROOM, 1),
+        (PlacedClient(99, "room:other"), ROOM, 0),
     ],
 )
-def test_the_quickest_or_one_that_has_the_avatar(workers, chosen):
-    assert choose(ANN, workers) == chosen
-
-
-def test_avatars_are_shared_while_that_is_quick_enough():
-    quick = PlacedClient(99, "avatar:ann", 0.002)
-    has = worker(0.002, 0.002, 0.002, has=("avatar:ann",))
-    assert choose(quick, [worker(), has]) == 1  # 8 ms for all four, 90 a second
-    has = worker(*[0.002] * 5, has=("avatar:ann",))
-    assert choose(quick, [worker(), has]) == 0
-
-
-def test_rooms_stay_together():
-    full, empty = worker(*[0.03] * 9, key="room:lab"), worker()
-    assert choose(PlacedClient(99, "room:lab"), [empty, full]) == 1
-    assert choose(PlacedClient(99, "room:other"), [empty, full]) == 0
+def test_the_quickest_or_one_that_has_the_avatar_or_room(client, workers, chosen):
+    assert choose(client, workers) == chosen
 
 
 def test_what_moves():
@@ -61,7 +55,7 @@ def test_what_moves():
 
 
 def test_moves_come_to_an_end():
-    """Whatever the clients are: nobody moves for ever, and the slowest worker is not slower than before."""
+    """And the slowest worker is not slower than before."""
     rng = np.random.default_rng(0)
     for _ in range(50):
         clients = [

@@ -1,4 +1,4 @@
-"""Workers that are actors of a Ray cluster of three simulated machines, one of which dies, then Ray's head."""
+"""Workers that are actors of a Ray cluster of simulated machines, one of which dies, then Ray's head."""
 
 from __future__ import annotations
 
@@ -42,12 +42,6 @@ def machines():
         os.environ["RAY_AUTH_MODE"] = before
 
 
-def test_who_has_no_ray_is_told_what_to_install(monkeypatch):
-    monkeypatch.setattr("glsplat.net.workers.cluster.find_spec", {}.get)
-    with pytest.raises(GlsplatError, match="Ray is not installed; pip install"):
-        RayCluster(Sleeper)
-
-
 def half(piece: int) -> tuple[float, str, int]:
     """A piece of work: 13 ends its process, 7 is an error."""
     if piece == 13:
@@ -59,16 +53,14 @@ def half(piece: int) -> tuple[float, str, int]:
 
 def test_pieces_of_work(machines):
     """Each in a process of its own, on one core; one that is lost costs itself."""
-    found = dict(on_ray(half, [1, 13, 3], machines.address))
-    assert sorted(found) == [0, 1, 2] and isinstance(found[1], GlsplatError)
-    assert found[0][:2] == (0.5, "1") and found[2][:2] == (1.5, "1")
-    assert len({os.getpid(), found[0][2], found[2][2]}) == 3
+    found = dict(on_ray(half, [1, 13], machines.address))
+    assert found[0][:2] == (0.5, "1") and found[0][2] != os.getpid() and isinstance(found[1], GlsplatError)
     with pytest.raises(FormatError, match="seven"):
         list(on_ray(half, [7], machines.address))
 
 
 def test_machines_that_are_lost(serve, machines, equal):
-    """A machine, then the head: who is connected stays, sees its own pictures only, and those in their order."""
+    """Connected clients stay and see their own pictures, in order."""
     actors = RayCluster(partial(Sleeper), machines.address, cpus=1)
 
     async def main():
@@ -82,9 +74,8 @@ def test_machines_that_are_lost(serve, machines, equal):
                 assert await until(lambda: living(server) == 2) and await until_more(clients)
                 await lose(machines.head_node)
                 assert await until_more(clients, 20)
-                alive = [
-                    pid for pid, one in zip(pids(server), server.render_loop.workers(), strict=True) if one["alive"]
-                ]
+                workers = server.render_loop.workers()
+                alive = [pid for pid, one in zip(pids(server), workers, strict=True) if one["alive"]]
                 os.kill(alive[0], signal.SIGKILL)  # now nobody can start another one
                 assert await until(lambda: living(server) == 1) and await until_more(clients)
                 async with Client(server.url, timeout=GUARD) as client:
