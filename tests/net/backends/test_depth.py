@@ -23,6 +23,7 @@ from glsplat.net.fields import PictureOptions
 from glsplat.net.reply import parse_reply
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
+from tests.net.loops import in_a_loop, opened
 from tests.net.wire import HANG, native
 
 SIZE = (320, 256)
@@ -53,9 +54,7 @@ def test_it_is_how_far_away_the_picture_is():
 @pytest.mark.parametrize("own_process", [False, pytest.param(True, marks=pytest.mark.check)])
 def test_the_pictures_are_what_they_are_without_it(own_process):
     make = partial(RendererBackend, default_avatar(), SIZE)
-    backend = ProcessBackend(make, 512) if own_process else make()
-    backend.open()
-    try:
+    with opened(ProcessBackend(make, 512) if own_process else make()) as backend:
         shown = []
         for depth in (False, True, False):
             rendered = backend.render(job(depth))
@@ -64,18 +63,12 @@ def test_the_pictures_are_what_they_are_without_it(own_process):
             if rendered.done is not None:
                 rendered.done()
         assert shown[0] == shown[1] == shown[2]
-    finally:
-        backend.close()
 
 
 @pytest.mark.gl
 def test_a_target_of_8_bits_has_none():
-    backend = RendererBackend(default_avatar(), SIZE, config=RenderConfig(target="8", output="uint8"))
-    backend.open()
-    try:
+    with opened(RendererBackend(default_avatar(), SIZE, config=RenderConfig(target="8", output="uint8"))) as backend:
         assert backend.render(job()).depth == ()
-    finally:
-        backend.close()
 
 
 class Tall:
@@ -85,7 +78,8 @@ class Tall:
         return Solved(Pose(np.zeros((55, 3))), request.cameras, scale=2.0)
 
 
-def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
+@in_a_loop
+async def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
     """And nobody else gets a byte more."""
 
     class Deep(fake_backend):
@@ -94,19 +88,16 @@ def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
             grid = grid_of(np.full((SIDE, SIDE), 0.8))
             return replace(rendered, depth=(grid,) * len(rendered.images)) if request.options.depth else rendered
 
-    async def main():
-        offered = (AvatarInfo(name="tall", solver=lambda height, span: Tall()),)
-        async with serve(Deep(), offered=offered) as server, aiohttp.ClientSession() as http:
-            async with http.ws_connect(server.url) as ws:
-                answers = []
-                head = {"tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}}
-                asked = [{}, {"depth": True}, {"depth": False}, {"depth": True, **head}, {"depth": 1}]
-                for number, more in enumerate(asked, 1):
-                    await ws.send_str(native(number, **{"ack": number - 1, **more}))
-                    answers.append((await asyncio.wait_for(ws.receive(), HANG)).data)
-                return answers
-
-    plain, deep, without, tall, refused = asyncio.run(main())
+    offered = (AvatarInfo(name="tall", solver=lambda height, span: Tall()),)
+    async with serve(Deep(), offered=offered) as server, aiohttp.ClientSession() as http:
+        async with http.ws_connect(server.url) as ws:
+            answers = []
+            head = {"tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}}
+            asked = [{}, {"depth": True}, {"depth": False}, {"depth": True, **head}, {"depth": 1}]
+            for number, more in enumerate(asked, 1):
+                await ws.send_str(native(number, **{"ack": number - 1, **more}))
+                answers.append((await asyncio.wait_for(ws.receive(), HANG)).data)
+            plain, deep, without, tall, refused = answers
     assert parse_reply(plain).depth == parse_reply(without).depth == ()
     assert "depth" not in parse_reply(plain).info
     assert len(parse_reply(deep).depth) == 2 and np.allclose(parse_reply(deep).depth[1].metres(), 1.25, atol=1e-4)

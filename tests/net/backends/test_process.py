@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import signal
 from functools import partial
@@ -20,6 +19,7 @@ from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from tests.net.backends.fakes import Boxed
+from tests.net.loops import in_a_loop
 from tests.net.wire import until
 
 
@@ -114,19 +114,16 @@ def test_a_driver_that_hangs_is_given_up(monkeypatch):
 
 
 @pytest.mark.check
-def test_a_renderer_that_crashes_is_started_again(serve, cameras):
+@in_a_loop
+async def test_a_renderer_that_crashes_is_started_again(serve, cameras):
     """One picture is lost, the connection stays."""
-
-    async def main():
-        async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:
-            async with Client(server.url) as client:
-                before = (await client.render(cameras)).info["driver"]
-                client._connection.flow.newest = 89  # 90: a segmentation fault
-                with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
-                    await client.render(cameras)
-                return before, (await client.render(cameras)).info["driver"], server.stats()["rebuilds"]
-
-    before, after, rebuilds = asyncio.run(main())
+    async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:
+        async with Client(server.url) as client:
+            before = (await client.render(cameras)).info["driver"]
+            client._connection.flow.newest = 89  # 90: a segmentation fault
+            with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
+                await client.render(cameras)
+            before, after, rebuilds = before, (await client.render(cameras)).info["driver"], server.stats()["rebuilds"]
     assert before != after and rebuilds == 1
 
 
@@ -147,21 +144,19 @@ def test_no_process_or_file_is_left_behind(tmp_path, monkeypatch):
     assert own.num_fds() <= before + 2
 
 
-def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
+@in_a_loop
+async def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
     """A picture that takes long keeps nobody waiting for an answer."""
-
-    async def main():
-        async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:
-            async with Client(server.url) as client:
-                client._connection.flow.newest = 68
-                await client.send(request().cameras)  # 69: never comes back
-                await until(lambda: server.render_loop.drawing_for)
-                async with aiohttp.ClientSession() as http:
-                    async with http.get(server.url.replace("ws:", "http:").replace("/ws", "/stats")) as answer:
-                        status = answer.status
-                os.kill(int(server.render_loop.driver.split()[1]), signal.SIGKILL)
-                with pytest.raises(ProtocolError, match="could not be drawn"):
-                    await client.receive()
-                return status
-
-    assert asyncio.run(main()) == 200
+    async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:
+        async with Client(server.url) as client:
+            client._connection.flow.newest = 68
+            await client.send(request().cameras)  # 69: never comes back
+            await until(lambda: server.render_loop.drawing_for)
+            async with aiohttp.ClientSession() as http:
+                async with http.get(server.url.replace("ws:", "http:").replace("/ws", "/stats")) as answer:
+                    status = answer.status
+            os.kill(int(server.render_loop.driver.split()[1]), signal.SIGKILL)
+            with pytest.raises(ProtocolError, match="could not be drawn"):
+                await client.receive()
+            found = status
+    assert found == 200

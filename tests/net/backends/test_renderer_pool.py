@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-import ctypes
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.renderer_pool import KEPT
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
@@ -28,9 +24,9 @@ from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
-from tests import needs
 from tests.compare import Difference
 from tests.net.legacy.test_legacy import thinned
+from tests.net.loops import in_a_loop, opened, running
 from tests.scenes import limb
 from tests.skinning.faces import expressive
 
@@ -68,7 +64,8 @@ def test_each_is_drawn_as_if_it_were_alone(backend) -> None:
         for name, avatar in (("", PERSON), ("big", BIG), ("what nobody knows", PERSON), ("rod", limb(200))):
             pose = BENT if len(avatar.skeleton) == 55 else None
             assert (backend.render(request(avatar=name, pose=pose)).images == direct(avatar, pose=pose)).all()
-    hidden = backend.render(request(avatar="big", hide=("head",))).images
+            hidden = backend.render(request(avatar="big", hide=("head",))).images
+            assert len(backend._pool) <= KEPT
     assert (hidden == direct(BIG.without("head"))).all() and (hidden != direct(BIG)).any()
 
 
@@ -80,13 +77,9 @@ def test_a_hidden_head_is_that_of_an_avatar_without_it(pose) -> None:
     bones = (pose or Pose.zero()).bones(bare.skeleton)
     expected = reference.render(bare.splats, CLOSE, bare.skin, bones)
     whole = reference.render(PERSON.splats, CLOSE, PERSON.skin, bones)
-    backend = RendererBackend(PERSON, SIZE, config=RenderConfig(output="float32", target="32f"))
-    backend.open()
-    try:
+    with opened(RendererBackend(PERSON, SIZE, config=RenderConfig(output="float32", target="32f"))) as backend:
         found = backend.render(request(CLOSE, pose=pose, hide=("head",))).images
         again = backend.render(request(CLOSE, pose=pose)).images
-    finally:
-        backend.close()
     assert Difference.of(found, expected).psnr >= 65 and Difference.of(again, whole).psnr >= 65
     assert Difference.of(whole, expected).psnr < 35  # there was a head
 
@@ -96,17 +89,13 @@ def test_a_head_is_hidden_in_a_scene_of_several_things_that_move() -> None:
     person = Item(PERSON, transform=similarity((0.3, 0, 0.2), scale=1.1))
     rod = Item(limb(200).splats, transform=similarity((-0.5, 1, 0)))
     scene = Scene([rod, person])
-    backend = RendererBackend(scene, SIZE)
-    backend.open()
-    try:
+    with opened(RendererBackend(scene, SIZE)) as backend:
         for transform, pose in ((person.transform, None), (similarity((-0.2, 0.1, 0)), BENT)):
             person.transform, person.pose = transform, pose
             found = backend.render(request(hide=("head",))).images
             bare = Item(PERSON.without("head"), transform=transform, pose=pose)
             with Renderer(Scene([rod, bare]), size=SIZE, views=2, config=RenderConfig(output="uint8")) as renderer:
                 assert (found == renderer.render(PAIR)).all()
-    finally:
-        backend.close()
 
 
 @pytest.mark.gl
@@ -114,15 +103,11 @@ def test_a_head_is_hidden_in_a_scene_of_several_things_that_move() -> None:
 def test_what_has_no_head_cannot_hide_it(scene) -> None:
     (one,) = make_server(scene, ServerConfig(port=0), own_process=False).offer()["avatars"]
     assert not one["head"]
-    backend = RendererBackend(scene, SIZE)
-    backend.open()
-    try:
+    with opened(RendererBackend(scene, SIZE)) as backend:
         with pytest.raises(GlsplatError, match=r"scene has none or several|no joint"):
             backend.render(request(hide=("head",)))
         assert backend.render(request()).images.any()  # nothing is wrong with the context
         assert ("box" in backend.render(request(box=True)).places) == isinstance(scene, Avatar)
-    finally:
-        backend.close()
 
 
 def top(avatar: Avatar) -> float:
@@ -166,47 +151,34 @@ def test_where_the_avatar_is() -> None:
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("own_process", [False, pytest.param(True, marks=pytest.mark.check)])
-def test_the_box_holds_what_a_face_moves(own_process: bool) -> None:
-    avatar = expressive(400)
-    make = partial(RendererBackend, avatar, SIZE)
-    backend = ProcessBackend(make, 128) if own_process else make()
-    backend.open()
-    try:
-        boxes, images = [], []
+def test_the_box_holds_what_a_face_moves() -> None:
+    avatar, boxes, images = expressive(400), [], []
+    with opened(RendererBackend(avatar, SIZE)) as backend:
         for face in ({}, {"jawOpen": 1.0}, {"jawOpen": 1.0, "eyeBlinkLeft": 1.0}):
             pose = Pose(np.zeros((4, 3)), expression=face)
             out = backend.render(request(pose=pose, box=True))
             boxes.append(np.reshape(out.places["box"], (2, 3)))
             images.append(np.array(out.images))
-            if out.done is not None:
-                out.done()
             bones, weights = pose.bones(avatar.skeleton), avatar.weights(pose)
             means = reference.skin(avatar.splats, avatar.skin, bones, "polar", avatar.shapes, weights).means
             assert ((means >= boxes[-1][0]) & (means <= boxes[-1][1])).all()
-        assert (np.diff([np.ptp(box, axis=0) for box in boxes], axis=0) > 0.05).all()
-        assert (images[0] != images[1]).any() and (images[1] != images[2]).any()
-    finally:
-        backend.close()
+    assert (np.diff([np.ptp(box, axis=0) for box in boxes], axis=0) > 0.05).all()
+    assert (images[0] != images[1]).any() and (images[1] != images[2]).any()
 
 
-def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
+@in_a_loop
+async def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
     """Also where the user is smaller than the avatar and stands on another floor; the mirror changes nothing."""
     calibration = Calibration(scale=0.8, floor=-0.25)
-
-    async def main():
-        server = make_server(PERSON, ServerConfig(port=0), calibration=calibration, own_process=False)
-        await server.start()
-        try:
-            async with Client(server.url) as client:
-                ask = ({}, {"box": True}, {"box": True, "mirror": True})
-                posed = [await client.render(PAIR, pose=BENT, **more) for more in ask]
-                head = {"head": [1.0, 1.1, 2.0, 0, 0, 0, 1]}
-                return *posed, [await client.render(PAIR, tracking=head, box=True) for _ in range(3)][-1]
-        finally:
-            await server.stop()
-
-    plain, posed, mirrored, tracked = asyncio.run(main())
+    async with running(make_server(PERSON, ServerConfig(port=0), calibration=calibration, own_process=False)) as server:
+        async with Client(server.url) as client:
+            ask = ({}, {"box": True}, {"box": True, "mirror": True})
+            posed = [await client.render(PAIR, pose=BENT, **more) for more in ask]
+            head = {"head": [1.0, 1.1, 2.0, 0, 0, 0, 1]}
+            plain, posed, mirrored, tracked = (
+                *posed,
+                [await client.render(PAIR, tracking=head, box=True) for _ in range(3)][-1],
+            )
     assert plain.box is None and not {"box", "feet"} & plain.info.keys()
     means = reference.skin(PERSON.splats, PERSON.skin, BENT.bones(PERSON.skeleton)).means
     assert np.abs(posed.box - [means.min(axis=0), means.max(axis=0)]).max() < 0.12
@@ -219,31 +191,8 @@ def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
 
 
 @pytest.mark.gl
-def test_clients_of_different_avatars_take_turns_and_get_their_own() -> None:
-    async def main():
-        server = make_server(PERSON, ServerConfig(port=0), own_process=False, name="ann", avatars={"big": BIG})
-        await server.start()
-        try:
-            async with Client(server.url) as one, Client(server.url, avatar="big") as two, Client(server.url) as three:
-
-                async def ask(client, **more):
-                    return [(await client.render(PAIR, quality=95, pose=BENT, **more)).images() for _ in range(8)]
-
-                return await asyncio.gather(ask(one), ask(two), ask(three, hide=("head",)))
-        finally:
-            await server.stop()
-
-    pictures = asyncio.run(main())
-    for images, avatar in zip(pictures, (PERSON, BIG, PERSON.without("head")), strict=True):
-        expected = direct(avatar, pose=BENT)[..., :3].astype(float)
-        assert len(images) == 8
-        for pair in images:
-            assert np.abs(np.stack(pair) - expected).mean() < 2.5  # a JPEG of it ...
-    assert np.abs(direct(PERSON)[..., :3].astype(float) - direct(BIG)[..., :3]).mean() > 6  # ... and of no other
-
-
-@pytest.mark.gl
-def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
+@in_a_loop
+async def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     small = default_avatar().skeleton
     half = type(small).from_joints(small.names, small.parents, small.joints * 0.5)
     splats = replace(PERSON.splats, means=PERSON.splats.means * 0.5, scales=PERSON.splats.scales * 0.5)
@@ -253,62 +202,24 @@ def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     assert first["height"] == pytest.approx(2 * second["height"], rel=1e-3) and second["tracking"]
     nothing = {"title": "", "height": None, "hand_out": None} | dict.fromkeys(("tracking", "head", "made"), False)
     assert rod == nothing | {"name": "rod"}
-
-    async def main():
-        await server.start()
-        try:
-            out = []
-            for name in ("default", "child"):
-                async with Client(server.url, avatar=name, height=1.7, span=1.3) as client:
-                    out.append(await client.render(PAIR, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]}, box=True))
-            async with Client(server.url, avatar="rod") as client:
-                out.append(await client.render(PAIR, pose={"joints": {"joint1": [0, 0, 1]}}))
-                with pytest.raises(ProtocolError, match="no tracking solver") as caught:
-                    await client.render(PAIR, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
-                assert caught.value.code == "bad_pose"
-                with pytest.raises(ProtocolError, match=r'"hide": .* needs one avatar that has a joint'):
-                    await client.render(PAIR, hide="head")
-            return out
-        finally:
-            await server.stop()
-
-    grown, child_reply, _ = asyncio.run(main())
+    await server.start()
+    try:
+        out = []
+        for name in ("default", "child"):
+            async with Client(server.url, avatar=name, height=1.7, span=1.3) as client:
+                out.append(await client.render(PAIR, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]}, box=True))
+        async with Client(server.url, avatar="rod") as client:
+            out.append(await client.render(PAIR, pose={"joints": {"joint1": [0, 0, 1]}}))
+            with pytest.raises(ProtocolError, match="no tracking solver") as caught:
+                await client.render(PAIR, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
+            assert caught.value.code == "bad_pose"
+            with pytest.raises(ProtocolError, match=r'"hide": .* needs one avatar that has a joint'):
+                await client.render(PAIR, hide="head")
+        grown, child_reply, _ = out
+    finally:
+        await server.stop()
     assert np.abs(grown.box - child_reply.box).max() < 0.02  # both as tall as the user
     assert grown.box[1, 1] == pytest.approx(1.7, abs=0.12) and grown.box[0, 1] == pytest.approx(0, abs=0.09)
-
-
-@pytest.mark.check
-@pytest.mark.gl
-def test_many_changes_leave_nothing_behind() -> None:
-    """Renderers come and go in turn: no more GL objects than before."""
-    needs.require("opengl")
-    backend = RendererBackend(PERSON, SIZE, avatars={"a": BIG, "b": limb(300), "c": limb(200, seed=7)})
-    backend.open()
-    gl = ctypes.CDLL("libOpenGL.so.0")
-
-    def alive() -> list[int]:
-        """Count buffers, textures, framebuffers, vertex arrays and programs; names are never given twice."""
-        kinds = [getattr(gl, f"glIs{kind}") for kind in ("Buffer", "Texture", "Framebuffer", "VertexArray", "Program")]
-        newest = backend._context.ctx.buffer(reserve=16)
-        last = newest.glo
-        newest.release()
-        return [sum(exists(name) & 0xFF for name in range(1, last + 1)) for exists in kinds]  # a GLboolean
-
-    def change(times: int) -> None:
-        for index in range(times):
-            name = ("", "a", "b", "c")[index % 4]
-            hide = ("head",) if name in ("", "a") and index % 8 < 4 else ()
-            backend.render(request(avatar=name, hide=hide))
-            assert len(backend._pool) <= KEPT
-
-    try:
-        change(16)
-        before = alive()
-        assert min(before) > 0
-        change(48)
-        assert alive() == before
-    finally:
-        backend.close()
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 from functools import partial
 
@@ -23,6 +22,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, SceneLike, similarity
 from glsplat.skinning.pose import Pose
+from tests.net.loops import in_a_loop, opened, running
 from tests.scene.people import boxes
 from tests.scene.worlds import upright
 from tests.scenes import limb
@@ -57,9 +57,7 @@ def test_poses_parts_and_boxes(own_process: bool) -> None:
     """In a room of one joint, beside another avatar by name."""
     scene = Scene([Item(ROOM), Item(PERSON)])
     make = partial(RendererBackend, scene, SIZE, avatars={"rod": limb(200), "twin": PERSON})
-    backend = ProcessBackend(make, 128) if own_process else make()
-    backend.open()
-    try:
+    with opened(ProcessBackend(make, 128) if own_process else make()) as backend:
         for pose in (None, BENT):
             for hide, mesh in (((), PERSON), (("head",), PERSON.without("head"))):
                 out = backend.render(request(pose=pose, hide=hide, box=True))
@@ -73,8 +71,6 @@ def test_poses_parts_and_boxes(own_process: bool) -> None:
             out = backend.render(request(avatar=name))
             assert (out.images == direct(thing)).all()
             done(out)
-    finally:
-        backend.close()
 
 
 def test_what_may_be_served() -> None:
@@ -89,21 +85,14 @@ def test_what_may_be_served() -> None:
         make_server(PERSON, avatars={"room": ROOM})
 
 
-def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
+@in_a_loop
+async def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
     sample = {"head": [0.1, 1.6, 0, 0, 0, 0, 1], "left": [-0.4, 1.2, -0.4, 0, 0, 0, 1]}
-
-    async def main() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        server = make_server(PERSON, ServerConfig(port=0), own_process=False)
-        await server.start()
-        try:
-            async with Client(server.url) as client:
-                posed = await client.render(PAIR, pose=BENT, alpha=True, quality=95)
-                tracked = await client.render(PAIR, tracking=sample, alpha=True)
-                return np.asarray(posed.rgba()), np.asarray(tracked.rgba())
-        finally:
-            await server.stop()
-
-    posed, tracked = asyncio.run(main())
+    async with running(make_server(PERSON, ServerConfig(port=0), own_process=False)) as server:
+        async with Client(server.url) as client:
+            posed = await client.render(PAIR, pose=BENT, alpha=True, quality=95)
+            tracked = await client.render(PAIR, tracking=sample, alpha=True)
+            posed, tracked = np.asarray(posed.rgba()), np.asarray(tracked.rgba())
     expected = direct(PERSON, BENT)
     assert ((expected[..., 3] > 0) & (expected[..., 3] < 255)).sum() > 50  # antialiased
     assert np.abs(posed[..., 3].astype(int) - expected[..., 3]).max() <= 16  # a JPEG of its own

@@ -21,6 +21,7 @@ from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.slots import Slots, SlotWriter
 from glsplat.renderer import Renderer
 from tests.net.backends.fakes import Boxed
+from tests.net.loops import opened
 
 SIDE = 1200  # a pair takes 11 MiB, of which 8 are set aside at the start
 
@@ -50,9 +51,7 @@ def full(tmp_path, monkeypatch) -> Callable[[], AbstractContextManager[None]]:
 
 
 def test_memory_that_fills_up_fails_one_picture(full):
-    backend = ProcessBackend(Boxed, SIDE)
-    backend.open()
-    try:
+    with opened(ProcessBackend(Boxed, SIDE)) as backend:
         assert backend._slots.folder == slots.SHM
         with full():
             for _ in range(4):  # every slot
@@ -63,8 +62,6 @@ def test_memory_that_fills_up_fails_one_picture(full):
         rendered = backend.render(request(SIDE))
         assert rendered.images[:, -20:-16, -20:-12].min() == 100 and backend.free_slots == 2
         rendered.done()
-    finally:
-        backend.close()
     assert os.listdir(slots.SHM) == []
 
 
@@ -82,15 +79,11 @@ def test_memory_that_is_full_at_the_start(full, tmp_path_factory, monkeypatch):
 
 
 def test_pictures_of_another_number_than_asked_for_take_no_slot():
-    backend = ProcessBackend(TooMany, 64)
-    backend.open()
-    try:
+    with opened(ProcessBackend(TooMany, 64)) as backend:
         for _ in range(7):
             with pytest.raises(RuntimeError, match=r"pictures of shape \(2, 64, 64, 4\) were asked for, \(3, 64"):
                 backend.render(request(64))
         assert backend.free_slots == 3
-    finally:
-        backend.close()
 
 
 class TooMany(Boxed):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
+from tests.net.loops import in_a_loop, running
 from tests.net.wire import native
 
 SIZE = (160, 128)
@@ -30,25 +30,21 @@ PAIR = stereo_cameras(head_matrix((0.1, 1.0, 2.2), (0, 0, 0, 1)), size=SIZE)
 
 
 @pytest.mark.gl
-def test_alpha_is_that_of_a_direct_render():
+@in_a_loop
+async def test_alpha_is_that_of_a_direct_render():
     """Whole and cropped, one eye and two; without the wish nothing changes."""
     avatar = default_avatar()
     with Renderer(avatar, size=SIZE, views=2, config=RenderConfig(output="uint8")) as renderer:
         direct = renderer.render(PAIR).astype(float)
     assert ((direct[..., 3] > 20) & (direct[..., 3] < 235)).sum() > 100
     asked = [{"alpha": True}, {"alpha": True, "crop": True}, {"alpha": "straight", "crop": True}, {"crop": True}, {}]
-
-    async def main():
-        server = make_server(avatar, ServerConfig(port=0), own_process=False)
-        await server.start()
-        try:
-            async with Client(server.url) as client:
-                replies = [await client.render(PAIR, quality=95, **more) for more in asked]
-                return *replies, await client.render(PAIR[:1], quality=95, alpha=True)
-        finally:
-            await server.stop()
-
-    whole, cropped, straight, only, plain, single = asyncio.run(main())
+    async with running(make_server(avatar, ServerConfig(port=0), own_process=False)) as server:
+        async with Client(server.url) as client:
+            replies = [await client.render(PAIR, quality=95, **more) for more in asked]
+            whole, cropped, straight, only, plain, single = (
+                *replies,
+                await client.render(PAIR[:1], quality=95, alpha=True),
+            )
     assert straight.info["alpha"] == "straight" and "alpha" not in whole.info and list(single.alphas) == [0]
     for reply in (whole, cropped, single, straight):
         for mine, theirs in zip(reply.rgba(), direct, strict=False):
@@ -95,19 +91,16 @@ def test_alpha_is_true_false_or_straight(message, words):
     assert Decoder().decode(native(1, alpha="straight")).options.alpha == "straight"
 
 
-def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, fake_backend):
+@in_a_loop
+async def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, fake_backend):
     """A user of 1.25 times the avatar: the client's room has its own eyes, the picture was drawn with others."""
     backend, calibration = fake_backend(), Calibration(scale=1.25, floor=0.1)
     solver = TrackingSolver(default_avatar().skeleton, calibration)
-
-    async def main():
-        offered = [AvatarInfo(name="default", solver=lambda height, span: solver)]
-        async with serve(backend, offered=offered) as server, Client(server.url) as client:
-            cameras = [replace(camera, near=0.5, far=20.0) for camera in PAIR]
-            tracked = await client.render(cameras, tracking={"head": [0.1, 1.0, 2.2, 0, 0, 0, 1]})
-            return tracked, await client.render(cameras, pose=Pose.zero())
-
-    tracked, posed = asyncio.run(main())
+    offered = [AvatarInfo(name="default", solver=lambda height, span: solver)]
+    async with serve(backend, offered=offered) as server, Client(server.url) as client:
+        cameras = [replace(camera, near=0.5, far=20.0) for camera in PAIR]
+        tracked = await client.render(cameras, tracking={"head": [0.1, 1.0, 2.2, 0, 0, 0, 1]})
+        tracked, posed = tracked, await client.render(cameras, pose=Pose.zero())
     for reply in (tracked, posed):
         for eye, camera in zip(reply.info["eyes"], PAIR, strict=True):
             np.testing.assert_allclose(np.reshape(eye["viewmat"], (4, 4)), camera.viewmat)

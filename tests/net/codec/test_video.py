@@ -66,19 +66,6 @@ def test_each_picture_comes_back_at_once(codec, alpha):
                 assert np.abs(seen[y : y + 130, x : x + 150, 0] - image[..., 3]).mean() < 3
 
 
-def test_straight_colours_go_on_beyond_the_silhouette():
-    images, box = moved(1)
-    images[..., :3] = images[..., :3] // 2 * (images[..., 3:] > 0)
-    said, seen = {}, {}
-    for alpha in (True, "straight"):
-        encoded = VideoStream().encode(images, ["vp9"], 90, box, alpha)
-        said[alpha], seen[alpha] = encoded.video, decoded(decoder("vp9"), encoded)
-    assert said[True] == said["straight"]
-    x, y, w, h = box
-    inside = np.s_[y + 4 : y + h - 4, x + 4 : x + w - 4]
-    assert seen["straight"][inside].mean() > 1.3 * seen[True][inside].mean()
-
-
 def test_quality_is_coarser_for_a_thin_link():
     images, box = moved(3)
     sizes = [len(VideoStream().encode(images, ["h264"], quality, box).pictures[0]) for quality in STEPS]

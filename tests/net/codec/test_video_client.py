@@ -13,6 +13,7 @@ from glsplat.net.client import Client
 from glsplat.net.codec.video import VideoStream
 from glsplat.net.codec.video_reader import VideoReader
 from glsplat.net.server import ServerConfig
+from tests.net.loops import in_a_loop
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
 
@@ -27,16 +28,14 @@ def grey(reply, eye=1):
 
 @pytest.mark.parametrize("codec", ["vp9", "h264"])
 @pytest.mark.parametrize("alpha", [False, True, "straight"])
-def test_pictures_are_those_of_jpegs(serve, fake_backend, cameras, codec, alpha, monkeypatch):
+@in_a_loop
+async def test_pictures_are_those_of_jpegs(serve, fake_backend, cameras, codec, alpha, monkeypatch):
     monkeypatch.setattr(VideoReader, "wish", lambda self: {"codecs": [codec]})
-
-    async def main():
-        async with serve(fake_backend(), WATCHES) as server:
-            async with Client(server.url, video=True) as one, Client(server.url) as other:
-                ask = {"quality": 90, "alpha": alpha}
-                return [(await one.render(cameras, **ask), await other.render(cameras, **ask)) for _ in range(6)]
-
-    for number, (mine, theirs) in enumerate(asyncio.run(main()), 1):
+    async with serve(fake_backend(), WATCHES) as server:
+        async with Client(server.url, video=True) as one, Client(server.url) as other:
+            ask = {"quality": 90, "alpha": alpha}
+            found = [(await one.render(cameras, **ask), await other.render(cameras, **ask)) for _ in range(6)]
+    for number, (mine, theirs) in enumerate(found, 1):
         assert mine.info["video"]["number"] == number and "video" not in theirs.info
         assert mine.frame_id == theirs.frame_id == number
         pairs = zip(*((one.rgba() if alpha else one.images()) for one in (mine, theirs)), strict=True)
@@ -50,38 +49,33 @@ def test_pictures_are_those_of_jpegs(serve, fake_backend, cameras, codec, alpha,
             mine.rgba()
 
 
-def test_who_does_not_show_all_of_them_sees_the_newest_right(serve, fake_backend, cameras):
+@in_a_loop
+async def test_who_does_not_show_all_of_them_sees_the_newest_right(serve, fake_backend, cameras):
     """Pictures that nobody takes are decoded all the same."""
-
-    async def main():
-        async with serve(fake_backend(), WATCHES) as server, Client(server.url, video=True, window=8) as client:
-            for number in range(1, 21):
-                await client.send(cameras, quality=90)
-                if number % 5 == 0:
-                    while (arrived := await client.receive()).reply.frame_id < client.newest:
-                        pass
-            return arrived.reply
-
-    reply = asyncio.run(main())
+    async with serve(fake_backend(), WATCHES) as server, Client(server.url, video=True, window=8) as client:
+        for number in range(1, 21):
+            await client.send(cameras, quality=90)
+            if number % 5 == 0:
+                while (arrived := await client.receive()).reply.frame_id < client.newest:
+                    pass
+        reply = arrived.reply
     assert reply.frame_id == 20 and not reply.info["video"]["key"]
     assert abs(grey(reply) - (20 % 200 + 50)) < 6
 
 
-def test_after_a_loss_it_asks_for_a_key_frame(serve, fake_backend, cameras):
-    async def main():
-        async with serve(fake_backend(), WATCHES) as server, Client(server.url, video=True) as client:
-            first = await client.render(cameras)
-            (channel,) = server._channels.values()
-            channel.video._number += 1  # one that never came
-            lost, said = await client.render(cameras), []
-            for _ in range(40):
-                said.append(await client.render(cameras))
-                if said[-1].video:
-                    break
-                await asyncio.sleep(0.03)
-            return first, lost, said[-1]
-
-    first, lost, found = asyncio.run(main())
+@in_a_loop
+async def test_after_a_loss_it_asks_for_a_key_frame(serve, fake_backend, cameras):
+    async with serve(fake_backend(), WATCHES) as server, Client(server.url, video=True) as client:
+        first = await client.render(cameras)
+        (channel,) = server._channels.values()
+        channel.video._number += 1  # one that never came
+        lost, said = await client.render(cameras), []
+        for _ in range(40):
+            said.append(await client.render(cameras))
+            if said[-1].video:
+                break
+            await asyncio.sleep(0.03)
+        first, lost, found = first, lost, said[-1]
     assert first.images() and not lost.video
     with pytest.raises(ProtocolError, match="did not come"):
         lost.images()

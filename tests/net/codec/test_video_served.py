@@ -15,6 +15,7 @@ from glsplat.net.local_loop import _CODED
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server, ServerConfig
+from tests.net.loops import in_a_loop
 from tests.net.wire import EYE, HANG, until
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
@@ -58,55 +59,49 @@ async def replies(server, count, **fields):
     return out
 
 
-def test_others_get_the_same_bytes_as_ever(serve, fake_backend):
-    async def main():
-        async with serve(fake_backend()) as server:
-            found = [await replies(server, 4), await replies(server, 4, video={"codecs": ["vp9"]})]
-        async with serve(fake_backend(), WATCHES) as server:
-            assert server.offer()["video"] == ["vp9", "h264"]
-            return [*found, await replies(server, 4), await replies(server, 4, video={"codecs": ["av9"]})]
-
-    found = asyncio.run(main())
+@in_a_loop
+async def test_others_get_the_same_bytes_as_ever(serve, fake_backend):
+    async with serve(fake_backend()) as server:
+        found = [await replies(server, 4), await replies(server, 4, video={"codecs": ["vp9"]})]
+    async with serve(fake_backend(), WATCHES) as server:
+        assert list(server.offer()["video"]) == ["vp9", "h264"]
+        found = [*found, await replies(server, 4), await replies(server, 4, video={"codecs": ["av9"]})]
     assert all("video" not in reply.info for some in found for reply in some)
     pictures = [[reply.pictures for reply in some] for some in found]
     assert pictures[0] == pictures[1] == pictures[2] == pictures[3]
 
 
-def test_what_was_sent_last_is_no_old_jpeg(serve, fake_backend):
+@in_a_loop
+async def test_what_was_sent_last_is_no_old_jpeg(serve, fake_backend):
     """The status page shows no JPEG of a client that has gone over to video."""
-
-    async def main():
-        async with serve(fake_backend(), WATCHES) as server, aiohttp.ClientSession() as http:
-            async with http.ws_connect(server.url, max_msg_size=0) as ws:
-                out = []
-                for number, more in ((1, {}), (2, {"video": {"codecs": ["vp9"]}})):
-                    await ws.send_str(asking(number, ack=number - 1, **more))
-                    await ws.receive(timeout=HANG)
-                    out += [one.newest is not None for one in server._channels.values()]
-                return out
-
-    assert asyncio.run(main()) == [True, False]
+    async with serve(fake_backend(), WATCHES) as server, aiohttp.ClientSession() as http:
+        async with http.ws_connect(server.url, max_msg_size=0) as ws:
+            out = []
+            for number, more in ((1, {}), (2, {"video": {"codecs": ["vp9"]}})):
+                await ws.send_str(asking(number, ack=number - 1, **more))
+                await ws.receive(timeout=HANG)
+                out += [one.newest is not None for one in server._channels.values()]
+            found = out
+    assert found == [True, False]
 
 
-def test_a_picture_that_fails_leaves_no_gap(serve, fake_backend):
-    async def main():
-        backend = fake_backend(fail=lambda job: RuntimeError("no") if job.frame_id == 3 else None)
-        async with serve(backend, WATCHES) as server, aiohttp.ClientSession() as http:
-            async with http.ws_connect(server.url, max_msg_size=0) as ws:
-                out = []
-                for number in range(1, 6):
-                    await ws.send_str(asking(number, ack=out[-1].frame_id if out else 0, video={"codecs": ["vp9"]}))
-                    message = await ws.receive(timeout=HANG)
-                    if message.type == aiohttp.WSMsgType.BINARY:
-                        out.append(parse_reply(message.data))
-                return out
-
-    out = asyncio.run(main())
+@in_a_loop
+async def test_a_picture_that_fails_leaves_no_gap(serve, fake_backend):
+    backend = fake_backend(fail=lambda job: RuntimeError("no") if job.frame_id == 3 else None)
+    async with serve(backend, WATCHES) as server, aiohttp.ClientSession() as http:
+        async with http.ws_connect(server.url, max_msg_size=0) as ws:
+            out = []
+            for number in range(1, 6):
+                await ws.send_str(asking(number, ack=out[-1].frame_id if out else 0, video={"codecs": ["vp9"]}))
+                message = await ws.receive(timeout=HANG)
+                if message.type == aiohttp.WSMsgType.BINARY:
+                    out.append(parse_reply(message.data))
     assert [reply.frame_id for reply in out] == [1, 2, 4, 5]
     assert [reply.info["video"]["number"] for reply in out] == [1, 2, 3, 4]
 
 
-def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeypatch):
+@in_a_loop
+async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeypatch):
     """While coding hangs, JPEGs of others come as ever."""
     gate, coded = threading.Event(), []
     encode = VideoStream.encode
@@ -117,26 +112,22 @@ def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeypatch):
         return encode(self, *how)
 
     monkeypatch.setattr(VideoStream, "encode", slow)
-
-    async def main():
-        backend = fake_backend()
-        async with serve(backend, WATCHES) as server, aiohttp.ClientSession() as http:
-            sockets = [await http.ws_connect(server.url + "?window=8", max_msg_size=0) for _ in range(4)]
-            for number in range(1, 9):  # without an ack, as many as the window holds
-                for ws in sockets:
-                    await ws.send_str(asking(number, video={"codecs": ["vp9"]}))
-                await asyncio.sleep(0.03)
-            await until(lambda: coded)
-            begun = len(backend.drawn)
-            plain = await replies(server, 5)
-            videos = [job for job in backend.drawn if job.options.video]
-            gate.set()
-            late = [parse_reply((await ws.receive(timeout=HANG)).data) for ws in sockets]  # nobody is forgotten
+    backend = fake_backend()
+    async with serve(backend, WATCHES) as server, aiohttp.ClientSession() as http:
+        sockets = [await http.ws_connect(server.url + "?window=8", max_msg_size=0) for _ in range(4)]
+        for number in range(1, 9):  # without an ack, as many as the window holds
             for ws in sockets:
-                await ws.close()
-            return begun, plain, len(videos), late
-
-    begun, plain, videos, late = asyncio.run(main())
+                await ws.send_str(asking(number, video={"codecs": ["vp9"]}))
+            await asyncio.sleep(0.03)
+        await until(lambda: coded)
+        begun = len(backend.drawn)
+        plain = await replies(server, 5)
+        videos = [job for job in backend.drawn if job.options.video]
+        gate.set()
+        late = [parse_reply((await ws.receive(timeout=HANG)).data) for ws in sockets]  # nobody is forgotten
+        for ws in sockets:
+            await ws.close()
+        begun, plain, videos, late = begun, plain, len(videos), late
     assert len(plain) == 5 and all("video" not in reply.info for reply in plain)
     assert 0 < begun <= videos <= _CODED
     assert all("video" in reply.info for reply in late)

@@ -17,6 +17,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.watermark.detect import detect
 from glsplat.watermark.mark import WatermarkKey
+from tests.net.loops import running
 
 pytestmark = pytest.mark.check
 
@@ -37,12 +38,8 @@ def test_pictures_lead_to_their_session(caplog):
             return [reply.images()[0] for reply in replies], row["mark"]
 
     async def main():
-        server = make_server(avatar, CONFIG)
-        await server.start()
-        try:
+        async with running(make_server(avatar, CONFIG)) as server:
             return [await watch(server) for _ in range(2)]
-        finally:
-            await server.stop()
 
     with caplog.at_level(logging.INFO, "glsplat.net.session"):
         (first, one), (second, two) = asyncio.run(main())

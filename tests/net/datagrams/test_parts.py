@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from glsplat.net.datagrams.offers import LASTS, Offers
+from tests.net.loops import in_a_loop
 
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
@@ -148,15 +148,14 @@ def test_what_a_picture_takes_of_the_link_is_known_before_it_goes() -> None:
 
 
 class TestHeard:
-    def test_of_too_many_requests_the_newest_are_kept(self) -> None:
-        async def main() -> list[str]:
-            session = Session(Decoder(), SessionConfig(adapt=True), now=0.0)
-            way = SecondWay(Nobody(), session, "a", lambda: 0.0, lambda: None)
-            for number in range(200):
-                way.heard(b"%d" % number)
-            return [await way.message() for _ in range(3)]
-
-        first, second, third = map(int, asyncio.run(main()))
+    @in_a_loop
+    async def test_of_too_many_requests_the_newest_are_kept(self) -> None:
+        session = Session(Decoder(), SessionConfig(adapt=True), now=0.0)
+        way = SecondWay(Nobody(), session, "a", lambda: 0.0, lambda: None)
+        for number in range(200):
+            way.heard(b"%d" % number)
+        found = [await way.message() for _ in range(3)]
+        first, second, third = map(int, found)
         assert 100 < first == second - 1 == third - 2
 
 

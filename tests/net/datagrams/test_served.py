@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -78,21 +77,6 @@ class TestPictures:
                 assert len(held) == len(set(held))
 
         asyncio.run(main())
-
-    @in_a_loop
-    async def test_a_video_goes_the_same_way_and_goes_on_after_a_loss(self, serve: Any) -> None:
-        pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
-        async with serve(config=replace(CONFIG, video=True)) as server, viewing(server) as viewer:
-            viewer.asks = {"video": {"codecs": ["vp9"]}, "alpha": True}
-            path = await viewer.open()
-            await until(lambda: sum("video" in info for info in viewer.infos) > 20)
-            path.keep = lambda datagram: datagram[0] != PICTURE
-            await until(lambda: ways(server)["sent"] - viewer.by_datagrams() > 3 or not ways(server)["open"])
-            path.keep = lambda datagram: True
-            await viewer.more(3, by_datagrams=True)
-            viewer.asks["video"]["key"] = True
-            before = len(viewer.infos)
-            await until(lambda: any(info.get("video", {}).get("key") for info in viewer.infos[before:]))
 
     @in_a_loop
     async def test_pictures_of_workers_as_well(self, serve: Any) -> None:

@@ -76,13 +76,6 @@ def test_it_does_not_swing() -> None:
     assert sum(now < 100 for now in changed) >= 2 and sum(now > 200 for now in changed) <= 4
 
 
-def test_what_was_taken_comes_back() -> None:
-    adaptive_quality = AdaptiveQuality(45)
-    busy = run(adaptive_quality, {1: machine(0.08)}, 20)
-    idle = run(adaptive_quality, {1: machine(0.008)}, 60, start=busy[-1][0])
-    assert busy[-1][2] != FULL == idle[-1][2]
-
-
 def test_viewers_share_the_time() -> None:
     adaptive_quality = AdaptiveQuality(30)
     alone = run(adaptive_quality, {1: machine(0.02)}, 10)

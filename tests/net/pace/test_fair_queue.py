@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from dataclasses import dataclass, field
 
 import pytest
@@ -148,35 +147,6 @@ def test_leaving_and_coming_back_wipes_out_no_debt() -> None:
     world.turns.add("x", Client("x", 1))
     world.turns.remove("x", good)  # harmless
     assert "b" not in world.turns._addresses  # forgotten once the others have caught up
-
-
-def test_whoever_is_ready_is_drawn_in_the_end() -> None:
-    rng = random.Random(7)
-    turns: FairQueue[int] = FairQueue()
-    here: dict[int, str] = {}
-    waiting: dict[int, int] = {}
-    now, longest_wait = 0.0, 0
-    for step in range(3000):
-        if rng.random() < 0.02 and len(here) < 12:
-            here[step] = rng.choice("abcd")
-            turns.add(here[step], step)
-        if rng.random() < 0.01 and here:
-            gone = rng.choice([*here])
-            turns.remove(here.pop(gone), gone)
-            waiting.pop(gone, None)
-        ready = {key for key in here if key in waiting or rng.random() < 0.5}
-        chosen = turns.next(ready.__contains__, now)
-        waiting = {key: waiting.get(key, 0) + 1 for key in ready}
-        if chosen is None:
-            assert not ready or turns.rest(now) > 0
-            now += max(turns.rest(now), 0.001)
-            continue
-        assert chosen in ready
-        longest_wait = max(longest_wait, waiting.pop(chosen))
-        seconds = 10 ** rng.uniform(-3, -0.5)
-        now += seconds
-        turns.charge(here[chosen], chosen, seconds, now)
-    assert longest_wait < 300 and len(turns._addresses) <= 4
 
 
 def test_who_is_known_for_short_pictures_does_not_rest_when_it_comes() -> None:

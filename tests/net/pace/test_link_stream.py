@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 
 import aiohttp
@@ -17,7 +16,8 @@ from glsplat.net.pace.ladder import ladder
 from glsplat.net.pace.link_control import LinkControl
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import ServerConfig
-from glsplat.net.session import Close, Session, SessionConfig, Warn
+from glsplat.net.session import Session, SessionConfig, Warn
+from tests.net.loops import in_a_loop
 from tests.net.wire import EYE, HANG
 
 
@@ -103,24 +103,6 @@ class TestSession:
         answer = session.receive(said(ack=99, arrival={"age": 0}), 0.1)
         assert isinstance(answer, Warn) and "bad_ack" in answer.text and session.link is None
 
-    def test_turned_on_and_off_a_hundred_times_a_second(self) -> None:
-        """Nothing grows."""
-        session = self.opened(rate=1e6, burst=10**6)
-        for number in range(1, 1001):
-            now = number / 100
-            more = {"arrival": {"age": number % 60_000, "held": (number * 37) % 60_000}} if number % 2 else {}
-            request = session.receive(asking(number, ack=max(0, number - 2), quality=1 + number % 100, **more), now)
-            assert not isinstance(request, Warn | Close)
-            taken = session.next_request(now)
-            assert taken is not None
-            rung = session.rung(taken[0], now)
-            assert rung is None or (rung.quality <= taken[0].options.quality and rung.scale >= 0.5)
-            session.sending(taken[0], 1000, now)
-            session.sent(taken[0], 1000)
-        status = session.status()
-        assert status["unacknowledged"] <= 8 and status["under_way"] == 0
-        assert session.link is not None and session.link.link.on_the_way <= 8 and session.rest(11.0) <= 0.05
-
 
 class TestSockets:
     async def _bytes(self, server, tells: bool = False) -> list[bytes]:
@@ -135,28 +117,23 @@ class TestSockets:
                 out.append(b"".join(reply.pictures.values()))
         return out
 
-    def test_who_says_nothing_and_fixed_get_the_same_bytes(self, serve, fake_backend) -> None:
-        async def main():
-            async with serve(fake_backend(), ADAPTS) as server:
-                silent = await self._bytes(server)
-            async with serve(fake_backend()) as server:
-                return silent, await self._bytes(server), await self._bytes(server, tells=True)
-
-        silent, fixed, told = asyncio.run(main())
+    @in_a_loop
+    async def test_who_says_nothing_and_fixed_get_the_same_bytes(self, serve, fake_backend) -> None:
+        async with serve(fake_backend(), ADAPTS) as server:
+            silent = await self._bytes(server)
+        async with serve(fake_backend()) as server:
+            silent, fixed, told = silent, await self._bytes(server), await self._bytes(server, tells=True)
         assert silent == fixed == told and len(silent) == 5
 
-    def test_a_thin_link_brings_smaller_pictures_that_can_be_read(
+    @in_a_loop
+    async def test_a_thin_link_brings_smaller_pictures_that_can_be_read(
         self, serve, fake_backend, monkeypatch, cameras
     ) -> None:
         small = next(rung for rung in ladder(80, False) if rung.scale == 0.5)
         monkeypatch.setattr(LinkControl, "rung", lambda *_: small)
-
-        async def main():
-            async with serve(fake_backend(), ADAPTS) as server, Client(server.url, adapt=True) as client:
-                first = await client.render(cameras, crop=False)
-                return first, await client.render(cameras, crop=False), server.stats()
-
-        first, second, stats = asyncio.run(main())
+        async with serve(fake_backend(), ADAPTS) as server, Client(server.url, adapt=True) as client:
+            first = await client.render(cameras, crop=False)
+            first, second, stats = first, await client.render(cameras, crop=False), server.stats()
         assert "detail" not in first.info  # nothing had arrived yet
         assert second.info["size"] == [32, 32] and second.info["detail"]["why"] == "link"
         assert second.info["detail"]["quality"] == small.quality and second.info["crop"]
@@ -164,31 +141,28 @@ class TestSockets:
         assert np.isclose(second.info["eyes"][0]["K"][0], first.info["eyes"][0]["K"][0] / 2)
         assert stats["clients"][0]["link"]["round_trip"] is not None
 
-    def test_a_ping_follows_each_picture_and_its_pong_costs_the_client_nothing(self, serve, fake_backend) -> None:
+    @in_a_loop
+    async def test_a_ping_follows_each_picture_and_its_pong_costs_the_client_nothing(self, serve, fake_backend) -> None:
         """Pongs of pictures do not count as the client's own control frames."""
         quick = ServerConfig(port=0, session=SessionConfig(adapt=True, rate=1e6))  # as the machine may be
-
-        async def main():
-            async with serve(fake_backend(), quick) as server, aiohttp.ClientSession() as http:
-                async with http.ws_connect(server.url, autoping=False) as ws:
-                    kinds, payloads, told = [], set(), {}
-                    await ws.send_str(asking(1, ack=0).decode())
-                    number = 1
-                    while number <= 300:
-                        message = await ws.receive(timeout=HANG)
-                        kinds.append(message.type)
-                        if message.type == aiohttp.WSMsgType.PING:
-                            payloads.add(bytes(message.data))
-                            await ws.pong(message.data)
-                        else:
-                            assert message.type == aiohttp.WSMsgType.BINARY, message
-                            assert "detail" not in parse_reply(message.data).info
-                            told = {"arrival": {"age": 5, "held": 0}}
-                            number += 1
-                            await ws.send_str(asking(number, ack=number - 1, **told).decode())
-                    return kinds, payloads, server.stats()["clients"][0]
-
-        kinds, payloads, client = asyncio.run(main())
+        async with serve(fake_backend(), quick) as server, aiohttp.ClientSession() as http:
+            async with http.ws_connect(server.url, autoping=False) as ws:
+                kinds, payloads, told = [], set(), {}
+                await ws.send_str(asking(1, ack=0).decode())
+                number = 1
+                while number <= 300:
+                    message = await ws.receive(timeout=HANG)
+                    kinds.append(message.type)
+                    if message.type == aiohttp.WSMsgType.PING:
+                        payloads.add(bytes(message.data))
+                        await ws.pong(message.data)
+                    else:
+                        assert message.type == aiohttp.WSMsgType.BINARY, message
+                        assert "detail" not in parse_reply(message.data).info
+                        told = {"arrival": {"age": 5, "held": 0}}
+                        number += 1
+                        await ws.send_str(asking(number, ack=number - 1, **told).decode())
+                kinds, payloads, client = kinds, payloads, server.stats()["clients"][0]
         assert len(payloads) >= 299 > Limits().control_burst
         behind = [kinds[i + 1] for i, kind in enumerate(kinds[:-1]) if kind == aiohttp.WSMsgType.BINARY]
         assert behind[2:] == [aiohttp.WSMsgType.PING] * len(behind[2:])

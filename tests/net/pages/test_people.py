@@ -56,17 +56,16 @@ async def test_what_is_loaded_later_keeps_nobody_waiting():
         pass  # stopped while it loads
 
 
-def test_a_fault_in_loading_ends_the_wait(caplog):
+@in_a_loop
+async def test_a_fault_in_loading_ends_the_wait(caplog):
     def later():
         yield AvatarInfo(name="one")
         raise RuntimeError("a fault")
 
-    async def main():
-        async with started(Server(FakeBackend(), ServerConfig(port=0), later=later)) as server:
-            await asyncio.wait_for(server.all_offered.wait(), 60)
-            return await session(server)
-
-    assert [one["name"] for one in asyncio.run(main())["avatars"]] == ["default", "one"]
+    async with started(Server(FakeBackend(), ServerConfig(port=0), later=later)) as server:
+        await asyncio.wait_for(server.all_offered.wait(), 60)
+        found = await session(server)
+    assert [one["name"] for one in found["avatars"]] == ["default", "one"]
     assert "a fault" in caplog.text
 
 

@@ -21,6 +21,7 @@ from glsplat.net.pages.history import History
 from glsplat.net.pages.previews import SIDE, flattened
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import FakeBackend, eyes
+from tests.net.loops import in_a_loop
 
 TOKEN = "0123456789abcdef"
 PLAIN = ServerConfig(port=0)
@@ -115,34 +116,32 @@ def test_another_device_is_told_where_to_go(serve):
     assert status == 200 and "invented" not in json.loads(body)["svg"]
 
 
-def test_who_asks_at_once_waits_for_one_drawing(serve):
+@in_a_loop
+async def test_who_asks_at_once_waits_for_one_drawing(serve):
     backend = FakeBackend(delay=0.05)
-
-    async def main():
-        async with serve(backend, config=PLAIN) as server, aiohttp.ClientSession() as http:
-            url = f"http://127.0.0.1:{server.port}/thumbnails/{server.offer()['avatars'][0]['name']}"
-            answers = await asyncio.gather(*(http.get(url) for _ in range(6)))
-            return [(one.status, one.headers["Cache-Control"]) for one in answers]
-
-    assert asyncio.run(main()) == [(200, "no-store")] * 6 and len(backend.drawn) == 1
+    async with serve(backend, config=PLAIN) as server, aiohttp.ClientSession() as http:
+        url = f"http://127.0.0.1:{server.port}/thumbnails/{server.offer()['avatars'][0]['name']}"
+        answers = await asyncio.gather(*(http.get(url) for _ in range(6)))
+        found = [(one.status, one.headers["Cache-Control"]) for one in answers]
+    assert found == [(200, "no-store")] * 6 and len(backend.drawn) == 1
 
 
-def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serve):
-    async def main():
-        async with serve(FakeBackend(), config=PLAIN) as server, aiohttp.ClientSession() as http:
-            name = server.offer()["avatars"][0]["name"]
-            address = f"http://127.0.0.1:{server.port}/thumbnails/{name}"
-            async with server._previews._drawing:  # another's is drawn
-                waiting = asyncio.create_task(http.get(address))
-                while not server._previews._drawing._waiters:
-                    await asyncio.sleep(0.01)
-                server._offers.remove(name)
-            return (await waiting).status, (await http.get(address)).status
+@in_a_loop
+async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serve):
+    async with serve(FakeBackend(), config=PLAIN) as server, aiohttp.ClientSession() as http:
+        name = server.offer()["avatars"][0]["name"]
+        address = f"http://127.0.0.1:{server.port}/thumbnails/{name}"
+        async with server._previews._drawing:  # another's is drawn
+            waiting = asyncio.create_task(http.get(address))
+            while not server._previews._drawing._waiters:
+                await asyncio.sleep(0.01)
+            server._offers.remove(name)
+        found = (await waiting).status, (await http.get(address)).status
+    assert found == (204, 404)
 
-    assert asyncio.run(main()) == (204, 404)
 
-
-def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
+@in_a_loop
+async def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
     monkeypatch.setattr("glsplat.net.pages.history.STEP", 0.005)
     count = 0
 
@@ -153,15 +152,12 @@ def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, cap
             raise RuntimeError("a fault")
         return {"fps": float(count), "stages": {}}
 
-    async def main():
-        history = History(stats)
-        history.start()
-        while count < 6:
-            await asyncio.sleep(0.005)
-        await history.stop()
-        return history.fields()["fps"]
-
-    fps = asyncio.run(main())
+    history = History(stats)
+    history.start()
+    while count < 6:
+        await asyncio.sleep(0.005)
+    await history.stop()
+    fps = history.fields()["fps"]
     assert fps[:3] == [1.0, 4.0, 5.0] and caplog.text.count("cannot be taken just now") == 1
 
 

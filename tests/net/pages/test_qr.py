@@ -15,6 +15,7 @@ from glsplat.net.guard.access import Access
 from glsplat.net.pages import qr
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import serving
+from tests.net.loops import in_a_loop
 
 TEXTS = (
     "http://localhost:8000/vr",
@@ -73,50 +74,42 @@ def test_what_a_host_may_be_called_is_escaped():
     assert "<title>&lt;b&gt;&amp;</title>" in qr.svg("<b>&")
 
 
-def test_a_page_draws_few_codes_and_each_once(monkeypatch):
+@in_a_loop
+async def test_a_page_draws_few_codes_and_each_once(monkeypatch):
     drawn, codes = [], qr.QrCodes(most=2)
     monkeypatch.setattr(qr, "svg", lambda text: drawn.append(text) or f"<svg>{text}</svg>")
-
-    async def main():
-        first = await asyncio.gather(*(codes.svg("a") for _ in range(3)))
-        return first, [await codes.svg(text) for text in "abcab"]
-
-    first, later = asyncio.run(main())
+    first = await asyncio.gather(*(codes.svg("a") for _ in range(3)))
+    first, later = first, [await codes.svg(text) for text in "abcab"]
     assert first == ["<svg>a</svg>", "", ""] and drawn == ["a", "b"]
     assert later == ["<svg>a</svg>", "<svg>b</svg>", "", "<svg>a</svg>", "<svg>b</svg>"]
 
 
-def test_the_status_page_shows_the_address_it_was_asked_by():
+@in_a_loop
+async def test_the_status_page_shows_the_address_it_was_asked_by():
     token = "correct-horse-battery"
     config = ServerConfig(port=0, access=Access(token=token, hosts=("lab.example",)))
-
-    async def main():
-        pages = {}
-        async with serving(config=config) as server, aiohttp.ClientSession() as http:
-            for host in ("lab.example:81", "lab.example"):
-                headers = {"Host": host, "Authorization": f"Bearer {token}"}
-                async with http.get(f"http://127.0.0.1:{server.port}/", headers=headers) as response:
-                    pages[host] = await response.text()
-                    policy = response.headers["Content-Security-Policy"]
-                    assert "script-src 'self';" in policy and "unsafe" not in policy and "<script>" not in pages[host]
-        return pages
-
-    for host, page in asyncio.run(main()).items():
+    pages = {}
+    async with serving(config=config) as server, aiohttp.ClientSession() as http:
+        for host in ("lab.example:81", "lab.example"):
+            headers = {"Host": host, "Authorization": f"Bearer {token}"}
+            async with http.get(f"http://127.0.0.1:{server.port}/", headers=headers) as response:
+                pages[host] = await response.text()
+                policy = response.headers["Content-Security-Policy"]
+                assert "script-src 'self';" in policy and "unsafe" not in policy and "<script>" not in pages[host]
+    found = pages
+    for host, page in found.items():
         assert qr.svg(f"http://{host}/vr") in page and f"<code>http://{host}/vr</code>. It asks for the token." in page
         assert token not in page
 
 
 @pytest.mark.parametrize(("listens", "name"), [("0.0.0.0", "192.168.7.9"), ("127.0.0.1", "")])
-def test_a_code_never_leads_a_phone_to_itself(monkeypatch, listens, name):
+@in_a_loop
+async def test_a_code_never_leads_a_phone_to_itself(monkeypatch, listens, name):
     monkeypatch.setattr("glsplat.net.guard.machine.machine_addresses", lambda: ("192.168.7.9", "2001:db8::7"))
     config = ServerConfig(port=0, access=Access(host=listens, insecure=True))
-
-    async def main():
-        async with serving(config=config) as server, aiohttp.ClientSession() as http:
-            async with http.get(f"http://localhost:{server.port}/") as response:
-                return server.port, await response.text()
-
-    port, page = asyncio.run(main())
+    async with serving(config=config) as server, aiohttp.ClientSession() as http:
+        async with http.get(f"http://localhost:{server.port}/") as response:
+            port, page = server.port, await response.text()
     assert "http://localhost" not in page
     if name:
         assert qr.svg(f"http://{name}:{port}/vr") in page and f"<code>http://{name}:{port}/vr</code>" in page

@@ -19,6 +19,7 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.pages.site import Site
 from glsplat.net.server import ServerConfig
+from tests.net.loops import in_a_loop
 from tests.net.wire import HANG
 
 TOKEN = "0123456789abcdef"
@@ -66,21 +67,18 @@ def test_every_file_of_the_page_is_served_without_a_token(serve):
         assert policy["script-src"] == policy["connect-src"] == policy["worker-src"] == "'self'"
 
 
-def test_no_other_site_shows_or_measures_what_is_answered(serve, cameras):
-    async def main():
-        async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
-            await client.render(cameras)
-            routes = {route.resource.canonical for route in server._runner.app.router.routes()} - {"/ws", "/vr"}
-            names = {"{name}": "default", "{number}": "1", "{path}": "index.html", "{sha256}": "0" * 64}
-            found = {}
-            for path in (*routes, "/nosuch"):
-                for name, value in names.items():
-                    path = path.replace(name, value)
-                async with http.get(f"http://127.0.0.1:{server.port}{path}") as response:
-                    found[path] = response.status, response.headers.get("Cross-Origin-Resource-Policy")
-            return found
-
-    found = asyncio.run(main())
+@in_a_loop
+async def test_no_other_site_shows_or_measures_what_is_answered(serve, cameras):
+    async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
+        await client.render(cameras)
+        routes = {route.resource.canonical for route in server._runner.app.router.routes()} - {"/ws", "/vr"}
+        names = {"{name}": "default", "{number}": "1", "{path}": "index.html", "{sha256}": "0" * 64}
+        found = {}
+        for path in (*routes, "/nosuch"):
+            for name, value in names.items():
+                path = path.replace(name, value)
+            async with http.get(f"http://127.0.0.1:{server.port}{path}") as response:
+                found[path] = response.status, response.headers.get("Cross-Origin-Resource-Policy")
     assert {policy for _, policy in found.values()} == {"same-origin"}, found
     assert found["/pictures/1"][0] == found["/thumbnails/default"][0] == found["/status.json"][0] == 200
     assert not any("{" in path for path in found), found
@@ -158,23 +156,20 @@ def test_a_page_of_many_files_costs_a_few_visits(serve):
     assert [a[0] for a in answers] == [200] * 9 + [429]
 
 
-def test_what_the_server_offers(serve):
+@in_a_loop
+async def test_what_the_server_offers(serve):
     offered = [
         AvatarInfo(name="ann", solver=lambda height, span: None, height=1.71234567, parts=frozenset({"head"})),
         AvatarInfo(name="a room"),
     ]
     config = ServerConfig(port=0, max_clients=1, wire=WireOptions(size=(640, 480), quality=70))
-
-    async def main():
-        async with serve(config=config, offered=offered) as server, aiohttp.ClientSession() as web:
-            url = f"http://127.0.0.1:{server.port}/session"
-            await server.all_offered.wait()
-            async with web.get(url) as answer:
-                before = await answer.json()
-            async with Client(server.url), web.get(url) as answer:
-                return before, await answer.json()
-
-    before, during = asyncio.run(main())
+    async with serve(config=config, offered=offered) as server, aiohttp.ClientSession() as web:
+        url = f"http://127.0.0.1:{server.port}/session"
+        await server.all_offered.wait()
+        async with web.get(url) as answer:
+            before = await answer.json()
+        async with Client(server.url), web.get(url) as answer:
+            before, during = before, await answer.json()
     plain = {"title": "", "made": False, "hand_out": None}
     assert before["avatars"] == [
         {"name": "ann", "height": 1.7123, "tracking": True, "head": True, **plain},

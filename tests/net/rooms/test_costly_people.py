@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import aiohttp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,16 +22,13 @@ from glsplat.net.backends.budget import PictureBudget, others_share
 from glsplat.net.backends.gl import RendererBackend, most_cost
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.room import RoomRenderer
-from glsplat.net.backends.server import make_server
-from glsplat.net.client import Client
 from glsplat.net.fields import PictureOptions
-from glsplat.net.messages import WireOptions
 from glsplat.net.rooms.view import RoomView, VisiblePerson
-from glsplat.net.server import ServerConfig
 from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
+from tests.net.loops import opened
 
 SIZE = 128
 EYE = np.array([0.0, 1.5, 0.0])
@@ -252,9 +247,7 @@ def test_who_cannot_be_drawn_is_left_out_and_nobody_else(context: Context, caplo
 
 @pytest.mark.gl
 def test_a_suspect_picture_is_drawn_without_the_others() -> None:
-    backend = RendererBackend(PERSON, (SIZE, SIZE), rooms={"lab": SceneFile.of(Scene())}, config=LEAN)
-    backend.open()
-    try:
+    with opened(RendererBackend(PERSON, (SIZE, SIZE), rooms={"lab": SceneFile.of(Scene())}, config=LEAN)) as backend:
 
         def draw(*people: VisiblePerson, **more: Any) -> NDArray[np.uint8]:
             return backend.render(job(*(replace(one, label="") for one in people), **more)).images.copy()
@@ -264,38 +257,6 @@ def test_a_suspect_picture_is_drawn_without_the_others() -> None:
         large = VIEW.resized(512, 512)
         few, some = (draw(ANN, *people, camera=large, others=1 / 4) for people in ([BOB], [BOB, eve()]))
         assert np.array_equal(few, some) and not np.array_equal(few, draw(ANN, camera=large))
-    finally:
-        backend.close()
-
-
-@pytest.mark.gl
-@pytest.mark.usefixtures("nobody_fades")
-def test_a_member_cannot_put_another_out() -> None:
-    """Over the wire: all joints before the eyes of a viewer who may have 3e6 covered pixels."""
-    config = ServerConfig(port=0, rooms={"lab": 4}, wire=WireOptions(size=(256, 256)))
-    eyes = [VIEW.resized(256, 256)] * 2
-    body = {
-        "joints": {},
-        "translations": {name: move.tolist() for name, move in zip(SKELETON.names[1:], -OFFSETS[1:], strict=True)},
-        "trans": (EYE + (0, 0, 0.06) - HEADS[0]).tolist(),
-    }
-
-    async def main() -> tuple[int, list[str], int]:
-        server = make_server(PERSON, config, own_process=False, rooms={"lab": Scene()}, budget=(3e6, 600.0))
-        await server.start()
-        try:
-            ann, evil = (Client(f"{server.url}?room=lab&name={name}&at=0,0,0", timeout=600) for name in ("ann", "eve"))
-            async with ann, evil:
-                await ann.render(eyes, hide=["head"])
-                await evil.render([replace(eye, viewmat=look_at((0, 1, 50), (0, 1, 99))) for eye in eyes], pose=body)
-                for _ in range(12):
-                    reply = await ann.render(eyes, hide=["head"])
-            async with aiohttp.ClientSession() as http, http.get(f"http://127.0.0.1:{server.port}/session") as answer:
-                return reply.frame_id, [one["name"] for one in reply.info["room"]["people"]], answer.status
-        finally:
-            await server.stop()
-
-    assert asyncio.run(main()) == (13, ["ann", "eve"], 200)
 
 
 def test_the_share_follows_the_picture() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import aiohttp
 import numpy as np
 import pytest
@@ -18,6 +16,7 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.net.conftest import FakeBackend, Serve
+from tests.net.loops import in_a_loop
 from tests.net.rooms.conftest import Hands
 from tests.net.workers.fakes import GUARD, camera, pool
 from tests.net.workers.sleeper import Fragile
@@ -68,31 +67,28 @@ async def asks(client: Client, count: int) -> list[str]:
         (ZeroDivisionError("a fault of the renderer's"), {0.0}),
     ],
 )
-def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
+@in_a_loop
+async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
     serve: Serve, hands: Hands, error: Exception, shares: set[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Twenty minutes: no error, nobody held off; in between others are shown again."""
     monkeypatch.setattr(person, "SILENT", 1e9)  # Eve, who asks once, fades on no machine, however slow
     backend = FakeBackend(fail=lambda job: error if shows_eve(job) and job.others > 0.25 else None)
-
-    async def main() -> tuple[list[str], list[float], int]:
-        async with (
-            serve(backend, CONFIG, offered=OFFERS) as server,
-            member(server, "eve") as eve,
-            member(server, "ann") as ann,
-        ):
-            server.render_loop._clock = hands  # type: ignore[union-attr]
-            assert await asks(eve, 1) == [""]
-            backend.drawn.clear()
-            answers = []
-            for _ in range(150):
-                hands.now += 8
-                answers += await asks(ann, 1)
-            others = [job.others for job in backend.drawn]
-            async with aiohttp.ClientSession() as http, http.get(f"http://127.0.0.1:{server.port}/session") as response:
-                return answers, others, response.status
-
-    answers, others, status = asyncio.run(main())
+    async with (
+        serve(backend, CONFIG, offered=OFFERS) as server,
+        member(server, "eve") as eve,
+        member(server, "ann") as ann,
+    ):
+        server.render_loop._clock = hands  # type: ignore[union-attr]
+        assert await asks(eve, 1) == [""]
+        backend.drawn.clear()
+        answers = []
+        for _ in range(150):
+            hands.now += 8
+            answers += await asks(ann, 1)
+        others = [job.others for job in backend.drawn]
+        async with aiohttp.ClientSession() as http, http.get(f"http://127.0.0.1:{server.port}/session") as response:
+            answers, others, status = answers, others, response.status
     assert answers == [""] * 150 and status == 200
     assert 7 <= others.count(1.0) <= 10  # after 10, 20, 40 ... 300 s
     tried = [i for i, share in enumerate(others) if share == 1.0]
@@ -100,55 +96,17 @@ def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
     assert {share for i, share in enumerate(others) if share != 1.0 and i - 1 not in tried} == shares
 
 
-@pytest.mark.parametrize(
-    ("error", "code", "warned"),
-    [
-        (SLOW, "too_slow", 1),
-        (ContextLostError("lost"), "render", 1),
-        (BudgetError("1e12 pixels", "too_costly"), "too_costly", 8),
-    ],
-)
-def test_what_goes_wrong_without_the_others_is_the_viewers_own(
-    serve: Serve, error: Exception, code: str, warned: int
-) -> None:
-    """A warning, then the end, and the address is held off."""
-    backend = FakeBackend(fail=lambda job: error if job.room is not None and job.room.viewer == 2 else None)
-
-    async def main() -> tuple[list[str], int, list[str]]:
-        async with serve(backend, CONFIG, offered=OFFERS) as server, member(server, "ann") as ann:
-            assert await asks(ann, 1) == [""]
-            async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(local_addr=("127.0.0.9", 0))) as http:
-                async with http.ws_connect(f"{server.url}?room=lab&name=eve") as ws:
-                    answers = []
-                    for number in range(1, warned + 2):
-                        await ws.send_json({"v": 1, "frame_id": number, "ack": 0, "eyes": [EYE], "size": [32, 32]})
-                        answers.append((await ws.receive(timeout=GUARD)).json()["error"]["code"])
-                    closed = (await ws.receive(timeout=GUARD)).data
-                async with http.get(f"http://127.0.0.1:{server.port}/session") as response:
-                    return [*answers, closed], response.status, await asks(ann, 2)
-
-    answers, status, anns = asyncio.run(main())
-    assert answers == [code] * (warned + 1) + [1008] and status in (429, 503) and anns == ["", ""]
-    others = [job.others for job in backend.drawn if job.room is not None and job.room.viewer == 2]
-    assert others == ([1.0] * (warned + 1) if code == "too_costly" else [1.0, *others[1:]])
-    assert len(others) <= warned + 3
-
-
-EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 50, 16, 16]}
-
-
-def test_a_worker_that_does_not_survive_another_person_is_no_viewers_fault(serve: Serve) -> None:
+@in_a_loop
+async def test_a_worker_that_does_not_survive_another_person_is_no_viewers_fault(serve: Serve) -> None:
     """Each picture comes, drawn by the next worker without the others."""
-
-    async def main() -> tuple[list[int], int]:
-        async with serve(pool(makes=[Fragile, Fragile]), CONFIG, offered=OFFERS) as server:
-            async with member(server, "eve") as eve, member(server, "ann") as ann:
-                await eve.render([camera(1)], pose=POSE)
-                frames = [(await ann.render([camera(2)], pose=POSE)).frame_id for _ in range(6)]
-                await eve.render([camera(1)], pose=POSE)
-                return frames, server.render_loop.rebuilds
-
-    assert asyncio.run(main()) == ([1, 2, 3, 4, 5, 6], 1)
+    async with serve(pool(makes=[Fragile, Fragile]), CONFIG, offered=OFFERS) as server:
+        async with member(server, "eve") as eve, member(server, "ann") as ann:
+            await eve.render([camera(1)], pose=POSE)
+            assert sorted(one["clients"] for one in server.render_loop.workers()) == [0, 2]
+            frames = [(await ann.render([camera(2)], pose=POSE)).frame_id for _ in range(6)]
+            await eve.render([camera(1)], pose=POSE)
+            found = frames, server.render_loop.rebuilds
+    assert found == ([1, 2, 3, 4, 5, 6], 1)
 
 
 def test_others_are_suspected_for_longer_each_time() -> None:

@@ -25,7 +25,7 @@ from glsplat.net.rooms.room import Room, RoomError
 from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.rooms.seats import RADIUS, free_seat, place_at, seat
 from glsplat.net.session import SessionConfig
-from glsplat.rotations import FLIP_X, rotation_matrices
+from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from tests.net.wire import HANG
@@ -87,15 +87,6 @@ def test_everybody_is_shown_where_they_are() -> None:
     (camera,) = cameras
     point = ann.seat @ (0.3, 1.5, 1.0, 1.0)  # what Ann has before her, in the room
     assert np.allclose(camera.viewmat @ point, EYE.viewmat @ (0.3, 1.5, 1.0, 1.0))
-
-
-def test_the_mirror_is_that_of_the_users_own_space() -> None:
-    room = Room("lab")
-    person = room.join("Ann", "a", 0.0, place=place_at(3, 1, 0.7))
-    mirrored = Camera(EYE.viewmat @ FLIP_X, EYE.K, 64, 64)
-    ((camera,), _) = room.look(person, (mirrored,), moved(0.0), 0.0)
-    seen = camera.viewmat @ person.seat @ (0.4, 1.5, 1, 1)
-    assert np.allclose(seen, EYE.viewmat @ (-0.4, 1.5, 1, 1))
 
 
 def test_in_a_tick_everybody_changes_once() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 import numpy as np
@@ -103,40 +102,20 @@ async def test_the_way_in(serve: Serve) -> None:
         assert await until(lambda: server.stats()["rooms"][1]["people"] == [])
 
 
-def test_a_lost_connection_fades_and_may_come_back(serve: Serve, hands: Hands) -> None:
-    async def talk() -> None:
-        async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
-            server.render_loop._clock = hands  # type: ignore[union-attr]
-
-            async def there() -> dict[str, float]:
-                room = (await ann.render(EYES, pose=POSE)).info["room"]
-                return {one["name"]: one["opacity"] for one in room["people"]}
-
-            async def lose(client: Client) -> None:
-                assert client._connection is not None
-                transport = client._connection._ws._writer.transport
-                assert transport is not None
-                transport.abort()
-                assert await until(lambda: len(server._channels) == 1)
-
-            bob = member(server, "Bob")
-            await bob.connect()
+@in_a_loop
+async def test_a_lost_connection_fades_and_may_come_back(serve: Serve, hands: Hands) -> None:
+    async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
+        server.render_loop._clock = hands  # type: ignore[union-attr]
+        bob = member(server, "Bob")
+        for silence, opacity in ((0.0, 1.0), (SILENT + FADE / 4, 0.75), (SILENT + FADE, None)):
+            await bob.connect()  # under the same name
             await bob.render(EYES, pose=POSE)
-            await lose(bob)
-            assert await there() == {"Ann": 1.0, "Bob": 1.0}
+            bob._connection._ws._writer.transport.abort()  # type: ignore[union-attr]
+            assert await until(lambda: len(server._channels) == 1)
             await bob.close()
-            await bob.connect()  # at once, under the same name
-            await bob.render(EYES, pose=POSE)
-            await lose(bob)
-            hands.now += SILENT
-            assert await there() == {"Ann": 1.0, "Bob": 1.0}
-            hands.now += FADE / 4
-            assert await there() == {"Ann": 1.0, "Bob": pytest.approx(0.75, abs=0.01)}
-            hands.now += FADE
-            assert await there() == {"Ann": 1.0}
-            await bob.close()
-
-    asyncio.run(talk())
+            hands.now += silence
+            people = {p["name"]: p["opacity"] for p in (await ann.render(EYES, pose=POSE)).info["room"]["people"]}
+            assert people.get("Bob") == (opacity and pytest.approx(opacity, abs=0.01)) and people["Ann"] == 1.0
 
 
 @pytest.mark.parametrize("name", ["&name=Ann", ""])

@@ -28,6 +28,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.scene import Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
+from tests.net.loops import running
 
 NOTICE = "no consent on file"
 HEAD = np.array([0.0, 1.75, 0.0])
@@ -99,7 +100,7 @@ def test_a_notice_is_whole_in_every_picture(name: str, camera: Camera) -> None:
     assert as_large(image, wanted) and reads(image, wanted) > 0.8
 
 
-@pytest.mark.parametrize(("width", "height"), [(96, 96), (64, 64), (120, 500), (500, 40), (73, 131), (2048, 1152)])
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (96, 96), (120, 500), (500, 40), (73, 131), (2048, 1152)])
 def test_a_notice_can_be_read_in_a_picture_of_any_usual_size(width: int, height: int) -> None:
     """At least 12 pixels a line, at most half of the picture's height."""
     camera = seen((0, 1.2, 3), (0, 1, 0), (width, height))
@@ -107,21 +108,6 @@ def test_a_notice_can_be_read_in_a_picture_of_any_usual_size(width: int, height:
     lines = round((bottom - top) / max(12, 0.03 * height))
     assert 1 <= lines <= 3 and bottom - top >= 11.5 * lines and bottom - top <= 0.5 * height + 1
     assert right - left > 6 * 12 / 2  # letters of half a line's height and more, of which "consent" has seven
-
-
-@pytest.mark.parametrize(
-    ("text", "size", "lines"),  # as docs/consent.md says: 12 pixels a line
-    [
-        (NOTICE, (64, 48), 2),
-        (driven_by("Alexandria"), (96, 72), 3),
-        (driven_by("Maximiliane Mustermann-Beispieli"), (160, 120), 2),
-        (driven_by("W" * 32, NOTICE), (160, 120), 4),
-    ],
-)
-def test_the_smallest_pictures_in_which_words_can_be_read(text: str, size: tuple[int, int], lines: int) -> None:
-    camera = seen((0, 1.2, 3), (0, 1, 0), size)
-    left, top, right, bottom = extent(written([camera], [Label(text, HEAD)])[0])
-    assert bottom - top == pytest.approx(12 * lines, abs=1) and right - left > size[0] / 2
 
 
 @pytest.mark.parametrize("side", [1, 7, 32])
@@ -213,25 +199,6 @@ def test_people_at_one_place_do_not_cover_each_others_labels() -> None:
     assert min(reads(found, one) for one in single) > 0.8
 
 
-def test_random_cameras_never_cut_words() -> None:
-    chance = np.random.default_rng(7)
-    for _ in range(150):
-        width, height = (int(side) for side in chance.integers(60, 400, 2))
-        views = []
-        eye, target = chance.normal(0, 3, 3), chance.normal(0, 1, 3)
-        for x in (-0.03, 0.03)[: int(chance.integers(1, 3))]:
-            focal = 10 ** chance.uniform(-2, 6, 2)
-            centre = chance.normal(0, 10 ** chance.uniform(0, 5), 2)
-            k = [[focal[0], 0, centre[0]], [0, focal[1], centre[1]], [0, 0, 1]]
-            near = 10 ** chance.uniform(-6, 1)
-            up = chance.normal(size=3)
-            views.append(Camera(look_at(eye + (x, 0, 0), target, up), k, width, height, near=near, far=near * 1e3))
-        text = driven_by(NAMES[int(chance.integers(len(NAMES)))])
-        upright = [seen((0, 1.2, 3), (0, 1, 0), (width, height)) for _ in views]
-        wanted, images = written(upright, [], text), written(views, [], text)
-        assert all(as_large(image, whole) for image, whole in zip(images, wanted, strict=True))
-
-
 FACING_Z = stereo_cameras(head_matrix((0, 1.5, 0), (0, 1, 0, 0)), ipd=0.064, size=(512, 512))
 
 
@@ -284,21 +251,6 @@ def test_at_the_upper_edge_it_goes_below_and_without_room_it_stays() -> None:
     crowd = [Label(f"P{i}", np.array([0.0, 1.5, 1.6 + 0.01 * i]), 0.5) for i in range(8)]
     bright = drawn(crowd[:1])[..., :3].min(axis=-1) > 200  # the letters of the nearest
     assert bright.any() and (drawn(crowd)[..., :3].min(axis=-1)[bright] > 200).all()  # without room it is in front
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_crowd_can_be_read(seed: int) -> None:
-    """People in random places: no two boards share a pixel, and no board leaves the picture."""
-    chance = np.random.default_rng([37, seed])
-    places = [np.array([chance.uniform(-0.3, 0.3), chance.uniform(1.3, 1.6), chance.uniform(1.5, 4)]) for _ in range(5)]
-    labels = [Label(f"P{i}, synthetic", place) for i, place in enumerate(places)]
-    inked = sum(int(np.count_nonzero(alone(label))) for label in labels)
-    assert np.count_nonzero(drawn(labels)[..., 3]) == pytest.approx(inked, rel=0.05)
-
-
-def test_who_stands_apart_is_left_alone() -> None:
-    labels = [Label("Ann", np.array([x, 1.5, 2.0])) for x in (-0.6, 0.6)]
-    assert np.array_equal(drawn(labels), np.maximum(drawn(labels[:1]), drawn(labels[1:])))
 
 
 def test_a_label_is_at_its_place_in_both_eyes() -> None:
@@ -386,16 +338,14 @@ def served(person: Avatar, consent: ConsentPolicy | None, *queries: str) -> list
     config = ServerConfig(port=0, wire=WireOptions(size=(256, 256), quality=95), consent=consent)
 
     async def main() -> list[Reply]:
-        server = make_server(person, config, own_process=False, consent=consent, rooms={"lab": Scene()})
-        await server.start()
-        try:
+        async with running(
+            make_server(person, config, own_process=False, consent=consent, rooms={"lab": Scene()})
+        ) as server:
             replies = []
             for query in queries:
                 async with Client(f"{server.url}?{query}", timeout=60) as client:
                     replies.append(await client.render(facing, pose={"root_pose": [0, 0.1, 0]}))
             return replies
-        finally:
-            await server.stop()
 
     return asyncio.run(main())
 

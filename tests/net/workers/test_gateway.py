@@ -22,6 +22,7 @@ from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.workers.options import Workers
+from tests.net.loops import in_a_loop, running
 from tests.net.workers.fakes import GUARD, Seen, until, until_more, watching
 
 pytestmark = pytest.mark.check
@@ -62,35 +63,33 @@ def runs(pid: int) -> bool:
         return False
 
 
-def test_a_gateway_that_is_killed(tmp_path):
+@in_a_loop
+async def test_a_gateway_that_is_killed(tmp_path):
     """Its workers end with it, its clients come back to the next one; SIGHUP starts all workers anew meanwhile."""
     port = port_of_its_own()
     script = tmp_path / "gateway.py"
     script.write_text(GATEWAY)
-
-    async def main():
-        loop = asyncio.get_running_loop()
-        gateway, first = await loop.run_in_executor(None, begin, script, port)
-        try:
-            async with watching(f"ws://127.0.0.1:{port}/ws", (1, 2), again=True) as clients:
-                assert await until_more(clients)
-                os.kill(gateway.pid, signal.SIGHUP)
-                assert await until(lambda: not any(map(runs, first)))
-                restarted = [one.pid for one in psutil.Process(gateway.pid).children()]
-                assert await until_more(clients)
-                gateway.kill()
-                gateway.wait()
-                gateway.stdout.close()
-                assert await until(lambda: not any(map(runs, restarted)))
-                gateway, third = await loop.run_in_executor(None, begin, script, port)
-                assert await until(lambda: all(drivers_of(one) & set(third) for one in clients))
-            return clients
-        finally:
-            gateway.terminate()
-            await loop.run_in_executor(None, gateway.wait)
+    loop = asyncio.get_running_loop()
+    gateway, first = await loop.run_in_executor(None, begin, script, port)
+    try:
+        async with watching(f"ws://127.0.0.1:{port}/ws", (1, 2), again=True) as clients:
+            assert await until_more(clients)
+            os.kill(gateway.pid, signal.SIGHUP)
+            assert await until(lambda: not any(map(runs, first)))
+            restarted = [one.pid for one in psutil.Process(gateway.pid).children()]
+            assert await until_more(clients)
+            gateway.kill()
+            gateway.wait()
             gateway.stdout.close()
-
-    for one in asyncio.run(main()):
+            assert await until(lambda: not any(map(runs, restarted)))
+            gateway, third = await loop.run_in_executor(None, begin, script, port)
+            assert await until(lambda: all(drivers_of(one) & set(third) for one in clients))
+        found = clients
+    finally:
+        gateway.terminate()
+        await loop.run_in_executor(None, gateway.wait)
+        gateway.stdout.close()
+    for one in found:
         assert one.wrong == [] and len(drivers_of(one)) >= 2
         assert {error.split(":")[0] for error in one.errors} <= {"closed", "unreachable"} and one.errors
 
@@ -108,9 +107,7 @@ def test_a_worker_draws_what_a_server_alone_draws():
     tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": [0.3, 1.2, -0.3, 0, 0, 0, 1], "right": None}
 
     async def ask(workers):
-        server = make_server(avatar, ServerConfig(port=0), own_process=False, workers=workers)
-        await server.start()
-        try:
+        async with running(make_server(avatar, ServerConfig(port=0), own_process=False, workers=workers)) as server:
             async with Client(server.url, timeout=GUARD) as client:
                 replies = [
                     await client.render(cameras),
@@ -119,8 +116,6 @@ def test_a_worker_draws_what_a_server_alone_draws():
                 ]
                 infos = [{k: v for k, v in one.info.items() if k not in ("t", "times")} for one in replies]
                 return [(one.pictures, one.alphas, info) for one, info in zip(replies, infos, strict=True)]
-        finally:
-            await server.stop()
 
     alone, worker = (asyncio.run(ask(workers)) for workers in (None, Workers(count=1)))
     assert alone == worker

@@ -19,6 +19,7 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.net.workers import remote_loop as pump_module
 from glsplat.net.workers.pool import WorkerPool
 from tests.net.guard.test_fault_tracker import visitor
+from tests.net.loops import in_a_loop
 from tests.net.wire import native
 from tests.net.workers.fakes import GUARD, camera, held, pool, until, until_more, watching
 from tests.net.workers.sleeper import Sleeper
@@ -38,7 +39,8 @@ def lives(server: Server, index: int) -> bool:
     return server.render_loop.workers()[index]["alive"]
 
 
-def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
+@in_a_loop
+async def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
     """Killed, stalled in a picture and at rest, started anew: the others draw for all meanwhile."""
     begun, opened = [], WorkerPool.opened
 
@@ -47,78 +49,71 @@ def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
         opened(pool, render_loop)
 
     monkeypatch.setattr(WorkerPool, "opened", open_)
-
-    async def main():
-        async with serve(pool(3), ServerConfig(port=0)) as server, aiohttp.ClientSession() as http:
-            async with watching(server.url, range(1, 7)) as clients:
+    async with serve(pool(3), ServerConfig(port=0)) as server, aiohttp.ClientSession() as http:
+        async with watching(server.url, range(1, 7)) as clients:
+            assert await until_more(clients)
+            spread = [one["clients"] for one in server.render_loop.workers()]
+            seen = []
+            for fault in (signal.SIGKILL, signal.SIGSTOP, signal.SIGSTOP):
+                before, free = pids(server), held(server)
+                os.kill(before[0], fault)
+                assert await until(lambda: not lives(server, 0))
+                async with http.get(f"http://127.0.0.1:{server.port}/healthz") as response:
+                    seen.append(response.status)
                 assert await until_more(clients)
-                spread = [one["clients"] for one in server.render_loop.workers()]
-                seen = []
-                for fault in (signal.SIGKILL, signal.SIGSTOP, signal.SIGSTOP):
-                    before, free = pids(server), held(server)
-                    os.kill(before[0], fault)
-                    assert await until(lambda: not lives(server, 0))
-                    async with http.get(f"http://127.0.0.1:{server.port}/healthz") as response:
-                        seen.append(response.status)
-                    assert await until_more(clients)
-                    free.set()
-                    assert await until(lambda: all_alive(server))
-                    assert pids(server)[0] != before[0] and pids(server)[1:] == before[1:]
-                    assert await until_more(clients)
-                again = [one["clients"] for one in server.render_loop.workers()]
-                before, restarting = pids(server), server.render_loop.restart()
+                free.set()
+                assert await until(lambda: all_alive(server))
+                assert pids(server)[0] != before[0] and pids(server)[1:] == before[1:]
                 assert await until_more(clients)
-                await restarting
-                assert not set(pids(server)) & set(before) and await until_more(clients)
-            return spread, seen, again, server.render_loop.rebuilds, clients
-
-    spread, seen, again, lost, clients = asyncio.run(main())
+            again = [one["clients"] for one in server.render_loop.workers()]
+            before, restarting = pids(server), server.render_loop.restart()
+            assert await until_more(clients)
+            await restarting
+            assert not set(pids(server)) & set(before) and await until_more(clients)
+        spread, seen, again, lost, clients = spread, seen, again, server.render_loop.rebuilds, clients
     assert spread == [2, 2, 2] and sorted(again) == [2, 2, 2] and seen == [200] * 3 and lost == 3
     assert all(one.errors == [] and one.wrong == [] for one in clients)
     assert begun[:3] == [0.0] * 3  # the time until the old one was given up is nobody's debt
     assert len(silences) == 2 and {why.rpartition("within ")[2] for why in silences} <= {"0.5 s", "0.4 s"}
 
 
-def test_a_picture_that_kills_does_not_kill_them_all(serve):
+@in_a_loop
+async def test_a_picture_that_kills_does_not_kill_them_all(serve):
     """Its client is ended and held off; clients of the other worker notice nothing."""
     held_off = ServerConfig(port=0, limits=Limits(hold_off=2 * GUARD))
-
-    async def main():
-        async with serve(pool(2), held_off) as server, visitor("127.0.0.9") as http:
-            async with watching(server.url, [5]) as seen:
-                assert await until_more(seen)
-                before, free = pids(server), held(server)
-                mine = next(i for i, one in enumerate(server.render_loop.workers()) if one["clients"])
-                answers = []
-                eye = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [1, 50, 90, 32]}
-                async with http.ws_connect(server.url) as ws:
-                    await ws.send_str(native(1, eyes=[eye]))
-                    assert await until(lambda: not all_alive(server)) and await until_more(seen)
-                    free.set()  # it is not drawn by the last one
-                    for _ in range(2):
-                        message = await ws.receive(timeout=GUARD)
-                        answers.append(
-                            message.data if message.type == aiohttp.WSMsgType.CLOSE else message.json()["error"]["code"]
-                        )
-                async with http.get(server.url.replace("ws", "http", 1)) as response:
-                    status = response.status
-                assert await until(lambda: all_alive(server))
-                survived = pids(server)[mine] == before[mine]
-                # what else may go wrong costs that picture
-                async with Client(server.url, timeout=GUARD) as client:
-                    for act, words in ((93, "no such joint"), (94, "could not be drawn")):
-                        with pytest.raises(ProtocolError, match=words):
-                            await client.render([camera(1, act)])
-                    good = (await client.render([camera(1)])).frame_id
-                # who leaves while a picture is drawn leaves nothing behind
-                async with Client(server.url, timeout=GUARD) as client:
-                    await client.send([camera(1, 71)])
-                    left = max(server._channels)
-                    assert await until(lambda: left in drawing(server))
-                assert await until(lambda: left not in drawing(server)) and await until_more(seen)
-            return answers, status, survived, good, seen[0]
-
-    answers, status, survived, good, seen = asyncio.run(main())
+    async with serve(pool(2), held_off) as server, visitor("127.0.0.9") as http:
+        async with watching(server.url, [5]) as seen:
+            assert await until_more(seen)
+            before, free = pids(server), held(server)
+            mine = next(i for i, one in enumerate(server.render_loop.workers()) if one["clients"])
+            answers = []
+            eye = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [1, 50, 90, 32]}
+            async with http.ws_connect(server.url) as ws:
+                await ws.send_str(native(1, eyes=[eye]))
+                assert await until(lambda: not all_alive(server)) and await until_more(seen)
+                free.set()  # it is not drawn by the last one
+                for _ in range(2):
+                    message = await ws.receive(timeout=GUARD)
+                    answers.append(
+                        message.data if message.type == aiohttp.WSMsgType.CLOSE else message.json()["error"]["code"]
+                    )
+            async with http.get(server.url.replace("ws", "http", 1)) as response:
+                status = response.status
+            assert await until(lambda: all_alive(server))
+            survived = pids(server)[mine] == before[mine]
+            # what else may go wrong costs that picture
+            async with Client(server.url, timeout=GUARD) as client:
+                for act, words in ((93, "no such joint"), (94, "could not be drawn")):
+                    with pytest.raises(ProtocolError, match=words):
+                        await client.render([camera(1, act)])
+                good = (await client.render([camera(1)])).frame_id
+            # who leaves while a picture is drawn leaves nothing behind
+            async with Client(server.url, timeout=GUARD) as client:
+                await client.send([camera(1, 71)])
+                left = max(server._channels)
+                assert await until(lambda: left in drawing(server))
+            assert await until(lambda: left not in drawing(server)) and await until_more(seen)
+        answers, status, survived, good, seen = answers, status, survived, good, seen[0]
     assert answers == ["render", 1008] and status == 429
     assert survived and good == 3
     assert seen.errors == [] and seen.wrong == []
@@ -133,63 +128,59 @@ def drawing(server: Server) -> list[int]:
     ]
 
 
-def test_an_avatar_that_is_not_on_every_worker(serve):
+@in_a_loop
+async def test_an_avatar_that_is_not_on_every_worker(serve):
     offered = [AvatarInfo(name=name) for name in ("default", "ann", "bob")]
     makes = [partial(Sleeper, without=name) for name in ("ann", "bob")]
-
-    async def main():
-        async with serve(pool(makes=makes), ServerConfig(port=0), offered=offered) as server:
-            first, second = (f"sleeper {pid}" for pid in pids(server))
-            async with (
-                Client(server.url, avatar="ann", timeout=GUARD) as ann,
-                Client(server.url, avatar="bob", timeout=GUARD) as bob,
-            ):
-                drivers = []
-                for _ in range(3):
-                    drivers += [(await one.render([camera(1)])).info["driver"] for one in (ann, bob)]
-                assert drivers == [second, first] * 3
-                free = held(server)
-                os.kill(pids(server)[1], signal.SIGKILL)
-                assert await until(lambda: not lives(server, 1))
-                with pytest.raises(ProtocolError, match="could not be drawn"):  # nobody can, for now
-                    await ann.render([camera(1)])
-                free.set()
-                assert await until(lambda: all_alive(server))
-                server.render_loop._render_loops[0]._refuses.clear()  # as after a minute
-                again = (await ann.render([camera(1)])).info["driver"]
-                return again == f"sleeper {pids(server)[1]}", server.render_loop.rebuilds
-
-    assert asyncio.run(main()) == (True, 1)
+    async with serve(pool(makes=makes), ServerConfig(port=0), offered=offered) as server:
+        first, second = (f"sleeper {pid}" for pid in pids(server))
+        async with (
+            Client(server.url, avatar="ann", timeout=GUARD) as ann,
+            Client(server.url, avatar="bob", timeout=GUARD) as bob,
+        ):
+            drivers = []
+            for _ in range(3):
+                drivers += [(await one.render([camera(1)])).info["driver"] for one in (ann, bob)]
+            assert drivers == [second, first] * 3
+            free = held(server)
+            os.kill(pids(server)[1], signal.SIGKILL)
+            assert await until(lambda: not lives(server, 1))
+            with pytest.raises(ProtocolError, match="could not be drawn"):  # nobody can, for now
+                await ann.render([camera(1)])
+            free.set()
+            assert await until(lambda: all_alive(server))
+            server.render_loop._render_loops[0]._refuses.clear()  # as after a minute
+            again = (await ann.render([camera(1)])).info["driver"]
+            found = again == f"sleeper {pids(server)[1]}", server.render_loop.rebuilds
+    assert found == (True, 1)
 
 
-def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
+@in_a_loop
+async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
     """One of two: the other serves. None, again and again: the server ends."""
     monkeypatch.setattr(pump_module, "_PAUSES", (0.0, 0.1, 0.1))
     monkeypatch.setattr(pump_module, "_LATER", 0.2)
     broken = tmp_path / "broken"
     broken.touch()
     makes = [partial(Sleeper, fails=str(broken)), Sleeper]
-
-    async def main():
-        with pytest.raises(ContextError, match="no EGL device here"):
-            await Server(pool(1, fails=str(broken)), ServerConfig(port=0)).start()
-        async with (
-            serve(pool(makes=makes), ServerConfig(port=0)) as server,
-            Client(server.url, timeout=GUARD) as client,
-        ):
-            alive = [one["alive"] for one in server.render_loop.workers()]
-            assert (await client.render([camera(1)])).frame_id == 1
-            broken.unlink()
-            assert await until(lambda: all_alive(server))
-            broken.touch()
-            server.render_loop._render_loops[1].launcher._make = makes[0]
-            for pid in pids(server):
-                os.kill(pid, signal.SIGKILL)
-            with pytest.raises(ContextError, match="no worker lives, and none can be started: no EGL device here"):
-                await asyncio.wait_for(server.render_loop.ended(), 2 * GUARD)
-            return alive, server.render_loop.healthy
-
-    assert asyncio.run(main()) == ([False, True], False)
+    with pytest.raises(ContextError, match="no EGL device here"):
+        await Server(pool(1, fails=str(broken)), ServerConfig(port=0)).start()
+    async with (
+        serve(pool(makes=makes), ServerConfig(port=0)) as server,
+        Client(server.url, timeout=GUARD) as client,
+    ):
+        alive = [one["alive"] for one in server.render_loop.workers()]
+        assert (await client.render([camera(1)])).frame_id == 1
+        broken.unlink()
+        assert await until(lambda: all_alive(server))
+        broken.touch()
+        server.render_loop._render_loops[1].launcher._make = makes[0]
+        for pid in pids(server):
+            os.kill(pid, signal.SIGKILL)
+        with pytest.raises(ContextError, match="no worker lives, and none can be started: no EGL device here"):
+            await asyncio.wait_for(server.render_loop.ended(), 2 * GUARD)
+        found = alive, server.render_loop.healthy
+    assert found == ([False, True], False)
 
 
 def test_nothing_is_left_behind(serve):

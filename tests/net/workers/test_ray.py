@@ -10,11 +10,12 @@ from functools import partial
 import pytest
 
 from apps.farming import on_ray
-from glsplat.errors import ContextError, FormatError, GlsplatError
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.net.client import Client
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.workers.cluster import RayCluster
 from glsplat.net.workers.pool import WorkerPool
+from tests.net.loops import in_a_loop
 from tests.net.workers.fakes import GUARD, camera, until, until_more, watching
 from tests.net.workers.sleeper import Sleeper
 from tests.net.workers.test_pool import pids
@@ -59,42 +60,30 @@ def test_pieces_of_work(machines):
         list(on_ray(half, [7], machines.address))
 
 
-def test_machines_that_are_lost(serve, machines, equal):
+@in_a_loop
+async def test_machines_that_are_lost(serve, machines, equal):
     """Connected clients stay and see their own pictures, in order."""
     actors = RayCluster(partial(Sleeper), machines.address, cpus=1)
-
-    async def main():
-        pool = WorkerPool(actors.launchers(actors.room()), patience=GUARD, close=actors.close)
-        async with serve(pool, ServerConfig(port=0)) as server:
-            async with watching(server.url, range(1, 7)) as clients:
-                assert await until_more(clients)
-                spread = [one["clients"] for one in server.render_loop.workers()]
-                lose = partial(asyncio.to_thread, machines.remove_node, allow_graceful=False)
-                await lose(machines.nodes[1])
-                assert await until(lambda: living(server) == 2) and await until_more(clients)
-                await lose(machines.head_node)
-                assert await until_more(clients, 20)
-                workers = server.render_loop.workers()
-                alive = [pid for pid, one in zip(pids(server), workers, strict=True) if one["alive"]]
-                os.kill(alive[0], signal.SIGKILL)  # now nobody can start another one
-                assert await until(lambda: living(server) == 1) and await until_more(clients)
-                async with Client(server.url, timeout=GUARD) as client:
-                    last = (await client.render([camera(1)])).info["driver"]
-            return spread, last == f"sleeper {alive[1]}", server.render_loop.healthy, clients
-
-    spread, last, healthy, clients = asyncio.run(main())
+    pool = WorkerPool(actors.launchers(actors.room()), patience=GUARD, close=actors.close)
+    async with serve(pool, ServerConfig(port=0)) as server:
+        async with watching(server.url, range(1, 7)) as clients:
+            assert await until_more(clients)
+            spread = [one["clients"] for one in server.render_loop.workers()]
+            lose = partial(asyncio.to_thread, machines.remove_node, allow_graceful=False)
+            await lose(machines.nodes[1])
+            assert await until(lambda: living(server) == 2) and await until_more(clients)
+            await lose(machines.head_node)
+            assert await until_more(clients, 20)
+            workers = server.render_loop.workers()
+            alive = [pid for pid, one in zip(pids(server), workers, strict=True) if one["alive"]]
+            os.kill(alive[0], signal.SIGKILL)  # now nobody can start another one
+            assert await until(lambda: living(server) == 1) and await until_more(clients)
+            async with Client(server.url, timeout=GUARD) as client:
+                last = (await client.render([camera(1)])).info["driver"]
+        spread, last, healthy, clients = spread, last == f"sleeper {alive[1]}", server.render_loop.healthy, clients
     assert spread == [2, 2, 2] and last and healthy
     assert all(one.errors == [] and one.wrong == [] for one in clients)
 
 
 def living(server: Server) -> int:
     return sum(one["alive"] for one in server.render_loop.workers())
-
-
-def test_a_cluster_that_is_not_there():
-    actors = RayCluster(Sleeper, "127.0.0.1:9", cpus=1)
-    try:
-        with pytest.raises(ContextError, match=r"^Ray cannot be reached: .*refused"):
-            actors.room()
-    finally:
-        actors.close()
