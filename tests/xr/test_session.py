@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import pytest
@@ -212,20 +211,3 @@ def test_what_cannot_begin_says_so_and_leaves_nothing() -> None:
     with pytest.raises(ContextError, match="no images"):
         session_of([runtime], show)
     assert runtime.closed and show.calls == ["attach", "detach"]
-
-
-def test_overheads_are_what_is_left_without_drawing() -> None:
-    runtime, show = FakeRuntime(), Show()
-    session, clock = session_of([runtime], show)
-    assert session.overhead_ms == 0
-    ticks = itertools.count()
-
-    def frame(fake: FakeRuntime, timing: FrameTiming, focused: bool) -> Shown:
-        shown = Show.frame(show, fake, timing, focused)
-        begun = clock.now
-        clock.now += 0.020 + 0.001 * (next(ticks) % 3)
-        return Shown(shown.projection, begun, 0.019)
-
-    show.frame = frame  # type: ignore[method-assign]
-    steps(session, 1 + 9)
-    assert session.overhead_ms == pytest.approx(2.0)

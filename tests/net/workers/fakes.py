@@ -56,37 +56,31 @@ def look(number: int, reply, last: int, seen: Seen) -> None:
     seen.drivers[reply.info["driver"]] = seen.drivers.get(reply.info["driver"], 0) + 1
 
 
-async def watch(url: str, number: int, over: asyncio.Event, seen: Seen, again: bool = False, **options) -> None:
-    """Ask for pictures, two under way, until it is ``over``; with ``again`` connect anew where the connection ends."""
+async def watch(url: str, number: int, over: asyncio.Event, seen: Seen) -> None:
+    """Ask for pictures, two under way, until it is ``over``."""
     last = 0
-    client = Client(url, timeout=GUARD, **options)
-    while not over.is_set():
-        try:
-            await client.connect()
-            while not over.is_set():
+    async with Client(url, timeout=GUARD) as client:
+        while not over.is_set():
+            try:
                 while client.newest - last < 2:
                     await client.send([camera(number)])
                 reply = (await client.receive()).reply
+            except ProtocolError as error:
+                seen.errors.append(f"{error.code}: {error}")
+                if error.code in ("closed", "timeout"):
+                    return
+                last = client.newest
+            else:
                 look(number, reply, last, seen)
                 last = reply.frame_id
-        except ProtocolError as error:
-            seen.errors.append(f"{error.code}: {error}")
-            if error.code in ("closed", "timeout", "unreachable", "refused") and not again:
-                break
-            if error.code in ("closed", "unreachable", "refused"):
-                last = 0
-                await asyncio.sleep(0.05)
-            else:
-                last = client.newest
-    await client.close()
 
 
 @asynccontextmanager
-async def watching(url: str, numbers: Iterable[int], **options) -> AsyncIterator[list[Seen]]:
-    """Clients with these numbers, and what each of them has seen so far."""
+async def watching(url: str, numbers: Iterable[int]) -> AsyncIterator[list[Seen]]:
+    """Clients with these numbers, and what each has seen so far."""
     over, numbers = asyncio.Event(), list(numbers)
     seen = [Seen() for _ in numbers]
-    tasks = [asyncio.create_task(watch(url, n, over, one, **options)) for n, one in zip(numbers, seen, strict=True)]
+    tasks = [asyncio.create_task(watch(url, n, over, one)) for n, one in zip(numbers, seen, strict=True)]
     try:
         yield seen
     finally:

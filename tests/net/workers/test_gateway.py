@@ -1,16 +1,13 @@
-"""The gateway as a program: killed, restarted by a signal; its pictures beside those of a server alone."""
+"""The gateway as a program: restarted by a signal and killed; its pictures beside those of a server alone."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import os
-import random
 import signal
-import socket
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -22,37 +19,20 @@ from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.workers.options import Workers
-from tests.net.loops import in_a_loop, running
-from tests.net.workers.fakes import GUARD, Seen, until, until_more, watching
+from tests.net.loops import running
+from tests.net.workers.fakes import GUARD, until
 
 pytestmark = pytest.mark.check
 
 ROOT = Path(__file__).resolve().parents[3]
 GATEWAY = """
-import asyncio, json, sys
+import asyncio, json
 from glsplat.net.server import Server, ServerConfig
 from tests.net.workers.fakes import pool
 if __name__ == "__main__":
-    server = Server(pool(2), ServerConfig(port=int(sys.argv[1])))
+    server = Server(pool(2), ServerConfig(port=0))
     asyncio.run(server.run(lambda: print(json.dumps(server.render_loop.workers()), flush=True)))
 """
-
-
-def begin(script: Path, port: int) -> tuple[subprocess.Popen, list[int]]:
-    """A gateway, ready, and its workers' processes."""
-    command, environment = [sys.executable, str(script), str(port)], {**os.environ, "PYTHONPATH": "."}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT, env=environment)
-    assert process.stdout is not None
-    return process, [int(one["driver"].split()[1]) for one in json.loads(process.stdout.readline())]
-
-
-def port_of_its_own() -> int:
-    """Below those that the system gives to connections: nobody takes it between two gateways."""
-    for port in random.sample(range(20_000, 30_000), 100):
-        with socket.socket() as probe, suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return port
-    raise OSError("all of these ports are in use")
 
 
 def runs(pid: int) -> bool:
@@ -63,39 +43,24 @@ def runs(pid: int) -> bool:
         return False
 
 
-@in_a_loop
-async def test_a_gateway_that_is_killed(tmp_path):
-    """Its workers end with it, its clients come back to the next one; SIGHUP starts all workers anew meanwhile."""
-    port = port_of_its_own()
+def test_workers_are_started_anew_by_a_signal_and_end_with_their_gateway(tmp_path):
     script = tmp_path / "gateway.py"
     script.write_text(GATEWAY)
-    loop = asyncio.get_running_loop()
-    gateway, first = await loop.run_in_executor(None, begin, script, port)
-    try:
-        async with watching(f"ws://127.0.0.1:{port}/ws", (1, 2), again=True) as clients:
-            assert await until_more(clients)
-            os.kill(gateway.pid, signal.SIGHUP)
-            assert await until(lambda: not any(map(runs, first)))
-            restarted = [one.pid for one in psutil.Process(gateway.pid).children()]
-            assert await until_more(clients)
+    environment = {**os.environ, "PYTHONPATH": "."}
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, cwd=ROOT, env=environment) as gateway:
+        try:
+            first = {int(one["driver"].split()[1]) for one in json.loads(gateway.stdout.readline())}
+
+            def workers() -> set[int]:
+                return {one.pid for one in psutil.Process(gateway.pid).children() if runs(one.pid)}
+
+            assert first <= workers()
+            gateway.send_signal(signal.SIGHUP)
+            assert asyncio.run(until(lambda: not first & workers() and len(workers()) >= len(first)))
+            second = workers()
+        finally:
             gateway.kill()
-            gateway.wait()
-            gateway.stdout.close()
-            assert await until(lambda: not any(map(runs, restarted)))
-            gateway, third = await loop.run_in_executor(None, begin, script, port)
-            assert await until(lambda: all(drivers_of(one) & set(third) for one in clients))
-        found = clients
-    finally:
-        gateway.terminate()
-        await loop.run_in_executor(None, gateway.wait)
-        gateway.stdout.close()
-    for one in found:
-        assert one.wrong == [] and len(drivers_of(one)) >= 2
-        assert {error.split(":")[0] for error in one.errors} <= {"closed", "unreachable"} and one.errors
-
-
-def drivers_of(seen: Seen) -> set[int]:
-    return {int(driver.split()[1]) for driver in seen.drivers}
+        assert asyncio.run(until(lambda: not any(map(runs, second))))
 
 
 @pytest.mark.gl
