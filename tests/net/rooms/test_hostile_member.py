@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import replace
+from math import cos, pi, sin, sqrt
 from random import Random
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,15 +20,21 @@ from glsplat.errors import PoseError
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.server import offered
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.local_loop import LocalLoop
+from glsplat.net.messages import Decoder, Request, WireOptions
+from glsplat.net.options import client_options
 from glsplat.net.pace.client_stream import ClientStream
-from glsplat.net.reply import Reply
+from glsplat.net.poses.answers import Answers
+from glsplat.net.reply import Reply, pack_reply, parse_reply
 from glsplat.net.rooms.person import FADE, SILENT
 from glsplat.net.rooms.room import RoomError
+from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.rooms.view import VisiblePerson
+from glsplat.net.session import Close, Session, SessionConfig, Warn
 from glsplat.scene import Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
-from tests.net.rooms.hostile import Hostile
-from tests.net.rooms.meeting import Meeting, RefusedError
+from tests.net.conftest import FakeBackend
 from tests.scene.people import boxes
 from tests.scenes import limb
 
@@ -46,11 +57,6 @@ def offers(avatars: dict[str, Rigged]) -> dict[str, AvatarInfo]:
     return {name: offered(name, avatar, solver="analytic", idle=True) for name, avatar in avatars.items()}
 
 
-class NoRenderer:
-    def nbytes(self) -> dict[str, int]:
-        return {}
-
-
 class Drawn:
     """Checks a picture's job up to what a renderer uploads; remembers who was in it."""
 
@@ -58,7 +64,8 @@ class Drawn:
         self.job: RenderJob | None = None
         self.labels: dict[str, Any] = {}  # in the last picture, by text
         self._avatars, self._poses = avatars, dict[int, Any]()
-        self._pool = RendererPool(Scene(), avatars, lambda scene: NoRenderer(), {"lab": SceneFile.of(Scene())})  # type: ignore[arg-type, return-value]
+        made: Any = SimpleNamespace(nbytes=dict)  # no renderer
+        self._pool = RendererPool(Scene(), avatars, lambda scene: made, {"lab": SceneFile.of(Scene())})
 
     def __call__(self, job: RenderJob) -> None:
         one = self._pool.of(job)
@@ -84,6 +91,224 @@ class Drawn:
         assert pose is not None and np.isfinite(pose.bones(avatar.skeleton).astype(np.float32)).all()
         weights = avatar.weights(pose) if isinstance(avatar, Avatar) else None
         assert weights is None or np.isfinite(np.asarray(weights, np.float32)).all()
+
+
+_PICTURE = b"\xff\xd8 a picture"
+
+
+class RefusedError(Exception):
+    """A client is refused a picture or bodies."""
+
+
+class _Here(Executor):
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        fn(*args, **kwargs)
+        return Future()
+
+
+class Meeting:
+    """The room "lab" without sockets. ``draw`` gets each picture's job; tests move ``now``, in seconds."""
+
+    def __init__(self, offers: Mapping[str, AvatarInfo], draw: Callable[[RenderJob], object]) -> None:
+        self.now = 100.0
+        self.rooms = Rooms({"lab": 6})
+        self.ended: list[int] = []  # numbers of clients whose connection the room has ended
+        self._offers, self._draw, self._numbers = offers, draw, 0
+        self._loop = LocalLoop(FakeBackend(), clock=lambda: self.now)
+        self._loop._solve_thread = _Here()  # type: ignore[assignment]
+        self._answers = Answers(lambda name: name.encode().ljust(32), lambda name: "", clock=lambda: self.now)
+
+    def enter(self, query: Mapping[str, str]) -> ClientStream:
+        """As Server does. Raises ProtocolError."""
+        asked = client_options(query, WireOptions(size=(16, 16)), SessionConfig(), list(self._offers))
+        one = self._offers[asked.avatar]
+        self._numbers += 1
+        number = self._numbers
+        member = self.rooms.join(asked, one, number, self.now, lambda: self.ended.append(number))
+        session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, self.now)
+        solver = None if one.solver is None else one.solver(asked.height, asked.span)
+        channel = self._loop.open(number, session, solver, "", one, member)
+        channel.driver = member.person.name
+        if channel.solving is not None:
+            channel.solving._cpu = lambda: self.now
+        return channel
+
+    def leave(self, channel: ClientStream, goodbye: bool) -> None:
+        """Its connection ends, with a close or without."""
+        assert channel.member is not None
+        self._loop.remove(channel)
+        channel.member.end(goodbye)
+
+    def ask(self, channel: ClientStream, message: Mapping[str, Any]) -> Reply | None:
+        """What comes back of a message; None for an acknowledgement. Raises RefusedError, PoseError, and for faults."""
+        outcome = channel.session.receive(json.dumps(message), self.now)
+        if isinstance(outcome, (Warn, Close)):
+            raise RefusedError(outcome.text)
+        if outcome is None:
+            return None
+        assert isinstance(outcome, Request)
+        self._loop.received(channel, outcome)
+        return self._posed(channel) if outcome.poses else self._pictured(channel)
+
+    def _pictured(self, channel: ClientStream) -> Reply:
+        frame = self._loop._next_frame(channel)
+        request, session = frame.request, channel.session
+        try:
+            job, _, _ = self._loop._job(frame)
+            self._draw(job)
+        except BaseException:
+            session.failed(request, "", "")
+            raise
+        pictures = [_PICTURE] * len(request.eyes)
+        assert request.frame_id is not None
+        data = pack_reply(request.frame_id, request.eyes, pictures, frame.info(Encoded(pictures, None, 0.0)))
+        session.sending(request)
+        session.sent(request, len(data))
+        return parse_reply(data)
+
+    def _posed(self, channel: ClientStream) -> Reply:
+        frame = self._answers._answer(channel)
+        if frame.poses is None:
+            channel.session.failed(frame.request, *frame.error)
+            raise RefusedError(*frame.error)
+        (data,) = self._answers.pack(frame)
+        channel.session.sent(frame.request, len(data))
+        return parse_reply(data)
+
+
+_METRES, _TURNS, _ROOM = 1e6, 20 * pi, 1e4  # limits of poses, of rotations, of tracking and eyes
+_KINDS = ("edge", "pose", "joints", "tracking", "tracking", "looks", "legacy", "ack")
+_FACE = ("jawOpen", "eyeBlinkLeft", "mouthSmileRight", "nothing", "\U0001f600" * 32)
+
+
+class Hostile:
+    """One sequence of legal messages of numbers at the edges of what is accepted."""
+
+    def __init__(self, chance: Random, joints: Sequence[str]) -> None:
+        self._chance, self._joints = chance, joints
+        # most sequences are of one kind
+        self._kinds = _KINDS if chance.random() < 0.3 else (chance.choice(_KINDS),)
+        self._edge = [chance.choice((-1, 1)) if chance.random() < 0.6 else 0 for _ in range(3)]
+        self._t = self._number(1e3)
+        self._gap = 3.0  # metres to the limit that a pose of the edge keeps
+
+    def message(self, frame_id: int) -> dict[str, Any]:
+        chance, kind = self._chance, self._chance.choice(self._kinds)
+        if kind == "ack":
+            return {"v": 1, "ack": 0}
+        if kind == "legacy":
+            return self._legacy(frame_id)
+        message: dict[str, Any] = {"v": 1, "frame_id": frame_id}
+        if kind == "looks" or chance.random() < 0.3:
+            message |= self._looks()
+        else:
+            message["want"] = "pose"
+        if chance.random() < 0.8:
+            message["t"] = self._time()
+        if kind == "tracking":
+            message |= {"tracking": self._tracking(), "faces": [self._vector(_ROOM)] * chance.randrange(3)}
+        elif chance.random() < 0.9:
+            message["pose"] = self._joint_pose() if kind == "joints" else self._pose(kind == "edge")
+        return message
+
+    def query(self, name: str) -> dict[str, str]:
+        query = {"room": "lab", "name": name}
+        if self._chance.random() < 0.5:
+            query["at"] = ",".join(str(self._number(limit)) for limit in (100, 100, 360))
+        return query
+
+    def _number(self, limit: float) -> float:
+        chance = self._chance
+        near, small = limit * (1 - 10 ** chance.uniform(-15, -5)), 10 ** chance.uniform(-320, 0)
+        value = chance.choice((limit, near, limit * chance.random(), small, chance.uniform(0, 2), 0.0))
+        return min(value, limit) * chance.choice((-1, 1))
+
+    def _vector(self, limit: float) -> list[float]:
+        return [self._number(limit) for _ in range(3)]
+
+    def _quaternion(self) -> list[float]:
+        chance = self._chance
+        parts = [chance.gauss(0, 1) for _ in range(4)]
+        size = chance.choice((1.0, 1e-8, 900.0)) / sqrt(sum(v * v for v in parts))
+        return [v * size for v in parts]
+
+    def _time(self) -> float:
+        """Mostly a little later, by very little too; sometimes anything."""
+        chance = self._chance
+        if chance.random() < 0.85:
+            self._t += chance.choice((10 ** chance.uniform(-320, 0), 0.0, *[chance.uniform(1, 60)] * 6))
+        else:
+            self._t = chance.choice((self._number(1e308), self._number(1e12), -self._t, 0.0))
+        return self._t
+
+    def _pose(self, edge: bool) -> dict[str, Any]:
+        chance = self._chance
+        trans = self._vector(_METRES)
+        if edge:  # ever nearer to the limit: what goes on beyond it is not legal any more
+            self._gap *= chance.random()
+            trans = [side * (_METRES - self._gap) for side in self._edge]
+        pose: dict[str, Any] = {"trans": trans}
+        if not edge or chance.random() < 0.3:
+            pose["root_pose"] = self._vector(_TURNS)
+            pose["body_pose"] = [self._number(_TURNS) for _ in range(63)]
+        if chance.random() < 0.4:
+            pose["expression"] = self._expression()
+        return pose
+
+    def _joint_pose(self) -> dict[str, Any]:
+        names = self._chance.sample(list(self._joints), min(len(self._joints), 6))
+        joints = {name: self._vector(_TURNS) for name in names}
+        return {"joints": joints, "translations": {name: self._vector(_METRES) for name in names}} | (
+            {"trans": self._vector(_METRES)} if self._chance.random() < 0.7 else {}
+        )
+
+    def _expression(self) -> Any:
+        if self._chance.random() < 0.3:
+            return [self._number(1e308) for _ in range(52)]
+        return {name: self._number(1e308) for name in _FACE}
+
+    def _tracking(self) -> dict[str, Any]:
+        chance = self._chance
+        near = chance.random() < 0.6  # a body that a solver can find, or none
+
+        def device(x: float, y: float) -> list[float]:
+            place = [x, y, chance.gauss(0, 0.2)] if near else self._vector(_ROOM)
+            return [*place, *self._quaternion()]
+
+        sample: dict[str, Any] = {"head": device(0, 1.6), "left": device(-0.3, 1.1), "right": device(0.3, 1.1)}
+        more: dict[str, Callable[[], Any]] = {
+            "expression": self._expression,
+            "leftEye": lambda: [*self._vector(1e3)[:2], 1e-3],
+            "waist": lambda: device(0, 1.0),
+            "left_foot": lambda: device(-0.1, 0.1),
+            "left_curl": lambda: self._number(1e308),
+            "left_joints": lambda: [self._number(_ROOM) for _ in range(75)],
+            "body": lambda: {"hips": self._vector(_ROOM), "spine-lower": self._vector(_ROOM)},
+        }
+        sample |= {name: make() for name, make in more.items() if chance.random() < 0.25}
+        for name in list(sample):
+            if chance.random() < 0.1:
+                sample[name] = None
+        return sample
+
+    def _looks(self) -> dict[str, Any]:
+        chance = self._chance
+        near = chance.choice((1e-6, 0.01, 1.6, 1e9))
+        angle, rounding = chance.uniform(-pi, pi), sqrt(1 + 2e-5 * chance.choice((0, 1 - 1e-12, 1 - 1e-11, 0.7, 40)))
+        c, s, y = cos(angle) * rounding, sin(angle) * rounding, rounding
+        place = self._vector(_ROOM / 2)
+        last = [self._number(9e-7), 0, 0, 1 + self._number(9e-7)] if rounding < 1 + 1e-5 else [0, 0, 0, 1]
+        viewmat = [c, 0, s, place[0], 0, -y, 0, place[1], s, 0, -c, place[2], *last]
+        eye = {"viewmat": viewmat, "K": [chance.choice((2e-3, 40, 9e5)), 40, self._number(9e5), self._number(9e5)]}
+        light = {"ambient": [self._vector(1e4) for _ in range(9)]}
+        message = {"size": [16, 16], "eyes": [eye | {"near": near, "far": near * 1.5}] * chance.choice((1, 2))}
+        wishes = {"light": light, "depth": True, "mirror": True, "alpha": "straight", "crop": True}
+        return message | {name: value for name, value in wishes.items() if chance.random() < 0.4}
+
+    def _legacy(self, frame_id: int) -> dict[str, Any]:
+        names = ("pos_x", "pos_y", "pos_z", "rot_x", "rot_y", "rot_z", "rot_w")
+        head = dict(zip(names, [*self._vector(_ROOM), *self._quaternion()], strict=True))
+        return {"frame_id": frame_id, "cameras": [head | {"eye": "left"}], "smplx": self._pose(False)}
 
 
 class Play:
