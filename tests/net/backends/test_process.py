@@ -123,7 +123,7 @@ async def test_a_renderer_that_crashes_is_started_again(serve, cameras):
             client._connection.flow.newest = 89  # 90: a segmentation fault
             with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
                 await client.render(cameras)
-            before, after, rebuilds = before, (await client.render(cameras)).info["driver"], server.stats()["rebuilds"]
+            after, rebuilds = (await client.render(cameras)).info["driver"], server.stats()["rebuilds"]
     assert before != after and rebuilds == 1
 
 

@@ -100,7 +100,7 @@ async def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, fa
     async with serve(backend, offered=offered) as server, Client(server.url) as client:
         cameras = [replace(camera, near=0.5, far=20.0) for camera in PAIR]
         tracked = await client.render(cameras, tracking={"head": [0.1, 1.0, 2.2, 0, 0, 0, 1]})
-        tracked, posed = tracked, await client.render(cameras, pose=Pose.zero())
+        posed = await client.render(cameras, pose=Pose.zero())
     for reply in (tracked, posed):
         for eye, camera in zip(reply.info["eyes"], PAIR, strict=True):
             np.testing.assert_allclose(np.reshape(eye["viewmat"], (4, 4)), camera.viewmat)

@@ -75,7 +75,7 @@ async def test_after_a_loss_it_asks_for_a_key_frame(serve, fake_backend, cameras
             if said[-1].video:
                 break
             await asyncio.sleep(0.03)
-        first, lost, found = first, lost, said[-1]
+        found = said[-1]
     assert first.images() and not lost.video
     with pytest.raises(ProtocolError, match="did not come"):
         lost.images()

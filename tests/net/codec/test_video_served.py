@@ -127,7 +127,7 @@ async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeyp
         late = [parse_reply((await ws.receive(timeout=HANG)).data) for ws in sockets]  # nobody is forgotten
         for ws in sockets:
             await ws.close()
-        begun, plain, videos, late = begun, plain, len(videos), late
+        videos = len(videos)
     assert len(plain) == 5 and all("video" not in reply.info for reply in plain)
     assert 0 < begun <= videos <= _CODED
     assert all("video" in reply.info for reply in late)

@@ -122,7 +122,7 @@ class TestSockets:
         async with serve(fake_backend(), ADAPTS) as server:
             silent = await self._bytes(server)
         async with serve(fake_backend()) as server:
-            silent, fixed, told = silent, await self._bytes(server), await self._bytes(server, tells=True)
+            fixed, told = await self._bytes(server), await self._bytes(server, tells=True)
         assert silent == fixed == told and len(silent) == 5
 
     @in_a_loop
@@ -133,7 +133,7 @@ class TestSockets:
         monkeypatch.setattr(LinkControl, "rung", lambda *_: small)
         async with serve(fake_backend(), ADAPTS) as server, Client(server.url, adapt=True) as client:
             first = await client.render(cameras, crop=False)
-            first, second, stats = first, await client.render(cameras, crop=False), server.stats()
+            second, stats = await client.render(cameras, crop=False), server.stats()
         assert "detail" not in first.info  # nothing had arrived yet
         assert second.info["size"] == [32, 32] and second.info["detail"]["why"] == "link"
         assert second.info["detail"]["quality"] == small.quality and second.info["crop"]
@@ -162,7 +162,7 @@ class TestSockets:
                         told = {"arrival": {"age": 5, "held": 0}}
                         number += 1
                         await ws.send_str(asking(number, ack=number - 1, **told).decode())
-                kinds, payloads, client = kinds, payloads, server.stats()["clients"][0]
+                client = server.stats()["clients"][0]
         assert len(payloads) >= 299 > Limits().control_burst
         behind = [kinds[i + 1] for i, kind in enumerate(kinds[:-1]) if kind == aiohttp.WSMsgType.BINARY]
         assert behind[2:] == [aiohttp.WSMsgType.PING] * len(behind[2:])

@@ -169,7 +169,7 @@ async def test_what_the_server_offers(serve):
         async with web.get(url) as answer:
             before = await answer.json()
         async with Client(server.url), web.get(url) as answer:
-            before, during = before, await answer.json()
+            during = await answer.json()
     plain = {"title": "", "made": False, "hand_out": None}
     assert before["avatars"] == [
         {"name": "ann", "height": 1.7123, "tracking": True, "head": True, **plain},

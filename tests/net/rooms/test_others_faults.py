@@ -88,7 +88,7 @@ async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
             answers += await asks(ann, 1)
         others = [job.others for job in backend.drawn]
         async with aiohttp.ClientSession() as http, http.get(f"http://127.0.0.1:{server.port}/session") as response:
-            answers, others, status = answers, others, response.status
+            status = response.status
     assert answers == [""] * 150 and status == 200
     assert 7 <= others.count(1.0) <= 10  # after 10, 20, 40 ... 300 s
     tried = [i for i, share in enumerate(others) if share == 1.0]

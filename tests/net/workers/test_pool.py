@@ -70,7 +70,7 @@ async def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
             assert await until_more(clients)
             await restarting
             assert not set(pids(server)) & set(before) and await until_more(clients)
-        spread, seen, again, lost, clients = spread, seen, again, server.render_loop.rebuilds, clients
+        lost = server.render_loop.rebuilds
     assert spread == [2, 2, 2] and sorted(again) == [2, 2, 2] and seen == [200] * 3 and lost == 3
     assert all(one.errors == [] and one.wrong == [] for one in clients)
     assert begun[:3] == [0.0] * 3  # the time until the old one was given up is nobody's debt
@@ -113,7 +113,7 @@ async def test_a_picture_that_kills_does_not_kill_them_all(serve):
                 left = max(server._channels)
                 assert await until(lambda: left in drawing(server))
             assert await until(lambda: left not in drawing(server)) and await until_more(seen)
-        answers, status, survived, good, seen = answers, status, survived, good, seen[0]
+        seen = seen[0]
     assert answers == ["render", 1008] and status == 429
     assert survived and good == 3
     assert seen.errors == [] and seen.wrong == []
