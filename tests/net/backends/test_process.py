@@ -158,5 +158,4 @@ async def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
             os.kill(int(server.render_loop.driver.split()[1]), signal.SIGKILL)
             with pytest.raises(ProtocolError, match="could not be drawn"):
                 await client.receive()
-            found = status
-    assert found == 200
+            assert status == 200

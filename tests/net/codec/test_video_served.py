@@ -81,8 +81,7 @@ async def test_what_was_sent_last_is_no_old_jpeg(serve, fake_backend):
                 await ws.send_str(asking(number, ack=number - 1, **more))
                 await ws.receive(timeout=HANG)
                 out += [one.newest is not None for one in server._channels.values()]
-            found = out
-    assert found == [True, False]
+            assert out == [True, False]
 
 
 @in_a_loop
@@ -127,9 +126,8 @@ async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeyp
         late = [parse_reply((await ws.receive(timeout=HANG)).data) for ws in sockets]  # nobody is forgotten
         for ws in sockets:
             await ws.close()
-        videos = len(videos)
     assert len(plain) == 5 and all("video" not in reply.info for reply in plain)
-    assert 0 < begun <= videos <= _CODED
+    assert 0 < begun <= len(videos) <= _CODED
     assert all("video" in reply.info for reply in late)
 
 

@@ -122,8 +122,8 @@ async def test_who_asks_at_once_waits_for_one_drawing(serve):
     async with serve(backend, config=PLAIN) as server, aiohttp.ClientSession() as http:
         url = f"http://127.0.0.1:{server.port}/thumbnails/{server.offer()['avatars'][0]['name']}"
         answers = await asyncio.gather(*(http.get(url) for _ in range(6)))
-        found = [(one.status, one.headers["Cache-Control"]) for one in answers]
-    assert found == [(200, "no-store")] * 6 and len(backend.drawn) == 1
+        assert [(one.status, one.headers["Cache-Control"]) for one in answers] == [(200, "no-store")] * 6
+    assert len(backend.drawn) == 1
 
 
 @in_a_loop
@@ -136,8 +136,7 @@ async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serv
             while not server._previews._drawing._waiters:
                 await asyncio.sleep(0.01)
             server._offers.remove(name)
-        found = (await waiting).status, (await http.get(address)).status
-    assert found == (204, 404)
+        assert (await waiting).status == 204 and (await http.get(address)).status == 404
 
 
 @in_a_loop

@@ -105,8 +105,7 @@ async def test_a_worker_that_does_not_survive_another_person_is_no_viewers_fault
             assert sorted(one["clients"] for one in server.render_loop.workers()) == [0, 2]
             frames = [(await ann.render([camera(2)], pose=POSE)).frame_id for _ in range(6)]
             await eve.render([camera(1)], pose=POSE)
-            found = frames, server.render_loop.rebuilds
-    assert found == ([1, 2, 3, 4, 5, 6], 1)
+            assert frames == [1, 2, 3, 4, 5, 6] and server.render_loop.rebuilds == 1
 
 
 def test_others_are_suspected_for_longer_each_time() -> None:
