@@ -27,26 +27,26 @@ def asking(number, **fields):
     return json.dumps({"v": 1, "frame_id": number, "eyes": [EYE, EYE], "size": [64, 64], **fields})
 
 
-class TestField:
-    def test_it_is_read(self):
-        video = Decoder().decode(asking(1, video={"codecs": ["av1", "vp9"], "key": True})).options.video
-        assert video.codecs == ("av1", "vp9") and video.key
-        assert Decoder().decode(asking(1)).options.video is None
-        assert not Decoder().decode(asking(1, video={"codecs": ["h264"]})).options.video.key
+def test_the_video_field_is_read():
+    video = Decoder().decode(asking(1, video={"codecs": ["av1", "vp9"], "key": True})).options.video
+    assert video.codecs == ("av1", "vp9") and video.key
+    assert Decoder().decode(asking(1)).options.video is None
+    assert not Decoder().decode(asking(1, video={"codecs": ["h264"]})).options.video.key
 
-    @pytest.mark.parametrize(
-        "video",
-        [
-            *({"codecs": codecs} for codecs in ([], ["x"] * 9, ["x" * 33], [""], [1], "vp9", None)),
-            *({}, [], True, "vp9", {"codecs": ["vp9"], "key": 1}),
-        ],
-    )
-    def test_what_is_none_is_refused(self, video):
-        with pytest.raises(ProtocolError) as caught:
-            Decoder().decode(asking(1, video=video))
-        assert caught.value.code in ("bad_request", "bad_field")
-        with pytest.raises(ProtocolError, match="video"):
-            Decoder().decode('{"v": 1, "ack": 3, "video": {"codecs": ["vp9"]}}')
+
+@pytest.mark.parametrize(
+    "video",
+    [
+        *({"codecs": codecs} for codecs in ([], ["x"] * 9, ["x" * 33], [""], [1], "vp9", None)),
+        *({}, [], True, "vp9", {"codecs": ["vp9"], "key": 1}),
+    ],
+)
+def test_what_is_no_video_field_is_refused(video):
+    with pytest.raises(ProtocolError) as caught:
+        Decoder().decode(asking(1, video=video))
+    assert caught.value.code in ("bad_request", "bad_field")
+    with pytest.raises(ProtocolError, match="video"):
+        Decoder().decode('{"v": 1, "ack": 3, "video": {"codecs": ["vp9"]}}')
 
 
 async def replies(server, count, **fields):
