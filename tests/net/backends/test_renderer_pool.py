@@ -21,7 +21,7 @@ from glsplat.net.client import Client
 from glsplat.net.messages import PictureOptions
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
-from glsplat.scene import Item, Scene, similarity
+from glsplat.scene import Item, Scene, SceneLike, similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
 from tests.compare import Difference
@@ -44,8 +44,7 @@ def request(cameras=PAIR, **more) -> RenderJob:
     return RenderJob(frame_id=1, cameras=tuple(cameras), options=options, **more)
 
 
-def direct(avatar: Avatar, cameras=PAIR, pose: Pose | None = None) -> np.ndarray:
-    """What a renderer of that avatar alone draws."""
+def direct(avatar: SceneLike, cameras=PAIR, pose: Pose | None = None) -> np.ndarray:
     with Renderer(avatar, size=SIZE, views=len(cameras), config=RenderConfig(output="uint8")) as renderer:
         return renderer.render(cameras, pose)
 

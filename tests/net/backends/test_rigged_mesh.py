@@ -7,48 +7,31 @@ from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError, PoseError
-from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.backend import Rendered
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
-from glsplat.net.messages import PictureOptions
 from glsplat.net.server import ServerConfig
-from glsplat.renderer import Renderer
-from glsplat.scene import Item, Scene, SceneLike, similarity
+from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
+from tests.net.backends.test_renderer_pool import BENT, PAIR, SIZE, direct, request
 from tests.net.loops import in_a_loop, opened, running
 from tests.scene.people import boxes
 from tests.scene.worlds import upright
 from tests.scenes import limb
 
 pytestmark = pytest.mark.gl
-
-SIZE = (96, 80)
-PAIR = stereo_cameras(head_matrix((0.1, 1.2, 2.2), (0, 0, 0, 1)), size=SIZE)
-BENT = Pose.from_smplx({"body_pose": np.full((21, 3), 0.15), "trans": [0.2, 0, 0]})
 PERSON = boxes()
 ROOM = upright(-0.8, 1.5, (90, 80, 70))  # one joint: it stands
-
-
-def direct(scene: SceneLike, pose: Pose | None = None) -> NDArray[np.uint8]:
-    with Renderer(scene, size=SIZE, views=2, config=RenderConfig(output="uint8")) as renderer:
-        return renderer.render(PAIR, pose)
 
 
 def done(out: Rendered) -> None:
     if out.done is not None:
         out.done()
-
-
-def request(**more: object) -> RenderJob:
-    options = PictureOptions(**{key: more.pop(key) for key in ("hide", "box") if key in more})
-    return RenderJob(frame_id=1, cameras=tuple(PAIR), options=options, **more)  # type: ignore[arg-type]
 
 
 @pytest.mark.check
@@ -61,7 +44,7 @@ def test_poses_parts_and_boxes(own_process: bool) -> None:
         for pose in (None, BENT):
             for hide, mesh in (((), PERSON), (("head",), PERSON.without("head"))):
                 out = backend.render(request(pose=pose, hide=hide, box=True))
-                assert (out.images == direct(Scene([Item(ROOM), Item(mesh)]), pose)).all()
+                assert (out.images == direct(Scene([Item(ROOM), Item(mesh)]), pose=pose)).all()
                 vertices = mesh.posed(pose or Pose.zero())[np.unique(mesh.faces)]
                 low, high = np.reshape(out.places["box"], (2, 3))
                 assert (low <= vertices.min(axis=0) + 0.02).all() and (high >= vertices.max(axis=0) - 0.02).all()
@@ -93,7 +76,7 @@ async def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
             posed = await client.render(PAIR, pose=BENT, alpha=True, quality=95)
             tracked = await client.render(PAIR, tracking=sample, alpha=True)
             posed, tracked = np.asarray(posed.rgba()), np.asarray(tracked.rgba())
-    expected = direct(PERSON, BENT)
+    expected = direct(PERSON, pose=BENT)
     assert ((expected[..., 3] > 0) & (expected[..., 3] < 255)).sum() > 50  # antialiased
     assert np.abs(posed[..., 3].astype(int) - expected[..., 3]).max() <= 16  # a JPEG of its own
     assert np.abs(posed.astype(float) - expected)[expected[..., 3] == 255].mean() < 12

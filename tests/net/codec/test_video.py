@@ -9,19 +9,12 @@ import pytest
 
 from glsplat.errors import GlsplatError
 from glsplat.net.codec.video import CODECS, STEPS, VideoStream, available
+from tests.net.clocks import Stopped
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
 
 RNG = np.random.default_rng(5)
 PATTERN = np.kron(RNG.integers(40, 220, (40, 40, 3)), np.ones((8, 8, 1))).astype(np.uint8)
-
-
-class Clock:
-    def __init__(self):
-        self.now = 100.0
-
-    def __call__(self):
-        return self.now
 
 
 def moved(index, width=150, height=130, views=2):
@@ -73,7 +66,7 @@ def test_quality_is_coarser_for_a_thin_link():
 
 
 def test_key_frames_are_not_given_without_end():
-    clock = Clock()
+    clock = Stopped()
     stream, keys = VideoStream(clock), 0
     for index in range(300):  # 3 s
         images, box = moved(index, 64, 64, 1)
@@ -83,7 +76,7 @@ def test_key_frames_are_not_given_without_end():
 
 
 def test_another_form_begins_with_a_key_frame():
-    clock = Clock()
+    clock = Stopped()
     stream = VideoStream(clock)
     small, large = moved(0, 64, 64)[0], moved(0, 96, 64)[0]
     assert stream.encode(small, ["vp9"]).video["key"]
@@ -122,7 +115,7 @@ def test_without_pyav_one_line_says_what_to_do(monkeypatch):
 
 def test_what_begins_anew_takes_a_part_of_the_time(monkeypatch):
     """On a machine where that takes 0.2 s: some forms at once, then one in two seconds, JPEGs in between."""
-    clock, opened = Clock(), []
+    clock, opened = Stopped(), []
     opening = VideoStream._open
 
     def slow(self, *form):

@@ -125,7 +125,7 @@ async def test_who_says_nothing_and_fixed_get_the_same_bytes(serve, fake_backend
     async with serve(fake_backend(), ADAPTS) as server:
         silent = await pictures_of(server)
     async with serve(fake_backend()) as server:
-        fixed, told = await pictures_of(server), await _bytes(server, tells=True)
+        fixed, told = await pictures_of(server), await pictures_of(server, tells=True)
     assert silent == fixed == told and len(silent) == 5
 
 

@@ -1,12 +1,15 @@
-"""Rooms on a machine of any speed: time is what a test says it is."""
+"""Rooms on a machine of any speed, and somebody to be in them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
-from glsplat.net import conversation, server
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.gl.context import Context, create_context
 from glsplat.net.rooms import person
 
 
@@ -16,21 +19,15 @@ def nobody_fades(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(person, "SILENT", 1e6)
 
 
-class Hands:
-    """A clock that is turned by hand."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-        self.of: Callable[[], float] = lambda: self.now
-
-    def __call__(self) -> float:
-        return self.of()
+@pytest.fixture(scope="module")
+def somebody() -> Avatar:
+    """The embedded avatar at its coarsest."""
+    return replace(default_avatar().levels[-1].content, levels=())
 
 
 @pytest.fixture
-def hands(monkeypatch: pytest.MonkeyPatch) -> Hands:
-    """What the server reads; a render loop is given it once it is there."""
-    clock = Hands()
-    for module in (conversation, server):
-        monkeypatch.setattr(module, "clock", clock)
-    return clock
+def context() -> Iterator[Context]:
+    """One of its own: the shared one would stay current for the backends of other tests on this thread."""
+    made = create_context()
+    yield made
+    made.release()

@@ -16,7 +16,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN
 from glsplat.data import default_avatar
 from glsplat.errors import BudgetError, GlsplatError
-from glsplat.gl.context import Context, create_context
+from glsplat.gl.context import Context
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import PictureBudget, others_share
 from glsplat.net.backends.gl import RendererBackend, most_cost
@@ -69,13 +69,6 @@ def eve(
 
 def job(*people: VisiblePerson, camera: Camera = VIEW, viewer: int = 0, **more: Any) -> RenderJob:
     return RenderJob(cameras=(camera,), frame_id=1, room=RoomView("lab", 0, viewer, people), **more)
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    made = create_context()
-    yield made
-    made.release()
 
 
 Make = Callable[..., RoomRenderer]

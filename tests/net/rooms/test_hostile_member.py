@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import replace
 from math import cos, pi, sin, sqrt
 from random import Random
 from types import SimpleNamespace
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 
 from glsplat.avatar import Avatar
-from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.backends.renderer_pool import RendererPool
@@ -45,11 +43,9 @@ NAMES = ("Ann", "Bob")
 
 
 @pytest.fixture(scope="module")
-def avatars() -> dict[str, Rigged]:
+def avatars(somebody: Avatar) -> dict[str, Rigged]:
     """Of the same rig and of another, splats and triangles."""
-    person = replace(default_avatar().levels[-1].content, levels=())
-    assert isinstance(person, Avatar)
-    return {"person": person, "limb": limb(300), "boxes": boxes()}
+    return {"person": somebody, "limb": limb(300), "boxes": boxes()}
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
-from glsplat.data import default_avatar
-from glsplat.gl.context import Context, create_context
+from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.renderer_pool import RendererPool, SceneRenderer
@@ -34,12 +33,6 @@ EYES = stereo_cameras(head_matrix((0, 1.5, 0.1), (0, 1, 0, 0)), size=(SIZE, SIZE
 HEADLESS = PictureOptions(hide=("head",))
 
 
-@pytest.fixture(scope="module")
-def person() -> Avatar:
-    """The embedded avatar at its coarsest: quick, and a person still."""
-    return replace(default_avatar().levels[-1].content, levels=())
-
-
 def arm(number: int) -> Pose:
     rotations = np.zeros((55, 3))
     rotations[16, 2], rotations[17, 2] = -1.1 + 0.2 * number, 1.1 - 0.1 * number
@@ -52,9 +45,9 @@ def psnr(image: NDArray[np.uint8], wanted: NDArray[np.uint8]) -> float:
 
 
 @pytest.mark.gl
-def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) -> None:
+def test_each_person_is_skinned_once_a_tick(context: Context, somebody: Avatar) -> None:
     """Six people see each other, none sees their own head: two passes (body, head) a person and tick."""
-    pool = standing(context, person)
+    pool = standing(context, somebody)
     people = [VisiblePerson(i, f"P{i}", "", arm(i), similarity((i, 0, 0)), label=f"P{i}") for i in range(6)]
     posed = []
     for tick in range(4):
@@ -72,14 +65,6 @@ def test_each_person_is_skinned_once_a_tick(context: Context, person: Avatar) ->
     assert sum(posed) == 2 * 6 * 4 - 1  # nobody has looked at the last viewer's head since
 
 
-@pytest.fixture
-def context() -> Iterator[Context]:
-    """One of its own: the shared one would stay current for the backends of other tests on this thread."""
-    context = create_context()
-    yield context
-    context.release()
-
-
 def drawing(context: Context) -> Callable[[Scene], Renderer]:
     return partial(Renderer, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context)
 
@@ -94,8 +79,8 @@ def standing(context: Context, person: Rigged, *background: Item) -> RendererPoo
 
 
 @pytest.mark.gl
-def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, person: Avatar) -> None:
-    pool = standing(context, person)
+def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, somebody: Avatar) -> None:
+    pool = standing(context, somebody)
     two = (
         VisiblePerson(1, "Ann", "", arm(0), np.eye(4), label="driven by Ann"),
         VisiblePerson(2, "Bob", "", arm(1), similarity((0, 0, 2)), opacity=0.0, label="driven by Bob"),
@@ -117,8 +102,10 @@ def test_labels_cannot_be_left_out_and_fade_with_their_people(context: Context, 
 
 @pytest.mark.gl
 @pytest.mark.parametrize("kind", ["splats", "triangles"])
-def test_each_sees_the_others_whole_and_themselves_without_a_head(context: Context, person: Avatar, kind: str) -> None:
-    figure: Avatar | RiggedMesh = person if kind == "splats" else boxes()
+def test_each_sees_the_others_whole_and_themselves_without_a_head(
+    context: Context, somebody: Avatar, kind: str
+) -> None:
+    figure: Avatar | RiggedMesh = somebody if kind == "splats" else boxes()
     background, poses = Item(cloud(500), transform=similarity((0, 1, 0), scale=0.3)), (arm(0), arm(1))
     pool = standing(context, figure, background)
     places = (np.eye(4), similarity((0.5, 0, 2)))

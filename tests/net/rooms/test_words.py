@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.consent.policy import ConsentPolicy
-from glsplat.data import default_avatar
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.labels import Label, driven_by
@@ -275,13 +274,8 @@ def test_labels_are_read_from_left_to_right_in_a_mirror_too() -> None:
 
 
 @pytest.fixture(scope="module")
-def person() -> Avatar:
-    return replace(default_avatar().levels[-1].content, levels=())
-
-
-@pytest.fixture(scope="module")
-def backend(person: Avatar) -> Iterator[RendererBackend]:
-    made = RendererBackend(person, (96, 72), rooms={"lab": SceneFile.of(Scene())}, max_cost=float("inf"))
+def backend(somebody: Avatar) -> Iterator[RendererBackend]:
+    made = RendererBackend(somebody, (96, 72), rooms={"lab": SceneFile.of(Scene())}, max_cost=float("inf"))
     made.open()
     yield made
     made.close()
@@ -332,14 +326,14 @@ def test_nobody_is_in_a_picture_without_a_label(backend: RendererBackend, scale:
     assert shown > 15 and bare > 2  # it is not simply always there
 
 
-def served(person: Avatar, consent: ConsentPolicy | None, *queries: str) -> list[Reply]:
+def served(somebody: Avatar, consent: ConsentPolicy | None, *queries: str) -> list[Reply]:
     """One picture of a server for each query."""
     facing = stereo_cameras(head_matrix((0, 1.2, 2.4), (0, 0, 0, 1)), size=(256, 256))
     config = ServerConfig(port=0, wire=WireOptions(size=(256, 256), quality=95), consent=consent)
 
     async def main() -> list[Reply]:
         async with running(
-            make_server(person, config, own_process=False, consent=consent, rooms={"lab": Scene()})
+            make_server(somebody, config, own_process=False, consent=consent, rooms={"lab": Scene()})
         ) as server:
             replies = []
             for query in queries:
@@ -357,8 +351,8 @@ def changed(one: Reply, other: Reply) -> list[NDArray[np.bool_]]:
 
 
 @pytest.mark.gl
-def test_the_name_of_who_drives_stands_over_the_head_for_who_asks(person: Avatar) -> None:
-    plain, labelled, unsaid = served(person, None, "", "label=1&name=Ann", "name=Bob")
+def test_the_name_of_who_drives_stands_over_the_head_for_who_asks(somebody: Avatar) -> None:
+    plain, labelled, unsaid = served(somebody, None, "", "label=1&name=Ann", "name=Bob")
     assert (plain.info["driven_by"], labelled.info["driven_by"], unsaid.info["driven_by"]) == ("", "Ann", "Bob")
     columns = []
     for picture in changed(labelled, plain):
@@ -370,9 +364,9 @@ def test_the_name_of_who_drives_stands_over_the_head_for_who_asks(person: Avatar
 
 
 @pytest.mark.gl
-def test_what_nobody_agreed_to_says_so_in_every_picture(person: Avatar) -> None:
+def test_what_nobody_agreed_to_says_so_in_every_picture(somebody: Avatar) -> None:
     policy = ConsentPolicy(without=True)
-    plain, alone, room = served(person, None, "")[0], *served(person, policy, "", "room=lab&name=Ann&at=0,0,0")
+    plain, alone, room = served(somebody, None, "")[0], *served(somebody, policy, "", "room=lab&name=Ann&at=0,0,0")
     for picture in changed(alone, plain):
         rows = np.nonzero(picture)[0]
         assert len(rows) > 60 and rows.min() > 256 * 0.7
