@@ -186,6 +186,7 @@ WRONG = [
     ({"ack": 0, "want": "pose"}, "bad_request"),
     ({"frame_id": 1, "want": "pose", "pose": {"body_pose": [1]}}, "bad_pose"),
     ({"frame_id": 1, "want": "pose", "pose": POSE, "tracking": {}}, "bad_request"),
+    ({"frame_id": 1, "want": "pose", "tracking": {"head": [1, 2]}}, "bad_request"),
     ({"frame_id": 1, "want": "pose", "tracking": {"left_curl": 1}}, "bad_pose"),
 ]
 
