@@ -42,7 +42,6 @@ class Seen:
 
     pictures: int = 0
     errors: list[str] = field(default_factory=list)
-    drivers: dict[str, int] = field(default_factory=dict)
     wrong: list[tuple[int, int, int, int]] = field(default_factory=list)
 
 
@@ -53,7 +52,6 @@ def look(number: int, reply, last: int, seen: Seen) -> None:
     if (left, right) != (number % 32, reply.frame_id % 32) or reply.frame_id <= last:
         seen.wrong.append((reply.frame_id, last, left, right))
     seen.pictures += 1
-    seen.drivers[reply.info["driver"]] = seen.drivers.get(reply.info["driver"], 0) + 1
 
 
 async def watch(url: str, number: int, over: asyncio.Event, seen: Seen) -> None:

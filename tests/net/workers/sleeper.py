@@ -40,8 +40,6 @@ class Sleeper:
             raise FormatError(f"{request.avatar}.glb: not on this machine")
         if act == 90:
             os.kill(os.getpid(), signal.SIGSEGV)
-        if act == 70:
-            time.sleep(60)
         if act == 71:
             self._until_abandoned()
         if act == 93:
