@@ -220,6 +220,31 @@ async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
 
 
 @pytest.mark.usefixtures("nobody_fades")
+@pytest.mark.parametrize(
+    ("error", "code", "warned"),
+    [
+        (SLOW, "too_slow", 1),
+        (ContextLostError("lost"), "render", 1),
+        (BudgetError("1e12 pixels", "too_costly"), "too_costly", 8),
+    ],
+)
+@in_a_loop
+async def test_what_goes_wrong_without_the_others_is_the_viewers_own(
+    serve: Serve, error: Exception, code: str, warned: int
+) -> None:
+    """Warnings, then the end, and the address is held off; the others are not left out for too much cost."""
+    backend = FakeBackend(fail=lambda job: error if job.room is not None and job.room.viewer == 2 else None)
+    async with serve(backend, config(), offered=OFFERS) as server, member(server, "ann") as ann:
+        assert await asks(ann, 1) == [""]
+        async with member(server, "eve") as eve:
+            assert await asks(eve, warned + 2) == [code] * (warned + 1) + ["closed"]
+        async with aiohttp.ClientSession() as http, http.get(f"http://127.0.0.1:{server.port}/session") as response:
+            assert response.status in (429, 503)
+    others = [job.others for job in backend.drawn if job.room is not None and job.room.viewer == 2]
+    assert others.count(1.0) == (warned + 1 if code == "too_costly" else 1) and len(others) <= warned + 3
+
+
+@pytest.mark.usefixtures("nobody_fades")
 @in_a_loop
 async def test_a_worker_that_does_not_survive_another_person_is_no_viewers_fault(serve: Serve) -> None:
     """Each picture comes, drawn by the next worker without the others."""
