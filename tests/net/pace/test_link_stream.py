@@ -170,3 +170,12 @@ async def test_a_ping_follows_each_picture_and_its_pong_costs_the_client_nothing
     behind = [kinds[i + 1] for i, kind in enumerate(kinds[:-1]) if kind == aiohttp.WSMsgType.BINARY]
     assert behind[2:] == [aiohttp.WSMsgType.PING] * len(behind[2:])
     assert client["link"]["rate"] > 0 and client["limited"] == 0
+
+
+@in_a_loop
+async def test_pings_of_clients_are_still_answered(serve) -> None:
+    async with serve() as server, aiohttp.ClientSession() as http:
+        async with http.ws_connect(server.url, autoping=False) as ws:
+            await ws.ping(b"there?")
+            message = await ws.receive(timeout=HANG)
+            assert (message.type, bytes(message.data)) == (aiohttp.WSMsgType.PONG, b"there?")

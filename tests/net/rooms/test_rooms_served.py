@@ -269,3 +269,12 @@ def test_others_are_suspected_for_longer_each_time() -> None:
     tracker.suspect_others("a", now + 1e4, slow=False)
     assert tracker.others("a", now + 1e4) == 0.0
     assert tracker.others("a", now + 1e4 + 10) == 1.0  # all of it was forgotten
+
+
+def test_the_second_bad_picture_of_an_address_is_one_too_many() -> None:
+    blame = FaultTracker()
+    assert [blame.again("a", 0.0), blame.again("b", 1.0), blame.again("a", 2.0)] == [False, False, True]
+    assert not blame.again("b", 1000.0)  # forgotten
+    for i in range(10000):
+        assert not blame.again(f"c{i}", 1001.0)
+    assert len(blame._since) <= 4096
