@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mimetypes
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,10 @@ from typing import Any
 import pytest
 
 from tests import needs
-from tests.browser.iwer import EMULATE, iwer_script
 from tests.browser.markers import samples
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 from tests.browser.served import Served
 
-_WEB = Path(__file__).resolve().parents[2] / "glsplat" / "net" / "web"
-_MODULES = "http://localhost:1/vr/"  # answered from the folder above, by no server
 _FLAGS = [
     "--no-sandbox",  # needs rights that containers do not give, and opens pages of this checkout only
     "--disable-quic",
@@ -38,13 +34,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.check)  # tests/conftest.py leaves the folder out where these are not asked for
 
 
-# of this package, not of the session: playwright's loop occupies the main thread for as long as it lives
 @pytest.fixture(autouse=True)
 def nothing_sent() -> None:
-    """What the pages of other tests sent has the same numbers."""
+    """Requests of other tests' pages have the same numbers."""
     samples.clear()
 
 
+# of this package, not of the session: playwright's loop occupies the main thread for as long as it lives
 @pytest.fixture(scope="package")
 def play() -> Iterator[Any]:
     """Playwright; a process has one at a time."""
@@ -66,34 +62,29 @@ OpenPage = Callable[..., Opened]
 
 
 @pytest.fixture
-def open_page(chromium: Any, request: pytest.FixtureRequest, serve: Any) -> Iterator[OpenPage]:
-    """``open_page(address, xr="fake" | "iwer" | None, allow=[patterns], size=(width, height), **context options)``.
+def open_page(chromium: Any, serve: Any) -> Iterator[OpenPage]:
+    """``open_page(address, xr=False, allow=[patterns], size=(width, height), **context options)``.
 
-    Each has cookies and storage of its own, and is closed before the servers of ``serve`` stop. ``address`` None:
-    opened by the test. A fault that is not allowed for fails the test.
+    Each page has cookies and storage of its own, and is closed before the servers of ``serve`` stop. A fault that no
+    pattern of ``allow`` fits fails the test.
     """
     pages: list[Opened] = []
     contexts: list[Any] = []
 
     def open_(
         address: str | None = None,
-        xr: str | None = "fake",
+        xr: bool = True,
         allow: list[str] | None = None,
         size: tuple[int, int] = (1100, 640),
         init: str = "",
+        browser: Any = chromium,
         **options: Any,
     ) -> Opened:
-        scripts = {"fake": FAKE_XR, None: ""}
-        if xr == "iwer":
-            folder = Path(str(request.config.cache.mkdir("iwer")))  # type: ignore[union-attr]
-            scripts["iwer"] = iwer_script(folder) + EMULATE
         options.setdefault("ignore_https_errors", True)
-        context = chromium.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
         contexts.append(context)
-        context.add_init_script(scripts[xr])
-        context.add_init_script(WATCH)
-        if init:
-            context.add_init_script(init)
+        for script in (FAKE_XR if xr else "", WATCH, init):
+            context.add_init_script(script)
         opened = Opened(context.new_page(), list(allow or []))
         pages.append(opened)
         if address is not None:
@@ -105,26 +96,6 @@ def open_page(chromium: Any, request: pytest.FixtureRequest, serve: Any) -> Iter
         context.close()
     unexpected = [fault for opened in pages for fault in opened.unexpected()]
     assert not unexpected, "the page complained:\n" + "\n".join(unexpected[:20])
-
-
-@pytest.fixture
-def modules(open_page: OpenPage) -> Opened:
-    """A page of the site's origin without a server, from which ``js("import('/vr/...js').then(...)")`` works."""
-    opened = open_page()
-
-    def answer(route: Any) -> None:
-        path = _WEB / route.request.url.removeprefix(_MODULES).partition("?")[0]
-        if path == _WEB / "modules":
-            route.fulfill(body="<!doctype html><title>modules</title>", content_type="text/html")
-        elif path.is_file() and _WEB in path.resolve().parents:
-            kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
-            route.fulfill(body=path.read_bytes(), content_type=kind)
-        else:
-            route.fulfill(status=404, body="no such file")
-
-    opened.page.route(f"{_MODULES}**", answer)
-    opened.page.goto(f"{_MODULES}modules")
-    return opened
 
 
 @pytest.fixture

@@ -15,23 +15,15 @@ CSP = (
     "img-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 
-# the controls alone: what they ask for is kept in window.asked
-MAIN = """
-import { Page } from '/vr/page.js';
-import { Settings } from '/vr/settings.js';
-const settings = new Settings();
-const page = new Page(document, settings);
-const asked = [];
-for (const type of ['enter-vr', 'enter-ar', 'token', 'record', 'file', 'calibrate', 'fullscreen']) {
-  page.addEventListener(type, (event) => asked.push([type, event.detail?.name ?? event.detail ?? null]));
-}
-Object.assign(window, { settings, page, asked });
-"""
+
+def answer_file(route: Any, file: Path, **headers: str) -> None:
+    kind = mimetypes.guess_type(file)[0] or "application/octet-stream"
+    route.fulfill(body=file.read_bytes(), content_type=kind, headers=headers)
 
 
 @contextmanager
-def flat_page(chromium: Any, main: str = MAIN, **options: Any) -> Iterator[Any]:
-    """The page with ``main`` as its main.js. What the browser complains about fails the test."""
+def flat_page(chromium: Any, main: str = "", ready: str = "true", **options: Any) -> Iterator[Any]:
+    """The page with ``main`` as its main.js, once ``ready`` is true. A complaint of the browser fails the test."""
     context = chromium.new_context(**options)
     complaints: list[str] = []
 
@@ -41,11 +33,7 @@ def flat_page(chromium: Any, main: str = MAIN, **options: Any) -> Iterator[Any]:
         if path == "/vr/main.js":
             route.fulfill(body=main, content_type="text/javascript")
         elif path.startswith("/vr/") and file.is_file():
-            route.fulfill(
-                body=file.read_bytes(),
-                content_type=mimetypes.guess_type(file)[0],
-                headers={"Content-Security-Policy": CSP},
-            )
+            answer_file(route, file, **{"Content-Security-Policy": CSP})
         else:
             complaints.append(f"asked for {route.request.url}")
             route.fulfill(status=404)
@@ -56,6 +44,7 @@ def flat_page(chromium: Any, main: str = MAIN, **options: Any) -> Iterator[Any]:
         page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.goto(f"{ORIGIN}/vr/")
+        page.wait_for_function(f"Boolean({ready})")
         yield page
         assert not complaints
     finally:

@@ -17,7 +17,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from glsplat.tracking.sample import Sample
-from tests.browser.stored import stamp
 
 __all__ = ["COLOURS", "Markers", "as_tracked", "draw_blob", "marked_avatar", "offered", "samples"]
 
@@ -31,12 +30,9 @@ class Markers:
     Every request is kept in ``requests``; a picture takes ``delay`` seconds.
     """
 
-    def __init__(
-        self, places: Callable[[RenderJob], Places], radius: float = 0.015, delay: float = 0.0, stamped: bool = False
-    ) -> None:
+    def __init__(self, places: Callable[[RenderJob], Places], radius: float = 0.015, delay: float = 0.0) -> None:
         self._places = places
         self._radius = radius
-        self._stamped = stamped
         self.delay = delay
         self.requests: dict[int, RenderJob] = {}
 
@@ -51,8 +47,6 @@ class Markers:
         for eye, camera in enumerate(request.cameras):
             for colour, place in self._places(request).items():
                 draw_blob(images[eye], camera, np.asarray(place, float), self._radius, COLOURS[colour])
-            if self._stamped:
-                stamp(images[eye], request.frame_id or 0, eye)
         time.sleep(max(0.0, end - time.monotonic()))
         return Rendered(images, {"total": 0.0}, "blobs")
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.net.backend import Rendered, RenderJob
 
-__all__ = ["COLUMNS", "PAIRS", "ROWS", "SQUARE", "Picture", "StoredPairs", "read_stamp", "stamp"]
+__all__ = ["COLUMNS", "PAIRS", "ROWS", "SQUARE", "Picture", "StoredPairs", "stamp"]
 
 Picture = NDArray[np.uint8]
 
@@ -63,16 +63,6 @@ def stamp(image: Picture, frame_id: int, eye: int) -> None:
     squares = bits.repeat(SQUARE, 0).repeat(SQUARE, 1)[: image.shape[0], : image.shape[1], None]
     image[: squares.shape[0], : squares.shape[1], :3] = squares
     image[: squares.shape[0], : squares.shape[1], 3] = 255
-
-
-def read_stamp(image: Picture) -> tuple[int, int] | None:
-    """(frame_id, eye) of a picture [H, W, 3|4], or None."""
-    bits = image[SQUARE // 2 : ROWS * SQUARE : SQUARE, SQUARE // 2 : COLUMNS * SQUARE : SQUARE, 1].reshape(-1)
-    if len(bits) < COLUMNS * ROWS or ((bits > 80) & (bits < 175)).any():
-        return None
-    value = sum(1 << i for i, bit in enumerate(bits) if bit > 127)
-    number, eye, check = value % 2**19, value >> 19 & 1, value >> 20
-    return (number, eye) if _folded(number, eye) == check ^ 10 else None
 
 
 def _folded(number: int, eye: int) -> int:

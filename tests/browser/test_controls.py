@@ -3,39 +3,35 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
+from glsplat.net.pages.qr import svg
 from tests.browser.flat_page import flat_page
 
 NAMED = "button, select, input, canvas, summary, a, details, section, aside, form"
-CONTRAST = """() => {
-  const light = (text) => {
-    const [r, g, b] = text.match(/[\\d.]+/g).slice(0, 3).map((v) => v / 255);
-    const linear = (v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
-    return 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
-  };
-  const ground = (e) => {
-    for (; e; e = e.parentElement) {
-      const colour = getComputedStyle(e).backgroundColor;
-      if (!colour.endsWith(', 0)')) return colour;
-    }
-  };
-  const out = {};
-  for (const e of document.querySelectorAll('#panel, #panel *, #top *, #dock *, #token-form *')) {
-    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
-    if (!(own || ['SELECT', 'INPUT'].includes(e.tagName)) || e.tagName === 'OPTION' || !e.checkVisibility()) continue;
-    const [a, b] = [light(getComputedStyle(e).color), light(ground(e))];
-    out[`${e.tagName}#${e.id} ${e.textContent.trim().slice(0, 20)}`] =
-      (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-  }
-  return out;
-}"""
+
+
+# the controls alone: what they ask for is kept in window.asked
+MAIN = """
+import { Page } from '/vr/page.js';
+import { Settings } from '/vr/settings.js';
+const settings = new Settings();
+const page = new Page(document, settings);
+const asked = [];
+for (const type of ['enter-vr', 'enter-ar', 'token', 'record', 'file', 'calibrate', 'fullscreen']) {
+  page.addEventListener(type, (event) => asked.push([type, event.detail?.name ?? event.detail ?? null]));
+}
+Object.assign(window, { settings, page, asked });
+"""
 
 
 @pytest.fixture(scope="module")
 def loaded(chromium):
-    with flat_page(chromium) as page:
+    with flat_page(chromium, MAIN) as page:
         yield page
 
 
@@ -154,25 +150,6 @@ def test_the_token_is_asked_for_and_handed_over_once(page):
     assert page.evaluate("JSON.stringify(localStorage)").find("geheim") < 0
 
 
-def test_figures_and_status_change_only_what_changed(page):
-    counted = page.evaluate("""async () => {
-      window.page.numbers({ fps: '30', age: '12 ms' }); window.page.status('Connected.');
-      let count = 0;
-      const watch = new MutationObserver((records) => { count += records.length; });
-      for (const id of ['numbers', 'status']) {
-        watch.observe(document.getElementById(id), { childList: true, subtree: true, characterData: true });
-      }
-      window.page.numbers({ fps: '31', age: '12 ms' }); window.page.status('Connected.');
-      await new Promise((done) => setTimeout(done));
-      return count;
-    }""")
-    assert counted == 1 and page.locator("#numbers dd").all_text_contents() == ["31", "12 ms"]
-    page.evaluate("window.page.numbers({ 'round trip': 5 })")
-    assert page.locator("#numbers dt").all_text_contents() == ["round trip"]
-    page.evaluate("window.page.status('No connection.', 'error')")
-    assert [page.get_attribute("#status", name) for name in ("data-level", "aria-live")] == ["error", "polite"]
-
-
 def test_every_control_has_a_name_and_the_keyboard_reaches_it(page):
     page.evaluate("""window.page.xr({ vr: true, ar: true }); window.page.askToken('why');
       settings.setOptions('avatar', [{value: 'a'}]); settings.set('driver', 'file');
@@ -200,15 +177,59 @@ def test_every_control_has_a_name_and_the_keyboard_reaches_it(page):
     assert len(ids) == len(set(ids))
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_stands_out(page, scheme):
-    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
-    again(page)  # what was moving already would be measured between two colours
-    page.evaluate("settings.setOptions('avatar', [{value: 'a'}]); settings.setOptions('driver', [{value: 'rest'}])")
-    page.evaluate("window.page.title('Ann', 'Try again now'); settings.setOptions('driver', [{value: 'file'}])")
-    page.evaluate("""window.page.askToken('why'); settings.set('figures', true); window.page.numbers({ fps: '30' });
-      settings.set('driver', 'file'); document.getElementById('help').open = true;""")
-    for level in ("info", "error"):
-        page.evaluate("(level) => window.page.status('Said in words.', level)", level)
-        ratios = page.evaluate(CONTRAST)
-        assert len(ratios) > 30 and {name: ratio for name, ratio in ratios.items() if ratio < 4.5} == {}
+SIZED = """
+import { Page } from '/vr/page.js';
+import { Settings } from '/vr/settings.js';
+import { Dock } from '/vr/show/dock.js';
+const settings = new Settings();
+const page = new Page(document, settings);
+new Dock(document, settings, { picture: async () => null, add: () => {} });
+settings.setOptions('avatar', ['default', 'anna', 'ben', 'A rather long name of somebody'].map((value) => ({ value })));
+const motions = ['rest', 'motion:idle', 'motion:walk', 'motion:wave-and-turn'];
+settings.setOptions('driver', motions.map((value) => ({ value, label: value })));
+page.xr({ vr: 'No headset is connected to this device.', ar: 'No headset is connected to this device.' });
+page.status('The server ended the connection: no valid request in time', 'error');
+page.title('A rather long name of somebody', 'Try again now');
+window.settings = settings;
+"""
+MOST = {(320, 640): 0.27, (640, 320): 0.27, (3840, 2160): 0.12}
+
+
+def test_the_controls_leave_the_window_to_the_avatar(chromium: Any) -> None:
+    with flat_page(chromium, SIZED) as page:
+        page.wait_for_selector("#people-3")
+        for (width, height), most in MOST.items():
+            page.set_viewport_size({"width": width, "height": height})
+            page.wait_for_timeout(100)
+            dock = page.evaluate("document.getElementById('dock').getBoundingClientRect().height")
+            assert 0.02 < dock / height < most, (width, height)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            # every button can be brought into the window, and has room for a finger
+            for button in page.query_selector_all("#dock button, #top button"):
+                if not button.is_visible():
+                    continue
+                button.scroll_into_view_if_needed()
+                x, y, wide, high = (button.bounding_box()[name] for name in ("x", "y", "width", "height"))
+                assert x >= -1 and y >= 0 and x + wide <= width + 1 and y + high <= height + 1, button.inner_text()
+                assert min(wide, high) >= 44, button.inner_text()
+            text = float(page.evaluate("parseFloat(getComputedStyle(document.getElementById('who')).fontSize)"))
+            assert text >= max(16, min(width, height) / 110)  # a wall is read from afar
+
+
+SHOWN = """
+import { Elsewhere } from '/vr/show/elsewhere.js';
+const found = { page: 'https://192.168.1.7:8000/vr', local: false };
+window.other = new Elsewhere(document, async () => ({ ...found, svg: window.code }));
+"""
+
+
+def test_the_code_for_another_device_is_whole_in_a_narrow_window(chromium: Any) -> None:
+    address = "https://192.168.1.7:8000/vr"
+    with flat_page(chromium, SHOWN, "window.other", viewport={"width": 320, "height": 800}) as page:
+        page.evaluate("(code) => { window.code = code; return other.open(); }", svg(address))
+        picture = page.locator("#code img")
+        page.wait_for_timeout(200)
+        assert picture.evaluate("async (image) => { await image.decode(); return image.naturalWidth; }") > 100
+        seen = cv2.imdecode(np.frombuffer(picture.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        seen = cv2.copyMakeBorder(seen, 20, 20, 20, 20, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+        assert cv2.QRCodeDetector().detectAndDecode(cv2.resize(seen, None, fx=2, fy=2))[0] == address

@@ -8,17 +8,16 @@ import pytest
 
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
-from glsplat.net.backend import AvatarInfo
 from glsplat.net.datagrams import way
 from glsplat.net.datagrams.path import DatagramPath
 from glsplat.net.datagrams.udp import UdpSocket
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.browser.conftest import OpenPage
+from tests.browser.markers import offered
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import visit
 
-OFFERED = (AvatarInfo(name="stored", parts=frozenset({"head"})),)
 CONFIG = ServerConfig(port=0, session=SessionConfig(adapt=True), webtransport=True)
 REFUSED = [r"Failed to establish a connection to https://127\.0\.0\.1"]
 
@@ -33,7 +32,7 @@ def every_link_is_long(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def opened(open_page: OpenPage, serve: Any, **options: Any) -> tuple[Any, Any]:
     """(server, page); not by the name localhost, which has an address of IPv6, too."""
-    served = serve(StoredPairs(), CONFIG, offered=OFFERED)
+    served = serve(StoredPairs(), CONFIG, offered=offered)
     address = f"http://127.0.0.1:{served.port}/vr"
     page = visit(open_page, served, {"size": 512, "driver": "motion:walk"}, address=address, **options)
     page.until("window.glsplat?.stats().shown > 2")
@@ -93,5 +92,5 @@ def test_where_udp_does_not_get_through_the_page_notices_nothing(
     monkeypatch.setattr(UdpSocket, "listen", lambda self: None)
     served, page = opened(open_page, serve, allow=REFUSED)
     shown = page.stats()["shown"]
-    page.until(f"window.glsplat.stats().shown > {shown + 30}")
+    page.until(f"window.glsplat.stats().shown > {shown + 10}")
     assert ways(served) == {"open": 0, "sent": 0, "lost": 0, "loss": 0.0} and page.stats()["reconnects"] == 0

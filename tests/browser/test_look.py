@@ -6,6 +6,9 @@ rasterizers differ from machine to machine.
 
 from __future__ import annotations
 
+import subprocess
+import tarfile
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat.net.backends.server import make_server
-from tests.browser.axe import axe_script, violations
+from tests import needs
 from tests.browser.conftest import OpenPage
 from tests.browser.served import Served
 from tests.browser.vr import enter, fresh, pose, see, settings, steer
@@ -53,7 +56,7 @@ def blue(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def test_the_page_shows_somebody_in_a_lit_place(
     open_page: OpenPage, demo: Any, axe: str, size: tuple[int, int], scheme: str
 ) -> None:
-    page = open_page(demo.page, xr=None, size=size, init=settings(size=512), color_scheme=scheme)
+    page = open_page(demo.page, xr=False, size=size, init=settings(size=512), color_scheme=scheme)
     page.until("window.glsplat?.stats().shown > 3")
     page.until("document.querySelectorAll('#people img').length === 2", 60)
     free = page.js("""() => ['top', 'dock'].map((id) => document.getElementById(id).getBoundingClientRect())
@@ -75,11 +78,8 @@ def test_the_page_shows_somebody_in_a_lit_place(
     assert violations(page.page, axe) == []
 
 
-@pytest.mark.parametrize(("place", "ground"), [("day", (80, 190)), ("night", (8, 90))])
-def test_vr_stands_in_each_place_before_its_mirror(
-    open_page: OpenPage, demo: Any, place: str, ground: tuple[int, int]
-) -> None:
-    page = open_page(demo.page, init=settings(view="mirror", size=512, driver="rest", place=place))
+def test_vr_stands_in_a_place_before_its_mirror(open_page: OpenPage, demo: Any) -> None:
+    page = open_page(demo.page, init=settings(view="mirror", size=512, driver="rest", place="day"))
     steer(page, head=pose([0, 1.65, 0], pitch=-14))
     enter(page, run=False)
     page.until("(() => { fakeXR.step(); return window.glsplat.stats().place.triangles; })()")  # it is there by then
@@ -87,7 +87,7 @@ def test_vr_stands_in_each_place_before_its_mirror(
     eyes = see(page)
     for side in ("left", "right"):
         image = eyes[side][..., :3]
-        assert ground[0] < image[-200:].mean() < ground[1]  # a floor that is lit as the place is
+        assert 80 < image[-200:].mean() < 190  # a floor that is lit as the place is
         shirt = blue(image)
         assert shirt.sum() > 1500, "nobody is in the mirror"
         y, x = (int(v.mean()) for v in np.nonzero(shirt))
@@ -99,9 +99,9 @@ def test_vr_stands_in_each_place_before_its_mirror(
 
 
 def test_the_status_page_shows_who_is_there(open_page: OpenPage, demo: Any, axe: str) -> None:
-    viewer = open_page(demo.page, xr=None, init=settings(size=512))
+    viewer = open_page(demo.page, xr=False, init=settings(size=512))
     viewer.until("window.glsplat?.stats().shown > 3")
-    page = open_page(f"{demo.origin}/", xr=None, size=(1280, 900))
+    page = open_page(f"{demo.origin}/", xr=False, size=(1280, 900))
     page.until("document.querySelectorAll('#pictures img').length > 0", 60)
     page.until("document.querySelectorAll('.curve polyline').length === 3", 60)
     page.until("document.querySelectorAll('#people figcaption').length > 0")  # their pictures are drawn first
@@ -109,3 +109,32 @@ def test_the_status_page_shows_who_is_there(open_page: OpenPage, demo: Any, axe:
     assert "a second" in page.page.text_content("#clients th:nth-child(4)")
     assert violations(page.page, axe) == []
     assert all(address.startswith((demo.origin, "blob:", "data:")) for address in page.requests)
+
+
+PACKAGE = "axe-core@4.10.3"
+
+
+def axe_script(cache: Path) -> str:
+    """Return the script, from ``cache`` or from npm. Skips where neither has it."""
+    stored = cache / f"{PACKAGE}.js"
+    if not stored.exists():
+        needs.require("npm")
+        # a folder of its own: another process of the same run may fetch it, too
+        with tempfile.TemporaryDirectory(dir=cache) as folder:
+            command = ["npm", "pack", "--silent", PACKAGE]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+            if done.returncode:
+                pytest.skip(f"npm cannot fetch {PACKAGE}: {(done.stderr or done.stdout).strip()[:200]}")
+            with tarfile.open(Path(folder) / done.stdout.split()[-1]) as files:
+                member = files.extractfile("package/axe.min.js")
+                assert member is not None
+                (Path(folder) / "script.js").write_bytes(member.read())
+            (Path(folder) / "script.js").replace(stored)
+    return stored.read_text(encoding="utf-8")
+
+
+def violations(page: Any, script: str) -> list[str]:
+    """Return what axe finds on a page of Playwright, by all rules of WCAG 2.1 A and AA and best practice."""
+    page.evaluate(script)
+    found = page.evaluate("async () => (await axe.run(document)).violations")
+    return [f"{one['id']}: {one['help']}: {[node['html'][:160] for node in one['nodes'][:4]]}" for one in found]

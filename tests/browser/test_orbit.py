@@ -20,8 +20,7 @@ Object.assign(window, { orbit, Orbit });
 
 @pytest.fixture(scope="module")
 def canvas(chromium):
-    with flat_page(chromium, ORBIT, viewport={"width": 800, "height": 600}) as page:
-        page.wait_for_function("window.orbit !== undefined")
+    with flat_page(chromium, ORBIT, "window.orbit", viewport={"width": 800, "height": 600}, has_touch=True) as page:
         yield page
 
 
@@ -138,36 +137,27 @@ def test_keys_do_what_the_help_says(camera):
     assert camera.evaluate(state) == pytest.approx(start)  # the browser's own keys stay its own
 
 
-def test_fingers_circle_pinch_and_pan(chromium):
-    with flat_page(chromium, ORBIT, viewport={"width": 800, "height": 600}, has_touch=True) as page:
-        page.wait_for_function("window.orbit !== undefined")
-        session = page.context.new_cdp_session(page)
+def test_fingers_circle_pinch_and_pan(camera):
+    session = camera.context.new_cdp_session(camera)
 
-        def touch(kind, *points):
-            places = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
-            session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+    def touch(kind, *points):
+        places = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+        camera.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
-        def settle():
-            page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-
-        touch("touchStart", (400, 300))
-        touch("touchMove", (460, 300))
-        settle()
-        assert page.evaluate("orbit.yaw") == pytest.approx(-math.pi / 10)
-        touch("touchEnd")
-        page.evaluate("orbit.reset()")
-        target = page.evaluate("orbit.target")
-        touch("touchStart", (350, 300), (450, 300))
-        touch("touchMove", (300, 300), (500, 300))  # twice as far apart, the middle stays
-        settle()
-        assert page.evaluate("orbit.distance") == pytest.approx(1.7)
-        assert page.evaluate("orbit.yaw") == 0
-        touch("touchMove", (330, 340), (530, 340))  # both by the same: a pan
-        settle()
-        touch("touchEnd")
-        where = seen(views(page)[0], target)[0]
-        assert where == pytest.approx([430, 340], abs=8)
-        assert page.evaluate("orbit.distance") == pytest.approx(1.7, rel=1e-3)
+    touch("touchStart", (400, 300))
+    touch("touchMove", (460, 300))
+    assert camera.evaluate("orbit.yaw") == pytest.approx(-math.pi / 10)
+    touch("touchEnd")
+    camera.evaluate("orbit.reset()")
+    target = camera.evaluate("orbit.target")
+    touch("touchStart", (350, 300), (450, 300))
+    touch("touchMove", (300, 300), (500, 300))  # twice as far apart, the middle stays
+    assert camera.evaluate("[orbit.distance, orbit.yaw]") == pytest.approx([1.7, 0])
+    touch("touchMove", (330, 340), (530, 340))  # both by the same: a pan
+    touch("touchEnd")
+    assert seen(views(camera)[0], target)[0] == pytest.approx([430, 340], abs=8)
+    assert camera.evaluate("orbit.distance") == pytest.approx(1.7, rel=1e-3)
 
 
 def test_the_camera_follows_gently(camera):

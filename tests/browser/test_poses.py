@@ -36,8 +36,7 @@ SHA = bytes(range(32, 64))
 
 @pytest.fixture(scope="module")
 def page(chromium: Any) -> Any:
-    with flat_page(chromium, MAIN) as page:
-        page.wait_for_function("window.People !== undefined")
+    with flat_page(chromium, MAIN, "window.People") as page:
         yield page
 
 

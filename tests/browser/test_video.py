@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.net.backend import AvatarInfo
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.codec.video import CODECS, VideoStream
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
+from tests.browser.markers import offered
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, steer, visit
 
 pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
 
-OFFERED = (AvatarInfo(name="stored", parts=frozenset({"head"})),)
 DECODE = """async ([address, data, video, side]) => {
   const { VideoFrames } = await import(address);
   const frames = new VideoFrames();
@@ -86,7 +85,7 @@ def matching(page: Any, eyes: int) -> bool:
 
 
 def test_what_is_shown_is_what_was_coded(open_page: OpenPage, serve: Any, coded: list[dict[str, Any]]) -> None:
-    served = serve(StoredPairs(), ServerConfig(port=0, video=True), offered=OFFERED)
+    served = serve(StoredPairs(), ServerConfig(port=0, video=True), offered=offered)
     page = visit(open_page, served)
     page.until("window.glsplat.stats().shown > 12")
     assert matching(page, 1)
@@ -109,7 +108,7 @@ def test_what_is_shown_is_what_was_coded(open_page: OpenPage, serve: Any, coded:
 
 
 def test_a_browser_whose_decoder_fails_gets_jpegs(open_page: OpenPage, serve: Any, coded: list[dict[str, Any]]) -> None:
-    served = serve(StoredPairs(), ServerConfig(port=0, video=True), offered=OFFERED)
+    served = serve(StoredPairs(), ServerConfig(port=0, video=True), offered=offered)
     broken = "VideoDecoder.prototype.decode = () => { throw new Error('no') };"
     page = open_page(f"{served.page}?decode=main", init=broken)
     page.until("window.glsplat?.stats().shown > 5", timeout=60)
@@ -118,7 +117,7 @@ def test_a_browser_whose_decoder_fails_gets_jpegs(open_page: OpenPage, serve: An
 
 def test_a_picture_that_comes_late_is_not_taken_for_the_next(open_page: OpenPage, serve: Any) -> None:
     """A decoder holds back the first picture until it is given the second."""
-    served = serve(StoredPairs(), ServerConfig(port=0), offered=OFFERED)
+    served = serve(StoredPairs(), ServerConfig(port=0), offered=offered)
     page = visit(open_page, served)
     sent = []
     for level in (40, 200):
@@ -132,9 +131,9 @@ def test_a_picture_that_comes_late_is_not_taken_for_the_next(open_page: OpenPage
 @pytest.mark.parametrize("codec", CODECS)
 def test_colours_and_alpha_are_those_of_the_picture(open_page: OpenPage, serve: Any, codec: str) -> None:
     """A chart of smooth colours, twice as far from each other as it can go, and a ramp of alpha."""
-    served = serve(StoredPairs(), ServerConfig(port=0), offered=OFFERED)
+    served = serve(StoredPairs(), ServerConfig(port=0), offered=offered)
     page = visit(open_page, served)
-    side = 128
+    side = 64
     ramp = np.linspace(0, 255, side)
     images = np.zeros((2, side, side, 4), np.uint8)
     for eye in (0, 1):

@@ -29,8 +29,11 @@ from tests.browser.vr import enter, settings, visit
 from tests.speech.sounds import vowels
 
 MAIN = """
+import { ARKIT } from '/vr/draw/crowd.js';
 import { Analysis } from '/vr/voice/analysis.js';
+import { Hurry } from '/vr/voice/hurry.js';
 import { Mouth } from '/vr/voice/mouth.js';
+import { OwnFace } from '/vr/voice/own-face.js';
 window.heard = (table, rate, samples, piece) => {
   const [analysis, mouth, out] = [new Analysis(table, rate), new Mouth(table), []];
   for (let i = 0; i < samples.length; i += piece) {
@@ -40,55 +43,61 @@ window.heard = (table, rate, samples, piece) => {
   }
   return out;
 };
-"""
-NAMES = {name for weights in table().visemes.values() for name in weights}
-
-
-@pytest.mark.parametrize(("rate", "piece"), [(16000, 128), (44100, 1000)])
-def test_the_page_hears_what_python_hears(chromium: Any, rate: int, piece: int) -> None:
-    rng = np.random.default_rng(rate)
-    sound = np.concatenate(
-        [vowels(1.2, rate), np.zeros(rate // 5), rng.normal(0, 0.1, rate // 5), vowels(0.4, rate, 90)]
-    )
-    sound[100:110] = 3e4  # what clips
-    analysis, mouth = Analysis(rate), Mouth()
-    wanted = [[t, level, *v, *mouth.add(v, level).values()] for t, v, level in analysis.add(sound)]
-    with flat_page(chromium, MAIN) as page:
-        page.wait_for_function("window.heard !== undefined")
-        call = "([table, rate, samples, piece]) => heard(table, rate, samples, piece)"
-        found = page.evaluate(call, [json.loads(table_json()), rate, sound.tolist(), piece])
-    assert np.shape(found) == np.shape(wanted)
-    assert np.abs(np.array(found) - np.array(wanted)).max() < 1e-9
-
-
-HURRY = """
-import { Hurry } from '/vr/voice/hurry.js';
 window.sides = (side, steps) => {
   const hurry = new Hurry();
   return steps.map(([speaks, render, now, seen]) => hurry.side(side, speaks, { render, encode: 10 }, now, seen));
 };
+window.faces = (steps) => {
+  const face = new OwnFace();
+  return steps.map(([now, answered, server]) => {
+    Object.assign(face, { now, answered });
+    const found = face.over(server && Float32Array.from(ARKIT, (name) => server[name] ?? 0));
+    return found && Object.fromEntries(ARKIT.map((name, i) => [name, found[i]]).filter(([, weight]) => weight));
+  });
+};
 """
+NAMES = {name for weights in table().visemes.values() for name in weights}
 
 
-def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_after(chromium: Any) -> None:
+@pytest.fixture(scope="module")
+def voice(chromium: Any) -> Iterator[Any]:
+    """A page with the modules of MAIN."""
+    with flat_page(chromium, MAIN, "window.faces") as page:
+        yield page
+
+
+@pytest.mark.parametrize(("rate", "piece"), [(16000, 128), (44100, 1000)])
+def test_the_page_hears_what_python_hears(voice: Any, rate: int, piece: int) -> None:
+    rng = np.random.default_rng(rate)
+    sound = np.concatenate(
+        [vowels(0.6, rate), np.zeros(rate // 10), rng.normal(0, 0.1, rate // 10), vowels(0.2, rate, 90)]
+    )
+    sound[100:110] = 3e4  # what clips
+    analysis, mouth = Analysis(rate), Mouth()
+    wanted = [[t, level, *v, *mouth.add(v, level).values()] for t, v, level in analysis.add(sound)]
+    call = "([table, rate, samples, piece]) => heard(table, rate, samples, piece)"
+    found = voice.evaluate(call, [json.loads(table_json()), rate, sound.tolist(), piece])
+    assert np.shape(found) == np.shape(wanted)
+    assert np.abs(np.array(found) - np.array(wanted)).max() < 1e-9
+
+
+def test_pictures_get_smaller_while_one_speaks_to_a_slow_server_and_whole_again_after(voice: Any) -> None:
     quick, slow = 40, 90  # of a picture, ms; 15 pictures a second leave 67
-    with flat_page(chromium, HURRY) as page:
-        page.wait_for_function("window.sides !== undefined")
 
-        def sides(side: int, *steps: tuple[bool, float, float] | tuple[bool, float, float, float]) -> list[int]:
-            found: list[int] = page.evaluate("([side, steps]) => sides(side, steps)", [side, [list(s) for s in steps]])
-            return found
+    def sides(side: int, *steps: tuple[bool, float, float] | tuple[bool, float, float, float]) -> list[int]:
+        found: list[int] = voice.evaluate("([side, steps]) => sides(side, steps)", [side, [list(s) for s in steps]])
+        return found
 
-        assert sides(512, (False, slow, 0), (False, slow, 9000)) == [512, 512]  # nobody speaks
-        assert sides(512, (True, quick, 0), (True, quick, 900)) == [512, 512]  # nobody waits
-        some = [(True, slow, t) for t in (0.0, 100.0, 500.0, 1000.0)] + [(True, quick, 1500.0)]
-        assert sides(512, *some) == [384, 384, 288, 288, 288]  # no smaller than 256
-        assert sides(512, *some, (False, quick, 6000), (False, quick, 7000))[-2:] == [288, 512]
-        # what is not seen goes first, at once, and comes back with who comes nearer
-        unseen: list[tuple[bool, float, float, float]] = [(True, quick, t, 280) for t in (0.0, 16.0, 32.0, 2000.0)]
-        assert sides(512, *unseen) == [280] * 4
-        assert sides(512, *unseen, (True, 20, 3000.0, 900), (True, 20, 3016.0, 20))[-2:] == [512, 256]
-        assert sides(512, *[(False, slow, t, seen) for _, _, t, seen in unseen]) == [512] * 4
+    assert sides(512, (False, slow, 0), (False, slow, 9000)) == [512, 512]  # nobody speaks
+    assert sides(512, (True, quick, 0), (True, quick, 900)) == [512, 512]  # nobody waits
+    some = [(True, slow, t) for t in (0.0, 100.0, 500.0, 1000.0)] + [(True, quick, 1500.0)]
+    assert sides(512, *some) == [384, 384, 288, 288, 288]  # no smaller than 256
+    assert sides(512, *some, (False, quick, 6000), (False, quick, 7000))[-2:] == [288, 512]
+    # what is not seen goes first, at once, and comes back with who comes nearer
+    unseen: list[tuple[bool, float, float, float]] = [(True, quick, t, 280) for t in (0.0, 16.0, 32.0, 2000.0)]
+    assert sides(512, *unseen) == [280] * 4
+    assert sides(512, *unseen, (True, 20, 3000.0, 900), (True, 20, 3016.0, 20))[-2:] == [512, 256]
+    assert sides(512, *[(False, slow, t, seen) for _, _, t, seen in unseen]) == [512] * 4
 
 
 @pytest.fixture(scope="module")
@@ -184,21 +193,7 @@ def test_where_the_page_draws_ones_own_mouth_waits_for_no_answer(listening: Any,
     assert page.stats()["drawn"]["by"] == "here" and not page.faults
 
 
-FACE = """
-import { OwnFace } from '/vr/voice/own-face.js';
-import { ARKIT } from '/vr/draw/crowd.js';
-window.faces = (steps) => {
-  const face = new OwnFace();
-  return steps.map(([now, answered, server]) => {
-    Object.assign(face, { now, answered });
-    const found = face.over(server && Float32Array.from(ARKIT, (name) => server[name] ?? 0));
-    return found && Object.fromEntries(ARKIT.map((name, i) => [name, found[i]]).filter(([, weight]) => weight));
-  });
-};
-"""
-
-
-def test_ones_own_face_is_what_is_said_now_over_what_the_server_adds(chromium: Any) -> None:
+def test_ones_own_face_is_what_is_said_now_over_what_the_server_adds(voice: Any) -> None:
     smiling = [0.0] * len(ARKIT)
     smiling[ARKIT.index("mouthSmileLeft")] = 0.5
     steps: list[tuple[Any, Any, Any, Any]] = [  # said now, said before, the server's answer to that, what is drawn
@@ -217,9 +212,7 @@ def test_ones_own_face_is_what_is_said_now_over_what_the_server_adds(chromium: A
         (smiling, {"jawOpen": 0.25}, {"jawOpen": 0.25}, {"mouthSmileLeft": 0.5}),
         ({}, {"jawOpen": 0.25}, {"jawOpen": 0.25}, None),
     ]
-    with flat_page(chromium, FACE) as page:
-        page.wait_for_function("window.faces !== undefined")
-        assert page.evaluate("(steps) => faces(steps)", [list(step[:3]) for step in steps]) == [s[3] for s in steps]
+    assert voice.evaluate("(steps) => faces(steps)", [list(step[:3]) for step in steps]) == [s[3] for s in steps]
 
 
 def test_who_speaks_moves_the_mouth_and_only_weights_leave(open_page: OpenPage, listening: Any, serve: Any) -> None:

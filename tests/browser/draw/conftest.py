@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import base64
 import json
-import mimetypes
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,13 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.shaders.web import page_programs
+from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests import needs
-from tests.browser.conftest import _FLAGS
-from tests.browser.draw.exported import camera_file, exported
-from tests.browser.opened import FAKE_XR, WATCH, Opened
+from tests.browser.conftest import _FLAGS, OpenPage
+from tests.browser.flat_page import WEB, answer_file
+from tests.browser.opened import Opened
 
-_WEB = Path(__file__).resolve().parents[3] / "glsplat" / "net" / "web"
-_HERE = Path(__file__).parent
 _ROOT = "http://localhost:1/vr/"
 _MESA = ["--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist"]
 
@@ -58,54 +58,50 @@ class Bench(Opened):
             found[kind] = floats(found[kind]).reshape(shape)
         return found
 
+    def answer(self, route: Any) -> None:
+        path = route.request.url.removeprefix(_ROOT).partition("?")[0]
+        folder, _, name = path.partition("/")
+        file = Path(__file__).parent / name if folder == "test" else WEB / path
+        if path == "modules":
+            route.fulfill(body="<!doctype html><title>modules</title>", content_type="text/html")
+        elif path == "draw/programs.json":
+            route.fulfill(body=_programs(), content_type="application/json")
+        elif folder == "data" and name in self.data:
+            route.fulfill(body=self.data[name], content_type="application/octet-stream")
+        elif file.is_file():
+            answer_file(route, file)
+        else:
+            route.fulfill(status=404, body="no such file")
+
+
+@cache
+def _programs() -> str:
+    return json.dumps(page_programs())
+
 
 def floats(text: str) -> NDArray[np.float32]:
     """Floats of page.js."""
     return np.frombuffer(base64.b64decode(text), np.float32)
 
 
-def _answer(bench: Bench, route: Any) -> None:
-    path = route.request.url.removeprefix(_ROOT).partition("?")[0]
-    folder, _, name = path.partition("/")
-    file = _HERE / name if folder == "test" else _WEB / path
-    if path == "modules":
-        route.fulfill(body="<!doctype html><title>modules</title>", content_type="text/html")
-    elif path == "draw/programs.json":
-        route.fulfill(body=json.dumps(page_programs()), content_type="application/json")
-    elif folder == "data" and name in bench.data:
-        route.fulfill(body=bench.data[name], content_type="application/octet-stream")
-    elif file.is_file():
-        kind = mimetypes.guess_type(file.name)[0] or "application/octet-stream"
-        route.fulfill(body=file.read_bytes(), content_type=kind)
-    else:
-        route.fulfill(status=404, body="no such file")
+@contextmanager
+def bench_on(browser: Any) -> Iterator[Bench]:
+    """A page in that browser. A complaint fails the test."""
+    context = browser.new_context()
+    bench = Bench(context.new_page())
+    bench.data = {}
+    bench.page.route("**/*", bench.answer)
+    bench.page.goto(f"{_ROOT}modules")
+    yield bench
+    context.close()
+    assert not bench.faults
 
 
-@pytest.fixture
-def bench_of() -> Iterator[Callable[[Any], Bench]]:
-    """``bench_of(browser)``: a fresh page there. What it complains about fails the test."""
-    opened: list[tuple[Any, Bench]] = []
-
-    def make(browser: Any) -> Bench:
-        context = browser.new_context()
-        bench = Bench(context.new_page())
-        bench.data = {}
-        bench.page.route("**/*", lambda route: _answer(bench, route))
-        bench.page.goto(f"{_ROOT}modules")
-        opened.append((context, bench))
-        return bench
-
-    yield make
-    for context, _ in opened:
-        context.close()
-    faults = [fault for _, bench in opened for fault in bench.unexpected()]
-    assert not faults, "the page complained:\n" + "\n".join(faults[:20])
-
-
-@pytest.fixture
-def bench(mesa: Any, bench_of: Callable[[Any], Bench]) -> Bench:
+@pytest.fixture(scope="module")
+def bench(mesa: Any) -> Iterator[Bench]:
     """A page on llvmpipe."""
-    return bench_of(mesa)
+    with bench_on(mesa) as bench:
+        yield bench
 
 
 def shot(page: Opened) -> NDArray[np.uint8]:
@@ -115,26 +111,72 @@ def shot(page: Opened) -> NDArray[np.uint8]:
 
 
 @pytest.fixture
-def visit(mesa: Any, serve: Any) -> Iterator[Callable[..., Opened]]:
-    """``visit(address, size, init, allow)``: a whole page on llvmpipe with a fake headset, closed before servers stop.
+def visit(mesa: Any, open_page: OpenPage) -> Callable[..., Opened]:
+    """``visit(address, size, init, allow)``: a whole page on llvmpipe with a fake headset."""
 
-    What it complains about fails the test, unless a pattern of ``allow`` fits.
-    """
-    opened: list[tuple[Any, Opened]] = []
+    def open_(address: str, size: tuple[int, int] = (480, 360), **options: Any) -> Opened:
+        return open_page(address, size=size, browser=mesa, **options)
 
-    def open_(
-        address: str, size: tuple[int, int] = (480, 360), init: str = "", allow: list[str] | None = None
-    ) -> Opened:
-        context = mesa.new_context(viewport={"width": size[0], "height": size[1]})
-        for text in (FAKE_XR, WATCH, init):
-            context.add_init_script(text)
-        page = Opened(context.new_page(), list(allow or []))
-        opened.append((context, page))
-        page.page.goto(address)
-        return page
+    return open_
 
-    yield open_
-    for context, _ in opened:
-        context.close()
-    faults = [fault for _, page in opened for fault in page.unexpected()]
-    assert not faults, "\n".join(faults[:20])
+
+def exported(content: Splats | Avatar) -> tuple[dict[str, Any], bytes]:
+    """(header, bytes): arrays by name with type and place in the bytes, and the skeleton."""
+    splats = content.splats if isinstance(content, Avatar) else content
+    arrays: dict[str, np.ndarray] = {
+        "means": splats.means,
+        "quats": splats.quats,
+        "scales": splats.scales,
+        "opacities": splats.opacities,
+        "sh": splats.sh.reshape(len(splats), -1),
+    }
+    header: dict[str, Any] = {
+        "count": len(splats),
+        "degree": splats.sh_degree,
+        "antialias": splats.antialias,
+        "skeleton": None,
+    }
+    if splats.surface is not None:
+        arrays["normals"], arrays["occlusion"] = splats.surface.normals, splats.surface.occlusion
+        arrays["shade"] = splats.surface.shades_or_one()
+    if isinstance(content, Avatar):
+        arrays["joints"], arrays["weights"] = content.skin.joints.astype(np.uint16), content.skin.weights
+        rig = content.skeleton
+        header["influences"] = content.skin.influences
+        header["skeleton"] = {
+            "names": list(rig.names),
+            "parents": rig.parents.tolist(),
+            "rest": rig.rest[:, :3].ravel().tolist(),
+            "inverseBind": rig.inverse_bind[:, :3].ravel().tolist(),
+        }
+        if content.shapes is not None:
+            shapes = content.shapes
+            arrays["starts"], arrays["texels"] = shapes.starts.astype(np.uint32), shapes.texels()
+            header["shapes"] = {"sizes": shapes.sizes.tolist(), "names": list(shapes.names)}
+    body, header["arrays"] = b"", {}
+    for name, array in arrays.items():
+        data = np.ascontiguousarray(
+            array if array.dtype in (np.uint16, np.uint32, np.int8, np.uint8) else array.astype(np.float32)
+        )
+        header["arrays"][name] = [str(data.dtype), len(body), data.size]
+        body += data.tobytes() + bytes(-data.nbytes % 4)
+    return header, body
+
+
+def posed(pose: Pose) -> dict[str, Any]:
+    """A pose for Drawing.pose: rotation vectors, root."""
+    stretched = None if pose.translations is None else pose.translations.ravel().tolist()
+    return {"vectors": pose.rotations.ravel().tolist(), "root": pose.trans.tolist(), "translations": stretched}
+
+
+def camera_file(camera: Camera) -> dict[str, Any]:
+    """The object of a camera file."""
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.K[0, 0],
+        "fy": camera.K[1, 1],
+        "cx": camera.K[0, 2],
+        "cy": camera.K[1, 2],
+        "w2c": camera.viewmat.tolist(),
+    }

@@ -15,11 +15,9 @@ from glsplat.formats.web.write import encode_avatar
 from glsplat.light import Light
 from glsplat.light.light import PRESETS
 from tests import scenes
-from tests.browser.draw.conftest import Bench
-from tests.browser.draw.exported import posed
-from tests.browser.draw.test_avatar import PICTURE, READ, array, eye_of, like
+from tests.browser.draw.conftest import Bench, posed
+from tests.browser.draw.test_avatar import PICTURE, eye_of, like
 from tests.browser.draw.test_parity import eyes, psnr, thing, truth, turning
-from tests.formats.web.test_web import someone, with_face
 from tests.light.lit import random_light, surfaced
 
 
@@ -68,20 +66,6 @@ def test_colours_by_direction_flat_and_mirrored_splats_and_what_has_no_surface(b
     poses = [thing(item=first), thing(second.pose)]
     found = bench.pictures(cameras, things=names, poses=poses, kinds=["32f"], light=said(light))
     assert psnr(found["32f"], expected) >= 85
-
-
-def test_a_file_brings_its_surface_along_after_all_else(bench: Bench) -> None:
-    for shaded in (True, False):
-        avatar = surfaced(with_face(someone(1100, seed=44)), seed=7, shaded=shaded)
-        bench.data["lit"] = data = encode_avatar(avatar)
-        found, expected = bench.js(READ, ["lit", 900]), decode_avatar(data).splats.surface
-        assert found["order"] == [0, 0, 0] and expected is not None
-        level = found["levels"]["0"]
-        assert np.array_equal(array(level, "normals", np.int8), expected.normals.ravel())
-        assert np.array_equal(array(level, "occlusion", np.uint8), expected.occlusion)
-        assert ("shade" in level) == shaded
-        if expected.shade is not None:
-            assert np.array_equal(array(level, "shade", np.uint8), expected.shade.ravel())
 
 
 def test_who_is_handed_out_is_lit(bench: Bench, person: Avatar) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,20 +13,16 @@ import glsplat
 from glsplat import Avatar, Camera, Item, Pose, RenderConfig, Renderer, Scene
 from glsplat.motion.loading import load_motion
 from glsplat.passes.frame.project import ProjectPass
-from glsplat.skinning.shapes import Shapes
 from glsplat.views import view_of
 from tests import scenes
-from tests.browser.draw.conftest import Bench
-from tests.browser.draw.exported import posed
+from tests.browser.draw.conftest import Bench, bench_on, posed
 
 SIZE = (256, 224)
 
 
 def psnr(picture: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
     error = float(((picture.astype(np.float64) - truth) ** 2).mean())
-    found = 200.0 if error == 0 else float(-10 * np.log10(error))
-    print(f"{found:.1f} dB")
-    return found
+    return 200.0 if error == 0 else float(-10 * np.log10(error))
 
 
 def truth(scene: Any, cameras: list[Camera], target: str = "32f") -> NDArray[np.float32]:
@@ -66,7 +61,7 @@ def test_an_embedded_person(bench: Bench, person: Avatar) -> None:
     pose, name = turning(person, 1.37), bench.offer("person", person)
     question = {"things": [name], "poses": [thing(pose)], "kinds": ["32f"]}
     scene = Scene([Item(person, pose=pose)])
-    near = eyes((-0.35, 1.52, 0.8), (0.05, 1.2, 0))
+    near = eyes((-0.35, 1.52, 0.8), (0.05, 1.2, 0))[1:]
     assert psnr(bench.pictures(near, **question)["32f"], truth(scene, near)) >= 100
     cameras = eyes((0.9, 1.1, 2.7), (0.05, 0.95, 0))
     expected = truth(scene, cameras)
@@ -75,8 +70,6 @@ def test_an_embedded_person(bench: Bench, person: Avatar) -> None:
     assert psnr(found["32f"], expected) >= 100
     assert psnr(found["16f"], expected) >= 60
     assert psnr(found["8"], expected) >= 50
-    single = bench.pictures(cameras[1:], **question)
-    assert psnr(single["32f"], truth(scene, cameras[1:])) >= 100
     triangles = bench.pictures(cameras, triangle=True, **question)
     assert psnr(triangles["32f"], expected) >= 95
     upward = bench.pictures(cameras, upward=True, **question)
@@ -93,6 +86,7 @@ def test_by_the_same_keys_the_same_bits(bench: Bench, person: Avatar, monkeypatc
         plain(self, order)
 
     monkeypatch.setattr(ProjectPass, "write_order", spied)
+    person = person.levels[0].content
     sh = np.concatenate([person.splats.sh, np.random.default_rng(3).normal(0, 0.1, (len(person.splats), 15, 3))], 1)
     person = replace(person, splats=replace(person.splats, sh=sh.astype(np.float32)), levels=())
     pose, cameras = turning(person, 2.93), eyes((-0.8, 1.6, 1.9), (0, 1.1, 0))
@@ -118,7 +112,7 @@ def test_directional_colours_of_degree_3(bench: Bench) -> None:
     assert psnr(found["16f"], expected) >= psnr(truth(Scene([first, second]), cameras, target="16f"), expected) - 0.5
 
 
-@pytest.mark.parametrize("influences", [1, 2, 8])
+@pytest.mark.parametrize("influences", [1, 8])
 def test_influences_and_colours_that_turn_with_bones(bench: Bench, influences: int) -> None:
     rod = scenes.limb(2500, joints=9, influences=influences, degree=2, seed=5)
     rng = np.random.default_rng(influences)
@@ -131,6 +125,7 @@ def test_influences_and_colours_that_turn_with_bones(bench: Bench, influences: i
 
 def test_two_people_who_embrace(bench: Bench, person: Avatar) -> None:
     """One mirrored into the arms of the other: they interleave splat by splat."""
+    person = person.levels[0].content
     body = np.zeros((21, 3))
     body[15], body[16] = (0.2, -1.1, 0.3), (0.1, 1.0, -0.2)  # shoulders ahead
     body[17], body[18] = (0, -0.9, 0.2), (0, 0.8, 0)
@@ -150,44 +145,17 @@ def test_two_people_who_embrace(bench: Bench, person: Avatar) -> None:
     assert psnr(after, expected) < 45
 
 
-def test_an_expression(bench: Bench) -> None:
-    rng = np.random.default_rng(4)
-    rod = scenes.limb(900, joints=3, influences=4, seed=8)
-    count = len(rod.splats)
-    of = rng.integers(0, 3, count)
-    shapes = Shapes.create(
-        ["jawOpen", "cheekPuff", "own"],
-        count,
-        splats=np.arange(count),
-        targets=of,
-        moves=rng.normal(0, 0.05, (count, 3)),
-        bends=rng.normal(0, 0.4, (count, 2, 3)),
-    )
-    face = replace(rod, shapes=shapes)
-    pose = Pose(rng.normal(0, 0.3, (3, 3)), (-0.7, 1, 0), expression={"jawOpen": 0.8, "own": 0.3})
-    cameras = eyes((0, 1.2, 2.2), (0, 1, 0))
-    expected = truth(Scene([Item(face, pose=pose)]), cameras)
-    weights = face.weights(pose)
-    assert weights is not None
-    name = bench.offer("face", face)
-    moved = thing(pose, amounts=shapes.amounts(weights).ravel().tolist())
-    found = bench.pictures(cameras, things=[name], poses=[moved], kinds=["32f"])
-    assert psnr(found["32f"], expected) >= 100
-    still = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f"])
-    assert psnr(still["32f"], expected) < 50
-
-
-def test_another_driver(chromium: Any, bench_of: Callable[[Any], Bench], person: Avatar) -> None:
+def test_another_driver(chromium: Any, person: Avatar) -> None:
     """SwiftShader: one triangle a splat, as software gets it; of degree 3 where textures are 8192 wide at most."""
-    bench = bench_of(chromium)
-    pose, cameras = turning(person, 0.61), eyes((0.4, 1.2, 2.5), (0, 1, 0))
-    expected = truth(Scene([Item(person, pose=pose)]), cameras)
-    name = bench.offer("person", person)
-    found = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f", "16f"])
-    assert psnr(found["32f"], expected) >= 65 and psnr(found["16f"], expected) >= 60
-    cloud, cameras = scenes.cloud(1200, degree=3, seed=21, spread=0.4), eyes((0.3, 0.2, 2.4), (0, 0, 0))
-    found = bench.pictures(cameras, things=[bench.offer("cloud", cloud)], poses=[thing()], kinds=["32f"])
-    assert psnr(found["32f"], truth(cloud, cameras)) >= 60
+    with bench_on(chromium) as bench:
+        pose, cameras = turning(person, 0.61), eyes((0.4, 1.2, 2.5), (0, 1, 0))
+        expected = truth(Scene([Item(person, pose=pose)]), cameras)
+        name = bench.offer("person", person)
+        found = bench.pictures(cameras, things=[name], poses=[thing(pose)], kinds=["32f"])
+        assert psnr(found["32f"], expected) >= 65
+        cloud, cameras = scenes.cloud(1200, degree=3, seed=21, spread=0.4), eyes((0.3, 0.2, 2.4), (0, 0, 0))
+        found = bench.pictures(cameras, things=[bench.offer("cloud", cloud)], poses=[thing()], kinds=["32f"])
+        assert psnr(found["32f"], truth(cloud, cameras)) >= 60
 
 
 def test_a_headset_of_four_views_is_drawn_in_pairs(bench: Bench) -> None:

@@ -6,7 +6,6 @@ import functools
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +19,13 @@ from glsplat import Camera, Item, Pose, Scene, similarity
 from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import chosen
 from glsplat.formats.web.read import decode_avatar
-from glsplat.motion.loading import load_motion
 from tests.browser.draw.conftest import shot
 from tests.browser.draw.test_parity import psnr, truth
 from tests.browser.opened import Opened
+from tests.browser.served import Quiet, hosted
 from tests.browser.vr import pose, see, steer
 
 STATS = "window.glsplat?.stats()"
-
-
-class _Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, *_: Any) -> None:
-        pass
 
 
 def _answer(route: Any, answer: dict[str, Any]) -> None:
@@ -48,13 +42,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def host(folder: Path) -> Iterator[str]:
     """Any file host: here Python's."""
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Quiet, directory=str(folder)))
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    yield f"http://localhost:{server.server_port}/"
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with hosted(folder) as address:
+        yield address
 
 
 def started(page: Opened) -> Opened:
@@ -84,41 +73,18 @@ def test_it_shows_the_avatar_and_asks_nobody_else(visit: Callable[..., Opened], 
     assert np.abs(shot(page).astype(int) - canvas).mean() > 0.5  # seen from another side
 
 
-def test_a_lost_context_comes_back(visit: Callable[..., Opened], host: str) -> None:
-    page = started(visit(f"{host}?place=plain"))
-    page.page.locator("#motions button").nth(0).click()
-    page.wait(1.0)
-    before = shot(page).astype(float)
-    page.js("""() => {
-      const gl = document.getElementById('canvas').getContext('webgl2');
-      window.lose = gl.getExtension('WEBGL_lose_context');
-      window.lose.loseContext();
-    }""")
-    page.until(f"{STATS}.lost === 1 && !{STATS}.ready")
-    shown = page.stats()["shown"]
-    page.wait(0.3)
-    page.js("window.lose.restoreContext()")
-    page.until(f"{STATS}.ready && {STATS}.shown > {shown + 1}")
-    page.wait(0.5)
-    assert np.abs(shot(page) - before).mean() < 0.2 and page.stats()["why"] == ""
-
-
 def test_layers_are_chosen_for_what_is_drawn(visit: Callable[..., Opened], folder: Path) -> None:
     """Not for the coarsest level alone, which comes first, and again for a headset's display."""
     rest = threading.Event()
 
-    class Slow(_Quiet):
+    class Slow(Quiet):
         def copyfile(self, source: Any, outputfile: Any) -> None:
             if self.path.endswith("avatar.splats"):
                 outputfile.write(source.read(90_000))
                 rest.wait(30)
             super().copyfile(source, outputfile)
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Slow, directory=str(folder)))
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        address = f"http://localhost:{server.server_port}/"
+    with hosted(folder, Slow) as address:
         watch = f"""window.measured = [];
           import('{address}draw/own.js').then(({{ Own }}) => {{
             const measure = Own.prototype.measure;
@@ -141,24 +107,6 @@ def test_layers_are_chosen_for_what_is_drawn(visit: Callable[..., Opened], folde
         see(page)
         see(page)
         assert page.js("window.measured") == [1, 4, 4]
-    finally:
-        rest.set()
-        server.shutdown()
-        thread.join()
-        server.server_close()
-
-
-def test_controls_hide_nothing_of_the_picture(visit: Callable[..., Opened], host: str) -> None:
-    page = started(visit(host, (320, 640)))
-    for width, height in ((320, 640), (1280, 800)):
-        page.page.set_viewport_size({"width": width, "height": height})
-        page.wait(0.3)
-        boxes = [page.page.locator(name).bounding_box() for name in ("#canvas", "footer", "#enter-vr", "#credit")]
-        canvas, footer, *parts = boxes
-        assert canvas["y"] == 0 and canvas["width"] == width and canvas["height"] > 0.6 * height
-        assert canvas["y"] + canvas["height"] <= footer["y"] and footer["y"] + footer["height"] <= height
-        for part in parts:
-            assert part["y"] + part["height"] <= height and part["x"] + part["width"] <= width
 
 
 def shift(picture: NDArray[Any], expected: NDArray[Any]) -> NDArray[np.float64]:
@@ -186,9 +134,8 @@ def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
     steer(page, head=pose([0, 1.5, 0]))
     see(page)
     stands, densities = similarity((0, 0, -1.6), (0, 0, 0, 1)), [level.density for level in avatar.levels]
-    worst = 0.0
-    for frame in range(9):
-        steer(page, head=pose([0.02 * frame, 1.5, 0], yaw=1.25 * (frame - 4), pitch=-8))
+    for frame in range(5):
+        steer(page, head=pose([0.02 * frame, 1.5, 0], yaw=1.25 * (frame - 2), pitch=-8))
         seen = see(page)
         side = seen["left"].shape[0]
         cameras = []
@@ -199,19 +146,17 @@ def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
             )
             cameras.append(Camera(np.diag([1.0, -1, -1, 1]) @ np.linalg.inv(matrix), K, side, side))
         if frame % 4:
-            continue  # every frame is drawn; three are held against the truth
+            continue  # every frame is drawn; two are held against the truth
         density = max(Proxy.of(avatar).density(camera, stands) for camera in cameras)
         level = chosen(densities, density)
         content = avatar if level == 0 else avatar.levels[level - 1].content
         expected = truth(Scene([Item(replace(content, levels=()), pose=Pose.zero(), transform=stands)]), cameras)
         for eye, name in enumerate(("left", "right")):
             picture = seen[name].astype(np.float32) / 255
-            off = shift(picture, expected[eye])
-            worst = max(worst, float(np.degrees(np.hypot(*(off / (cameras[eye].K[0, 0], cameras[eye].K[1, 1]))))))
+            off = shift(picture, expected[eye]) / (cameras[eye].K[0, 0], cameras[eye].K[1, 1])
+            assert np.degrees(np.hypot(*off)) <= 0.02
             inside = expected[eye][..., 3] > 0.99
             assert psnr(picture[inside][:, :3], expected[eye][inside][:, :3]) > 45
-    print(f"{worst:.5f} degrees")
-    assert worst <= 0.02
 
 
 DAMAGE = [
@@ -234,18 +179,3 @@ def test_what_is_missing_or_damaged_is_a_sentence(visit: Callable[..., Opened], 
         page.page.goto(host)
         page.until("document.querySelector('#status').dataset.level === 'error'")
         assert words in page.page.inner_text("#status")
-
-
-def test_the_motion_that_plays_is_the_motion(folder: Path) -> None:
-    """What the page plays is the rig's own motion, to the digits that it keeps."""
-    import json
-
-    avatar = decode_avatar((folder / "avatar.splats").read_bytes())
-    about = json.loads((folder / "page.json").read_text())
-    assert [motion["label"] for motion in about["motions"]] == ["Idle", "Walk", "Wave and turn"]
-    baked = json.loads((folder / about["motions"][1]["file"]).read_text())
-    walk = load_motion("walk", avatar.skeleton)
-    assert baked["fps"] == walk.fps and len(baked["frames"]) == len(walk)
-    frame = baked["frames"][9]
-    assert np.allclose(frame["joints_pose"], walk.pose(9).rotations, atol=1e-5)
-    assert np.allclose(frame["trans"], walk.pose(9).trans, atol=1e-5)

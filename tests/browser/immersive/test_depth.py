@@ -9,12 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.data import default_avatar
-from glsplat.evaluate.metrics.pixels import psnr
-from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
-from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.codec.depth import SIDE, grid_of
-from glsplat.skinning.pose import Pose
 from tests.browser.conftest import OpenPage
 from tests.browser.immersive.test_places import LEFT, RIGHT, SIDES, Held
 from tests.browser.markers import offered
@@ -82,50 +78,3 @@ def test_without_it_they_do_not(open_page: OpenPage, serve: Any) -> None:
     enter(page, run=False)
     fresh(page)
     assert backend.requests and not any(job.options.depth for job in backend.requests.values())
-
-
-class Posed:
-    """Whatever the user does, the arms are raised before the body."""
-
-    def solve(self, request: object, now: float) -> Solved:
-        turns = np.zeros((55, 3))
-        turns[16], turns[17] = (0, -1.2, 0), (0, 1.1, 0)  # the shoulders
-        return Solved(Pose(turns), request.cameras)  # type: ignore[attr-defined]
-
-
-class Drawn(RendererBackend):
-    """The default avatar, up to a picture as Held; without depth unless it ``knows`` it."""
-
-    begun, last, knows = 0, 1 << 53, True
-
-    def render(self, request: RenderJob) -> Rendered:
-        Held.hold(self, request)
-        rendered = super().render(request)
-        return rendered if self.knows else replace(rendered, depth=())
-
-
-@pytest.mark.gl
-def test_a_late_picture_looks_more_like_a_new_one(open_page: OpenPage, serve: Any) -> None:
-    """Screenshots of one's own arms and feet after 8 cm aside: late, with depth and without, against drawn anew."""
-    backend = Drawn(default_avatar().levels[0].content, (384, 384))
-    posed = AvatarInfo(name="posed", solver=lambda height, span: Posed(), parts=frozenset({"head"}))
-    page = visit(
-        open_page, serve(backend, offered=(posed,)), {"view": "own", "size": 384, "quality": 90, "place": "studio"}
-    )
-    start, moved = (pose([x, 1.7, 0.1], yaw=180, pitch=-50) for x in (0, 0.08))
-    steer(page, head=start, input="hands", hands=hands(LEFT, RIGHT), side=384)
-    enter(page, run=False)
-    found = []
-    for knows in (True, False):
-        backend.knows = knows
-        steer(page, head=start)
-        fresh(page, 120)
-        backend.last = backend.begun
-        steer(page, head=moved)
-        late = see(page)
-        backend.last = 1 << 53
-        fresh(page, 120)
-        truth = see(page)
-        found.append(np.mean([psnr(late[side][..., :3] / 255, truth[side][..., :3] / 255) for side in SIDES]))
-    print(f"with depth {found[0]:.1f} dB, without {found[1]:.1f} dB")
-    assert found[0] >= found[1] + 1.5, found

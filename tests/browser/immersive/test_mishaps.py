@@ -7,23 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
-from tests.browser.markers import as_tracked, samples
+from tests.browser.markers import offered, samples
 from tests.browser.opened import Opened
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import enter, hands, pose, steer, visit
 
-OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 SMALL = 256  # pixels of an eye: what is tested here is not in the pixels
 LOST = ["WebSocket connection to", "net::ERR_CONNECTION", "Failed to load resource"]  # what Chromium itself says of it
 
 
 @pytest.fixture
 def stored(serve: Any) -> Any:
-    return serve(StoredPairs(), offered=OFFERED)
+    return serve(StoredPairs(), offered=offered)
 
 
 def inside(open_page: OpenPage, served: Any, mode: str = "vr", **options: Any) -> Opened:
@@ -99,7 +97,7 @@ def test_every_picture_is_the_one_that_was_asked_for_and_mishaps_are_no_end(open
 
 def test_what_is_sent_is_what_the_device_says(open_page: OpenPage, serve: Any) -> None:
     backend = StoredPairs()
-    page = inside(open_page, serve(backend, offered=OFFERED), values={"view": "own"})
+    page = inside(open_page, serve(backend, offered=offered), values={"view": "own"})
     page.js("() => { fakeXR.motion = null; fakeXR.stop(); }")
     head = pose([0.12, 1.58, -0.07], yaw=15, pitch=-20)
     left, right = pose([-0.25, 1.2, -0.4], yaw=5), pose([0.2, 1.3, -0.35], pitch=30)
@@ -141,7 +139,7 @@ def test_a_server_that_comes_back_is_found_again(open_page: OpenPage, stored: An
 
 
 def test_a_full_server_is_said_and_waited_for(open_page: OpenPage, serve: Any) -> None:
-    served = serve(StoredPairs(), ServerConfig(port=0, max_clients=1), offered=OFFERED)
+    served = serve(StoredPairs(), ServerConfig(port=0, max_clients=1), offered=offered)
     first = visit(open_page, served)
     first.until("window.glsplat.stats().shown > 0")
     second = visit(open_page, served, allow=LOST)
@@ -154,7 +152,7 @@ def test_a_full_server_is_said_and_waited_for(open_page: OpenPage, serve: Any) -
 
 
 def test_a_token_is_asked_for_until_it_is_right(open_page: OpenPage, serve: Any) -> None:
-    served = serve(StoredPairs(), ServerConfig(port=0, access=Access(token="s3cret")), offered=OFFERED)
+    served = serve(StoredPairs(), ServerConfig(port=0, access=Access(token="s3cret")), offered=offered)
     page = visit(open_page, served, allow=LOST)
     page.until("!document.querySelector('#token-form').hidden")
     page.page.fill("#token", "wrong")
@@ -190,36 +188,3 @@ def test_a_button_and_two_pinches_change_the_view(open_page: OpenPage, stored: A
     assert page.stats()["view"] == "own", "a held button counts once"
     steer(page, buttons={"left": {}, "right": {}})
     pictures(page)
-
-
-MOVE_IWER = """() => {
-  let n = 0;
-  setInterval(() => {
-    n += 1;
-    headset.position.set(0.05 * Math.sin(n / 20), 1.6, 0);
-    headset.quaternion.set(0, Math.sin(0.1 * Math.sin(n / 30)), 0, Math.cos(0.1 * Math.sin(n / 30)));
-    headset.hands.right.position.set(0.25, 1.2 + 0.1 * Math.sin(n / 15), -0.4);
-    headset.hands.left.position.set(-0.25, 1.2, -0.4);
-  }, 16);
-}"""
-
-
-def test_another_emulated_headset_is_served_as_well(open_page: OpenPage, serve: Any) -> None:
-    backend = StoredPairs()
-    served = serve(backend, offered=OFFERED)
-    page = visit(open_page, served, xr="iwer", allow=["iwer", "IWER"])
-    page.js(MOVE_IWER)
-    enter(page, run=False)
-    for view in ("mirror", "facing", "own"):
-        page.page.select_option("#view", view)
-        page.until(f"window.glsplat.stats().view === '{view}'")
-        pictures(page, 5)
-        # the newest picture in the textures is the one that the page says it shows
-        told, held = page.js("""() => {
-          const stamps = watch.uploads.filter(({id}) => id !== null);
-          return [window.glsplat.stats().shownId, [0, 1].map((eye) => stamps.findLast((u) => u.eye === eye).id)];
-        }""")
-        assert held == [told, told]
-    sent = [samples[job.frame_id] for job in backend.requests if job.frame_id in samples]
-    assert len(np.ravel(sent[-1].right_joints)) in (75, 175)
-    assert np.ptp([sample.right[1] for sample in sent if sample.right is not None]) > 0.01

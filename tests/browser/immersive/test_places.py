@@ -13,9 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.backends.server import make_server
 from glsplat.tracking.sample import Sample
 from tests.browser.conftest import OpenPage
-from tests.browser.markers import Markers, offered, samples
+from tests.browser.markers import Markers, marked_avatar, offered, samples
 from tests.browser.opened import Opened
 from tests.browser.vr import angle, centroid, enter, fresh, hands, pose, project, see, steer, visit
 
@@ -66,9 +67,8 @@ def shown(open_page: OpenPage, serve: Any, view: str, **device: Any) -> Opened:
     return page
 
 
-@pytest.mark.parametrize("cant", [0, 8])
-def test_the_mirror_shows_the_hands_where_a_mirror_would(open_page: OpenPage, serve: Any, cant: float) -> None:
-    page = shown(open_page, serve, "mirror", cant=cant)
+def test_the_mirror_shows_the_hands_where_a_mirror_would(open_page: OpenPage, serve: Any) -> None:
+    page = shown(open_page, serve, "mirror", cant=8)
     # the mirror stays where it was put up when the user moves before it
     for head in (HEAD, pose([-0.1, 1.55, 0.35], yaw=-4, pitch=-8)):
         steer(page, head=head)
@@ -97,20 +97,6 @@ def test_who_faces_one_has_the_right_hand_on_the_left(open_page: OpenPage, serve
         depth = -(np.linalg.inv(seen["eyes"]["left"][0]) @ [*faced(wrist, HEAD), 1])[2]
         assert 0.063 / disparity == pytest.approx(depth, rel=0.15)
         assert depth == pytest.approx(FACING, abs=0.6)  # the hands are nearer than the trunk
-
-
-def test_ones_own_hands_are_where_they_are(open_page: OpenPage, serve: Any) -> None:
-    page = shown(open_page, serve, "own")
-    # fingers to the right: the panel hangs over the forearm, and is not to hide the hand
-    left, right = pose([-0.2, 1.4, -0.35], yaw=-90), pose([0.25, 1.3, -0.35], yaw=20)
-    steer(page, head=pose([0.1, 1.65, 0.2], yaw=10, pitch=-25), hands=hands(left, right))
-    fresh(page)
-    seen = see(page)
-    for side in SIDES:
-        for colour, wrist in (("red", right), ("green", left)):
-            eye = seen["eyes"][side]
-            off = np.radians(angle(eye, centroid(seen[side], colour), project(eye, wrist[:3])))
-            assert off * np.linalg.norm(eye[0][:3, 3] - wrist[:3]) <= 0.01, (side, colour)
 
 
 LATE = 10  # degrees by which the head turns, one a frame, while a picture is drawn
@@ -145,7 +131,7 @@ def test_a_late_picture_stands_still_while_the_head_turns(open_page: OpenPage, s
     target = faced(place, start)
     backend.last = backend.begun
     locked, unlocked = [], []
-    for frame in range(1, 8 * LATE + 1):
+    for frame in range(1, 4 * LATE + 1):
         yaw = 30 - abs(60 - (30 + frame) % 120)  # to and fro between -30 and 30
         steer(page, head=pose([0, 1.6, 0], yaw=yaw))
         page.js("fakeXR.step()")
@@ -166,6 +152,29 @@ def test_a_late_picture_stands_still_while_the_head_turns(open_page: OpenPage, s
             stuck = (np.array([P[0, 0] * x / z - P[0, 2], P[1, 1] * y / z + P[1, 2]]) + 1) * pixels / 2
             unlocked.append(angle(eye, stuck, expected, pixels))
     backend.last = 1 << 53
-    print(f"off by {np.median(locked):.3f} degrees, at most {max(locked):.3f}; without: {np.median(unlocked):.1f}")
     assert max(locked) <= 0.3
     assert np.median(unlocked) >= 8
+
+
+HEIGHT = 1.9  # metres: not the avatar's
+
+
+@pytest.mark.gl
+def test_ones_own_hands_are_seen_where_they_are(open_page: OpenPage, serve: Any) -> None:
+    served = serve(make=lambda config: make_server(marked_avatar(), config, own_process=False))
+    page = visit(open_page, served, {"view": "own", "size": 1024, "quality": 90, "height": HEIGHT})
+    wrists = {"left": pose([-0.22, 1.43, -0.36], pitch=20), "right": pose([0.24, 1.36, -0.33], yaw=10)}
+    head = pose([0, 0.936 * HEIGHT, 0], pitch=-30)
+    steer(page, head=head, input="hands", hands=hands(wrists["left"], wrists["right"]))
+    enter(page, run=False)
+    for _ in range(5):  # the solver filters over time
+        fresh(page)
+    seen = see(page)
+    for side in ("left", "right"):
+        eye = seen["eyes"][side]
+        for colour, hand in (("red", "right"), ("green", "left")):
+            place = np.array(wrists[hand][:3])
+            off = np.radians(angle(eye, centroid(seen[side], colour), project(eye, place)))
+            assert off * np.linalg.norm(eye[0][:3, 3] - place) <= 0.01, (side, hand)
+        blue = seen[side][..., 2].astype(int) - seen[side][..., :2].max(2)
+        assert blue.max() < 150, "the own head is in the way"

@@ -86,10 +86,10 @@ class XRFrame {
   get body() {
     const { session } = this;
     if (!this.#open || !session.enabledFeatures.includes('body-tracking') || !device.body) return null;
-    return new XRBody(new Map(Object.keys(device.body).map((name) => {
-      const space = new XRBodySpace(session, () => matrixOf(device.body?.[name]));
+    return new Map(Object.keys(device.body).map((name) => {
+      const space = new XRSpace(session, () => matrixOf(device.body?.[name]));
       return [name, readonly(space, { jointName: name })];
-    })));
+    }));
   }
 
   getViewerPose(base) {
@@ -99,16 +99,18 @@ class XRFrame {
     if (!device.head || !to) return null;
     const { depthNear, depthFar } = this.session.renderState;
     const back = inverted(to);
-    const views = SIDES.map((side) =>
-      new XRView(this, side, projection(side, depthNear, depthFar), transformOf(product(back, eyeMatrix(side)))));
-    return new XRViewerPose(transformOf(product(back, matrixOf(device.head))), views);
+    const views = SIDES.map((eye) => readonly({ [INNER]: { frame: this } }, {
+      eye, projectionMatrix: projection(eye, depthNear, depthFar), recommendedViewportScale: null,
+      transform: transformOf(product(back, eyeMatrix(eye))), isFirstPersonObserver: false,
+    }));
+    return poseAt(product(back, matrixOf(device.head)), { views: Object.freeze(views) });
   }
 
   getLightEstimate(probe) {
     this.#check(probe.probeSpace);
     if (!device.light) return null;
     const point = ([x, y, z]) => new DOMPointReadOnly(x, y, z, 0);
-    return readonly(new XRLightEstimate(), {
+    return readonly({}, {
       sphericalHarmonicsCoefficients: new Float32Array(device.light.sh),
       primaryLightDirection: point(device.light.direction), primaryLightIntensity: point(device.light.intensity),
     });
@@ -117,13 +119,13 @@ class XRFrame {
   getPose(space, base) {
     this.#check(space, base);
     const found = this.#relate(space, base);
-    return found && new XRPose(transformOf(found));
+    return found && poseAt(found);
   }
 
   getJointPose(joint, base) {
     this.#check(joint, base);
     const found = this.#relate(joint, base);
-    return found && new XRJointPose(transformOf(found), joint[INNER].radius());
+    return found && poseAt(found, { radius: joint[INNER].radius() });
   }
 
   fillPoses(spaces, base, transforms) {
@@ -139,8 +141,6 @@ class XRFrame {
     return all;
   }
 }
-
-class XRLightEstimate {}
 
 class XRLightProbe extends EventTarget {
   onreflectionchange = null;
@@ -178,6 +178,6 @@ class XRWebGLLayer extends EventTarget {
       fail('InvalidStateError', 'a view of another session, or of a frame that is over');
     }
     const { side } = this[INNER];
-    return new XRViewport(view.eye === 'left' ? 0 : side, 0, side, side);
+    return readonly({}, { x: view.eye === 'left' ? 0 : side, y: 0, width: side, height: side });
   }
 }

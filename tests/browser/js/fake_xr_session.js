@@ -20,7 +20,7 @@ class XRSession extends EventTarget {
     const start = device.head ?? [0, 1.6, 0];
     this[INNER] = {
       mode, ended: false, visibility: 'visible', state: new XRRenderState({}), pending: null, callbacks: [],
-      handle: 0, running: new Set(), sources: new Map(), list: new XRInputSourceArray([]), start: start.slice(0, 3),
+      handle: 0, running: new Set(), sources: new Map(), list: Object.freeze([]), start: start.slice(0, 3),
     };
   }
 
@@ -71,7 +71,7 @@ class XRSession extends EventTarget {
     if (current === this) current = null;
     paused.splice(0).forEach(pageFrame);
     await null; // the page goes on before it hears of it
-    this.dispatchEvent(new XRSessionEvent('end', { session: this }));
+    this.dispatchEvent(happened('end', { session: this }));
   }
 }
 
@@ -102,15 +102,15 @@ function checkMode(mode) {
   if (!['inline', 'immersive-vr', 'immersive-ar'].includes(mode)) throw new TypeError(`no mode is called ${mode}`);
 }
 
-function spaceOf(session, origin, Kind = XRSpace) {
-  const space = new Kind(session, origin);
+function spaceOf(session, origin) {
+  const space = new XRSpace(session, origin);
   space[INNER].input = true;
   return space;
 }
 
 function jointSpaces(session, side) {
   return new Map(JOINTS.map((jointName, index) => {
-    const space = spaceOf(session, () => matrixOf(device.hands[side]?.joints[index]), XRJointSpace);
+    const space = spaceOf(session, () => matrixOf(device.hands[side]?.joints[index]));
     space[INNER].radius = () => device.hands[side].joints[index][7] ?? 0.01;
     return [jointName, readonly(space, { jointName })];
   }));
@@ -136,14 +136,14 @@ function makeSource(session, handedness) {
     const allowed = session.enabledFeatures.includes('hand-tracking');
     const joints = jointSpaces(session, handedness);
     const wrist = () => joints.get('wrist')[INNER].origin();
-    return new XRInputSource({
+    return readonly({}, {
       ...held, profiles: Object.freeze(['generic-hand-select', 'generic-trigger']), gamepad: null,
-      hand: allowed ? new XRHand(joints) : null, gripSpace: spaceOf(session, wrist),
+      hand: allowed ? joints : null, gripSpace: spaceOf(session, wrist),
       targetRaySpace: spaceOf(session, () => matrixOf(device.hands[handedness]?.ray) ?? wrist()),
     });
   }
   const pose = (name) => matrixOf(device.controllers[handedness]?.[name] ?? device.controllers[handedness]?.grip ?? null);
-  return new XRInputSource({
+  return readonly({}, {
     ...held, profiles: Object.freeze(['meta-quest-touch-plus', 'oculus-touch-v3', 'generic-trigger-squeeze-thumbstick']),
     gamepad: gamepadOf(handedness), hand: null, gripSpace: spaceOf(session, () => pose('grip')),
     targetRaySpace: spaceOf(session, () => pose('ray')),
@@ -160,9 +160,8 @@ function changeSources(session) {
   if (!removed.length && !added.length) return;
   const kept = [...inner.sources].filter(([key]) => wanted.includes(key));
   inner.sources = new Map([...kept, ...added]);
-  inner.list = new XRInputSourceArray([...inner.sources.values()]);
-  const change = { session, added: added.map(([, source]) => source), removed };
-  session.dispatchEvent(new XRInputSourcesChangeEvent('inputsourceschange', change));
+  inner.list = Object.freeze([...inner.sources.values()]);
+  session.dispatchEvent(happened('inputsourceschange', { session, added: added.map(([, source]) => source), removed }));
 }
 
 /** The steering wheel of tests. */
@@ -240,14 +239,14 @@ const fakeXR = {
     for (const type of [`${what}start`, what, `${what}end`]) {
       if (session[INNER].ended) return;
       const frame = new XRFrame(session, performance.now(), false);
-      session.dispatchEvent(new XRInputSourceEvent(type, { frame, inputSource }));
+      session.dispatchEvent(happened(type, { frame, inputSource }));
       frame[INNER].close();
     }
   },
 
   visibility(state) {
     current[INNER].visibility = state;
-    current.dispatchEvent(new XRSessionEvent('visibilitychange', { session: current }));
+    current.dispatchEvent(happened('visibilitychange', { session: current }));
   },
 
   /** What an eye was shown: RGBA bytes as base64, rows bottom-up. */
@@ -259,9 +258,6 @@ const fakeXR = {
 };
 
 window.requestAnimationFrame = (callback) => (current ? paused.push(callback) : pageFrame(callback));
-for (const [name, value] of Object.entries({
-  XRSystem, XRSession, XRFrame, XRRenderState, XRWebGLLayer, XRRigidTransform, XRSpace, XRReferenceSpace, XRJointSpace,
-  XRPose, XRViewerPose, XRJointPose, XRView, XRViewport, XRHand, XRInputSource, XRInputSourceArray, XRSessionEvent,
-  XRInputSourcesChangeEvent, XRInputSourceEvent, fakeXR,
-})) Object.defineProperty(window, name, { value, configurable: true, writable: true });
+const SEEN = { XRSystem, XRSession, XRFrame, XRRenderState, XRWebGLLayer, XRRigidTransform, XRReferenceSpace, fakeXR };
+for (const [name, value] of Object.entries(SEEN)) Object.defineProperty(window, name, { value, configurable: true, writable: true });
 Object.defineProperty(navigator, 'xr', { value: new XRSystem(), configurable: true });

@@ -109,91 +109,13 @@ class XRReferenceSpace extends XRSpace {
   }
 }
 
-class XRJointSpace extends XRSpace {}
-
-class XRBodySpace extends XRSpace {}
-
-class XRPose {
-  constructor(transform, emulatedPosition = false) {
-    readonly(this, { transform, emulatedPosition, linearVelocity: null, angularVelocity: null });
-  }
+/** A pose of the API: what a transform has, and ``more``. */
+function poseAt(matrix, more = {}) {
+  const still = { emulatedPosition: false, linearVelocity: null, angularVelocity: null };
+  return readonly({}, { transform: transformOf(matrix), ...still, ...more });
 }
 
-class XRViewerPose extends XRPose {
-  constructor(transform, views) {
-    super(transform);
-    readonly(this, { views: Object.freeze(views) });
-  }
-}
-
-class XRJointPose extends XRPose {
-  constructor(transform, radius) {
-    super(transform);
-    readonly(this, { radius });
-  }
-}
-
-class XRView {
-  constructor(frame, eye, projectionMatrix, transform) {
-    readonly(this, { eye, projectionMatrix, transform, recommendedViewportScale: null, isFirstPersonObserver: false });
-    this[INNER] = { frame };
-  }
-}
-
-class XRViewport {
-  constructor(x, y, width, height) {
-    readonly(this, { x, y, width, height });
-  }
-}
-
-class XRHand {
-  #joints;
-
-  constructor(joints) {
-    this.#joints = joints;
-  }
-
-  get size() { return this.#joints.size; }
-  get(name) { return this.#joints.get(name); }
-  values() { return this.#joints.values(); }
-  [Symbol.iterator]() { return this.#joints.entries(); }
-}
-
-class XRBody extends XRHand {}
-
-class XRInputSource {
-  constructor(values) {
-    readonly(this, values);
-  }
-}
-
-class XRInputSourceArray {
-  constructor(sources) {
-    sources.forEach((source, index) => readonly(this, { [index]: source }));
-    this[INNER] = sources;
-  }
-
-  get length() { return this[INNER].length; }
-  [Symbol.iterator]() { return this[INNER].values(); }
-}
-
-class XRSessionEvent extends Event {
-  constructor(type, { session }) {
-    super(type);
-    readonly(this, { session });
-  }
-}
-
-class XRInputSourcesChangeEvent extends XRSessionEvent {
-  constructor(type, { session, added, removed }) {
-    super(type, { session });
-    readonly(this, { added: Object.freeze(added), removed: Object.freeze(removed) });
-  }
-}
-
-class XRInputSourceEvent extends Event {
-  constructor(type, { frame, inputSource }) {
-    super(type);
-    readonly(this, { frame, inputSource });
-  }
+/** An event with read-only attributes. */
+function happened(type, values) {
+  return readonly(new Event(type), values);
 }

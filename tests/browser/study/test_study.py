@@ -6,6 +6,7 @@ import csv
 import json
 import resource
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from glsplat.study.export import export
 from glsplat.study.plan import checked_plan, label, make_plan, write_plan
 from glsplat.study.store import SESSION, Log
 from tests.browser.conftest import OpenPage
+from tests.browser.opened import Opened
 from tests.browser.study.scripted import Scripted, Service, wire
 from tests.browser.vr import pose, steer
 
@@ -57,11 +59,25 @@ def table(folder: Path, name: str) -> list[dict[str, str]]:
 
 
 def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
-    """Two people: one in VR whose server is killed in a task, one on the flat page whose browser is closed."""
-    study = wire(study.parent, participants=2, seconds=0.5, cells=(("self", "ours"), ("other", "video")))
+    """Two people: one in VR whose server is killed in a task, one on the flat page whose browser is closed.
+
+    Each condition has the view that the server says; pictures of the second one are shown later by its latency.
+    """
+    cells, views = (("self", "ours"), ("other", "video")), ("facing", "mirror", "mirror")
+    study = wire(study.parent, participants=2, seconds=1.0, cells=cells, views=views)
     data = study.parent / "shorter"
     write_plan(data, make_plan(read_study(study)))
     minds = {number: Mind(number) for number in (1, 2)}
+    held: dict[str, float] = {}  # milliseconds from arrival to display, by view
+
+    def conditions(page: Opened, now: dict[str, Any]) -> bool:
+        if now["state"].get("phase") == "running":
+            stats = page.stats()
+            assert now["state"]["condition"] == {"view": stats["view"], "latency": 100 * (stats["view"] == "mirror")}
+            if None not in (stats["ageMs"], stats["rttMs"]):
+                held[stats["view"]] = stats["ageMs"] - stats["rttMs"]
+        return now["state"]["number"] >= 5 and len(now["state"].get("answers", {})) == 1
+
     for number, mind in minds.items():
         service = Service(study, number, data=data)
         service.start()
@@ -69,26 +85,24 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
         assert service.links is not None
         page = open_page(service.links["participant"], allow=GONE)
 
-        def hook(now: dict[str, Any], number: int = number) -> bool:
-            state = now["state"]
-            if number == 1:
-                return state["number"] >= 4 and state.get("phase") == "running"
-            return state["number"] >= 5 and len(state.get("answers", {})) == 1
-
-        script = Scripted(page, mind, vr=number == 1, hook=hook, pinch=True)
+        script = Scripted(page, mind, vr=number == 1, pinch=True)
         script.enter()
-        assert not script.run(90)
         if number == 1:
+            script.hook = lambda now: now["state"]["number"] >= 4 and now["state"].get("phase") == "running"
+            assert not script.run(90)
             service.kill()
             page.wait(0.5)
             service.start()
         else:
+            script.hook = partial(conditions, page)
+            assert not script.run(90)
             page.page.close()
             script.page = open_page(service.links["participant"], allow=GONE)
             script.enter()
         script.hook = lambda now: False
         assert script.run(90)
         service.stop()
+    assert held["mirror"] > 80 and held["facing"] < held["mirror"] - 30
     done = export(read_study(study), checked_plan(data, read_study(study)), data, study.parent / "tables")
     assert not done.remarks
     rows = table(study.parent / "tables", "answers")
@@ -104,50 +118,9 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
     assert all(line["values"]["head"][1] == pytest.approx(1.65) for line in tracked)
 
 
-def test_a_condition_is_what_the_server_says(tmp_path: Path, open_page: OpenPage) -> None:
-    """View and latency; pictures are shown later by what is added, at their rate."""
-    study = wire(tmp_path, seconds=1.5, cells=(("self", "image"), ("other", "video")))
-    write_plan(tmp_path / "data", make_plan(read_study(study)))
-    service = Service(study, 1)
-    service.start()
-    assert service.links is not None
-    page = open_page(service.links["participant"], allow=GONE)
-    seen: dict[float, dict[str, Any]] = {}
-    names = service.names()
-
-    def hook(now: dict[str, Any]) -> bool:
-        state = now["state"]
-        if state.get("phase") == "running":
-            seen[state["condition"]["latency"]] = page.stats()
-            step = names[state["step"]]
-            assert page.stats()["view"] == ("facing" if "image" in step else "mirror")
-            assert state["condition"] == {"view": page.stats()["view"], "latency": 100 if "video" in step else 0}
-        return state["number"] > 5
-
-    script = Scripted(page, Mind(1), vr=False, hook=hook)
-    script.enter()
-    script.run(90)
-    service.stop()
-    assert set(seen) == {0, 100}
-    kept = {latency: stats["ageMs"] - stats["rttMs"] for latency, stats in seen.items()}  # between arrival and display
-    assert kept[100] > 80 and kept[0] < kept[100] - 30
-    found = page.js(
-        """async () => {
-          const { Delayed } = await import('/vr/study/delayed.js');
-          const one = new Delayed(() => ({}));
-          const times = [];
-          one.addEventListener('reply', () => times.push(performance.now()));
-          const begun = performance.now();
-          one.latency = 200;
-          for (let i = 0; i < 5; i++) one.dispatchEvent(new Event('reply'));
-          await new Promise((done) => setTimeout(done, 500));
-          return times.map((time) => time - begun);
-        }"""
-    )
-    assert len(found) == 5 and all(195 <= ms < 450 for ms in found)
-
-
-def test_instructions_are_spoken_once_and_a_newer_page_takes_over(service: Service, open_page: OpenPage) -> None:
+def test_a_newer_page_takes_over_speaks_instructions_once_and_is_stopped(
+    study: Path, service: Service, open_page: OpenPage
+) -> None:
     assert service.links is not None
     heard = "window.heard = []; speechSynthesis.speak = (said) => window.heard.push(said.text);"
     first = open_page(service.links["participant"], allow=[r"409"])
@@ -155,27 +128,21 @@ def test_instructions_are_spoken_once_and_a_newer_page_takes_over(service: Servi
     page = open_page(service.links["participant"], init=heard)
     first.until("window.glsplat.study().elsewhere")
     assert "another page" in first.js("document.querySelector('#status').textContent")
-    script = Scripted(page, Mind(1), vr=False, hook=lambda now: now["state"].get("phase") == "running")
+    script = Scripted(page, Mind(1), vr=False, hook=lambda now: now["state"].get("kind") == "task")
     script.enter()
     assert page.js("window.heard") == []  # the consent is read
     script.run(30)
-    assert page.js("window.heard") == ["Wave with your right arm."]
-
-
-def test_the_experimenter_sees_and_stops(study: Path, service: Service, open_page: OpenPage) -> None:
-    assert service.links is not None
-    page, watch = open_page(service.links["participant"]), open_page(service.links["experimenter"])
-    script = Scripted(page, Mind(1), vr=False, hook=lambda now: now["state"].get("kind") == "task")
-    script.enter()
-    script.run(30)
+    watch = open_page(service.links["experimenter"])
     watch.until("window.glsplat.study()?.number === 2 && window.glsplat.study().present")
     watch.page.click("#pause")
     page.until("window.glsplat.study().state.paused")
-    assert not page.js("document.querySelector('#ready')")
     watch.page.fill("#note", "the cable was loose")
     watch.page.click("#note-form button")
     watch.until("document.querySelectorAll('#notes li').length === 1")
     watch.page.click("#pause")
+    script.hook = lambda now: now["state"].get("phase") == "running"
+    script.run(30)
+    assert page.js("window.heard") == ["Wave with your right arm."]
     script.hook = lambda now: now["state"].get("kind") == "questionnaire"
     script.run(30)
     watch.until("!document.querySelector('#picture').hidden && document.querySelector('#picture').naturalWidth > 0")
@@ -189,10 +156,10 @@ def test_the_experimenter_sees_and_stops(study: Path, service: Service, open_pag
     ]  # fmt: skip
 
 
-def test_by_keyboard_in_a_narrow_window(study: Path, service: Service, open_page: OpenPage) -> None:
+def test_by_keyboard_in_a_narrow_window_and_on_a_full_disk(study: Path, service: Service, open_page: OpenPage) -> None:
     """320 pixels: nothing is wider than the window, and every step can be done by Tab, Space, arrows and Enter."""
-    assert service.links is not None
-    page = open_page(service.links["participant"], size=(320, 640))
+    assert service.links is not None and service.process is not None
+    page = open_page(service.links["participant"], size=(320, 640), allow=GONE)
     page.until("document.querySelector('#agree')")
     keyboard = page.page.keyboard
     page.page.focus("#agree")
@@ -214,15 +181,8 @@ def test_by_keyboard_in_a_narrow_window(study: Path, service: Service, open_page
     page.until("window.glsplat.study().item === 'strange' && !window.glsplat.study().saving")
     log = list(Log(study.parent / "data" / label(1) / SESSION))
     assert [e.values["value"] for e in log if e.kind == "answer"][-1] == 2
-
-
-def test_a_full_disk_is_said_and_survived(study: Path, service: Service, open_page: OpenPage) -> None:
-    """The answer stays on the page, which says so and tries again; a page that is reloaded meanwhile still has it."""
-    assert service.links is not None and service.process is not None
-    page = open_page(service.links["participant"], allow=GONE)
-    script = Scripted(page, Mind(1), vr=False, hook=lambda now: now["item"] == "strange")
-    script.enter()
-    script.run(60)
+    # the answer stays on the page, which says so and tries again; a page that is reloaded meanwhile still has it
+    script = Scripted(page, Mind(1), vr=False)
     path = study.parent / "data" / label(1) / SESSION
     before, unlimited = path.read_bytes(), (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
     resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, (len(before), resource.RLIM_INFINITY))
