@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from glsplat.net.backend import AvatarInfo, Rendered
-from glsplat.net.server import Server, ServerConfig
+from tests.browser.served import Served
 
 
 class Stripes:
@@ -48,28 +48,9 @@ def stripes() -> Iterator[tuple[str, Stripes]]:
 
 @contextmanager
 def running(backend: Stripes, **offered: str) -> Iterator[str]:
-    """The url of a server of it, which offers one thing that is ``offered`` so."""
-    ready, state = threading.Event(), {}
-
-    def work() -> None:
-        async def main() -> None:
-            server = Server(backend, ServerConfig(port=0), [AvatarInfo(name="default", **offered)])
-            await server.start()
-            state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
-            ready.set()
-            await state["end"].wait()
-            await server.stop()
-
-        asyncio.run(main())
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    assert ready.wait(60)
-    try:
-        yield state["url"]
-    finally:
-        state["loop"].call_soon_threadsafe(state["end"].set)
-        thread.join(60)
+    """The url of a server of it, which offers one avatar with these settings."""
+    with Served(backend, offered=[AvatarInfo(name="default", **offered)]) as served:
+        yield served.server.url
 
 
 @pytest.fixture(autouse=True)
@@ -98,3 +79,12 @@ def quickly_made(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(making, "make_avatar", made)
     monkeypatch.setattr(making, "with_levels", partial(with_levels, steps=6))
     monkeypatch.setattr(surfaces, "ambient_occlusion", partial(surfaces.ambient_occlusion, directions=6))
+
+
+@pytest.fixture
+def front(tmp_path: Path) -> Path:
+    """A small grey picture, for reconstructors that need no work."""
+    path = tmp_path / "in" / "front.jpg"
+    path.parent.mkdir()
+    cv2.imwrite(str(path), np.full((90, 60, 3), 77, np.uint8))
+    return path

@@ -40,9 +40,8 @@ def made(tmp_path: Path, person: Path, *more: str) -> Avatar:
     return avatar
 
 
-@pytest.mark.parametrize("name", [pytest.param("Unreal", marks=pytest.mark.check), "Mixamo, centimetres"])
-def test_an_avatar_walks_as_its_mesh_does(tmp_path, capsys, name) -> None:
-    person = written(tmp_path, FAMILIES[name])
+def test_an_avatar_walks_as_its_mesh_does(tmp_path, capsys) -> None:
+    person = written(tmp_path, FAMILIES["Mixamo, centimetres"])
     avatar, mesh = made(tmp_path, person), read_gltf_person(person)
     assert capsys.readouterr().err == ""
     assert avatar.skeleton.names == JOINT_NAMES
@@ -121,8 +120,7 @@ def test_a_thing_of_no_size_that_things_have_and_its_axes(tmp_path, capsys) -> N
 
 @pytest.mark.shared
 @pytest.mark.check
-@pytest.mark.parametrize("name", ["robot_expressive.glb", "cool_loops.vrm"])
-def test_real_files(shared_data: Path, tmp_path, name) -> None:
-    avatar = made(tmp_path, shared_data / "real" / "models" / name)
+def test_a_real_file(shared_data: Path, tmp_path) -> None:
+    avatar = made(tmp_path, shared_data / "real" / "models" / "cool_loops.vrm")
     assert avatar.skeleton.names == JOINT_NAMES and len(avatar.splats) >= 500
     assert np.isfinite(Pose.zero().bones(avatar.skeleton)).all()

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import multiprocessing
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import pytest
 
-from apps import cli
+from apps import cli, demo
+from glsplat.errors import GlsplatError
+from tests.apps.cli import parsed
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def test_help_groups_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="0"):
-        cli.main(["--help"])
-    said = capsys.readouterr().out
-    found: dict[str, list[str]] = {}
-    for line in said.splitlines():
-        if (head := re.fullmatch(r"([A-Z][a-z ]+):", line)) and head[1] in cli.GROUPS:
-            found[head[1]] = []
-        elif found and (name := re.match(r"  (\w+) +\S", line)):
-            list(found.values())[-1].append(name[1])
-    assert tuple(found) == cli.GROUPS and all(found.values())
-    assert sorted(name for names in found.values() for name in names) == sorted(cli.COMMANDS)
-    assert all(cli.COMMANDS[name].group == group for group, names in found.items() for name in names)
 
 
 def test_what_it_says_next_is_understood(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,3 +37,29 @@ def test_a_full_disk_is_one_line() -> None:
         command = [sys.executable, "-c", code]
         done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
     assert done.returncode == 1 and done.stderr == "glsplat: No space left on device\n"
+
+
+@pytest.mark.check
+@pytest.mark.gl
+def test_the_demo_measures_and_leaves_pictures_and_no_process(tmp_path, capsys):
+    out, table = tmp_path / "out" / "demo", tmp_path / "performance.md"
+    words = ["-o", out, "--seconds", 0.7, "--sizes", "96x96", "128x128", "--table", table, "--json"]
+    assert demo.run(parsed(demo, *words)) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert list(report["runs"]) == ["96x96", "128x128"]
+    for numbers in report["runs"].values():
+        assert numbers["shown"] >= 1 and numbers["errors"] == 0 and numbers["stages_ms"]["render"]["median"] > 0
+    assert sorted(p.name for p in out.iterdir()) == ["clip.mp4", "contact_sheet.png"]
+    sheet = cv2.imread(str(out / "contact_sheet.png"))
+    assert sheet.shape[1] == 2 * 256 + 4 and sheet.max() > 100
+    assert "96x96: median | p95 | 128x128: median" in table.read_text()
+    assert not multiprocessing.active_children()
+
+
+def test_a_server_that_cannot_start_is_one_line(tmp_path):
+    with pytest.raises(GlsplatError, match=r"nowhere\.glb"):
+        demo.run(parsed(demo, "-o", tmp_path, "--avatar", "nowhere.glb"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GlsplatError, match="cannot make the folder"):
+        demo.run(parsed(demo, "-o", tmp_path / "file"))
+    assert not multiprocessing.active_children()

@@ -13,7 +13,6 @@ import pytest
 from apps import clip as module
 from apps.clip import Clip
 from glsplat.errors import FormatError
-from tests import needs
 
 
 def picture(step: int, width: int = 96, height: int = 64) -> np.ndarray:
@@ -39,24 +38,14 @@ def test_every_frame_arrives_in_order(tmp_path, capfd, ending, count, fps):
         for step in range(count):
             clip.add(picture(step))
     assert clip.summary == f"{path}: {count} pictures, {fps:g} a second, VP9"
+    data = path.read_bytes()
+    assert b"mp4v" not in data and (b"vp09" if ending == ".mp4" else b"V_VP9") in data  # browsers play it
     got = frames(path)
     assert len(got) == count
     for step, image in enumerate(got):
         assert np.abs(image.astype(float) - picture(step)).mean() < 3  # the next picture is 5 off
     assert capfd.readouterr() == ("", "")  # nor does the library print
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
-
-
-def test_the_codec_is_one_that_browsers_play(tmp_path):
-    for name, box in (("a.mp4", b"vp09"), ("a.webm", b"V_VP9")):
-        with Clip(tmp_path / name, 10) as clip:
-            clip.add(picture(0))
-        data = (tmp_path / name).read_bytes()
-        assert box in data and b"mp4v" not in data
-        assert data[4:8] == b"ftyp" if name == "a.mp4" else data[:4] == b"\x1a\x45\xdf\xa3" and b"webm" in data[:64]
-        if needs.program("ffprobe"):
-            ask = ["ffprobe", "-v", "error", "-show_entries", "stream=codec_name", "-of", "csv=p=0", tmp_path / name]
-            assert subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip() == "vp9"
 
 
 def test_an_opencv_without_vp9_says_what_it_wrote(tmp_path, monkeypatch):

@@ -74,20 +74,6 @@ def test_hand_out_is_asked_for_and_said_and_served(ann, capsys):
     assert policy().withheld("default", time.time()) is None  # what comes with glsplat shows nobody
 
 
-def test_inspect_says_when_it_ended_and_of_others(ann, capsys):
-    assert sign(ann, "--from", "2020-01-01", until="2020-01-31") == 0
-    save(limb(20).splats, ann.parent / "cloud.ply")
-    items = [{"path": "ann.glb"}, {"path": "cloud.ply"}]
-    (ann.parent / "scene.json").write_text(json.dumps({"version": 1, "items": items}))
-    capsys.readouterr()
-    assert run("inspect", ann) == 0 and "its consent ended on 2020-01-31" in capsys.readouterr().out
-    assert run("inspect", ann.parent / "scene.json") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert "its consent ended on 2020-01-31" in lines[3] and "consent" not in lines[4]
-    assert run("inspect", ann.parent / "cloud.ply") == 0 and "signed" not in capsys.readouterr().out
-    assert run("inspect") == 0 and "it comes with glsplat and shows nobody" in capsys.readouterr().out
-
-
 def test_what_converting_does_to_it(ann, capsys):
     assert sign(ann) == 0
     folder = ann.parent

@@ -17,7 +17,6 @@ from glsplat.errors import GlsplatError
 from glsplat.evaluate.comparison import measure
 from glsplat.evaluate.comparison.work import work
 from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.io.files import locked
 from tests.apps.cli import mistake
 from tests.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
 
@@ -106,18 +105,6 @@ def test_a_motion_and_further_measures(plugged, alone, tmp_path, capsys, monkeyp
     motion.write_text(json.dumps({**walked, "frames": walked["frames"][5:]}))  # another motion under the same name
     assert main(words) == 0 and "already" not in capsys.readouterr().out
     assert json.loads((out / "evaluation.json").read_text())["table1"] != found["table1"]
-
-
-def test_one_run_in_a_folder(plugged, alone, tmp_path, capsys) -> None:  # noqa: F811
-    plugged(itself="Itself")
-    out = tmp_path / "out"
-    out.mkdir()
-    words = ["evaluate", *alone, "--methods", "itself", *QUICK, "-o", str(out)]
-    with locked(out / "lock"):
-        assert main(words) == 1
-    said = capsys.readouterr()
-    assert said.err == f"glsplat evaluate: {out / 'lock'}: another process holds it; end it, or try again\n"
-    assert not said.out and [file.name for file in out.iterdir()] == ["lock"]
 
 
 def test_mistakes_are_one_line(plugged, alone, capsys) -> None:  # noqa: F811

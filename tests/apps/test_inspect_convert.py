@@ -1,26 +1,40 @@
-"""The inspect and convert commands."""
+"""The inspect and convert commands, also on avatars with levels of detail and with shapes of the face."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from apps import args, cli
+from apps import cli
+from apps.avatar import detail
+from glsplat import reference
+from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.avatar import Avatar
 from glsplat.formats import load, save
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose
-from glsplat.splats import Splats
+from glsplat.splats import Level, Splats
 from tests.apps.cli import mistake, ok
 from tests.formats.meshes import bends, chain, corners
-from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
+from tests.formats.scenes import (
+    avatar_with_levels,
+    awkward_splats,
+    edit_glb,
+    glb_parts,
+    random_avatar,
+    random_splats,
+    splats_with_levels,
+)
+from tests.scenes import cloud
+from tests.skinning.faces import NAMES, expressive
 
 
 def described(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
@@ -106,15 +120,6 @@ def test_inspect_no_splats(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         ok(capsys, "inspect", tmp_path / "a.ply")
 
 
-def test_inspect_without_a_scene_takes_the_default_avatar(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(args, "default_avatar", random_avatar)
-    report = described(capsys)
-    assert report["kind"] == "avatar" and report["file"] is None and report["splats"] == 40
-    assert "the default avatar: avatar" in ok(capsys, "inspect")
-
-
 def test_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(awkward_splats(), tmp_path / "a.ply")
     for command in (["inspect", tmp_path / "a.ply"], ["convert", tmp_path / "a.ply", tmp_path / "b.glb"]):
@@ -123,28 +128,6 @@ def test_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 # --- convert --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("source", "target"), [(".ply", ".splat"), (".splat", ".glb"), (".gltf", ".ply")])
-def test_pairs_of_formats(tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str, target: str) -> None:
-    save(random_splats(100, 0), tmp_path / f"a{source}")
-    assert cli.main(["convert", str(tmp_path / f"a{source}"), str(tmp_path / f"b{target}")]) == 0
-    said = capsys.readouterr().err
-    assert said == "" or target == ".splat"
-    a, b = load(tmp_path / f"a{source}"), load(tmp_path / f"b{target}")
-    assert isinstance(a, Splats) and isinstance(b, Splats)
-    np.testing.assert_array_equal(a.means, b.means)
-    np.testing.assert_allclose(a.opacities, b.opacities, atol=0.5 / 255 + 1e-6)
-
-
-def test_avatar_to_avatar_keeps_the_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    avatar = random_avatar(degree=3)
-    save(avatar, tmp_path / "a.glb")
-    assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / "b.gltf")]) == 0
-    again = load(tmp_path / "b.gltf")
-    assert isinstance(again, Avatar) and capsys.readouterr().err == ""
-    assert_equal(again.splats, avatar.splats)
-    assert again.meta == {"version": 1, **avatar.meta}
 
 
 def test_losses_are_said_in_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -191,3 +174,96 @@ def test_a_mesh_is_converted_turned_and_described(tmp_path: Path, capsys: pytest
     assert cli.main(["convert", str(tmp_path / "a.glb"), str(tmp_path / "c.ply")]) == 1
     assert "c.ply: a mesh is written as .glb or .gltf" in capsys.readouterr().err
     assert not (tmp_path / "c.ply").exists()
+
+
+def test_inspect_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(avatar_with_levels(), tmp_path / "a.glb")
+    first, second, _ = json.loads(ok(capsys, "inspect", tmp_path / "a.glb", "--json"))["levels"]
+    assert [first[key] for key in ("splats", "density", "metres", "psnr")] == [20, 200.0, 2.56, 41.5]
+    assert second["psnr"] is None and "20 splats from 2.6 m on" in ok(capsys, "inspect", tmp_path / "a.glb")
+
+
+def test_inspect_says_which_are_broken(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    save(splats_with_levels(), tmp_path / "a.glb")
+    edit_glb(tmp_path / "a.glb", lambda document: document["nodes"][2].pop("extras"))
+    assert cli.main(["inspect", str(tmp_path / "a.glb")]) == 0
+    assert f"{tmp_path / 'a.glb'}: level of detail 2 is left out: it has no density" in caplog.text
+    assert cli.main(["inspect", str(tmp_path / "a.glb"), "--strict"]) == 1
+
+
+def test_convert_keeps_them_and_turns_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, scene in (("a", avatar_with_levels()), ("s", splats_with_levels())):
+        save(scene, tmp_path / f"{name}.glb")
+        assert ok(capsys, "convert", tmp_path / f"{name}.glb", tmp_path / f"{name}2.glb", "--up", "z") == ""
+        found = load(tmp_path / f"{name}2.glb", strict=True)
+        assert type(found) is type(scene) and len(found.levels) == 3
+        whole = found.splats if isinstance(found, Avatar) else found
+        for one, other in zip(found.levels, scene.levels, strict=True):
+            assert (one.density, one.psnr) == (other.density, other.psnr)
+            splats = one.content.splats if isinstance(one.content, Avatar) else one.content
+            np.testing.assert_allclose(splats.means, whole.means[: len(splats)], atol=1e-6)  # turned as the finest is
+            np.testing.assert_allclose(splats.scales, whole.scales[: len(splats)], rtol=1e-6)
+
+
+@pytest.mark.check
+@pytest.mark.gl
+@pytest.mark.usefixtures("gl")
+def test_levels_are_added_to_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = partial(MeasureConfig, directions=2, inside=0, size=96)
+    monkeypatch.setattr(detail, "MeasureConfig", quick)
+    save(cloud(300, spread=0.2), tmp_path / "a.ply")
+    command = ["avatar", "levels", tmp_path / "a.ply", "-o", tmp_path / "a.glb", "--psnr", "20"]
+    facts = json.loads(ok(capsys, *command, "--counts", "150", "75", "--json"))
+    found = load(tmp_path / "a.glb", strict=True)
+    assert facts["splats"] == 300 and [one["splats"] for one in facts["levels"]] == [
+        len(level.content) for level in found.levels if isinstance(level.content, Splats)
+    ]
+    assert found.levels and all(one["psnr"] >= 20 - MeasureConfig().slack for one in facts["levels"])
+    first = (tmp_path / "a.glb").read_bytes()
+    out = ok(capsys, *command, "--counts", "150", "75")
+    assert (tmp_path / "a.glb").read_bytes() == first and "from" in out and "dB at worst" in out
+    assert len(glb_parts(first)[0]["nodes"]) == 1 + len(found.levels)
+
+
+@pytest.fixture
+def face(tmp_path: Path) -> Path:
+    still = replace(expressive(40), skeleton=(avatar := expressive(400)).skeleton, shapes=None)
+    save(replace(avatar, levels=(Level(still, 50.0),)), tmp_path / "face.glb")
+    return tmp_path / "face.glb"
+
+
+def test_inspect_tells_the_shapes(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["inspect", str(face), "--json"]) == 0
+    found, shapes = json.loads(capsys.readouterr().out)["avatar"]["shapes"], expressive(400).shapes
+    assert shapes is not None and found["names"] == list(NAMES) and (found["arkit"], found["levels"]) == (4, 0)
+    farthest = np.linalg.norm(shapes.metres[shapes.targets == 0], axis=1).max()
+    assert found["farthest"]["jawOpen"] == pytest.approx(farthest) and found["entries"] == len(shapes.targets)
+    assert cli.main(["inspect", str(face)]) == 0 and "4 of ARKit's 52" in capsys.readouterr().out
+
+
+def test_a_turned_avatar_moves_its_face_as_before(face: Path, tmp_path: Path) -> None:
+    assert cli.main(["convert", str(face), str(tmp_path / "b.glb"), "--up", "z", "--quiet"]) == 0
+    before, after = load(face), load(tmp_path / "b.glb")
+    assert isinstance(before, Avatar) and isinstance(after, Avatar)
+    assert before.shapes is not None and after.shapes is not None
+    weights, turn = np.array([0.5, 1, 0, 0.3]), upright("z")[:3, :3]
+    one = reference.expressed(before.splats, before.shapes, weights)
+    other = reference.expressed(after.splats, after.shapes, weights)
+    assert np.abs(other.means - one.means @ turn.T).max() < 1e-5
+    sigma = [p.shapes @ p.shapes.transpose(0, 2, 1) for p in (one, other)]
+    assert np.abs(sigma[1] - turn @ sigma[0] @ turn.T).max() < 1e-5
+
+
+def test_an_exported_pose_has_its_expression(face: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pose = tmp_path / "pose.json"
+    pose.write_text(json.dumps({"joints": {}, "expression": {"jawOpen": 1.0}}))
+    assert cli.main(["avatar", "export", str(face), "--pose", str(pose), "-o", str(tmp_path / "a.ply"), "--quiet"]) == 0
+    avatar, found = expressive(400), load(tmp_path / "a.ply")
+    weights = avatar.weights(Pose(np.zeros((4, 3)), expression={"jawOpen": 1.0}))
+    assert weights is not None and not isinstance(found, Avatar)
+    wanted = reference.expressed(avatar.splats, avatar.shapes, weights)  # type: ignore[arg-type]
+    assert found.means == pytest.approx(wanted.means, abs=1e-6)
+    made, sigma = reference.rest(found).shapes, wanted.shapes @ wanted.shapes.transpose(0, 2, 1)
+    assert np.abs(made @ made.transpose(0, 2, 1) - sigma).max() < 1e-6

@@ -57,16 +57,6 @@ def test_inspect_says_what_light_does(tmp_path: Path, capsys: pytest.CaptureFixt
         assert said in next(line for line in text.splitlines() if line.split()[0] == "light")
 
 
-def test_the_outermost_scene_file_decides(avatar: Path, tmp_path: Path) -> None:
-    inner = {"version": 1, "items": [{"path": "me.glb"}], "light": random_light(1).to_json()}
-    (tmp_path / "inner.json").write_text(json.dumps(inner))
-    for light in (None, random_light(2).to_json(), "day"):
-        outer = {"version": 1, "items": [{"path": "inner.json"}]} | ({} if light is None else {"light": light})
-        (tmp_path / "outer.json").write_text(json.dumps(outer))
-        found = load_scene(tmp_path / "outer.json").scene.light
-        assert found is None if light is None else found is not None and found.same(Light.from_json(light))
-
-
 def test_what_is_no_light_is_one_line(avatar: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for light in ("noon", {"ambient": [[1, 2, 3]]}, 4, {"sun": {}}, [1]):
         (tmp_path / "scene.json").write_text(json.dumps({"version": 1, "items": [{"path": "me.glb"}], "light": light}))

@@ -13,6 +13,7 @@ from apps.cli import joined, main
 from glsplat import reference
 from glsplat.formats import save
 from glsplat.skinning.pose import Pose
+from glsplat.speech.sound import Sound, read_wav, wav_bytes
 from tests.apps.cli import mistake
 from tests.compare import assert_contract
 from tests.scenes import camera, cloud, eyes, limb, one_splat
@@ -84,23 +85,6 @@ def test_views_poses_and_png(avatar: Path, tmp_path: Path) -> None:
     assert main(["render", str(tmp_path / "empty.ply"), "--size", "8", "-o", str(tmp_path / "a.png")]) == 0
 
 
-def test_turntable(scene: Path, tmp_path: Path) -> None:
-    frames = tmp_path / "frames"
-    assert main(["render", str(scene), "--size", "32x32", "--turntable", "5", "-o", f"{frames}/"]) == 0
-    names = sorted(p.name for p in frames.iterdir())
-    assert names == [f"{i:05d}.png" for i in range(5)]
-    first, third = (cv2.imread(str(frames / names[i])) for i in (0, 2))
-    assert np.abs(first.astype(int) - third).max() > 20
-
-
-def test_a_motion_of_the_default_avatar(tmp_path: Path) -> None:
-    for frame in ("0", "30"):
-        out = str(tmp_path / f"{frame}.png")
-        assert main(["render", "--motion", "walk", "--frame", frame, "--size", "64", "-o", out]) == 0
-    a, b = (cv2.imread(str(tmp_path / f"{f}.png")).astype(int) for f in ("0", "30"))
-    assert a.any() and np.abs(a - b).max() > 30
-
-
 def test_strict_refuses_nan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(one_splat(means=[[np.nan, 0, 0]]), tmp_path / "nan.ply")
     assert main(["render", str(tmp_path / "nan.ply"), "--size", "8", "-o", str(tmp_path / "a.png"), "--json"]) == 0
@@ -119,3 +103,41 @@ def test_a_point_may_begin_with_a_minus(scene: Path, tmp_path: Path, capsys: pyt
     assert np.array_equal(shots[0], shots[1]) and np.array_equal(shots[0], shots[2])
     assert joined(["--eye", "-1,2,3", "--", "--eye", "-1"]) == ["--eye=-1,2,3", "--", "--eye", "-1"]
     assert joined(["-o", "-1.png", "--json", "--size", "8", "-2"]) == ["-o", "-1.png", "--json", "--size", "8", "-2"]
+
+
+SPOKEN = Path(__file__).parents[1] / "speech" / "data" / "balloon.wav"
+
+
+@pytest.fixture
+def face(tmp_path: Path) -> Path:
+    save(expressive(300), tmp_path / "face.glb")
+    return tmp_path / "face.glb"
+
+
+def rendered(face: Path, *words: str) -> int:
+    return main(["render", str(face), "--size", "48", "--fps", "10", *words])
+
+
+def test_a_clip_is_as_long_as_the_sound_and_has_it(
+    face: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    av = pytest.importorskip("av")
+    out = tmp_path / "a.mp4"
+    assert rendered(face, "--speech", str(SPOKEN), "-o", str(out)) == 0
+    assert "sound of FLAC" in capsys.readouterr().out
+    with av.open(str(out)) as file:
+        pictures = [frame.to_ndarray(format="rgb24").astype(int) for frame in file.decode(video=0)]
+    with av.open(str(out)) as file:
+        sound = np.concatenate([frame.to_ndarray().ravel() for frame in file.decode(audio=0)])
+    spoken = read_wav(SPOKEN)
+    assert len(pictures) == round(spoken.seconds * 10)
+    assert np.array_equal(sound, np.rint(spoken.samples.astype(float) * 32767).astype(np.int16))
+    assert max(np.abs(one - pictures[0]).max() for one in pictures) > 20, "the face moves"
+
+
+def test_sounds_and_faces_that_are_none(face: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.wav").write_bytes(b"RIFF0000WAVE")
+    (tmp_path / "slow.wav").write_bytes(wav_bytes(Sound(np.zeros(80, np.float32), 8000)))
+    for sound, says in (("a.wav", "without sound"), ("slow.wav", "16000 to 384000")):
+        assert says in mistake(capsys, "render", face, "--speech", tmp_path / sound, "-o", tmp_path / "b.mp4")
+        assert not (tmp_path / "b.mp4").exists()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import gc
 import json
+import multiprocessing
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +21,8 @@ from glsplat.errors import GlsplatError
 from glsplat.evaluate import subjects as report_subjects
 from glsplat.evaluate.knobs import settings_of
 from glsplat.evaluate.sections import growth as report_growth
-from glsplat.evaluate.sections.batching import batching
 from glsplat.evaluate.sections.growth import Grid
-from glsplat.evaluate.sections.left_out import features_of, left_out, unmoved
+from glsplat.evaluate.sections.left_out import features_of, left_out
 from glsplat.evaluate.stability import frame as report_stability
 from glsplat.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case
 from glsplat.evaluate.stability.skin import skin_cases
@@ -86,60 +85,16 @@ def test_a_case_that_does_not_behave_as_stated_fails(context: Context) -> None:
     assert rows[4]["seen"] == "RuntimeError: the driver is gone"
 
 
-@pytest.mark.check
-def test_a_wrong_projection_fails_the_table(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The verdicts come from running: a renderer that dilates by another amount is noticed."""
-    right = report_stability.RenderConfig
-
-    def wrong(**config: Any) -> Any:
-        return right(**{**config, "eps2d": 0.4})
-
-    monkeypatch.setattr(report_stability, "RenderConfig", wrong)
-    failed = {r["case"] for r in judge(frame_cases(), context) if r["verdict"] == "failed"}
-    assert {"smaller than a pixel", "all scales zero", "far from the origin"} <= failed
-    assert "zero quaternion" not in failed and "repeats" not in failed
-
-
 # -------------------------------------------------------------------------------------------- batching and left out
 
 
 @pytest.mark.check
-def test_batching_adds_up(context: Context) -> None:
-    subject = Subject("limb", limb(200), 32, moving=True)
-    row = batching(context, subject, 4)
-    assert row["pair_ms"]["median"] > 0 and row["gain"] > 0 and "paper" not in row
-    assert row["fps"] == pytest.approx(1000 / row["pair_ms"]["median"], rel=0.01)
-    assert {"pose", "skin", "key", "sort", "project", "draw", "resolve", "read"} <= {s["stage"] for s in row["stages"]}
-    for stage in row["stages"]:
-        assert stage["saved_ms"] == pytest.approx(stage["two_ms"] - stage["pair_ms"], abs=2e-3)
-
-
-@pytest.mark.check
-def test_a_feature_left_out_changes_no_pixel(context: Context) -> None:
-    subject = Subject("cloud", cloud(150, degree=1), 32)
-    rows = left_out(context, subject, features_of(subject.scene, context), 3)
-    assert all(r["same_picture"] for r in rows), [(r["feature"], r["apart"]) for r in rows]
-    by_name = {r["feature"]: r for r in rows}
-    skin = by_name["skinning"]
-    assert set(skin["full"]["passes"]) - set(skin["lean"]["passes"]) == {"pose", "skin"}
-    assert skin["full"]["programs"] == skin["lean"]["programs"] + 1
-    assert skin["full"]["buffers"] == skin["lean"]["buffers"] + 4  # attributes, joints, weights, scratch of the pass
-    culled = by_name["hidden splats"]
-    assert culled["full"]["buffers"] == culled["lean"]["buffers"] + 1 and culled["full"]["variant"]["cull_hidden"]
-    assert by_name["SH degree 3"]["full"]["bytes"]["sh"] > 10 * by_name["SH degree 3"]["lean"]["bytes"]["sh"]
-    for name, flag in (("antialias", "antialias"), ("extent cut-off", "cut")):
-        assert (by_name[name]["lean"]["variant"][flag], by_name[name]["full"]["variant"][flag]) == (0, 1)
-
-
-@pytest.mark.check
-def test_pictures_that_differ_are_not_called_one_and_what_an_unmoved_frame_runs(context: Context) -> None:
+def test_pictures_that_differ_are_not_called_one(context: Context) -> None:
     subject = Subject("cloud", cloud(150), 32)
     (feature, *_) = features_of(subject.scene, context)
     wrong = replace(feature, full=(cloud(150, seed=1), feature.full[1]))
     (row,) = left_out(context, subject, [wrong], 3)
     assert not row["same_picture"] and row["apart"] > 0.1
-    row = unmoved(context, Subject("limb", limb(100), 32, moving=True), 3)
-    assert {"skin", "key", "sort", "project"} == set(row["moved_passes"]) - set(row["unmoved_passes"])
 
 
 # ------------------------------------------------------------------------------------------------------- the files
@@ -198,3 +153,24 @@ def test_from_the_command_line(
     assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "bad &lt;b&gt;" in text
     assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in re.sub(r"data:[^\"]+", "", text)
     assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 9
+
+
+@pytest.mark.check
+def test_a_short_stream_is_measured_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_latency, "_SIZES", ((64, 64), (96, 96)))
+    monkeypatch.setattr(report_latency, "_SECONDS", (0.5, 0.6))
+    ticks = []
+    result = report_latency.measure(quick=False, progress=ticks.append)
+    assert json.loads(json.dumps(result)) == result and not multiprocessing.active_children()
+    assert sum(ticks) == report_latency.frames(quick=False) == 86
+    assert [run["size"] for run in result["runs"]] == [[64, 64], [96, 96]] and result["driver"]
+    for run in result["runs"]:
+        stages = run["stages"]
+        assert list(stages) == [key for key, _, _ in STAGES] and run["shown"] >= 1
+        assert all(0 <= stage["median"] <= stage["p95"] for stage in stages.values())
+        assert min(stages[key]["median"] for key in ("ik", "render", "encode", "decode")) > 0
+        assert stages["end_to_end"]["p95"] >= max(stage["median"] for stage in stages.values())
+    table = report_latency.rows(result)
+    assert table[0] == ["stage", "where", "paper", "2 x 64x64: median", "p95", "2 x 96x96: median", "p95"]
+    assert [row[:3] for row in table[1:]] == [[name, place, result["paper"][key]] for key, name, place in STAGES]
+    assert all(len(row) == 7 and float(row[3]) >= 0 for row in table[1:])

@@ -75,19 +75,3 @@ def test_what_an_option_takes_for_an_avatar(folder: Path) -> None:
     for name, found in mistakes.items():
         with pytest.raises(UsageError, match=f"--avatar .*{name}: .*{found}"):
             load_avatar(folder / name, "--avatar")
-
-
-@pytest.mark.check
-@pytest.mark.gl
-def test_bench(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Static and in motion; a frame of a mesh is its mesh pass, and no splat is counted."""
-    arguments = ["bench", str(folder / "me.npz"), "--motion", "walk", "--sizes", "32", "--frames", "3"]
-    assert main([*arguments, "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["settings"]
-    assert [row["kind"] for row in rows] == ["static", "in motion"]
-    for row in rows:
-        assert row["triangles"] == len(boxes().faces) and row["splats"] == 0 and row["mesh_bytes"] > 0
-        assert row["stages_ms"]["mesh"]["median"] > 0 and row["batching_gain"] > 0
-    assert main(arguments) == 0
-    text = capsys.readouterr().out
-    assert "660 triangles" in text and "batching gain" in text and "splats" not in text and "floor" not in text

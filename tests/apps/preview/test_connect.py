@@ -1,19 +1,13 @@
 """The preview on a running server: a viewer on a framebuffer, then the command under Xvfb."""
-# ruff: noqa: F811  (a fixture of another file has the name of its argument)
 
 from __future__ import annotations
 
-import asyncio
-import json
-import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -37,6 +31,7 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
+from tests.browser.served import Served
 from tests.scenes import camera, cloud, limb
 from tests.xvfb import display, psnr, python  # noqa: F401  (a fixture)
 
@@ -64,24 +59,9 @@ class Grey:
 @contextmanager
 def serving(make: Callable[[], Server]) -> Iterator[str]:
     """The address of a server in a thread of its own."""
-    ready, state = threading.Event(), {}
-
-    async def work() -> None:
-        server = make()
-        await server.start()
-        state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
-        ready.set()
-        await state["end"].wait()
-        await server.stop()
-
-    thread = threading.Thread(target=lambda: asyncio.run(work()))
-    thread.start()
-    try:
-        assert ready.wait(60)
-        yield state["url"]
-    finally:
-        state["loop"].call_soon_threadsafe(state["end"].set)
-        thread.join(60)
+    with Served(make=lambda config: make()) as served:
+        assert served.server is not None
+        yield served.server.url
 
 
 @contextmanager
@@ -135,30 +115,6 @@ def test_the_newest_wish_is_answered_and_a_quiet_feed_asks_for_nothing() -> None
             feed.settle()
             picture = feed.take()
             assert picture is not None and picture.images.shape == (1, 38, 38, 4) and feed.notice == ""
-
-
-@pytest.mark.check
-def test_a_server_that_goes_away_is_said_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    config = ServerConfig(port=port, drain_timeout=0.2)
-    with serving(lambda: Server(Grey(), config)) as url:
-        feed = Feed(url)
-        feed.start()
-        feed.ask(at(0.5))
-        feed.settle()
-        assert shade(feed) == pytest.approx(50, abs=2)
-    try:
-        assert until(lambda: "trying again in" in feed.notice) and "\n" not in feed.notice, feed.notice
-        feed.ask(at(0.8))  # returns although nobody answers yet
-        assert not feed.ready
-        with serving(lambda: Server(Grey(), config)):
-            assert until(lambda: feed.ready) and feed.notice == "" and feed.reconnects == 1
-            assert shade(feed) == pytest.approx(80, abs=2)
-            monkeypatch.setattr("glsplat.net.flow._PAUSES", (1e6,))
-        assert until(lambda: "trying again in 1" in feed.notice), feed.notice
-    finally:
-        feed.close()  # does not wait for the next attempt
 
 
 def test_in_a_room_it_comes_back_as_the_same_person() -> None:
@@ -296,28 +252,3 @@ def test_a_recording_goes_as_tracking(context: Context) -> None:
             assert feed.notice == "" and len(backend.requests) > drawn
         finally:
             viewer.release()
-
-
-@pytest.mark.check
-@pytest.mark.gl
-def test_the_command_shows_what_the_server_draws(
-    display: str, limb_server: str, tmp_path: Path, context: Context
-) -> None:
-    avatar = limb(degree=1)
-    save(avatar, tmp_path / "limb.glb")
-    frames = [{"joints": {"joint1": [0, 0, a], "joint2": [0, a, 0]}} for a in (0.0, 0.3, 0.6, 0.9)]
-    (tmp_path / "motion.json").write_text(json.dumps({"fps": 30, "frames": frames}))
-    command = ["-m", "apps.cli", "preview", "limb.glb", "--connect", limb_server, "--motion", "motion.json"]
-    command += ["--frames", "3", "--quality", "95", "--json", "--screenshot", "shot.png", "--size", "200x150"]
-    done = python(*command, "--eye=0.4,0.3,3", "--target=0.7,0,0", display=display, cwd=tmp_path)
-    assert done.returncode == 0 and done.stderr == "", done.stderr
-    report = json.loads(done.stdout)
-    assert report["url"] == limb_server and report["shown"] == 3 and report["window"] == [200, 150]
-    shot = cv2.imread(str(tmp_path / "shot.png"))[..., ::-1]
-    with context.ctx:
-        viewer = Viewer(avatar, context, (200, 150), VIEW)
-        cameras = viewer.cameras()
-        viewer.release()
-        expected = headless(context, avatar, cameras, Pose.from_json(frames[2], avatar.skeleton))[0]
-        rest = headless(context, avatar, cameras, None)[0]
-    assert psnr(shot, expected) > 32 > 25 > psnr(shot, rest)

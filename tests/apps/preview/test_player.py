@@ -10,8 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from apps.preview.files import motion_names, read_dropped
-from apps.preview.keys import HELP_LINES
-from apps.preview.overlay import Overlay, text_image
+from apps.preview.overlay import Overlay
 from apps.preview.player import Player
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
@@ -70,18 +69,6 @@ def test_joints_are_turned_on_top_of_the_motion() -> None:
     assert player.pose().rotations[1, 2] == pytest.approx(0.2) and player.turned == 0
 
 
-def test_text() -> None:
-    assert text_image(()) is None
-    image, double = (text_image([("one line", "x"), ("longer than the first", "y")], scale) for scale in (1.0, 2.0))
-    assert image is not None and image.dtype == np.uint8 and double.shape[0] == 2 * image.shape[0]
-    assert (image[..., :3] <= image[..., 3:]).all()  # premultiplied
-    assert image[..., 0].max() > 200 and image[0, 0].tolist() == [0, 0, 0, 153]
-    x, y = (np.flatnonzero(rows.any(axis=0))[-1] for rows in (image[8:27, ..., 0], image[27:46, ..., 0]))
-    assert abs(int(x) - int(y)) <= 2  # "x" and "y" stand in one column
-    odd = text_image([("Zoë \u4eba" + "x" * 500,)])
-    assert odd is not None and odd.shape[1] < 1400
-
-
 def test_overlay_changes_only_when_there_is_something_to_read() -> None:
     asked = []
     overlay = Overlay()
@@ -95,9 +82,6 @@ def test_overlay_changes_only_when_there_is_something_to_read() -> None:
     assert [overlay.lines(numbers) for _ in range(50)] == [(("1",),)] * 50
     overlay.renew()
     assert overlay.lines(numbers) == (("2",),)
-    overlay.help = True
-    assert overlay.lines(numbers)[1:] == (("",), *HELP_LINES)
-    overlay.help = False
     overlay.say("hello")
     assert overlay.lines(numbers)[-1] == ("hello",) and ("hello",) not in overlay.lines(numbers, live=False)
     assert not overlay.advance(1.0) and overlay.advance(5.0) and not overlay.advance(1.0)

@@ -17,7 +17,6 @@ import pytest
 
 from apps.serve import command as serve
 from apps.serve.photos import upload_config
-from apps.usage import UsageError
 from glsplat.errors import GlsplatError
 from glsplat.formats import load
 from glsplat.models.catalogue import PHOTO
@@ -53,11 +52,6 @@ def test_without_the_networks_it_does_not_start(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path))
     with pytest.raises(GlsplatError, match="run: glsplat models get"):
         upload_config(arguments("--allow-upload", tmp_path))
-
-
-def test_not_together_with_cull_hidden(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--cull-hidden needs avatars with cones"):
-        upload_config(arguments("--allow-upload", tmp_path, "--cull-hidden"))
 
 
 def test_errors_that_fall_are_one_step() -> None:

@@ -30,7 +30,6 @@ from glsplat.net.reply import decode_picture
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
 from tests.apps.cli import mistake, parsed
-from tests.apps.serve.viewers import parameters
 from tests.scenes import limb
 
 ROOT = Path(__file__).parents[3]
@@ -159,31 +158,3 @@ def test_the_whole_pipe_equals_glsplat_render(tmp_path):
 
 def psnr(a, b):
     return 10 * np.log10(255**2 / max(np.mean((a.astype(float) - b) ** 2), 1e-9))
-
-
-@pytest.mark.check
-@pytest.mark.gl
-def test_viewers_get_their_own_pictures():
-    """Clients of different pose, size and number of eyes in turn: each picture equals the one drawn for it alone."""
-    viewers = list(parameters(64))
-    backend = RendererBackend(default_avatar(), (64, 64))
-    backend.open()
-    alone = [backend.render(RenderJob(frame_id=1, cameras=eyes, pose=pose)).images for eyes, pose in viewers]
-    backend.close()
-    assert len({image.tobytes() for image in alone}) == 3
-
-    async def watch(url, eyes, pose):
-        async with Client(url) as client:
-            return [(await client.render(eyes, pose=pose)).pictures for _ in range(6)]
-
-    async def main():
-        server = make_server(default_avatar(), ServerConfig(port=0))
-        await server.start()
-        try:
-            return await asyncio.gather(*(watch(server.url, *viewer) for viewer in viewers))
-        finally:
-            await server.stop()
-
-    for images, replies in zip(alone, asyncio.run(main()), strict=True):
-        expected = dict(enumerate(encode_picture(image, 80) for image in images))
-        assert all(pictures == expected for pictures in replies)

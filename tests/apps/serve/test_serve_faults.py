@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import ctypes.util
-import gc
 
-import moderngl
 import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
@@ -15,7 +13,6 @@ from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import Client
-from glsplat.net.guard.limits import Limits
 from glsplat.net.server import Server, ServerConfig
 from tests.apps.serve.viewers import parameters
 
@@ -92,28 +89,3 @@ def test_a_lost_context_is_made_anew(backend, caplog):
     stats = asyncio.run(main())
     assert stats["healthy"] and stats["rebuilds"] == 1 and stats["clients"][0]["failed"] == 1
     assert "the OpenGL context is lost; making a new one" in caplog.text
-
-
-@pytest.mark.check
-@pytest.mark.gl
-def test_serving_leaves_no_opengl_object_behind(backend):
-    viewers = list(parameters(48))
-
-    async def watch(url, eyes, pose):
-        async with Client(url) as client:
-            await client.render(eyes, pose=pose)
-
-    async def main():
-        server = Server(backend, ServerConfig(port=0, limits=Limits(visits_burst=1000)))
-        await server.start()
-        backend._context.ctx.gc_mode = "context_gc"  # what nobody holds any more is listed instead of forgotten
-        try:
-            for _ in range(10):
-                await asyncio.gather(*(watch(server.url, *viewer) for viewer in viewers))
-            return gc.collect(), list(backend._context.ctx.objects)
-        finally:
-            backend._context.ctx.gc_mode = None
-            await server.stop()
-
-    _, objects = asyncio.run(main())
-    assert not [item for item in objects if not isinstance(item, moderngl.InvalidObject)]

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from glsplat.camera import head_matrix, stereo_cameras
+from glsplat.camera import stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError, ProtocolError
-from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
-from glsplat.net.client import Client
 from glsplat.net.messages import Decoder, eye_fields
-from glsplat.net.server import ServerConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.tracker import Tracker
 
@@ -85,26 +80,3 @@ def test_any_tracking_gives_a_finite_pose_or_a_protocol_error(messages):
             assert "\n" not in str(error) and len(str(error)) < 400
         else:
             assert np.isfinite(solved.pose.rotations).all() and np.isfinite(solved.pose.trans).all()
-
-
-@pytest.mark.check
-@pytest.mark.gl
-def test_a_recording_of_head_and_hands_moves_the_avatar():
-
-    async def main():
-        server = make_server(default_avatar(), ServerConfig(port=0))
-        await server.start()
-        try:
-            async with Client(server.url, height=1.8) as client:
-                eyes = stereo_cameras(head_matrix((0, 1.2, 2.5), (0, 0, 0, 1)), size=(64, 64))
-                first = await client.render(eyes, tracking=tracked(1, 0.0)["tracking"])
-                for x in np.linspace(0, 0.3, 12):
-                    reply = await client.render(eyes, tracking=tracked(1, x)["tracking"])
-                return first, reply
-        finally:
-            await server.stop()
-
-    first, last = asyncio.run(main())
-    assert last.info["times"]["ik"] > 0 and "left_lost" in last.info["tracking"]
-    columns = [np.flatnonzero(reply.images()[0].max(axis=(0, 2)) > 40).mean() for reply in (first, last)]
-    assert columns[1] > columns[0] + 2  # the head moved to +x, the picture to the right

@@ -75,6 +75,14 @@ def test_the_command_line_wins(tmp_path: Path) -> None:
     assert [room.name for room in found["room"]] == ["c"] and found["max_clients"] == 20
 
 
+def test_the_file_of_the_docs_is_read(tmp_path: Path) -> None:
+    """The one of docs/deploying.md, "TLS for twenty users"."""
+    page = (Path(__file__).parents[3] / "docs" / "deploying.md").read_text(encoding="utf-8")
+    (block,) = (one for one in re.findall(r"```toml\n(.*?)```", page, re.S) if "max-clients = 20" in one)
+    found = of(tmp_path, re.sub(r"(?m)^scene = .*\n", "", block))
+    assert found["max_clients"] == 20 and found["users"] and found["tls_cert"]
+
+
 def test_what_a_file_cannot_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "server.toml"
     for text, message in (

@@ -5,16 +5,21 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from apps.study import analyse
+from apps.study import analyse, power
+from apps.study.r_script import r_script
 from apps.usage import UsageError
 from glsplat.errors import FormatError, GlsplatError
-from tests.apps.cli import parsed
+from glsplat.study.analysis.analysis import analyse as analysed
+from glsplat.study.analysis.anova import ModelName
+from glsplat.study.analysis.power import Planned
+from tests.apps.cli import mistake, parsed
 
 TYPES, METHODS = ("self", "other"), ("ours", "video", "image")
 
@@ -171,3 +176,81 @@ def test_mistakes(tmp_path: Path) -> None:
         (tmp_path / "scores.json").write_text(wrong)
         with pytest.raises(GlsplatError, match=r"scores\.json"):
             analyse.run(parsed(analyse, str(path)))
+
+
+FACTORS = ["--within", "type=self,other", "--within", "method=ours,video,image"]
+
+
+def test_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*FACTORS, "--participants", "8", "24", "--effect", "type=0.6", "--runs", "200", "--seed", "3"]
+    assert power.run(parsed(power, *words)) == 0
+    first = capsys.readouterr().out
+    assert "8 participants, 200 simulated studies, alpha 0.05:" in first and first.count("type:method") == 2
+    power.run(parsed(power, *words, "--json"))
+    rows = json.loads(capsys.readouterr().out)
+    by = {(row["participants"], row["effect"]): row for row in rows}
+    assert by[24, "type"]["power"] > by[8, "type"]["power"] + 0.1 > by[24, "method"]["power"] + 0.2
+    assert f"power {by[24, 'type']['power']:.3f}" in first and by[8, "type"]["low"] < by[8, "type"]["power"]
+
+
+def test_a_pilot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    rows = [f"{p},{w},{rng.normal() + 2 * (w == 'x'):.2f}" for p in range(8) for w in "xy"]
+    (tmp_path / "pilot.csv").write_text("participant,w,value\n" + "\n".join(rows) + "\n")
+    pilot = str(tmp_path / "pilot.csv")
+    words = ["--pilot", pilot, "--factors", "w", "--participants", "20", "--runs", "100", "--json"]
+    assert power.run(parsed(power, *words)) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["effect"] == "w" and row["power"] > 0.9
+    with pytest.raises(UsageError, match="--factors is needed"):
+        power.run(parsed(power, "--pilot", str(tmp_path / "pilot.csv"), "--participants", "20"))
+    with pytest.raises(UsageError, match="leave out"):
+        power.run(parsed(power, *words, "--effect", "w=1"))
+
+
+def test_mistakes_of_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    both = " ".join(FACTORS)
+    for words, said in (
+        ("--participants 12", "name the factors"),
+        (both, "--participants is needed"),
+        (f"{both} --participants 12 --effect type", "--effect needs NAME=NUMBER"),
+        (f"{both} --participants 12 --effect colour=1", "expected factors"),
+        ("--within type=self --participants 12", "--within needs NAME=LEVEL,LEVEL"),
+        (f"{both} --between type=a,b --participants 12", "--between needs"),
+        (f"{both} --participants 12 --runs 0", "a run or more"),
+        (f"{both} --participants 1", "2 participants or more"),
+        (f"{both} --participants 12 --points 1", "2 to 1000 points"),
+    ):
+        assert said in mistake(capsys, "study", "power", *words.split())
+
+
+TWO, THREE = {"a": ("1", "2")}, {"b": ("x", "y", "z")}
+
+
+def script(plan: Planned, model: ModelName = "auto") -> list[str]:
+    table = replace(plan.table, values=np.random.default_rng(1).normal(size=len(plan.table.cell)))
+    return r_script("t.csv", [analysed(table, model)], participant="who", response="y", long=True).splitlines()
+
+
+@pytest.mark.parametrize(
+    ("plan", "model", "whole", "pairs"),
+    [
+        (Planned(TWO | THREE, 6), "auto", " + Error(person / (a * b))", " + Error(person / (both))"),
+        (Planned(TWO | THREE, 6), "mixed", " + (1 | person)", " + (1 | person)"),
+        (Planned(TWO | THREE, 6, frozenset("a")), "auto", " + Error(person / (b))", " + (1 | person)"),
+        (Planned(TWO | THREE, 12, frozenset("ab")), "auto", "", ""),
+    ],
+)
+def test_error_strata(plan: Planned, model: ModelName, whole: str, pairs: str) -> None:
+    lines = script(plan, model)
+    assert f"m <- art(answer ~ a * b{whole}, data = d)" in lines
+    assert f'print(art.con(art(answer ~ both{pairs}, data = d), "both", adjust = "holm"))' in lines
+    assert 'd <- whole[whole[["measure"]] == "answer", ]' in lines and 'd$person <- factor(d[["who"]])' in lines
+
+
+def test_groups_of_different_size_and_four_factors() -> None:
+    assert any("type III (car's Anova)" in line for line in script(Planned(TWO | THREE, 7, frozenset("a")), "rm"))
+    four = script(Planned(TWO | {"c": ("1", "2"), "d": ("1", "2"), "m": ("1", "2")}, 5))
+    factors = "a * c * factor3 * factor4"
+    assert f"m <- art(answer ~ {factors} + Error(person / ({factors})), data = d)" in four
+    assert any("look at summary(m)" in line for line in four)
