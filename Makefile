@@ -61,7 +61,8 @@ report: $(VENV)/.run
 	$(BIN)/glsplat report -o out/report
 
 # The site of docs/ and the docstrings: open out/site/index.html, no server is needed; any fault ends it. The picture of
-# the architecture and the copies of measured tables are made from the code and the tables first. The variable keeps a note on mkdocs-material's successor out of the log; --quiet would keep --strict from seeing faults.
+# the architecture and the copies of measured tables are made from the code and the tables first. The variable keeps a
+# note on mkdocs-material's successor out of the log; --quiet would keep --strict from seeing faults.
 docs: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	$(BIN)/python -m tests.house

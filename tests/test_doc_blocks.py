@@ -8,7 +8,6 @@ test that a reason names is there, too.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import contextlib
 import importlib
@@ -26,7 +25,6 @@ import pytest
 
 import glsplat
 from apps import cli
-from apps.usage import CommandParser
 from glsplat.data import person
 from glsplat.speech.sound import Sound, wav_bytes
 
@@ -39,12 +37,6 @@ PROGRAMS = {
     *("ray", "monado-service", ".venv/bin/pytest", "su", "git"),
 }
 """A block whose lines begin with none of these, and that is not fenced as a language, is a figure or a quotation."""
-OTHERS = {
-    *("--no-deps", "--shm-size", "--no-healthcheck", "--gpus", "--use-file-for-fake-audio-capture"),
-    *("--alone", "--beside", "--datagrams", "--here", "--hour", "--no-NAME", "--ignoreexternal", "--verifytypes"),
-    *("--experimental-websocket", "--select", "--again", "--tree"),
-}
-"""Options of programs that are not ours, of scripts, and a pattern."""
 WHOLE = {"python.md": "tests/api/test_examples.py", "extending.md": "tests/formats/test_own_format.py"}
 """Pages whose Python is one program, and the test that runs it."""
 
@@ -213,50 +205,3 @@ def given() -> dict[str, object]:
     head[:3, 3] = 0, 1.4, 2.0
     camera = glsplat.Camera(glsplat.look_at((0, 1.2, 2.4), (0, 1, 0)), glsplat.pinhole(512, 512), 512, 512)
     return {"glsplat": glsplat, "np": np, "camera": camera, "head_pose": head, "pose": glsplat.Pose.zero(55)}
-
-
-def options() -> set[str]:
-    """Every option of every command."""
-
-    def of(parser: argparse.ArgumentParser) -> set[str]:
-        if isinstance(parser, CommandParser):
-            parser.complete()
-        found = {option for action in parser._actions for option in action.option_strings}
-        for action in parser._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                found |= set().union(*map(of, action.choices.values()))
-        return found
-
-    out: set[str] = set()
-    for name in cli.COMMANDS:
-        parser = CommandParser(prog=name)
-        importlib.import_module(f"apps.{cli.MODULES.get(name, name)}").add_arguments(parser)
-        out |= of(parser)
-    return out
-
-
-def test_options_that_are_named_exist() -> None:
-    known, lost = options() | OTHERS, []
-    for page in PAGES:
-        for code in re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8")):
-            named = re.findall(r"(?<![\w-])--[a-z][\w-]*", code)
-            lost += [f"{page.name}: {option}" for option in named if option not in known]
-    assert not lost and {"--fps", "--until", "--height"} < known and "--nothing" not in known
-
-
-def test_a_block_that_is_wrong_is_found(tmp_path: Path) -> None:
-    page = tmp_path / "a.md"
-    page.write_text("# A\n\n    glsplat render --nothing me.glb\n\n```python\nfrom glsplat import nothing\n```\n")
-    shell, python = blocks_of(page)
-    with pytest.raises(pytest.fail.Exception, match=r"a\.md:3: glsplat render --nothing"):
-        read_command(shell.text, shell)
-    with pytest.raises(AssertionError):
-        read(python)
-    page.write_text("<!-- not run (serve): it stays; tests/nothing.py -->\n\n    glsplat serve\n    glsplat bench\n")
-    (marked,) = blocks_of(page)
-    assert marked.why_not("glsplat serve") and marked.why_not("glsplat bench") is None
-    with pytest.raises(AssertionError, match=r"no tests/nothing\.py"):
-        read(marked)
-    page.write_text("<!-- not run: why -->\n\nwords between\n\n    glsplat serve\n")
-    with pytest.raises(AssertionError, match="right above"):
-        blocks_of(page)

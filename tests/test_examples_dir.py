@@ -1,9 +1,8 @@
-"""docs/examples: each program runs, says what it made, stays short, and is linked where people look."""
+"""docs/examples: each program runs and draws what it says."""
 
 from __future__ import annotations
 
 import json
-import re
 import runpy
 import subprocess
 import sys
@@ -16,10 +15,10 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.formats import load, save
-from glsplat.meshes import MeshPart, RiggedMesh
 from tests.needs import program, require
+from tests.scene.people import boxes, save_person
 from tests.skinning.avatars import part
-from tools.docs.gallery import LARGEST, PICTURES, served
+from tools.docs.gallery import served
 
 ROOT = Path(__file__).resolve().parents[1]
 CLIENT = ROOT / "docs" / "examples" / "client.mjs"
@@ -43,25 +42,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return run
 
 
-def test_they_are_short_and_linked() -> None:
+def test_each_is_linked_from_the_gallery() -> None:
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
-    assert len(PROGRAMS) == 11
-    for one in PROGRAMS:
-        assert len(one.read_text(encoding="utf-8").splitlines()) < 40, one.name
-        assert f"(examples/{one.name})" in page, one.name
-
-
-def test_the_gallery_shows_what_ten_of_them_draw() -> None:
-    """In the page's order; that the pictures are theirs is what tools.docs.gallery is for."""
-    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
-    shown = re.findall(r"\(images/gallery-([\w-]+)\.webp\)", page)
-    assert [name.replace("-", "_") for name in shown] == list(PICTURES) and len(shown) == 10
-    for name in shown:
-        picture = ROOT / "docs" / "images" / f"gallery-{name}.webp"
-        assert 1000 < picture.stat().st_size <= LARGEST and cv2.imread(str(picture)).std() > 10, name
-    assert {path.name for path in (ROOT / "docs" / "images").glob("gallery-*")} == {
-        f"gallery-{name}.webp" for name in shown
-    }
+    assert PROGRAMS and all(f"(examples/{one.name})" in page for one in PROGRAMS)
 
 
 def test_one_picture(run: Run, tmp_path: Path) -> None:
@@ -101,7 +84,6 @@ def test_drive_a_server(run: Run, url: str) -> None:
 
 def test_a_client_in_javascript(url: str, tmp_path: Path) -> None:
     require("node")
-    assert len(CLIENT.read_text(encoding="utf-8").splitlines()) < 40  # as docs/extending.md says
     major = int(subprocess.run([program("node"), "--version"], capture_output=True, text=True).stdout[1:].split(".")[0])
     if major < 22:
         done = subprocess.run([program("node"), str(CLIENT), url], capture_output=True, text=True, timeout=60)
@@ -115,11 +97,6 @@ def test_a_client_in_javascript(url: str, tmp_path: Path) -> None:
     assert all(0.02 < figure(eye) < 0.5 for eye in (left, right)) and (left != right).any()
     alone = subprocess.run([*words, "ws://127.0.0.1:9/ws"], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert "no server at ws://127.0.0.1:9/ws" in alone.stderr
-
-
-def test_without_a_server_it_says_so(run: Run) -> None:
-    with pytest.raises(SystemExit, match=r"127\.0\.0\.1:9"):
-        run("drive_server.py", "ws://127.0.0.1:9/ws")
 
 
 def test_a_custom_solver(run: Run) -> None:
@@ -184,26 +161,9 @@ def test_recolour(run: Run) -> None:
 
 
 def test_score_an_avatar(run: Run, tmp_path: Path) -> None:
-    """On a mesh that a test can make: the embedded body's splats against a wall of another colour score badly."""
-    avatar = part(default_avatar(), np.arange(0, 40000, 20))
-    save(avatar, tmp_path / "me.glb")
-    mesh = panel(avatar.skeleton)
-    ok, png = cv2.imencode(".png", mesh.parts[0].texture)
-    assert ok
-    np.savez(
-        tmp_path / "person.npz",
-        vertices=mesh.vertices,
-        joints=avatar.skeleton.joints,
-        parents=avatar.skeleton.parents,
-        joint_names=np.array(avatar.skeleton.names),
-        skin_indices=mesh.joints,
-        skin_weights=mesh.weights,
-        part_names=np.array(["panel"]),
-        faces_0=mesh.parts[0].faces,
-        faces_uv_0=np.zeros_like(mesh.parts[0].faces),
-        uv_0=np.full((1, 2), 0.5),
-        texture_0=png.ravel(),
-    )
+    """The embedded body against a mesh of boxes on its joints: it scores badly."""
+    save(part(default_avatar(), np.arange(0, 40000, 20)), tmp_path / "me.glb")
+    save_person(boxes(), tmp_path / "person.npz")
     said = run("score_avatar.py", "me.glb", "person.npz", 1)
     assert said.count("SSIM") == 2 and 1 < float(said.split("worst ")[1].split()[0]) < 25
 
@@ -211,11 +171,3 @@ def test_score_an_avatar(run: Run, tmp_path: Path) -> None:
 def figure(picture: np.ndarray) -> float:
     """The share of a picture that is not its corner's colour."""
     return float((np.abs(picture.astype(int) - picture[0, 0]).max(axis=2) > 12).mean())
-
-
-def panel(skeleton) -> RiggedMesh:
-    """A green rectangle of a person's height that rides the pelvis."""
-    corners = np.array([[-0.4, 0, 0], [0.4, 0, 0], [0.4, 1.7, 0], [-0.4, 1.7, 0]])
-    texture = np.full((4, 4, 4), (60, 200, 60, 255), np.uint8)
-    green = MeshPart("panel", np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.full((2, 3, 2), 0.5), texture)
-    return RiggedMesh(corners, skeleton, np.zeros((4, 1), np.int64), np.ones((4, 1)), (green,))

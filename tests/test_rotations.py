@@ -9,7 +9,6 @@ from scipy.special import factorial, lpmv
 
 from glsplat.rotations import (
     FLIP_X,
-    FLIP_YZ,
     FLIP_Z,
     component_sums,
     lengths,
@@ -111,12 +110,6 @@ def test_sh_rotations_turn_what_is_seen(rng: np.random.Generator) -> None:
             sh_basis(d, 3) @ matrix @ coefficients, sh_basis(d @ turn, 3) @ coefficients, atol=1e-12
         )
         np.testing.assert_allclose(matrix, sh_rotations(turn, 3), atol=1e-13)
-
-
-def test_flips_are_their_own_inverses() -> None:
-    for flip in (FLIP_X, FLIP_YZ, FLIP_Z):
-        np.testing.assert_array_equal(flip @ flip, np.eye(4))
-    assert np.linalg.det(FLIP_YZ) == 1 and np.linalg.det(FLIP_X) == -1 == np.linalg.det(FLIP_Z)
 
 
 class TestUnitVectors:
