@@ -134,8 +134,8 @@ def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
     steer(page, head=pose([0, 1.5, 0]))
     see(page)
     stands, densities = similarity((0, 0, -1.6), (0, 0, 0, 1)), [level.density for level in avatar.levels]
-    for frame in range(5):
-        steer(page, head=pose([0.02 * frame, 1.5, 0], yaw=1.25 * (frame - 2), pitch=-8))
+    for frame in range(3):
+        steer(page, head=pose([0.02 * frame, 1.5, 0], yaw=1.25 * (frame - 1), pitch=-8))
         seen = see(page)
         side = seen["left"].shape[0]
         cameras = []
@@ -145,8 +145,8 @@ def test_the_picture_is_of_the_pose_of_its_frame_while_the_head_turns(
                 [[fx, 0, (1 - projection[0, 2]) * side / 2], [0, fy, (1 + projection[1, 2]) * side / 2], [0, 0, 1]]
             )
             cameras.append(Camera(np.diag([1.0, -1, -1, 1]) @ np.linalg.inv(matrix), K, side, side))
-        if frame % 4:
-            continue  # every frame is drawn; two are held against the truth
+        if frame < 2:
+            continue  # every frame is drawn; the last is held against the truth
         density = max(Proxy.of(avatar).density(camera, stands) for camera in cameras)
         level = chosen(densities, density)
         content = avatar if level == 0 else avatar.levels[level - 1].content

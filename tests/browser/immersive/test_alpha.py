@@ -52,7 +52,7 @@ def sampled(image: NDArray[Any], u: NDArray[Any], v: NDArray[Any]) -> NDArray[An
 @pytest.mark.gl
 def test_the_rim_has_no_fringe(open_page: OpenPage, serve: Any) -> None:
     """A person in passthrough at quality 80, before a checkerboard, against compositing what was drawn in floats."""
-    avatar = glsplat.default_avatar()
+    avatar = glsplat.default_avatar().levels[0].content
     backend = Kept(avatar)
     served = serve(backend, offered=[offered("default", avatar)])
     page = visit(open_page, served, {"view": "facing", "size": DRAWN, "quality": 80})

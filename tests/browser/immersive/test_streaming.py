@@ -96,7 +96,7 @@ def test_nothing_piles_up(open_page: OpenPage, serve: Any) -> None:
         return found
 
     early = state(250)  # what the page keeps is there by then
-    late = state(early["shown"] + 400)
+    late = state(early["shown"] + 150)
     assert late["open"] <= 4 and early["open"] <= 4, (early, late)  # one pair may wait to be shown
     assert late["textures"] == early["textures"]
     assert late["heap"] <= 1.05 * early["heap"], (early, late)
