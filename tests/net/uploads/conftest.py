@@ -66,12 +66,17 @@ class Client:
             assert time.monotonic() < end, told
             await asyncio.sleep(0.02)
 
-    async def made(self, data: Any = PICTURE, **more: Any) -> str:
-        """The name of an avatar that was made."""
+    async def job(self, data: Any, *states: str, **more: Any) -> dict[str, Any]:
+        """What is told of a new job once it is in one of ``states``."""
         status, told = await self.post(data, **more)
         assert status == 202, told
-        assert (await self.until(told["name"], "done", "failed"))["state"] == "done"
-        return told["name"]
+        return await self.until(told["name"], *states)
+
+    async def made(self, data: Any = PICTURE, **more: Any) -> str:
+        """The name of an avatar that was made."""
+        told = await self.job(data, "done", "failed", **more)
+        assert told["state"] == "done"
+        return str(told["name"])
 
     async def offered(self) -> list[str]:
         return [one["name"] for one in (await self.ask("GET", "/session"))[1]["avatars"]]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 from dataclasses import replace
 
 import aiohttp
 import pytest
 
-from apps.serve.agreed import add_consent, signing
+from apps.serve.agreed import signing
 from glsplat.consent.file import on_file
 from glsplat.consent.keys import private_key
 from glsplat.consent.policy import ConsentPolicy
@@ -38,43 +37,35 @@ def made(tmp_path, state):
     return uploads, policy, config, {name: token for name, (_, token) in accounts.items()}
 
 
-def test_whoever_had_it_made_drives_and_deletes_it_alone(serve, made, state):
+async def test_whoever_had_it_made_drives_and_deletes_it_alone(serve, made, state):
     uploads, policy, config, tokens = made
+    async with serve(config=replace(config, consent=policy), uploads=Uploads(uploads, described)) as server:
+        uploads.folder.mkdir()
+        async with aiohttp.ClientSession() as http:
+            origin = f"http://127.0.0.1:{server.port}"
 
-    async def main():
-        async with serve(config=replace(config, consent=policy), uploads=Uploads(uploads, described)) as server:
-            uploads.folder.mkdir()
-            async with aiohttp.ClientSession() as http:
-                origin = f"http://127.0.0.1:{server.port}"
+            async def ask(method, path, who, data=None):
+                headers = {"Authorization": f"Bearer {tokens[who]}", "Content-Type": "image/jpeg"}
+                async with http.request(method, f"{origin}{path}", headers=headers, data=data) as answer:
+                    there = answer.content_type == "application/json"
+                    return answer.status, await (answer.json() if there else answer.text())
 
-                async def ask(method, path, who, data=None):
-                    headers = {"Authorization": f"Bearer {tokens[who]}", "Content-Type": "image/jpeg"}
-                    async with http.request(method, f"{origin}{path}", headers=headers, data=data) as answer:
-                        there = answer.content_type == "application/json"
-                        return answer.status, await (answer.json() if there else answer.text())
+            async def names(who):
+                return [one["name"] for one in (await ask("GET", "/session", who))[1]["avatars"]]
 
-                async def names(who):
-                    return [one["name"] for one in (await ask("GET", "/session", who))[1]["avatars"]]
-
-                name = (await ask("POST", "/avatars?consent=yes", "ann", PICTURE))[1]["name"]
-                while (await ask("GET", f"/avatars/{name}", "ann"))[1]["state"] != "done":
-                    await asyncio.sleep(0.05)
-                offered = {who: await names(who) for who in tokens}
-                async with Client(server.url, tokens["ann"], avatar=name):
-                    pass
-                for who in ("bob", "boss"):
-                    with pytest.raises(ProtocolError, match="403"):
-                        async with Client(server.url, tokens[who], avatar=name):
-                            pass
-                refused = [(await ask("DELETE", f"/avatars/{name}", who))[0] for who in ("bob", "boss")]
-                found = on_file(uploads.folder / f"{name}.glb")
-                deleted = (await ask("DELETE", f"/avatars/{name}", "ann"))[0]
-                slow = (await ask("POST", "/avatars?consent=yes", "ann", b"\xff\xd8 wait"))[1]["name"]
-                given_up = [(await ask("DELETE", f"/avatars/{slow}", who))[0] for who in ("bob", "boss", "ann")]
-                assert given_up == [404, 404, 204]
-                return name, offered, refused, found, deleted
-
-    name, offered, refused, found, deleted = asyncio.run(main())
+            name = (await ask("POST", "/avatars?consent=yes", "ann", PICTURE))[1]["name"]
+            while (await ask("GET", f"/avatars/{name}", "ann"))[1]["state"] != "done":
+                await asyncio.sleep(0.05)
+            offered = {who: await names(who) for who in tokens}
+            async with Client(server.url, tokens["ann"], avatar=name):
+                pass
+            for who in ("bob", "boss"):
+                with pytest.raises(ProtocolError, match="403"):
+                    async with Client(server.url, tokens[who], avatar=name):
+                        pass
+            refused = [(await ask("DELETE", f"/avatars/{name}", who))[0] for who in ("bob", "boss")]
+            found = on_file(uploads.folder / f"{name}.glb")
+            deleted = (await ask("DELETE", f"/avatars/{name}", "ann"))[0]
     assert offered["ann"] == [name] and offered["bob"] == offered["boss"] == []
     assert refused == [404, 404] and deleted == 204
     consent = found.consent
@@ -96,11 +87,3 @@ def test_what_lies_there_without_a_record_is_left_out_with_a_line(tmp_path, made
     shown = ConsentPolicy(without=True)
     server = make_server(limb(20), config, uploads=uploads, consent=shown)
     assert set(server._offers.names) == {"default", "new", "old"} and shown.label("old") == "no consent on file"
-
-
-def test_without_a_policy_nothing_is_signed(tmp_path):
-    parser = argparse.ArgumentParser()
-    add_consent(parser)
-    assert parser.parse_args([]).trust is None and not parser.parse_args([]).without_consent
-    assert signing(None, ConsentPolicy()) is None
-    assert UploadConfig(folder=tmp_path, make=make).signed is None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +14,13 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
-from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client as Streaming
 from glsplat.net.messages import WireOptions
-from glsplat.net.server import ServerConfig
+from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from tests.net.legacy.test_legacy import thinned
 from tests.net.uploads.conftest import GUARD, LIMITS, Client
@@ -44,44 +45,29 @@ async def picture(server, name: str | None = None, **more) -> np.ndarray:
         return (await client.render(PAIR, quality=95, **more)).images()[0].astype(int)
 
 
+@asynccontextmanager
+async def started(folder: Path) -> AsyncIterator[Server]:
+    server = server_of(folder)
+    await server.start()
+    try:
+        yield server
+    finally:
+        await server.stop()
+
+
 @pytest.mark.gl
-def test_an_avatar_is_drawn_as_soon_as_it_is_made_and_after_the_next_start(tmp_path: Path) -> None:
+async def test_an_avatar_is_drawn_as_soon_as_it_is_made_and_after_the_next_start(tmp_path: Path) -> None:
     folder = tmp_path / "new"
-
-    async def first() -> tuple[str, np.ndarray]:
-        server = server_of(folder)
-        await server.start()
-        try:
-            async with aiohttp.ClientSession() as http:
-                client = Client(http, server, folder)
-                default = await picture(server)
-                name = await client.made(PICTURE)
-                made = await picture(server, name, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]}, hide="head")
-                assert made.max() > 60 and np.abs(made - default).max() > 30
-                made = await picture(server, name)
-                other = await client.made(PICTURE)
-                assert (await client.ask("DELETE", f"/avatars/{other}"))[0] == 204
-                with pytest.raises(ProtocolError, match="400"):
-                    await picture(server, other)
-                return name, made
-        finally:
-            await server.stop()
-
-    async def second(name: str) -> np.ndarray:
-        server = server_of(folder)
-        await server.start()
-        try:
-            assert [(one["name"], one["made"]) for one in server.offer()["avatars"]] == [
-                ("default", False),
-                (name, True),
-            ]
-            return await picture(server, name)
-        finally:
-            await server.stop()
-
-    name, made = asyncio.run(first())
-    again = asyncio.run(second(name))
-    assert np.abs(made - again).max() <= 2
+    async with started(folder) as server, aiohttp.ClientSession() as http:
+        default = await picture(server)
+        name = await Client(http, server, folder).made(PICTURE)
+        headless = await picture(server, name, tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]}, hide="head")
+        made = await picture(server, name)
+    assert headless.max() > 60 and np.abs(headless - default).max() > 30
+    async with started(folder) as server:
+        offered = [(one["name"], one["made"]) for one in server.offer()["avatars"]]
+        assert offered == [("default", False), (name, True)]
+        assert np.abs(made - await picture(server, name)).max() <= 2
     assert folder.stat().st_mode & 0o777 == 0o700
 
 

@@ -125,159 +125,125 @@ def test_the_rate() -> None:
     assert late([(9.9, RATE * 10)] * 12, end=121) is None  # bursts of just the rate
 
 
-@pytest.mark.parametrize(
-    ("headers", "first", "again", "seconds"),
-    [(length(1_000_000), b"ok", b"x", 10.1), (CHUNKED, chunk(b"ok"), chunk(b"x"), 10.1), (EXPECTS, b"", b"", 10.1),
-     (FORM, b"--BBBB\r\nContent-Disposition: ", b"x" * RATE, 120), (length(10**7), b"ok", b"x" * RATE, 120),
-     (FORM, b"--BBBB\r\nContent-Disposition: ", b"x" * (RATE // 4), 13),
-     (CHUNKED, chunk(PICTURE), b"", 10.1), (length(len(PICTURE) + 1), PICTURE, b"", 10.1)],
-    ids=["a byte now and then", "chunks of a byte", "nothing after 100 Continue", "a header without end",
-         "just the rate", "a slow header without end", "no last chunk", "all but one byte"],
-)  # fmt: skip
-def test_a_slow_sender_loses_its_place(
-    takes, hours: Hours, headers: str, first: bytes, again: bytes, seconds: float
-) -> None:
-    """After ``seconds``, with 408 and a line, and not before; the place is free for the next one."""
-
-    async def main() -> None:
-        async with takes(waiting=0) as client:
-            slow = await Sender.open(client, headers, hours=hours)
-            await client.received(1)
-            if first:
-                await slow.send(first)
-            while hours.now < seconds - 1.1:
-                hours.pass_(1)
-                if again:
-                    await slow.send(again)
-                assert client.counts()["receiving"] == 1
-            hours.pass_(1.2)
-            await client.received(0)
-            status, line = await slow.answer()
-            assert status == 408 and line.count("\n") == 1
-            assert "too slowly: at least 4 kB a second are needed, all of them within 120 s" in line
-            assert client.counts() == NOTHING
-            await client.made()
-
-    asyncio.run(main())
+SLOW = {
+    "a byte now and then": (length(1_000_000), b"ok", b"x", 10.1),
+    "chunks of a byte": (CHUNKED, chunk(b"ok"), chunk(b"x"), 10.1),
+    "nothing after 100 Continue": (EXPECTS, b"", b"", 10.1),
+    "a header without end": (FORM, b"--BBBB\r\nContent-Disposition: ", b"x" * RATE, 120),
+    "just the rate": (length(10**7), b"ok", b"x" * RATE, 120),
+    "no last chunk": (CHUNKED, chunk(PICTURE), b"", 10.1),
+    "all but one byte": (length(len(PICTURE) + 1), PICTURE, b"", 10.1),
+}
 
 
-@pytest.mark.parametrize(("kind", "gap"), [("length", 1), ("chunked", 1), ("length", 5)])
-def test_an_honest_slow_link_is_served(takes, hours: Hours, kind: str, gap: int) -> None:
+@pytest.mark.parametrize("kind", SLOW)
+async def test_a_slow_sender_loses_its_place(takes, hours: Hours, kind: str) -> None:
+    """With 408 and a line when its seconds are over, and not before."""
+    headers, first, again, seconds = SLOW[kind]
+    async with takes(waiting=0) as client:
+        slow = await Sender.open(client, headers, hours=hours)
+        await client.received(1)
+        if first:
+            await slow.send(first)
+        while hours.now < seconds - 1.1:
+            hours.pass_(1)
+            if again:
+                await slow.send(again)
+            assert client.counts()["receiving"] == 1
+        hours.pass_(1.2)
+        await client.received(0)
+        status, line = await slow.answer()
+        assert status == 408 and line.count("\n") == 1
+        assert "too slowly: at least 4 kB a second are needed, all of them within 120 s" in line
+        assert client.counts() == NOTHING
+
+
+@pytest.mark.parametrize(("chunked", "gap"), [(True, 1), (False, 5)])
+async def test_an_honest_slow_link_is_served(takes, hours: Hours, chunked: bool, gap: int) -> None:
     """64 kbit/s without a break, or in bursts: 0.9 MB come through in the time."""
     whole = PICTURE + bytes(900_000)
-
-    async def main() -> None:
-        async with takes() as client:
-            headers = CHUNKED if kind == "chunked" else length(len(whole))
-            slow = await Sender.open(client, headers, hours=hours)
-            await client.received(1)
-            for at in range(0, len(whole), 8000 * gap):
-                hours.pass_(gap)
-                piece = whole[at : at + 8000 * gap]
-                await slow.send(chunk(piece) if kind == "chunked" else piece)
-            if kind == "chunked":
-                slow.writer.write(chunk(b""))
-            assert hours.now < 120 and await slow.status() == 202
-            slow.writer.close()
-
-    asyncio.run(main())
+    async with takes() as client:
+        slow = await Sender.open(client, CHUNKED if chunked else length(len(whole)), hours=hours)
+        await client.received(1)
+        for at in range(0, len(whole), 8000 * gap):
+            hours.pass_(gap)
+            piece = whole[at : at + 8000 * gap]
+            await slow.send(chunk(piece) if chunked else piece)
+        if chunked:
+            slow.writer.write(chunk(b""))
+        assert hours.now < 120 and await slow.status() == 202
+        slow.writer.close()
 
 
-def test_one_sender_an_address(takes) -> None:
+async def test_one_sender_an_address(takes) -> None:
     """However many connections it opens, another address has a place; a job of its own may wait beside."""
+    async with takes() as client:
+        await client.post(b"wait")
+        many = [await Sender.open(client, length(1000), "127.0.0.9") for _ in range(20)]
+        answers = [asyncio.create_task(one.answer()) for one in many]
+        await until(lambda: sum(task.done() for task in answers) == 19)
+        assert client.counts()["receiving"] == 1
+        said = {task.result() for task in answers if task.done()}
+        assert said == {(503, "other pictures from this address are on their way; send yours after them\n")}
+        assert (await client.post(b"wait"))[0] == 202
+        for task in answers:
+            task.cancel()
+        for one in many:
+            one.writer.transport.abort()
+        await client.received(0)
 
-    async def main() -> None:
-        async with takes() as client:
-            await client.post(b"wait")
-            many = [await Sender.open(client, length(1000), "127.0.0.9") for _ in range(20)]
-            answers = [asyncio.create_task(one.answer()) for one in many]
-            await until(lambda: sum(task.done() for task in answers) == 19)
-            assert client.counts()["receiving"] == 1
-            said = {task.result() for task in answers if task.done()}
-            assert said == {(503, "other pictures from this address are on their way; send yours after them\n")}
-            assert (await client.post(b"wait"))[0] == 202
-            for task in answers:
-                task.cancel()
-            for one in many:
-                one.writer.transport.abort()
+
+async def test_two_slow_addresses_leave_a_place(takes) -> None:
+    async with takes() as client:
+        slow = [await Sender.open(client, length(1000), f"127.0.0.{host}") for host in (11, 12, 11, 12)]
+        await client.received(2)
+        assert (await client.post(b"wait"))[0] == 202
+        for one in slow:
+            one.writer.transport.abort()
+
+
+async def test_a_sender_that_leaves_in_the_middle_leaves_nothing(takes) -> None:
+    async with takes(waiting=0) as client:
+        for leave in ("abort", "close", "write_eof"):
+            gone = await Sender.open(client, length(1000))
+            gone.writer.write(b"abc")
+            await client.received(1)
+            getattr(gone.writer.transport, leave)()
             await client.received(0)
-
-    asyncio.run(main())
-
-
-def test_two_addresses_that_trickle_leave_a_place(takes) -> None:
-    async def main() -> None:
-        async with takes() as client:
-            slow = [await Sender.open(client, length(1000), f"127.0.0.{host}") for host in (11, 12, 11, 12)]
-            await client.received(2)
-            await client.made()
-            for one in slow:
-                one.writer.transport.abort()
-
-    asyncio.run(main())
+            gone.writer.close()
+        assert client.counts() == NOTHING
 
 
-@pytest.mark.parametrize("how", ["reset", "closed", "half closed"])
-def test_who_leaves_in_the_middle_leaves_nothing(takes, how: str) -> None:
-    async def main() -> None:
-        async with takes(waiting=0) as client:
-            for _ in range(8):
-                gone = await Sender.open(client, length(1000))
-                gone.writer.write(b"abc")
-                await client.received(1)
-                if how == "reset":
-                    gone.writer.transport.abort()
-                elif how == "closed":
-                    gone.writer.close()
-                else:
-                    gone.writer.write_eof()
-                await client.received(0)
-                gone.writer.close()
-            assert client.counts() == NOTHING
-            await client.made()
-
-    asyncio.run(main())
-
-
-def test_a_sender_that_stops_after_the_last_byte_is_served(takes) -> None:
-    """It reads no answer and stays connected: its job waits and is made like any other, and its place is free."""
-
-    async def main() -> None:
-        async with takes() as client:
-            silent = await Sender.open(client, length(len(PICTURE)))
-            silent.writer.write(PICTURE)
-            await until(lambda: client.counts()["done"] == 1)
-            await client.made()
-            silent.writer.transport.abort()
-
-    asyncio.run(main())
+async def test_a_sender_that_stops_after_the_last_byte_is_served(takes) -> None:
+    """It reads no answer and stays connected."""
+    async with takes() as client:
+        silent = await Sender.open(client, length(len(PICTURE)))
+        silent.writer.write(PICTURE)
+        await until(lambda: client.counts()["done"] == 1)
+        silent.writer.transport.abort()
 
 
 @pytest.mark.parametrize("how", ["waits", "leaves"])
-def test_a_place_held_for_nothing_counts(takes, how: str) -> None:
+async def test_a_place_held_for_nothing_counts(takes, how: str) -> None:
     """As further requests of that address, and of no other: it cannot come back again and again."""
-
-    async def main() -> None:
-        limits = replace(LIMITS, uploads=1e-6, uploads_burst=2.0, uploads_unfinished=10.0)
-        async with takes(limits=limits, stall=0.4) as client:
-            slow = await Sender.open(client, length(1000), "127.0.0.21")
-            await client.received(1)
-            if how == "leaves":
-                await asyncio.sleep(0.3)
-                slow.writer.transport.abort()
-            else:
-                assert (await slow.answer())[0] == 408
-            await client.received(0)
-            again = await Sender.open(client, length(1000), "127.0.0.21")
-            status, line = await again.answer()
-            assert status == 429 and "too many pictures from one address" in line
-            await client.made()
-
-    asyncio.run(main())
+    limits = replace(LIMITS, uploads=1e-6, uploads_burst=2.0, uploads_unfinished=10.0)
+    async with takes(limits=limits, stall=0.4) as client:
+        slow = await Sender.open(client, length(1000), "127.0.0.21")
+        await client.received(1)
+        if how == "leaves":
+            await asyncio.sleep(0.3)
+            slow.writer.transport.abort()
+        else:
+            assert (await slow.answer())[0] == 408
+        await client.received(0)
+        again = await Sender.open(client, length(1000), "127.0.0.21")
+        status, line = await again.answer()
+        assert status == 429 and "too many pictures from one address" in line
+        assert (await client.post(b"wait"))[0] == 202  # another address
 
 
 def test_coming_back_is_no_way_to_hold_a_place() -> None:
-    """A place that is held to the last second without a picture costs an address five times as long without one."""
+    """A place held to the last second costs an address five times as long without one."""
     limits, stall = Limits(), UploadConfig(folder=None, make=None).stall  # type: ignore[arg-type]
     assert limits.uploads_unfinished * stall + 1 >= 3
     assert stall / ((1 + limits.uploads_unfinished * stall) / limits.uploads) < 1 / 6

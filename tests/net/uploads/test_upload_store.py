@@ -49,9 +49,3 @@ def test_the_bounds_count_what_the_operator_put_there(tmp_path: Path) -> None:
     with pytest.raises(NoRoomError):
         UploadStore(tmp_path, 2, 2000).put("photo-abcdefgh", glb(default_avatar()))
     assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_names_are_not_repeated(tmp_path: Path) -> None:
-    store = UploadStore(tmp_path, 9, 10**9)
-    names = {store.new_name() for _ in range(100)}
-    assert len(names) == 100 and all(map(store.made_here, names))
