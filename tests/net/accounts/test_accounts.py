@@ -60,106 +60,61 @@ async def get(server, path, token=None, **headers):
         return answer.status, await answer.text()
 
 
-def test_each_address_wants_an_account_and_the_page_none(serve, made):
-    config, tokens, _ = made
-
-    async def main():
-        async with serve(config=config, offered=OFFERED) as server:
-            paths = ("/", "/stats", "/metrics", "/session", "/motions/walk", "/recording")
-            bare = [(await get(server, path))[0] for path in (*paths, "/ws")]
-            own = [(await get(server, path, tokens["ann"]))[0] for path in paths]
-            return bare, own, [(await get(server, path))[0] for path in ("/healthz", "/vr")]
-
-    bare, own, public = asyncio.run(main())
-    assert bare == [401] * 7 and own == [200] * 6 and public == [200, 200]
-
-
-def test_a_token_goes_all_the_ways(serve, made, cameras, caplog):
+async def test_a_token_goes_all_the_ways(serve, made, cameras, caplog):
     caplog.set_level(logging.DEBUG)
     config, tokens, _ = made
-
-    async def main():
-        async with serve(config=config, offered=OFFERED) as server:
-            async with Client(server.url, tokens["boss"]) as client:
-                first = (await client.render(cameras)).frame_id
-            async with (
-                aiohttp.ClientSession() as http,
-                http.ws_connect(server.url, protocols=("glsplat.v1", f"token.{tokens['ann']}")) as ws,
-            ):
-                spoken = ws.protocol
-            basic = base64.b64encode(f"anything:{tokens['ann']}".encode()).decode()
-            status = (await get(server, "/", Authorization=f"Basic {basic}"))[0]
-            wrong = (await get(server, "/session", tokens["ann"][:-1]))[0]
-            return first, spoken, status, wrong
-
-    assert asyncio.run(main()) == (1, "glsplat.v1", 200, 401)
+    protocols = ("glsplat.v1", f"token.{tokens['ann']}")
+    basic = base64.b64encode(f"anything:{tokens['ann']}".encode()).decode()
+    async with serve(config=config, offered=OFFERED) as server, aiohttp.ClientSession() as http:
+        async with Client(server.url, tokens["boss"]) as client:
+            assert (await client.render(cameras)).frame_id == 1
+        async with http.ws_connect(server.url, protocols=protocols) as ws:
+            assert ws.protocol == "glsplat.v1"
+        assert (await get(server, "/", Authorization=f"Basic {basic}"))[0] == 200
+        assert (await get(server, "/session", tokens["ann"][:-1]))[0] == 401
     assert not any(token.partition(".")[2] in caplog.text for token in tokens.values())
 
 
-def test_what_is_offered_and_what_is_refused(serve, made):
+async def test_refusals_name_nothing_that_is_not_the_askers(serve, made):
     config, tokens, _ = made
-
-    async def main():
-        async with serve(config=config, offered=OFFERED) as server:
-            offers = {}
-            for name, token in tokens.items():
-                async with aiohttp.ClientSession(headers={"Authorization": f"Bearer {token}"}) as http:
-                    async with http.get(f"http://127.0.0.1:{server.port}/session") as answer:
-                        offers[name] = [one["name"] for one in (await answer.json())["avatars"]]
-            asked = ("", "?avatar=bob", "?avatar=nobody", "?avatar=../ann", "?avatar=%2e%2e%2fann", "?room=hall")
-            asked += ("?room=../lab", "?avatar=ann&room=lab%00", "?avatar=ann&room=")
-            ann = [await get(server, f"/ws{query}", tokens["ann"], **WS) for query in asked[1:]]
-            eve = [await get(server, f"/ws{query}", tokens["eve"], **WS) for query in asked]
-            boss = [(await get(server, f"/ws?{query}", tokens["boss"], **WS))[0] for query in ("avatar=x", "room=../x")]
-            async with Client(f"{server.url}?room=lab", tokens["ann"]):
-                shown = [channel.shown.name for channel in server._channels.values()]
-            return offers, ann, eve, boss, shown
-
-    offers, ann, eve, boss, shown = asyncio.run(main())
-    assert offers == {"ann": ["ann"], "boss": ["default", "ann", "bob"], "eve": []} and shown == ["ann"]
-    assert [status for status, _ in ann + eve] == [403] * 17 and boss == [403, 403]
-    for _, text in ann + eve:
-        assert not {"bob", "default", "boss"} & set(text.replace(",", " ").split()), text
-    assert ann[0] == ann[1]  # an avatar that is there reads like one that is not
-    assert not any("ann" in text.split() for _, text in eve)
+    asked = ["?avatar=bob", "?avatar=nobody", "?avatar=../ann", "?avatar=%2e%2e%2fann", "?room=hall", "?room=../lab"]
+    asked += ["?avatar=ann&room=lab%00", "?avatar=ann&room="]
+    async with serve(config=config, offered=OFFERED) as server:
+        for name, queries in (("ann", asked), ("eve", ["", *asked])):
+            for query in queries:
+                status, text = await get(server, f"/ws{query}", tokens[name], **WS)
+                assert status == 403 and not {"bob", "default", "boss"} & set(text.replace(",", " ").split())
+                assert name == "ann" or "ann" not in text.split()
+        async with Client(f"{server.url}?room=lab", tokens["ann"]):
+            assert [channel.shown.name for channel in server._channels.values()] == ["ann"]
 
 
-def test_guesses_are_counted_one_by_one_also_when_they_come_at_once(serve, made, monkeypatch):
+async def test_guesses_are_counted_one_by_one_also_when_they_come_at_once(serve, made, monkeypatch):
     config, tokens, _ = made
     hashes, hashed = [], users._hashed
     monkeypatch.setattr(users, "_hashed", lambda token, salt: hashes.append(token) or hashed(token, salt))
-
-    async def main():
-        async with serve(config=config, offered=OFFERED) as server:
-            assert (await get(server, "/session", tokens["boss"]))[0] == 200
-            before = len(hashes)
-            guesses = [get(server, "/session", f"ann.guess{i}") for i in range(16)]
-            statuses = [status for status, _ in await asyncio.gather(*guesses)]
-            return statuses, len(hashes) - before, (await get(server, "/session", tokens["boss"]))[0]
-
-    statuses, hashed_of_them, right = asyncio.run(main())
+    async with serve(config=config, offered=OFFERED) as server:
+        assert (await get(server, "/session", tokens["boss"]))[0] == 200
+        before = len(hashes)
+        guesses = [get(server, "/session", f"ann.guess{i}") for i in range(16)]
+        statuses = [status for status, _ in await asyncio.gather(*guesses)]
+        hashed_of_them, right = len(hashes) - before, (await get(server, "/session", tokens["boss"]))[0]
     assert set(statuses) == {401, 429} and statuses.count(401) == hashed_of_them <= 6 and right == 429
 
 
-def test_who_is_removed_is_put_out(serve, made, cameras, monkeypatch):
+async def test_removing_an_account_ends_its_connections(serve, made, cameras, monkeypatch):
     config, tokens, path = made
     monkeypatch.setattr(users, "_LOOK", 0.0)
-
-    async def main():
-        async with serve(config=config, offered=OFFERED) as server:
-            async with Client(server.url, tokens["ann"]) as ann, Client(server.url, tokens["boss"]) as boss:
+    async with serve(config=config, offered=OFFERED) as server:
+        async with Client(server.url, tokens["ann"]) as ann, Client(server.url, tokens["boss"]) as boss:
+            await ann.render(cameras)
+            write_users(path, {name: user for name, user in users.read_users(path).items() if name != "ann"})
+            with pytest.raises(ProtocolError) as told:
                 await ann.render(cameras)
-                write_users(path, {name: user for name, user in users.read_users(path).items() if name != "ann"})
-                with pytest.raises(ProtocolError) as told:
-                    await ann.render(cameras)
-                still = (await boss.render(cameras)).frame_id
-            with pytest.raises(ProtocolError, match="401"):
-                async with Client(server.url, tokens["ann"]):
-                    pass
-            return told.value.code, still
-
-    code, still = asyncio.run(main())
-    assert code in ("not_allowed", "closed") and still == 1
+            assert told.value.code in ("not_allowed", "closed")
+            assert (await boss.render(cameras)).frame_id == 1
+        with pytest.raises(ProtocolError, match="401"):
+            await Client(server.url, tokens["ann"]).connect()
 
 
 NAMES = st.sampled_from(["default", "ann", "bob", "lab", "*", "", ".."]) | st.text(max_size=70)
@@ -187,33 +142,18 @@ def test_no_query_leads_to_what_an_account_may_not(query, avatars, rooms):
     assert query.get("room", "lab") in rooms or "room" not in query
 
 
-def test_one_token_is_as_before(serve, cameras):
-    """And who has it may drive and enter everything."""
-    config = ServerConfig(port=0, access=Access(token="0123456789abcdef"), rooms={"hall": 4})
-
-    async def main():
-        async with serve(config=config, offered=OFFERED) as server:
-            async with Client(f"{server.url}?room=hall", "0123456789abcdef", avatar="bob") as client:
-                return (await client.render(cameras)).frame_id
-
-    assert asyncio.run(main()) == 1
-
-
-def test_only_so_many_tokens_wait_to_be_looked_at(serve, made, monkeypatch):
+async def test_only_so_many_tokens_wait_to_be_looked_at(serve, made, monkeypatch):
     """And who was let in before does not wait behind them."""
     config, tokens, _ = made
     hashed, opened = users._hashed, threading.Event()
     monkeypatch.setattr(gate, "_MOST_LOGINS", 2)
-
-    async def main():
-        async with serve(config=config, offered=OFFERED) as server:
-            first = (await get(server, "/session", tokens["boss"]))[0]
-            monkeypatch.setattr(users, "_hashed", lambda *words: opened.wait(HANG) and hashed(*words))
-            waiting = [asyncio.create_task(get(server, "/session", f"eve.guess{i}")) for i in range(4)]
-            await until(lambda: sum(task.done() for task in waiting) == 2)
-            known = (await get(server, "/session", tokens["boss"]))[0]
-            assert sum(task.done() for task in waiting) == 2
-            opened.set()
-            return first, known, sorted([status for status, _ in await asyncio.gather(*waiting)])
-
-    assert asyncio.run(main()) == (200, 200, [401, 401, 429, 429])
+    async with serve(config=config, offered=OFFERED) as server:
+        first = (await get(server, "/session", tokens["boss"]))[0]
+        monkeypatch.setattr(users, "_hashed", lambda *words: opened.wait(HANG) and hashed(*words))
+        waiting = [asyncio.create_task(get(server, "/session", f"eve.guess{i}")) for i in range(4)]
+        await until(lambda: sum(task.done() for task in waiting) == 2)
+        known = (await get(server, "/session", tokens["boss"]))[0]
+        assert sum(task.done() for task in waiting) == 2
+        opened.set()
+        assert first == known == 200
+        assert sorted([status for status, _ in await asyncio.gather(*waiting)]) == [401, 401, 429, 429]

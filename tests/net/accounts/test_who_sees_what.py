@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import base64
 import time
 from collections.abc import AsyncIterator, Mapping
@@ -261,25 +260,9 @@ async def world(folder: Path, **changes: Any) -> AsyncIterator[World]:
             yield World(server, http, tokens, facts, {"job": job.name, "ann_splats": digest.hex()})
 
 
-def run(coroutine: Any) -> Any:
-    return asyncio.run(coroutine)
-
-
 def led(folder: Path) -> StudyLead:
     study, plan = planned(folder)
     return StudyLead(Live(study, plan, 1, folder / "data"), {"fast": "ann-avatar", "slow": "bob-avatar"})
-
-
-KINDS: dict[str, Any] = {
-    "plain": {},
-    "token": {"access": Access(token=TOKEN)},
-    "private": {"private": True},
-    "rooms": {"rooms": {"ann-room": 4}},
-    "uploads": {"uploads": True},
-    "webtransport": {"webtransport": True},
-    "video": {"video": True},
-    "study": {"study": True},
-}
 
 
 def routes(server: Server) -> set[str]:
@@ -294,118 +277,73 @@ def routes(server: Server) -> set[str]:
     return found - heads
 
 
-def test_every_address_has_a_row(tmp_path: Path) -> None:
-    """Of every kind of server. Who adds an address says here what each kind of account finds there."""
-
-    async def main() -> dict[str, set[str]]:
-        found = {}
-        for kind, options in KINDS.items():
-            (folder := tmp_path / kind).mkdir()
-            more = dict(options)
-            uploads, lead = more.pop("uploads", False), led(folder) if more.pop("study", False) else None
-            async with running(ServerConfig(port=0, **more), folder, uploads, lead) as server:
-                found[kind] = routes(server)
-        async with world(tmp_path) as here:
-            found["users"] = routes(here.server)
-        return found
-
-    found = run(main())
-    assert set().union(*found.values()) == {row.route for row in TABLE} | STUDY
-    assert found["users"] == {row.route for row in TABLE} and found["study"] >= STUDY
+async def test_every_address_has_a_row(tmp_path: Path) -> None:
+    """Of a server with everything. Who adds an address says here what each kind of account finds there."""
+    everything: dict[str, Any] = {"rooms": {"ann-room": 4}, "webtransport": True, "video": True}
+    async with running(ServerConfig(port=0, **everything), tmp_path, True, led(tmp_path)) as server:
+        assert routes(server) == {row.route for row in TABLE} | STUDY
+    async with world(tmp_path) as here:
+        assert routes(here.server) == {row.route for row in TABLE}
 
 
-def test_what_each_account_finds(tmp_path: Path) -> None:
-    async def main() -> list[str]:
-        wrong = []
-        async with world(tmp_path) as here:
-            for row in TABLE:
-                # whoever may do more comes last: what is deleted is not there for the others
-                for visitor in sorted(VISITORS, key=lambda one: row.of(one) != row.usual):
-                    status, _, body = await here.ask(visitor, row.method, row.address)
-                    got = " ".join(map(str, [status, *sorted(here.told(body))]))
-                    expected, *facts = row.of(visitor).split()
-                    if got != " ".join([expected, *sorted(facts)]):
-                        wrong.append(f"{row.route} {row.address} {visitor}: {got}, not {row.of(visitor)}")
-        return wrong
-
-    assert run(main()) == []
-
-
-def test_what_is_not_theirs_reads_like_what_is_not_there(tmp_path: Path) -> None:
-    """Status, headers and every byte."""
-
-    async def main() -> int:
-        count = 0
-        async with world(tmp_path) as here:
-            for row in TABLE:
-                for visitor in ACCOUNTS:
-                    if not row.absent or row.of(visitor).split()[0] != row.usual:
-                        continue
-                    for method in {row.method, "HEAD"} if row.method == "GET" else {row.method}:
-                        theirs = await here.ask(visitor, method, row.address)
-                        absent = await here.ask(visitor, method, row.absent)
-                        assert theirs == absent, (visitor, method, row.address)
-                        count += 1
-        return count
-
-    assert run(main()) > 60
-
-
-def test_head_tells_no_more_than_get(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with world(tmp_path) as here:
-            for row in TABLE:
+async def test_what_each_account_finds(tmp_path: Path) -> None:
+    """HEAD tells no more than GET, and no cache on the way keeps what depends on who asks."""
+    wrong = []
+    async with world(tmp_path) as here:
+        for row in TABLE:
+            # whoever may do more comes last: what is deleted is not there for the others
+            for visitor in sorted(VISITORS, key=lambda one: row.of(one) != row.usual):
+                status, headers, body = await here.ask(visitor, row.method, row.address)
+                got = " ".join(map(str, [status, *sorted(here.told(body))]))
+                expected, *facts = row.of(visitor).split()
+                if got != " ".join([expected, *sorted(facts)]):
+                    wrong.append(f"{row.route} {row.address} {visitor}: {got}, not {row.of(visitor)}")
                 if row.method == "GET" and row.route != "GET /ws":
-                    for visitor in VISITORS:
-                        status, headers, body = await here.ask(visitor, "HEAD", row.address)
-                        assert str(status) == row.of(visitor).split()[0] and body == b"", (visitor, row)
-                        assert not here.told(str(headers).encode())
+                    head, names, nothing = await here.ask(visitor, "HEAD", row.address)
+                    assert head == status and nothing == b"" and not here.told(str(names).encode()), (visitor, row)
+                    if row.route not in PUBLIC and visitor in ACCOUNTS:
+                        kept = headers["Cache-Control"]
+                        static = row.route in ("GET /motions/{name}", "GET /recording")  # of the package
+                        assert "no-store" in kept or "private" in kept or (static and kept == "no-cache"), (row, kept)
+                        assert "Accept-Ranges" not in headers
+    assert wrong == []
 
-    run(main())
 
-
-def test_answers_are_nobody_elses_to_keep(tmp_path: Path) -> None:
-    """What depends on who asks is kept by no cache on the way; a part of it is not given either."""
-
-    async def main() -> None:
-        async with world(tmp_path) as here:
-            for row in TABLE:
-                if row.method != "GET" or row.route in PUBLIC or row.route == "GET /ws":
+async def test_what_is_not_theirs_reads_like_what_is_not_there(tmp_path: Path) -> None:
+    """Status, headers and every byte."""
+    count = 0
+    async with world(tmp_path) as here:
+        for row in TABLE:
+            for visitor in ACCOUNTS:
+                if not row.absent or row.of(visitor).split()[0] != row.usual:
                     continue
-                for visitor in ACCOUNTS:
-                    status, headers, _ = await here.ask(visitor, row.method, row.address)
-                    kept = headers["Cache-Control"]
-                    static = row.route in ("GET /motions/{name}", "GET /recording")  # of the package
-                    assert "no-store" in kept or "private" in kept or (static and kept == "no-cache"), (row, kept)
-                    assert "Accept-Ranges" not in headers and status != 206
-
-    run(main())
+                for method in {row.method, "HEAD"} if row.method == "GET" else {row.method}:
+                    theirs = await here.ask(visitor, method, row.address)
+                    absent = await here.ask(visitor, method, row.absent)
+                    assert theirs == absent, (visitor, method, row.address)
+                    count += 1
+    assert count > 60
 
 
 @pytest.mark.parametrize("private", [False, True])
-def test_who_has_the_token_sees_all_but_of_a_private_server(tmp_path: Path, private: bool) -> None:
+async def test_who_has_the_token_sees_all_but_of_a_private_server(tmp_path: Path, private: bool) -> None:
     """Who is who, what they see and who is in a room is nobody's there; how many they are is no secret."""
-
-    async def main() -> tuple[dict[str, bytes], dict[str, int], bytes, bytes]:
-        config = ServerConfig(
-            port=0, access=Access(token=TOKEN), rooms={"ann-room": 4}, private=private, limits=UNGUARDED,
-            session=SessionConfig(watermark=new_watermark()),
-        )  # fmt: skip
-        async with running(config, tmp_path) as server, aiohttp.ClientSession() as http:
-            async with Client(f"{server.url}?room=ann-room&avatar=ann-avatar&name=zoe", TOKEN) as ann:
-                await ann.render(eyes(64))
-                (channel,) = server._channels.values()
-                facts = channel.session.status()["mark"].encode(), await server._previews.small(1)
-                bodies, statuses = {}, {}
-                for path in ("/", "/stats", "/status.json", "/metrics", "/history", "/session", "/pictures/1"):
-                    url = f"http://127.0.0.1:{server.port}{path}"
-                    async with http.get(url) as answer:
-                        assert answer.status == 401
-                    async with http.get(url, headers={"Authorization": f"Bearer {TOKEN}"}) as answer:
-                        statuses[path], bodies[path] = answer.status, await answer.read()
-                return bodies, statuses, *facts
-
-    bodies, statuses, mark, picture = run(main())
+    config = ServerConfig(
+        port=0, access=Access(token=TOKEN), rooms={"ann-room": 4}, private=private, limits=UNGUARDED,
+        session=SessionConfig(watermark=new_watermark()),
+    )  # fmt: skip
+    async with running(config, tmp_path) as server, aiohttp.ClientSession() as http:
+        async with Client(f"{server.url}?room=ann-room&avatar=ann-avatar&name=zoe", TOKEN) as ann:
+            await ann.render(eyes(64))
+            (channel,) = server._channels.values()
+            mark, picture = channel.session.status()["mark"].encode(), await server._previews.small(1)
+            bodies, statuses = {}, {}
+            for path in ("/", "/stats", "/status.json", "/metrics", "/history", "/session", "/pictures/1"):
+                url = f"http://127.0.0.1:{server.port}{path}"
+                async with http.get(url) as answer:
+                    assert answer.status == 401
+                async with http.get(url, headers={"Authorization": f"Bearer {TOKEN}"}) as answer:
+                    statuses[path], bodies[path] = answer.status, await answer.read()
     shown = [path for path in bodies if b"zoe" in bodies[path]], [path for path in bodies if mark in bodies[path]]
     pictured = [path for path in bodies if picture in bodies[path] or base64.b64encode(picture) in bodies[path]]
     assert shown == (([], []) if private else (["/stats", "/status.json"],) * 2)
@@ -415,34 +353,26 @@ def test_who_has_the_token_sees_all_but_of_a_private_server(tmp_path: Path, priv
     assert (b"ann-avatar" in bodies["/stats"]) is not private and b"ann-avatar" in bodies["/session"]
 
 
-def test_a_websocket_tells_of_others_in_the_same_room_alone(tmp_path: Path) -> None:
+async def test_a_websocket_tells_of_others_in_the_same_room_alone(tmp_path: Path) -> None:
     """Answers in pictures and in poses, and every error: names and avatars of those one meets, nothing else."""
     wrong = ["", "{", "[]", '{"v": 1}', '{"v": 9, "frame_id": 1}', '{"v": 1, "frame_id": 2, "eyes": []}']
-
-    async def main() -> dict[str, set[str]]:
-        found = {}
-        async with world(tmp_path) as here:
-            for visitor, query in (("bob", "avatar=bob-avatar"), ("all", "avatar=ann-avatar&room=ann-room")):
-                headers, said = {"Authorization": f"Bearer {here.tokens[visitor]}"}, b""
-                async with here.http.ws_connect(f"{here.server.url}?{query}", headers=headers) as ws:
-                    answered = [native(1), native(2, want="pose"), native(3, want="pose", ack=2)]
-                    for message in [*answered, *wrong]:
-                        await ws.send_str(message)
-                        heard = await ws.receive(HANG)
-                        said += heard.data if isinstance(heard.data, bytes) else str(heard.data).encode()
-                found[visitor] = here.told(said)
-        return found
-
-    assert run(main()) == {"bob": {"bob-name"}, "all": {"ann-name", "ann-avatar", "ann-room"}}
+    found = {}
+    async with world(tmp_path) as here:
+        for visitor, query in (("bob", "avatar=bob-avatar"), ("all", "avatar=ann-avatar&room=ann-room")):
+            headers, said = {"Authorization": f"Bearer {here.tokens[visitor]}"}, b""
+            async with here.http.ws_connect(f"{here.server.url}?{query}", headers=headers) as ws:
+                answered = [native(1), native(2, want="pose"), native(3, want="pose", ack=2)]
+                for message in [*answered, *wrong]:
+                    await ws.send_str(message)
+                    heard = await ws.receive(HANG)
+                    said += heard.data if isinstance(heard.data, bytes) else str(heard.data).encode()
+            found[visitor] = here.told(said)
+    assert found == {"bob": {"bob-name"}, "all": {"ann-name", "ann-avatar", "ann-room"}}
 
 
-def test_nobody_is_everybody_only_where_there_are_no_accounts(tmp_path: Path) -> None:
+async def test_nobody_is_everybody_only_where_there_are_no_accounts(tmp_path: Path) -> None:
     """An address that forgets to ask whose it is tells nothing."""
-
-    async def main() -> None:
-        async with world(tmp_path) as here:
-            stats, offer = here.server.stats(), here.server.offer()
-            assert stats["clients"] == stats["rooms"] == offer["avatars"] == offer["rooms"] == []
-            assert stats["connected"] == 2 and stats["scene"] is None
-
-    run(main())
+    async with world(tmp_path) as here:
+        stats, offer = here.server.stats(), here.server.offer()
+        assert stats["clients"] == stats["rooms"] == offer["avatars"] == offer["rooms"] == []
+        assert stats["connected"] == 2 and stats["scene"] is None
