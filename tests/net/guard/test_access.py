@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import os
-import socket
-import subprocess
-from contextlib import suppress
 
 import aiohttp
 import pytest
@@ -16,7 +12,6 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access, is_loopback, read_token, server_tls
 from glsplat.net.server import ServerConfig
-from tests import needs
 
 TOKEN = "correct-horse-battery"
 
@@ -126,106 +121,48 @@ def test_tls_files(tmp_path):
         server_tls(tmp_path / "cert.pem", tmp_path / "key.pem")
 
 
-def test_a_token_guards_everything_but_healthz(serve, cameras):
+async def test_a_token_guards_everything_but_healthz(serve, cameras):
     config = ServerConfig(port=0, access=Access(token=TOKEN))
-
-    async def main():
-        async with serve(config=config) as server, aiohttp.ClientSession() as http:
-            base = f"http://127.0.0.1:{server.port}"
-            codes = {}
-            for path in ("/", "/stats", "/metrics", "/healthz", "/ws"):
-                async with http.get(base + path) as response:
-                    codes[path] = response.status
-                    assert ("WWW-Authenticate" in response.headers) == (response.status == 401)
-            for token in (None, "wrong-token-wrong-token"):
-                with pytest.raises(ProtocolError, match=r"401.*--token-file"):
-                    await Client(server.url, token).connect()
-            async with Client(server.url, TOKEN) as client:
-                await client.render(cameras)
-            protocols = ("glsplat.v1", f"token.{TOKEN}")
-            async with http.ws_connect(server.url, protocols=protocols) as ws:
-                return codes, ws.protocol
-
-    codes, protocol = asyncio.run(main())
+    async with serve(config=config) as server, aiohttp.ClientSession() as http:
+        base = f"http://127.0.0.1:{server.port}"
+        codes = {}
+        for path in ("/", "/stats", "/metrics", "/healthz", "/ws"):
+            async with http.get(base + path) as response:
+                codes[path] = response.status
+                assert ("WWW-Authenticate" in response.headers) == (response.status == 401)
+        for token in (None, "wrong-token-wrong-token"):
+            with pytest.raises(ProtocolError, match=r"401.*--token-file"):
+                await Client(server.url, token).connect()
+        async with Client(server.url, TOKEN) as client:
+            await client.render(cameras)
+        protocols = ("glsplat.v1", f"token.{TOKEN}")
+        async with http.ws_connect(server.url, protocols=protocols) as ws:
+            protocol = ws.protocol
     assert codes == {"/": 401, "/stats": 401, "/metrics": 401, "/healthz": 200, "/ws": 401}
     assert protocol == "glsplat.v1"  # the token is not sent back
 
 
-def test_foreign_pages_cannot_connect(serve):
-    async def main():
-        async with serve() as server, aiohttp.ClientSession() as http:
-            with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
-                await http.ws_connect(server.url, origin="http://evil.example")
-            async with http.ws_connect(server.url, origin=f"http://127.0.0.1:{server.port}"):
-                return caught.value.status
-
-    assert asyncio.run(main()) == 403
+async def test_foreign_pages_cannot_connect(serve):
+    async with serve() as server, aiohttp.ClientSession() as http:
+        with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+            await http.ws_connect(server.url, origin="http://evil.example")
+        async with http.ws_connect(server.url, origin=f"http://127.0.0.1:{server.port}"):
+            assert caught.value.status == 403
 
 
-def test_tls_and_the_clients_trust(serve, cameras, tmp_path):
-    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
-    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
-    command += ["-keyout", str(key), "-out", str(cert), "-days", "2", "-subj", "/CN=localhost"]
-    command += ["-addext", "subjectAltName=IP:127.0.0.1"]
-    needs.require("openssl")
-    subprocess.run(command, check=True, capture_output=True)
-    locked = tmp_path / "locked.pem"
-    command = ["openssl", "pkcs8", "-topk8", "-in", str(key), "-out", str(locked), "-passout", "pass:secret"]
-    subprocess.run(command, check=True, capture_output=True)
-    with pytest.raises(GlsplatError, match="without a passphrase"):
-        server_tls(cert, locked)
-    config = ServerConfig(port=0, tls=(cert, key), access=Access(tls=True, token=TOKEN))
-
-    async def main():
-        async with serve(config=config) as server:
-            assert server.url.startswith("wss://")
-            with pytest.raises(ProtocolError, match="not trusted; give it with --tls-ca"):
-                await Client(server.url, TOKEN).connect()
-            with pytest.raises(ProtocolError, match="speaks TLS; the address begins with wss://"):
-                await Client(server.url.replace("wss:", "ws:"), TOKEN).connect()
-            async with Client(server.url, TOKEN, cafile=cert) as client:
-                number = (await client.render(cameras)).frame_id
-            assert not open_sockets(server.port)  # else the event loop ends before them
-            return number
-
-    assert asyncio.run(main()) == 1
+async def test_tls_to_a_plain_server_is_said(serve):
+    async with serve() as server:
+        with pytest.raises(ProtocolError, match="does not speak TLS; the address begins with ws://"):
+            await Client(server.url.replace("ws:", "wss:")).connect()
 
 
-def open_sockets(port):
-    """Those of this process that are connected to a port of this machine."""
-    found = []
-    for number in os.listdir("/proc/self/fd"):
-        with suppress(OSError):  # no socket, or not connected
-            one = socket.socket(fileno=int(number))
-            try:
-                if one.family == socket.AF_INET and one.getpeername()[1] == port:
-                    found.append(number)
-            finally:
-                one.detach()
-    return found
-
-
-def test_tls_to_a_plain_server_is_said(serve):
-    async def main():
-        async with serve() as server:
-            with pytest.raises(ProtocolError, match="does not speak TLS; the address begins with ws://"):
-                await Client(server.url.replace("ws:", "wss:")).connect()
-
-    asyncio.run(main())
-
-
-@pytest.mark.parametrize(
-    ("greeting", "message"), [(b"SSH-2.0-x\r\n", "is it a glsplat server"), (b"", "is it a glsplat server")]
-)
-def test_something_else_listens(greeting, message):
+@pytest.mark.parametrize("greeting", [b"SSH-2.0-x\r\n", b""])
+async def test_something_else_listens(greeting):
     async def answer(reader, writer):
         writer.write(greeting)
         writer.close()
 
-    async def main():
-        async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
-            port = server.sockets[0].getsockname()[1]
-            with pytest.raises(ProtocolError, match=message):
-                await Client(f"ws://127.0.0.1:{port}/ws").connect()
-
-    asyncio.run(main())
+    async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(ProtocolError, match="is it a glsplat server"):
+            await Client(f"ws://127.0.0.1:{port}/ws").connect()

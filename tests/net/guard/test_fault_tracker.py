@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import json
 import os
 import signal
 import time
-from collections import Counter
-from functools import partial
 
 import aiohttp
 import pytest
@@ -26,7 +23,6 @@ from glsplat.net.messages import Decoder
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import Session
 from tests.net.backends.fakes import Boxed
-from tests.net.pace.contested import Contested, contest
 from tests.net.wire import HANG, native, still_serves, until
 
 
@@ -62,54 +58,43 @@ async def outcome(server: Server, address: str, code: str, pictures: int) -> tup
         (ContextLostError("hangs"), "render", 1),
     ],
 )
-def test_bad_pictures_end_their_client_and_hold_off_its_address(serve, fake_backend, error, code, warned):
+async def test_bad_pictures_end_their_client_and_hold_off_its_address(serve, fake_backend, error, code, warned):
     """First a warning; the server goes on, and other addresses notice nothing."""
 
     def fail(request):
         return error if request.frame_id < 100 else None
 
-    async def main():
-        async with serve(fake_backend(fail=fail)) as server, visitor("127.0.0.9") as http:
-            async with http.ws_connect(server.url) as good:
-                first = await ask(good, 100)
-                answers, status = await outcome(server, "127.0.0.8", code, warned + 1)
-                async with visitor("127.0.0.7") as other, other.ws_connect(server.url) as ws:
-                    warning = await ask(ws, 1)
-                    after = await ask(ws, 101, ack=0)
-                return first, answers, status, warning, after, await ask(good, 101), server.render_loop.healthy
-
-    first, answers, status, warning, after, good, healthy = asyncio.run(main())
+    async with serve(fake_backend(fail=fail)) as server, visitor("127.0.0.9") as http:
+        async with http.ws_connect(server.url) as good:
+            first = await ask(good, 100)
+            answers, status = await outcome(server, "127.0.0.8", code, warned + 1)
+            async with visitor("127.0.0.7") as other, other.ws_connect(server.url) as ws:
+                warning = await ask(ws, 1)
+                after = await ask(ws, 101, ack=0)
+            good, healthy = await ask(good, 101), server.render_loop.healthy
     assert answers == [code] * (warned + 1) + [1008] and status in (429, 503)
     assert (warning, after, first, good, healthy) == (code, b"VR", b"VR", b"VR", True)
 
 
-def test_no_number_of_lost_contexts_ends_the_server(serve, fake_backend, cameras):
+async def test_no_number_of_lost_contexts_ends_the_server(serve, fake_backend, cameras):
     backend = fake_backend(fail=lambda request: ContextLostError("lost") if request.frame_id < 100 else None)
-
-    async def main():
-        async with serve(backend) as server:
-            for i in range(10):
-                async with visitor(f"127.0.0.{i + 10}") as http, http.ws_connect(server.url) as ws:
-                    assert await ask(ws, 1) == "render"
-            async with visitor("127.0.0.9") as http, http.ws_connect(server.url) as ws:
-                return await ask(ws, 100), server.render_loop.rebuilds, server.render_loop.healthy
-
-    assert asyncio.run(main()) == (b"VR", 10, True)
+    async with serve(backend) as server:
+        for i in range(10):
+            async with visitor(f"127.0.0.{i + 10}") as http, http.ws_connect(server.url) as ws:
+                assert await ask(ws, 1) == "render"
+        async with visitor("127.0.0.9") as http, http.ws_connect(server.url) as ws:
+            assert (await ask(ws, 100), server.render_loop.rebuilds, server.render_loop.healthy) == (b"VR", 10, True)
 
 
-def test_a_request_the_driver_cannot_serve_is_not_a_lost_context(serve, fake_backend, cameras):
+async def test_a_request_the_driver_cannot_serve_is_not_a_lost_context(serve, fake_backend, cameras):
     refusal = ContextError("size needs 1 to 16384 pixels a side")
     backend = fake_backend(fail=lambda request: refusal if request.frame_id < 100 else None)
-
-    async def main():
-        async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
-            answers = [await ask(ws, i) for i in range(1, 7)]
-            return answers, await ask(ws, 100), server.render_loop.rebuilds
-
-    assert asyncio.run(main()) == (["render"] * 6, b"VR", 0)
+    async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
+        answers = [await ask(ws, i) for i in range(1, 7)]
+        assert (answers, await ask(ws, 100), server.render_loop.rebuilds) == (["render"] * 6, b"VR", 0)
 
 
-def test_a_real_picture_that_costs_too_much(serve):
+async def test_a_real_picture_that_costs_too_much(serve):
     """A body collapsed to a point and seen through a long lens, 4 kB of legal JSON."""
     avatar = glsplat.default_avatar()
     skeleton = avatar.skeleton
@@ -121,21 +106,17 @@ def test_a_real_picture_that_costs_too_much(serve):
     }
     eye = {"viewmat": [1, 0, 0, 0, 0, -1, 0, 1.2, 0, 0, -1, 2, 0, 0, 0, 1], "K": [81920, 81920, 1024, 1024]}
     backend = RendererBackend(avatar, (64, 64))
-
-    async def main():
-        async with (
-            serve(backend, offered=[AvatarInfo(name="default", skeleton=skeleton)]) as server,
-            aiohttp.ClientSession() as http,
-        ):
-            async with http.ws_connect(server.url) as ws:
-                answers, seconds = [], []
-                for i, more in enumerate(({"eyes": [eye, eye], "pose": pose}, {}) * 3, 1):
-                    start = time.perf_counter()
-                    answers.append(await ask(ws, i, size=[2048, 2048], crop=True, ack=max(0, i // 2 * 2 - 2), **more))
-                    seconds.append(time.perf_counter() - start)
-                return answers, seconds, server.render_loop.rebuilds
-
-    answers, seconds, rebuilds = asyncio.run(main())
+    async with (
+        serve(backend, offered=[AvatarInfo(name="default", skeleton=skeleton)]) as server,
+        aiohttp.ClientSession() as http,
+    ):
+        async with http.ws_connect(server.url) as ws:
+            answers, seconds = [], []
+            for i, more in enumerate(({"eyes": [eye, eye], "pose": pose}, {}) * 3, 1):
+                start = time.perf_counter()
+                answers.append(await ask(ws, i, size=[2048, 2048], crop=True, ack=max(0, i // 2 * 2 - 2), **more))
+                seconds.append(time.perf_counter() - start)
+            rebuilds = server.render_loop.rebuilds
     assert (answers, rebuilds) == (["too_costly", b"VR"] * 3, 0)
     assert min(seconds[::2]) < 5 * min(seconds[1::2])  # drawn to its end it takes a hundred times a plain one
 
@@ -156,7 +137,7 @@ def test_a_picture_nobody_waits_for_is_given_up(serve, cameras):
 
 
 @pytest.mark.check
-def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch):
+async def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch):
     monkeypatch.setattr("glsplat.net.server._HOPELESS", 0.1)
     backend = ProcessBackend(Boxed, 64, seconds=1e6)
     server = Server(backend, ServerConfig(port=0))
@@ -168,78 +149,44 @@ def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch):
             os.kill(os.getpid(), signal.SIGTERM)
             await ws.receive()
 
-    async def main():
-        tasks = []
-        running = asyncio.create_task(server.run(lambda: tasks.append(asyncio.create_task(hang()))))
-        done, _ = await asyncio.wait([running], timeout=HANG)
-        backend.kill()
-        await running
-        return bool(done)
-
-    assert asyncio.run(main())
+    tasks = []
+    running = asyncio.create_task(server.run(lambda: tasks.append(asyncio.create_task(hang()))))
+    done, _ = await asyncio.wait([running], timeout=HANG)
+    backend.kill()
+    await running
+    assert bool(done)
 
 
 @pytest.mark.check
-def test_clients_that_leave_take_no_picture_slot_with_them():
+async def test_clients_that_leave_take_no_picture_slot_with_them():
     """While their picture waits for the encoder, is encoded, or lies ready; or when there is one too many of them."""
     backend = ProcessBackend(Boxed, 64)
     render_loop = LocalLoop(backend)
-
-    async def main():
-        await render_loop.start()
-        encode = render_loop._encoder.encode
-        render_loop._encoder.encode = lambda *args: (time.sleep(0.003), encode(*args))[1]
-        for i in range(150):
-            channel = render_loop.open(i, Session(Decoder()), None)
-            render_loop.add(channel)
-            render_loop.received(channel, channel.session.receive(native(1), 0.0))
-            frame = await asyncio.wait_for(channel.frames.get(), HANG)
-            packing = asyncio.create_task(render_loop.pack(channel, frame))
-            for _ in range(i % 3):
-                await asyncio.sleep(0 if i % 2 else 0.002)
-            packing.cancel()
-            render_loop.remove(channel)
-            await asyncio.gather(packing, return_exceptions=True)
-        with contextlib.suppress(TimeoutError):
-            await until(lambda: backend.free_slots == 3)
-        free = backend.free_slots
-        await render_loop.stop()
-        return free
-
-    assert asyncio.run(main()) == 3
+    await render_loop.start()
+    encode = render_loop._encoder.encode
+    render_loop._encoder.encode = lambda *args: (time.sleep(0.003), encode(*args))[1]
+    for i in range(30):
+        channel = render_loop.open(i, Session(Decoder()), None)
+        render_loop.add(channel)
+        render_loop.received(channel, channel.session.receive(native(1), 0.0))
+        frame = await asyncio.wait_for(channel.frames.get(), HANG)
+        packing = asyncio.create_task(render_loop.pack(channel, frame))
+        for _ in range(i % 3):
+            await asyncio.sleep(0 if i % 2 else 0.002)
+        packing.cancel()
+        render_loop.remove(channel)
+        await asyncio.gather(packing, return_exceptions=True)
+    with contextlib.suppress(TimeoutError):
+        await until(lambda: backend.free_slots == 3)
+    free = backend.free_slots
+    await render_loop.stop()
+    assert free == 3
 
 
-def test_eight_clients_share_time_and_not_pictures(stopped):
-    """From 64 to 1536 pixels a side, over real sockets; in turn each of them had the same number of pictures."""
-    sides = (64, 256, 512, 768, 1024, 1152, 1280, 1536)
-
-    def seconds(request):
-        return 0.005 + request.cameras[0].width ** 2 * 5e-8  # to 0.12
-
-    backend = Contested(clock=stopped, cost=seconds, seconds=2.0)
-
-    async def client(server, number):
-        async with visitor(f"127.0.0.{number + 20}") as http, http.ws_connect(server.url) as ws:
-            for frame_id in itertools.count(1):
-                await ask(ws, frame_id, size=[sides[number]] * 2, ack=frame_id - 1, crop=True)
-                if backend.over.is_set():
-                    return
-
-    contest(backend, [partial(client, number=number) for number in range(len(sides))])
-    took = Counter()
-    for request in backend.contested:
-        took[request.cameras[0].width] += seconds(request)
-    assert len(took) == 8 and max(took.values()) - min(took.values()) < 2 * 0.13  # two of the longest pictures
-
-
-def test_a_good_client_reads_why(serve, fake_backend, cameras):
+async def test_a_good_client_reads_why(serve, fake_backend, cameras):
     """The library's client reports the refusal as the error it is."""
     error = BudgetError("the picture covers 1e+10 pixels splat by splat, at most 1e+09 are drawn", "too_costly")
-
-    async def main():
-        async with serve(fake_backend(fail=lambda request: error)) as server, Client(server.url) as client:
-            with pytest.raises(glsplat.GlsplatError, match="at most 1e") as caught:
-                await client.render(cameras)
-            return caught.value.code
-
-    assert asyncio.run(main()) == "too_costly"
+    async with serve(fake_backend(fail=lambda request: error)) as server, Client(server.url) as client:
+        with pytest.raises(glsplat.GlsplatError, match="at most 1e") as caught:
+            await client.render(cameras)
+        assert caught.value.code == "too_costly"

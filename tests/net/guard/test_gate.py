@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import re
 import socket
-import subprocess
 
 import pytest
 from aiohttp import web
 
 from glsplat.net.client import Client
-from glsplat.net.guard.access import Access, certificate_names, server_tls
+from glsplat.net.guard.access import Access
 from glsplat.net.guard.connection import GuardedConnection
 from glsplat.net.guard.limits import Limits
-from glsplat.net.guard.machine import machine_names
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from tests import needs
 from tests.net.guard.descriptors import few_descriptors
 from tests.net.guard.plain_http import ask, get, status
 from tests.net.wire import HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
@@ -27,30 +25,25 @@ TOKEN = "0123456789abcdef-token"
 
 FLOODS = {
     "pings": frame(0x9, b"") * 20_000,
-    "pongs": frame(0xA, b"x" * 125) * 2_000,
     "empty fragments": frame(0x1, b"", fin=False) + frame(0x0, b"", fin=False) * 20_000,
     "stale 63 kB": b"".join(frame(0x1, native(0, x="y" * 63_000).encode()) for _ in range(450)),
 }
 
 
 @pytest.mark.parametrize("kind", FLOODS)
-def test_a_flood_is_told_why_put_out_and_held_off(serve, cameras, stopped, kind):
+async def test_a_flood_is_told_why_put_out_and_held_off(serve, cameras, stopped, kind):
     """And the client beside it, from the same address, keeps its connection and its pictures."""
     config = ServerConfig(port=0, session=SessionConfig(flood=10**9))
-
-    async def main():
-        async with serve(config=config) as server, Client(server.url) as good:
-            await good.render(cameras)
-            reader, writer = await raw(server)
-            writer.write(frame(0x1, native(1).encode()) + FLOODS[kind])
-            answer = await all_of(reader)
-            writer.transport.abort()
-            held = [await ask(server.port, UPGRADE), await ask(server.port, get())]
-            elsewhere = await ask(server.port, get(), "127.0.0.2")
-            pictures = [(await good.render(cameras)).frame_id for _ in range(5)]
-            return answer, held, elsewhere, pictures, server.stats()
-
-    answer, held, elsewhere, pictures, stats = asyncio.run(main())
+    async with serve(config=config) as server, Client(server.url) as good:
+        await good.render(cameras)
+        reader, writer = await raw(server)
+        writer.write(frame(0x1, native(1).encode()) + FLOODS[kind])
+        answer = await all_of(reader)
+        writer.transport.abort()
+        held = [await ask(server.port, UPGRADE), await ask(server.port, get())]
+        elsewhere = await ask(server.port, get(), "127.0.0.2")
+        pictures = [(await good.render(cameras)).frame_id for _ in range(5)]
+        stats = server.stats()
     assert b'{"error":{"code":"rate","message":"the connection ends: more than ' in answer
     assert b"\x88" in answer and (1008).to_bytes(2, "big") + b"more than" in answer
     for text in held:
@@ -60,55 +53,29 @@ def test_a_flood_is_told_why_put_out_and_held_off(serve, cameras, stopped, kind)
     assert answer.count(b"\x8a\x00") <= Limits().control_burst  # no more pongs than pings are allowed
 
 
-@pytest.mark.check
-def test_a_hold_off_ends(serve, cameras, stopped):
-    async def main():
-        async with serve() as server:
-            for seconds in (10.0, 20.0):  # the second is twice as long
-                _, writer = await raw(server)
-                writer.write(FLOODS["pings"])
-                await until(lambda: server.stats()["held_off"] == 1)
-                stopped.now += seconds - 0.1
-                assert status(await ask(server.port, UPGRADE)) == 429
-                stopped.now += 0.2
-                assert server.stats()["held_off"] == 0
-                writer.transport.abort()
-                await until(lambda: not server.stats()["clients"])
-            return await still_serves(server, cameras)
-
-    assert asyncio.run(main())
-
-
-def test_frames_without_a_mask_end_the_connection(serve, cameras):
-    async def main():
-        async with serve() as server:
-            reader, writer = await raw(server)
-            text = native(1).encode()
-            writer.write(b"\x81\x7e" + len(text).to_bytes(2, "big") + text)
-            answer = await all_of(reader)
-            writer.transport.abort()
-            return answer, server.stats(), await still_serves(server, cameras)
-
-    answer, stats, alive = asyncio.run(main())
+async def test_frames_without_a_mask_end_the_connection(serve, cameras):
+    async with serve() as server:
+        reader, writer = await raw(server)
+        text = native(1).encode()
+        writer.write(b"\x81\x7e" + len(text).to_bytes(2, "big") + text)
+        answer = await all_of(reader)
+        writer.transport.abort()
+        stats, alive = server.stats(), await still_serves(server, cameras)
     assert answer.startswith(b"\x88") and answer[2:4] == (1002).to_bytes(2, "big")
     assert stats["totals"]["accepted"] == 0 and stats["held_off"] == 0 and alive
 
 
-def test_clients_of_one_address(serve, cameras):
+async def test_clients_of_one_address(serve, cameras):
     config = ServerConfig(port=0, limits=Limits(per_address=2))
-
-    async def main():
-        async with serve(config=config) as server, Client(server.url), Client(server.url) as second:
-            third = await ask(server.port, UPGRADE)
-            reader, other = await asyncio.open_connection("127.0.0.1", server.port, local_addr=("127.0.0.5", 0))
-            other.write(UPGRADE)
-            elsewhere = await reader.readuntil(b"\r\n\r\n")
-            other.transport.abort()
-            await second.close()
-            await until(lambda: len(server.stats()["clients"]) == 1)
-            return third, elsewhere, await still_serves(server, cameras)
-
-    third, elsewhere, again = asyncio.run(main())
+    async with serve(config=config) as server, Client(server.url), Client(server.url) as second:
+        third = await ask(server.port, UPGRADE)
+        reader, other = await asyncio.open_connection("127.0.0.1", server.port, local_addr=("127.0.0.5", 0))
+        other.write(UPGRADE)
+        elsewhere = await reader.readuntil(b"\r\n\r\n")
+        other.transport.abort()
+        await second.close()
+        await until(lambda: len(server.stats()["clients"]) == 1)
+        again = await still_serves(server, cameras)
     assert status(third) == 429 and "Retry-After: 5" in third and "at most 2 clients" in third
     assert b" 101 " in elsewhere and again
 
@@ -122,60 +89,47 @@ def test_the_part_of_one_address_by_default(fake_backend, host, expected):
     assert server.gate.addresses.per_address == expected
 
 
-def test_connections_that_never_ask_give_way(serve, cameras):
+async def test_connections_that_never_ask_give_way(serve, cameras):
     """Four times as many idle connections as may wait, from one address; others connect at once."""
     config = ServerConfig(port=0, limits=Limits(waiting=10, visits_burst=1000))
-
-    async def main():
-        async with serve(config=config) as server:
-            quiet = socket.create_connection(("127.0.0.1", server.port), source_address=("127.0.0.3", 0))
-            await until(lambda: server.stats()["waiting"] == 1)
-            idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
-            alive = await still_serves(server, cameras)
-            waiting = server.stats()["waiting"]
-            reading = [asyncio.create_task(all_of(reader)) for reader, _ in idle]
-            await until(lambda: sum(task.done() for task in reading) >= 30)
-            quiet.sendall(get("/healthz").encode())  # the one of its address has not been closed
-            quiet.setblocking(False)
-            answer = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(quiet, 100), HANG)
-            for _, writer in idle:
-                writer.transport.abort()
-            quiet.close()
-            await asyncio.gather(*reading)
-            return alive, waiting, answer, server.stats()["turned_away"]
-
-    alive, waiting, answer, turned_away = asyncio.run(main())
+    async with serve(config=config) as server:
+        quiet = socket.create_connection(("127.0.0.1", server.port), source_address=("127.0.0.3", 0))
+        await until(lambda: server.stats()["waiting"] == 1)
+        idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
+        alive = await still_serves(server, cameras)
+        waiting = server.stats()["waiting"]
+        reading = [asyncio.create_task(all_of(reader)) for reader, _ in idle]
+        await until(lambda: sum(task.done() for task in reading) >= 30)
+        quiet.sendall(get("/healthz").encode())  # the one of its address has not been closed
+        quiet.setblocking(False)
+        answer = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(quiet, 100), HANG)
+        for _, writer in idle:
+            writer.transport.abort()
+        quiet.close()
+        await asyncio.gather(*reading)
+        turned_away = server.stats()["turned_away"]
     assert alive and waiting <= 10 and b" 200 " in answer and turned_away >= 30
 
 
-def test_an_address_that_connects_too_often_is_not_answered(serve, stopped):
+async def test_an_address_that_connects_too_often_is_not_answered(serve, stopped):
     config = ServerConfig(port=0, limits=Limits(visits=1, visits_burst=20))
-
-    async def main():
-        async with serve(config=config) as server:
-            answers = [status(await ask(server.port, get("/healthz"))) for _ in range(40)]
-            pipelined = await ask(server.port, (get().replace("close", "keep-alive") * 40), "127.0.0.2")
-            return answers, pipelined, status(await ask(server.port, get(), "127.0.0.3"))
-
-    answers, pipelined, other = asyncio.run(main())
+    async with serve(config=config) as server:
+        answers = [status(await ask(server.port, get("/healthz"))) for _ in range(40)]
+        pipelined = await ask(server.port, (get().replace("close", "keep-alive") * 40), "127.0.0.2")
+        other = status(await ask(server.port, get(), "127.0.0.3"))
     assert answers == [200] * 10 + [None] * 30 and other == 200  # each is a connection and a request
     assert pipelined.count("HTTP/1.1 200") == 19 and pipelined.count("HTTP/1.1 429") >= 1
 
 
-def test_healthz_is_answered_at_a_bounded_rate_to_held_off_addresses_too(serve, stopped):
+async def test_healthz_is_answered_at_a_bounded_rate_to_held_off_addresses_too(serve, stopped):
     """And to others as ever: a monitor of its own address notices nothing of a flood."""
-
-    async def main():
-        async with serve() as server:
-            server.gate.addresses.breach("127.0.0.2", stopped.now)
-            blocked = [status(await ask(server.port, get(path), "127.0.0.2")) for path in ("/session", "/healthz")]
-            flood = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
-            stopped.now += 1.0
-            later = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
-            monitor = status(await ask(server.port, get("/healthz"), "127.0.0.3"))
-            return blocked, flood, later, monitor
-
-    blocked, flood, later, monitor = asyncio.run(main())
+    async with serve() as server:
+        server.gate.addresses.breach("127.0.0.2", stopped.now)
+        blocked = [status(await ask(server.port, get(path), "127.0.0.2")) for path in ("/session", "/healthz")]
+        flood = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
+        stopped.now += 1.0
+        later = await ask(server.port, get("/healthz").replace("close", "keep-alive") * 400, "127.0.0.2")
+        monitor = status(await ask(server.port, get("/healthz"), "127.0.0.3"))
     limits = Limits()
     assert blocked == [429, 200] and monitor == 200
     # of the burst three connections and a request are gone; then a second's worth, less the connection
@@ -183,116 +137,71 @@ def test_healthz_is_answered_at_a_bounded_rate_to_held_off_addresses_too(serve, 
     assert later.count("HTTP/1.1 200") == limits.visits - 1 and later.count("HTTP/1.1 429") == 1
 
 
-GOOD = [
-    "127.0.0.1",
-    "127.0.0.1:9",
-    "localhost:8000",
-    "LOCALHOST.",
-    "[::1]:80",
-    "192.0.2.1",
-    "render.example",
-    "a.lab.example",
-]
-BAD = [
-    "evil.example",
-    "evil.example:8000",
-    "127.0.0.1.evil.example",
-    "b.a.lab.example",
-    "lab.example",
-    "x.render.example",
-]
-NONE = [
-    [],
-    ["127.0.0.1", "127.0.0.1"],
-    ["127.0.0.1", "evil.example"],
-    "",
-    "a b",
-    "127.0.0.1, x",
-    "[::1",
-    "x:port",
-    "a/b",
-    "u@h",
-    "127.0.0.1:99999",
-    "xn--a.localhost",
-]
+GOOD = "127.0.0.1 127.0.0.1:9 localhost:8000 LOCALHOST. [::1]:80 192.0.2.1 render.example a.lab.example".split()
+BAD = "evil.example evil.example:8000 127.0.0.1.evil.example b.a.lab.example lab.example x.render.example".split()
+NONE = [[], ["127.0.0.1"] * 2, ["127.0.0.1", "evil.example"], "", "a b", "127.0.0.1, x", "[::1", "x:port", "a/b", "u@h"]
+NONE += ["127.0.0.1:99999", "xn--a.localhost"]
 
 
-def test_the_host_header_is_checked_on_every_route(serve):
+async def test_the_host_header_is_checked_on_every_route(serve):
     config = ServerConfig(
         port=0, access=Access(hosts=("render.example", "*.lab.example")), limits=Limits(visits_burst=1e9)
     )
-
-    async def main():
-        async with serve(config=config) as server:
-            found = {}
-            for path in ("/", "/stats", "/metrics", "/healthz", "/reach", "/nosuch"):
-                good = {status(await ask(server.port, get(path, host))) for host in GOOD}
-                bad = {status(await ask(server.port, get(path, host))) for host in BAD}
-                none = {status(await ask(server.port, get(path, host))) for host in NONE}
-                found[path] = good, bad, none
-            ws = [UPGRADE.replace(b"Host: 127.0.0.1", f"Host: {host}".encode()) for host in ("evil.example", "a b")]
-            plain = await ask(server.port, b"GET /stats HTTP/1.0\r\n\r\n")
-            other = await ask(server.port, get("http://127.0.0.1/stats", "evil.example"))
-            return found, [status(await ask(server.port, text)) for text in ws], status(plain), status(other)
-
-    found, ws, plain, other = asyncio.run(main())
+    async with serve(config=config) as server:
+        found = {}
+        for path in ("/", "/stats", "/metrics", "/healthz", "/reach", "/nosuch"):
+            good = {status(await ask(server.port, get(path, host))) for host in GOOD}
+            bad = {status(await ask(server.port, get(path, host))) for host in BAD}
+            none = {status(await ask(server.port, get(path, host))) for host in NONE}
+            found[path] = good, bad, none
+        ws = [UPGRADE.replace(b"Host: 127.0.0.1", f"Host: {host}".encode()) for host in ("evil.example", "a b")]
+        plain = await ask(server.port, b"GET /stats HTTP/1.0\r\n\r\n")
+        other = await ask(server.port, get("http://127.0.0.1/stats", "evil.example"))
+        ws, plain, other = [status(await ask(server.port, text)) for text in ws], status(plain), status(other)
     for path, (good, bad, none) in found.items():
         assert good == {404 if path == "/nosuch" else 200} and bad == {421} and none == {400}, path
     assert ws == [421, 400] and plain == 400 and other == 421
 
 
-def test_names_of_the_certificate_and_of_the_machine(tmp_path):
-    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
-    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
-    command += ["-keyout", str(key), "-out", str(cert), "-days", "2", "-subj", "/CN=unused"]
-    command += ["-addext", "subjectAltName=DNS:render.example,DNS:*.lab.example,IP:192.0.2.1"]
-    command += ["-addext", "basicConstraints=critical,CA:FALSE"]
-    needs.require("openssl")
-    subprocess.run(command, check=True, capture_output=True)
-    assert certificate_names(cert, server_tls(cert, key)) == ("render.example", "*.lab.example")
-    assert machine_names()[0] == socket.gethostname()
-
-
-def test_token_guesses_are_slowed_down(serve, cameras, stopped):
+async def test_token_guesses_are_slowed_down(serve, cameras, stopped):
     """The right token is not looked at meanwhile either, but who is in stays in, and other addresses are not asked."""
     config = ServerConfig(port=0, access=Access(token=TOKEN), limits=Limits(guesses=5, visits_burst=1e9))
 
     def bearer(token):
         return get(more=f"Authorization: Bearer {token}\r\n")
 
-    async def main():
-        async with serve(config=config) as server, Client(server.url, TOKEN) as inside:
-            answers = []
-            for seconds in (1.1, 1.1, 0.8):  # the hold-offs last 1 and 2 seconds
-                answers += [await ask(server.port, bearer(f"wrong-{seconds}{i:020d}")) for i in range(8)]
-                stopped.now += seconds
-            right = await ask(server.port, bearer(TOKEN))
-            untold = await ask(server.port, get())
-            elsewhere = await ask(server.port, bearer(TOKEN), "127.0.0.2")
-            await inside.render(cameras)
-            return [status(a) for a in answers], right, status(untold), status(elsewhere), answers[-1]
-
-    answers, right, untold, elsewhere, last = asyncio.run(main())
+    async with serve(config=config) as server, Client(server.url, TOKEN) as inside:
+        answers = []
+        for seconds in (1.1, 1.1, 0.8):  # the hold-offs last 1 and 2 seconds
+            answers += [await ask(server.port, bearer(f"wrong-{seconds}{i:020d}")) for i in range(8)]
+            stopped.now += seconds
+        right = await ask(server.port, bearer(TOKEN))
+        untold = await ask(server.port, get())
+        elsewhere = await ask(server.port, bearer(TOKEN), "127.0.0.2")
+        await inside.render(cameras)
+        answers, untold, elsewhere, last = [status(a) for a in answers], status(untold), status(elsewhere), answers[-1]
     assert answers == [401] * 6 + [429] * 2 + [401] + [429] * 7 + [429] * 8
     assert status(right) == 429 and "Retry-After:" in right and untold == 401 and elsewhere == 200
     assert TOKEN not in right + last
 
 
-def test_the_parts_of_aiohttp_that_connections_rely_on(serve):
-    """What a newer aiohttp would have to keep, or connection.py to change."""
-    for name in ("data_received", "connection_lost", "set_parser", "handle_error", "log_exception"):
-        assert getattr(GuardedConnection, name) is not getattr(web.RequestHandler, name)
-
-    async def main():
-        async with serve() as server:
-            _, writer = await raw(server)
-            (talk,) = server._talks.values()
-            ws, request = talk._ws, talk._request
-            parser = request.protocol._payload_parser
-            assert type(parser).__name__ == "_MeteredReader" and parser._reader is ws._parser
-            writer.transport.abort()
-
-    asyncio.run(main())
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("connection_made", ["self", "transport"]),
+        ("data_received", ["self", "data"]),
+        ("start", ["self"]),
+        ("connection_lost", ["self", "exc"]),
+        ("set_parser", ["self", "parser", "data_received_cb"]),
+        ("handle_error", ["self", "request", "status", "exc", "message"]),
+        ("log_exception", ["self", "args", "kw"]),
+    ],
+)
+def test_overridden_methods_of_aiohttp_take_the_same(name, parameters):
+    """A newer aiohttp that fails here needs another look at glsplat/net/guard/connection.py."""
+    assert name in vars(GuardedConnection)
+    for kind in (web.RequestHandler, GuardedConnection):
+        assert list(inspect.signature(getattr(kind, name)).parameters) == parameters
 
 
 @pytest.mark.check
