@@ -84,10 +84,6 @@ def test_framing_fragments_utf8_and_closing(fake_backend):
     assert failed == [] and passed == 246
 
 
-def test_what_aiohttp_gets_wrong_is_known(fake_backend):
-    assert run(fake_backend(), KNOWN) == [0, KNOWN]
-
-
 def test_large_and_many_messages(fake_backend, monkeypatch):
     """Cases 9: messages up to 16 MiB, with the limit raised, and thousands of small ones."""
     monkeypatch.setattr("glsplat.net.conversation.MAX_BYTES", 17 * 2**20)

@@ -60,22 +60,19 @@ async def refused(server, token=""):
         return answer.status, await answer.text()
 
 
-def test_a_session_ends_when_the_consent_does(serve, fake_backend, cameras, clock):
-    async def main():
-        backend = fake_backend()
-        async with serve(backend, config([OnFile(CONSENT)]), offered=[AvatarInfo(name="ann")]) as server:
-            async with Client(server.url) as client:
-                for _ in range(3):
-                    await client.render(cameras)
-                clock.now = 2000.0
-                drawn = len(backend.drawn)
-                with pytest.raises(ProtocolError) as told:
-                    await client.render(cameras)
-                await until(lambda: not server.stats()["clients"])
-                assert len(backend.drawn) == drawn == 3
-            return told.value, await refused(server)
-
-    error, (status, why) = asyncio.run(main())
+async def test_a_session_ends_when_the_consent_does(serve, fake_backend, cameras, clock):
+    backend = fake_backend()
+    async with serve(backend, config([OnFile(CONSENT)]), offered=[AvatarInfo(name="ann")]) as server:
+        async with Client(server.url) as client:
+            for _ in range(3):
+                await client.render(cameras)
+            clock.now = 2000.0
+            drawn = len(backend.drawn)
+            with pytest.raises(ProtocolError) as told:
+                await client.render(cameras)
+            await until(lambda: not server.stats()["clients"])
+            assert len(backend.drawn) == drawn == 3
+        error, (status, why) = told.value, await refused(server)
     assert status == 403 and "ended on 1970-01-01" in why
     assert error.code == "not_allowed" and "ended on 1970-01-01" in str(error)
 
@@ -107,19 +104,15 @@ def test_who_comes_in(serve, cameras, clock, people, why):
         assert asyncio.run(main()) == 1
 
 
-def test_drivers_are_accounts(serve, cameras, clock, tmp_path):
+async def test_drivers_are_accounts(serve, cameras, clock, tmp_path):
     made = {name: new_user(name) for name in ("ann", "bob")}
     write_users(tmp_path / "users.json", {name: user for name, (user, _) in made.items()})
     access = Access(accounts=Accounts(tmp_path / "users.json"))
     people = [OnFile(replace(CONSENT, drivers=frozenset(["bob"])))]
-
-    async def main():
-        async with serve(config=config(people, access=access), offered=[AvatarInfo(name="ann")]) as server:
-            async with Client(server.url, made["bob"][1]) as client:
-                await client.render(cameras)
-            return await refused(server, made["ann"][1])
-
-    status, text = asyncio.run(main())
+    async with serve(config=config(people, access=access), offered=[AvatarInfo(name="ann")]) as server:
+        async with Client(server.url, made["bob"][1]) as client:
+            await client.render(cameras)
+        status, text = await refused(server, made["ann"][1])
     assert status == 403 and not {"ann", "bob"} & set(text.replace('"', " ").split()), text  # as if it were not there
 
 

@@ -16,6 +16,7 @@ from glsplat.net.fields import MOST_FACES
 from glsplat.net.messages import Decoder, Request, eye_fields
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.room import Room
+from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
 
@@ -38,16 +39,8 @@ def looked_at(place: list[float], seconds: float = 10, **fields: Any) -> float:
     count = int(30 * seconds)
     for k in range(count):
         pose = solver.solve(request(k + 1, **fields), 0.0).pose
-        eyes = []
-        for turn in pose.rotations[23:25]:  # the head's joint looks along +z, its user along -z
-            angle = np.linalg.norm(turn)
-            axis = turn / max(angle, 1e-9)
-            ahead = np.array([0.0, 0.0, 1.0])
-            eyes.append(
-                ahead * np.cos(angle) + np.cross(axis, ahead) * np.sin(angle) + axis * axis[2] * (1 - np.cos(angle))
-            )
-        x, y, z = np.mean(eyes, axis=0)
-        looks = np.array([-x, y, -z])
+        x, y, z = rotation_matrices(pose.rotations[23:25])[:, :, 2].mean(0)
+        looks = np.array([-x, y, -z])  # the head's joint looks along +z, its user along -z
         angle = np.arccos(np.clip(looks @ towards / np.linalg.norm(looks) / np.linalg.norm(towards), -1, 1))
         near += np.degrees(angle) < 4
     return near / count

@@ -15,7 +15,6 @@ from glsplat.errors import ContextError, GlsplatError, ProtocolError
 from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
-from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
@@ -26,14 +25,10 @@ UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Versi
 UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
 
 
-def test_a_client_gets_the_pair_it_asked_for(serve, fake_backend, cameras):
+async def test_a_client_gets_the_pair_it_asked_for(serve, fake_backend, cameras):
     backend = fake_backend()
-
-    async def main():
-        async with serve(backend) as server, Client(server.url) as client:
-            return await client.render(cameras, pose=Pose.zero(), quality=95)
-
-    reply = asyncio.run(main())
+    async with serve(backend) as server, Client(server.url) as client:
+        reply = await client.render(cameras, pose=Pose.zero(), quality=95)
     left, right = reply.images()
     assert left.shape == right.shape == (64, 64, 3)
     assert abs(int(left[32, 32, 0]) - 51) <= 3  # frame 1
@@ -45,68 +40,39 @@ def test_a_client_gets_the_pair_it_asked_for(serve, fake_backend, cameras):
     assert backend.closed and len(backend.threads) == 1  # opened, used and closed on one thread
 
 
-def test_cropped_pictures_come_back_in_place(serve, cameras):
-    async def main():
-        async with serve() as server, Client(server.url) as client:
-            whole = await client.render(cameras, pose=Pose.zero(), quality=95)
-            return whole, await client.render(cameras, pose=Pose.zero(), quality=95, crop=True)
-
-    whole, cropped = asyncio.run(main())
-    assert cropped.nbytes < whole.nbytes and len(cropped.info["crop"]) == 2
-    for a, b in zip(whole.images(), cropped.images(), strict=True):
-        assert a.shape == b.shape
-        assert np.abs(a.astype(int) - b).max() <= 12  # one grey level apart by frame_id, and JPEG ringing
-
-
-def test_one_eye(serve, cameras):
-    async def main():
-        async with serve() as server, Client(server.url) as client:
-            return await client.render(cameras[:1])
-
-    assert list(asyncio.run(main()).pictures) == [0]
-
-
-def test_pipelined_requests_keep_only_the_newest(serve, fake_backend, cameras):
+async def test_pipelined_requests_keep_only_the_newest(serve, fake_backend, cameras):
     backend = fake_backend()
     backend.gate.clear()
-
-    async def main():
-        async with serve(backend) as server, Client(server.url, window=2) as client:
-            for _ in range(30):
-                await client.send(cameras)
-            await until(lambda: server.stats()["totals"]["accepted"] == 30)
-            backend.gate.set()
-            ids = [(await client.receive()).reply.frame_id]
-            while ids[-1] < 30:
-                ids.append((await client.receive()).reply.frame_id)
-            return ids, server.stats()
-
-    ids, stats = asyncio.run(main())
+    async with serve(backend) as server, Client(server.url, window=2) as client:
+        for _ in range(30):
+            await client.send(cameras)
+        await until(lambda: server.stats()["totals"]["accepted"] == 30)
+        backend.gate.set()
+        ids = [(await client.receive()).reply.frame_id]
+        while ids[-1] < 30:
+            ids.append((await client.receive()).reply.frame_id)
+        stats = server.stats()
     assert ids == sorted(set(ids)) and ids[-1] == 30
     assert stats["totals"]["dropped"] == 30 - len(ids) >= 28
     assert len(backend.drawn) == len(ids)
 
 
-def test_encoding_overlaps_the_next_drawing(serve, fake_backend, cameras, monkeypatch):
+async def test_encoding_overlaps_the_next_drawing(serve, fake_backend, cameras, monkeypatch):
     backend, second = fake_backend(), threading.Event()
     backend.fail = lambda request: second.set() if request.frame_id == 2 else None
+    async with serve(backend) as server:
+        encode = server.render_loop._encoder.encode
 
-    async def main():
-        async with serve(backend) as server:
-            encode = server.render_loop._encoder.encode
+        def waiting(*args):
+            assert second.wait(HANG)  # the first picture is ready when the second one has been drawn
+            return encode(*args)
 
-            def waiting(*args):
-                assert second.wait(HANG)  # the first picture is ready when the second one has been drawn
-                return encode(*args)
-
-            monkeypatch.setattr(server.render_loop._encoder, "encode", waiting)
-            async with Client(server.url, timeout=HANG) as client:
-                await client.send(cameras)
-                await until(lambda: backend.drawn)
-                await client.send(cameras)
-                return [(await client.receive()).reply.frame_id for _ in range(2)]
-
-    assert asyncio.run(main()) == [1, 2]
+        monkeypatch.setattr(server.render_loop._encoder, "encode", waiting)
+        async with Client(server.url, timeout=HANG) as client:
+            await client.send(cameras)
+            await until(lambda: backend.drawn)
+            await client.send(cameras)
+            assert [(await client.receive()).reply.frame_id for _ in range(2)] == [1, 2]
 
 
 def test_clients_take_turns(cameras, stopped):
@@ -123,69 +89,43 @@ def test_clients_take_turns(cameras, stopped):
     assert len(counts) == 4 and min(counts.values()) >= 9
 
 
-def test_status_pages(serve, cameras):
-    async def main():
-        async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
-            await client.render(cameras, pose=Pose.zero())
-            out = {}
-            for path in ("/", "/healthz", "/stats", "/metrics", "/none"):
-                async with http.get(f"http://127.0.0.1:{server.port}{path}") as response:
-                    out[path] = response.status, await response.text(), response.headers
-                    assert response.headers["Server"] == "glsplat"
-            return out
-
-    out = asyncio.run(main())
-    assert [out[path][0] for path in out] == [200, 200, 200, 200, 404]
-    page = out["/"][1]
-    assert "numpy &lt;fake&gt;" in page and "http://" not in page  # no other device reaches this server
-    # nothing from elsewhere, and no script but the file's own
-    assert all(address.startswith(("vr/", "/")) for address in re.findall(r'(?:src|href)="([^"]*)"', page))
-    assert re.findall(r"<script[^>]*>[^<]*", page) == ['<script type="module" src="vr/status/main.js">']
-    assert re.search(r"glsplat replay --url ws://127\.0\.0\.1:\d+/ws\n?<", page)  # how to connect
-    assert re.search(r"<td>render</td><td>\d+\.\d\d</td>", page)  # live stage times
-    assert '"rebuilds": 0' in out["/stats"][1]
-    assert '"sent": 1' in out["/stats"][1]
-    assert "glsplat_sent_total 1\n" in out["/metrics"][1]
-    assert 'glsplat_stage_milliseconds{stage="render",quantile="0.95"}' in out["/metrics"][1]
-    assert "default-src 'none'" in out["/"][2]["Content-Security-Policy"]
+async def test_status_pages(serve, cameras):
+    out = {}
+    async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
+        await client.render(cameras, pose=Pose.zero())
+        for path in ("/", "/healthz", "/stats", "/metrics", "/none"):
+            async with http.get(f"http://127.0.0.1:{server.port}{path}") as response:
+                out[path] = await response.text()
+                assert response.status == (404 if path == "/none" else 200)
+                assert response.headers["Server"] == "glsplat"
+                assert path != "/" or "default-src 'none'" in response.headers["Content-Security-Policy"]
+    assert "numpy &lt;fake&gt;" in out["/"] and "http://" not in out["/"]
+    assert all(address.startswith(("vr/", "/")) for address in re.findall(r'(?:src|href)="([^"]*)"', out["/"]))
+    assert re.search(r"<td>render</td><td>\d+\.\d\d</td>", out["/"])
+    assert '"rebuilds": 0' in out["/stats"] and '"sent": 1' in out["/stats"]
+    assert "glsplat_sent_total 1\n" in out["/metrics"]
+    assert 'glsplat_stage_milliseconds{stage="render",quantile="0.95"}' in out["/metrics"]
 
 
-def test_the_last_pictures_are_sent_before_the_server_stops(fake_backend, cameras):
+async def test_the_last_pictures_are_sent_before_the_server_stops(fake_backend, cameras):
     backend = fake_backend()
     backend.gate.clear()
-
-    async def main():
-        server = Server(backend, ServerConfig(port=0))
-        await server.start()
-        async with Client(server.url) as client:
-            await client.send(cameras)
-            await until(lambda: backend.drawn)
-            stopping = asyncio.create_task(server.stop())
-            await until(lambda: server._draining)
-            backend.gate.set()
-            arrived = await client.receive()
-            with pytest.raises(ProtocolError, match="1001"):
-                await client.receive()
-            await stopping
-            return arrived.reply.frame_id
-
-    assert asyncio.run(main()) == 1
+    server = Server(backend, ServerConfig(port=0))
+    await server.start()
+    async with Client(server.url) as client:
+        await client.send(cameras)
+        await until(lambda: backend.drawn)
+        stopping = asyncio.create_task(server.stop())
+        await until(lambda: server._draining)
+        backend.gate.set()
+        arrived = await client.receive()
+        with pytest.raises(ProtocolError, match="1001"):
+            await client.receive()
+        await stopping
+        assert arrived.reply.frame_id == 1
 
 
-def test_mirror_is_an_option_of_the_session(serve, fake_backend, cameras):
-    backend = fake_backend()
-
-    async def main():
-        async with serve(backend) as server, Client(server.url, mirror=True) as client:
-            return await client.render(cameras)
-
-    reply = asyncio.run(main())
-    expected = cameras[0].viewmat @ np.diag([-1, 1, 1, 1])
-    np.testing.assert_allclose(backend.drawn[0].cameras[0].viewmat, expected)
-    np.testing.assert_allclose(np.reshape(reply.info["eyes"][0]["viewmat"], (4, 4)), expected)
-
-
-def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
+async def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
     backend = fake_backend()
     made = []
 
@@ -199,15 +139,11 @@ def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
             return Solved(Pose.zero(), request.cameras[::-1], ("left_lost",))
 
     tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0, 0, 0, 0, 1]}
-
-    async def main():
-        async with serve(backend, offered=[AvatarInfo(name="default", solver=Solver)]) as server:
-            async with Client(server.url) as one, Client(server.url, height=1.8) as two:
-                await one.render(tracking=tracking)
-                await two.render(tracking=tracking)
-                return await one.render(tracking=tracking)
-
-    reply = asyncio.run(main())
+    async with serve(backend, offered=[AvatarInfo(name="default", solver=Solver)]) as server:
+        async with Client(server.url) as one, Client(server.url, height=1.8) as two:
+            await one.render(tracking=tracking)
+            await two.render(tracking=tracking)
+            reply = await one.render(tracking=tracking)
     assert [len(solver.calls) for solver in made] == [2, 1]
     assert [solver.height for solver in made] == [None, 1.8]
     assert made[0].calls[0].tracking == Sample.from_json(tracking, made[0].calls[0].t / 1e3)
@@ -218,28 +154,14 @@ def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
     np.testing.assert_allclose(backend.drawn[0].cameras[1].position, [-0.0275, 1.6, 0], atol=1e-12)
 
 
-def test_without_a_solver_tracking_is_a_clear_error(serve):
-    async def main():
-        async with serve() as server, Client(server.url) as client:
-            with pytest.raises(ProtocolError, match="this server has no tracking solver"):
-                await client.render(tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
-            return server.render_loop.healthy
-
-    assert asyncio.run(main())
-
-
-def test_what_is_asked_in_vain_is_said_with_the_reason(serve, cameras):
+async def test_what_is_asked_in_vain_is_said_with_the_reason(serve, cameras):
     """With the picture to who sends a pose, instead of it to who sends tracking, to nobody else."""
     offered = [AvatarInfo(name="default", untracked="it has no skeleton", still="it has no skeleton")]
-
-    async def main():
-        async with serve(offered=offered) as server, Client(server.url) as client:
-            infos = [(await client.render(cameras, pose=pose)).info for pose in (None, Pose.zero(), None)]
-            with pytest.raises(ProtocolError, match="no tracking solver for what it shows: it has no skeleton") as told:
-                await client.render(tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
-            return infos, told.value
-
-    infos, error = asyncio.run(main())
+    async with serve(offered=offered) as server, Client(server.url) as client:
+        infos = [(await client.render(cameras, pose=pose)).info for pose in (None, Pose.zero(), None)]
+        with pytest.raises(ProtocolError, match="no tracking solver for what it shows: it has no skeleton") as told:
+            await client.render(tracking={"head": [0, 1.6, 0, 0, 0, 0, 1]})
+        error = told.value
     assert [info.get("still") for info in infos] == [None, "it has no skeleton", None]
     assert error.code == "bad_pose" and error.frame_id == 4
 
@@ -266,20 +188,6 @@ def test_errors_before_the_start_are_one_line(fake_backend):
         asyncio.run(Server(fake_backend(), config).start())
 
 
-def test_a_full_server_says_so(serve, cameras):
-    async def main():
-        async with serve(config=ServerConfig(port=0, max_clients=1)) as server:
-            async with Client(server.url) as first:
-                with pytest.raises(ProtocolError, match="full"):
-                    await Client(server.url).connect()
-                await first.render(cameras)
-            await until(lambda: not server.stats()["clients"])
-            async with Client(server.url) as second:
-                return (await second.render(cameras)).frame_id
-
-    assert asyncio.run(main()) == 1
-
-
 @pytest.mark.parametrize(
     ("given", "address"),
     [
@@ -294,18 +202,15 @@ def test_the_path_of_an_address_may_be_left_out(given, address):
     assert Client(given).url == address
 
 
-def test_options_of_the_address_are_checked(serve):
-    async def main():
-        async with serve() as server:
-            for query in ("window=0", "window=9", "window=x", "mirror=yes", "height=9", "height=nan", "height=x"):
-                with pytest.raises(ProtocolError, match="400"):
-                    await Client(f"{server.url}?{query}").connect()
-            for query in ("span=0.2", "span=2.6", "span=nan", "avatar=", "avatar=nobody", "avatar=default%20"):
-                with pytest.raises(ProtocolError, match=r"400.*avatar is one of its /session"):
-                    await Client(f"{server.url}?{query}").connect()
-            return server.stats()["clients"]
+OPTIONS = "window=0 window=9 window=x mirror=yes height=9 height=nan height=x span=0.2 span=nan avatar= avatar=nobody"
 
-    assert asyncio.run(main()) == []
+
+async def test_options_of_the_address_are_checked(serve):
+    async with serve() as server:
+        for query in OPTIONS.split():
+            with pytest.raises(ProtocolError, match="400"):
+                await Client(f"{server.url}?{query}").connect()
+        assert server.stats()["clients"] == []
 
 
 @pytest.mark.parametrize("names", [(), ("ann", "ben", "ann")])
@@ -314,30 +219,10 @@ def test_what_is_offered_has_names_of_its_own(names, fake_backend):
         Server(fake_backend(), offered=[AvatarInfo(name=name) for name in names])
 
 
-def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
-    async def main():
-        offered = [AvatarInfo(name="ann"), AvatarInfo(name="Jürgen B")]
-        async with serve(offered=offered) as server, aiohttp.ClientSession() as http:
-            async with Client(server.url, avatar="Jürgen B"), Client(server.url):
-                answer = await http.get(server.url.replace("ws:", "http:") + "?avatar=eve", headers=UPGRADE)
-                return answer.status, await answer.text()
-
-    status, text = asyncio.run(main())
+async def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
+    offered = [AvatarInfo(name="ann"), AvatarInfo(name="Jürgen B")]
+    async with serve(offered=offered) as server, aiohttp.ClientSession() as http:
+        async with Client(server.url, avatar="Jürgen B"), Client(server.url):
+            answer = await http.get(server.url.replace("ws:", "http:") + "?avatar=eve", headers=UPGRADE)
+            status, text = answer.status, await answer.text()
     assert status == 400 and text == "avatar needs a name of those offered here: ann, Jürgen B\n"
-
-
-def test_size_and_quality_defaults_come_from_the_server(serve, fake_backend, cameras):
-    backend = fake_backend()
-    config = ServerConfig(port=0, wire=WireOptions(size=(48, 32), quality=33))
-
-    async def main():
-        async with serve(backend, config) as server, Client(server.url) as client:
-            await client.render(tracking=None, cameras=cameras)
-            await client.send_text(
-                '{"v":1,"frame_id":9,"eyes":[{"viewmat":[1,0,0,0,0,1,0,0,0,0,1,2,0,0,0,1],"K":[50,50,24,16]}]}'
-            )
-            await until(lambda: len(backend.drawn) == 2)
-
-    asyncio.run(main())
-    request = backend.drawn[-1]
-    assert (request.cameras[0].width, request.cameras[0].height, request.options.quality) == (48, 32, 33)

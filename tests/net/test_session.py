@@ -6,7 +6,6 @@ import json
 
 import pytest
 
-from glsplat.errors import ProtocolError
 from glsplat.net.messages import Decoder
 from glsplat.net.session import Close, Session, SessionConfig, Warn
 
@@ -77,16 +76,6 @@ def test_pictures_under_way_count_against_the_window_once():
     deliver(s, second)
 
 
-def test_an_acknowledgement_alone_frees_the_window():
-    s = session(window=1)
-    s.receive(native(1, 0), 0)
-    deliver(s, take(s))
-    s.receive(native(2, 0), 0)
-    assert take(s) is None
-    assert s.receive('{"v":1,"ack":1}', 0) is None
-    assert take(s).frame_id == 2
-
-
 def test_clients_that_never_acknowledge_are_not_held_back():
     s = session(window=1)
     for i in range(1, 5):
@@ -122,13 +111,6 @@ def test_repeated_and_older_requests_are_never_drawn():
     assert drawn == [3, 4, 5] and s.counts.stale == 4
 
 
-def test_a_stale_request_does_not_push_out_the_waiting_one():
-    s = session()
-    s.receive(native(5, 0), 0)
-    s.receive(native(4, 0), 0)
-    assert take(s).frame_id == 5 and s.counts.dropped == 0
-
-
 def test_a_failed_picture_frees_the_window():
     s = session(window=1)
     s.receive(native(1, 0), 0)
@@ -155,14 +137,6 @@ def test_malformed_messages_are_forgiven_over_time():
     outcomes = [s.receive("{", t * 2.0) for t in range(50)]
     assert all(isinstance(o, Warn) for o in outcomes)
     assert s.counts.malformed == 50
-
-
-def test_good_requests_between_malformed_ones_are_served():
-    s = session()
-    s.receive(native(1, 0), 0)
-    s.receive("[]", 0)
-    s.malformed(ProtocolError("binary", "binary"), 0)
-    assert take(s).frame_id == 1
 
 
 def test_messages_above_the_rate_are_not_read():
@@ -205,17 +179,6 @@ def test_time_outs():
     assert s.expired(119.0) is None and s.expired(120.0).reason == "idle"
 
 
-def test_bundle_of_an_old_client_is_acknowledged_by_being_sent():
-    s = session(window=1)
-    for i in range(1, 31):
-        text = json.dumps({"frame_id": i, "cameras": [camera("left"), camera("right")], "smplx": {}})
-        assert s.receive(text, i * 0.03).frame_id == i
-        request = take(s)
-        assert request.frame_id == i and request.form == "bundle-legacy"
-        deliver(s, request)
-    assert s.counts.sent == 30
-
-
 def test_the_eyes_of_the_oldest_form_do_not_push_each_other_out():
     s = session(window=2)
     for eye in ("left", "right", "right"):
@@ -225,33 +188,12 @@ def test_the_eyes_of_the_oldest_form_do_not_push_each_other_out():
     assert s.counts.dropped == 1 and take(s) is None
 
 
-def test_a_client_without_numbers_gets_them():
-    s = session()
-    ids = []
-    for _ in range(3):
-        s.receive(json.dumps({"cameras": [camera("left"), camera("right")], "smplx": {}}), 0)
-        request = take(s)
-        ids.append(request.frame_id)
-        deliver(s, request)
-    assert ids == [0, 1, 2]
-
-
 def test_there_is_no_number_after_the_highest():
     s = session()
     assert s.receive(native(2**32 - 1), 0).frame_id == 2**32 - 1
     deliver(s, take(s))
     told = s.receive(json.dumps({"cameras": [camera("left")], "smplx": {}}), 0)  # would be counted on from there
     assert isinstance(told, Warn) and "connect again" in told.text and take(s) is None
-
-
-@pytest.mark.check
-def test_memory_is_bounded_whatever_comes():
-    s = session(rate=1e9, burst=1e9)
-    for i in range(1, 5000):
-        s.receive(native(i, 0), 0)
-        if i % 7 == 0 and s.ready():
-            deliver(s, take(s))
-    assert s.status()["waiting"] == 1 and s.status()["unacknowledged"] == 2
 
 
 def test_the_tracking_of_dropped_requests_still_reaches_the_solver():

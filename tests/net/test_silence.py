@@ -6,96 +6,102 @@ import asyncio
 
 import pytest
 
+from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from tests.net.wire import HANG, UNLIMITED, all_of, frame, native, raw, until
 
 pytestmark = pytest.mark.check
 
 
-def test_slow_handshakes_and_silence_are_ended(serve, ahead):
-    async def main():
-        ahead.lead()
-        async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
-            silent, silent_writer = await asyncio.open_connection("127.0.0.1", server.port)
-            slow, slow_writer = await asyncio.open_connection("127.0.0.1", server.port)
-            slow_writer.write(b"GET /ws HTTP/1.1\r\nHost: x\r\nX-A: ")  # never ends its headers
-            mute, mute_writer = await raw(server)
-            idle, idle_writer = await raw(server)
-            idle_writer.write(frame(0x1, native(1).encode()))
-            picture = await idle.readuntil(b"VR")
-            await until(lambda: server.stats()["waiting"] == 2)
-            ahead.leap(11.5)  # aiohttp rounds up to whole seconds
-            said = [await all_of(reader) for reader in (silent, slow, mute)]
-            await until(lambda: [client["accepted"] for client in server.stats()["clients"]] == [1])
-            ahead.leap(50.0)
-            said.append(await all_of(idle))
-            for writer in (silent_writer, slow_writer, mute_writer, idle_writer):
-                writer.close()
-            return picture, said
-
-    picture, (silent, slow, mute, idle) = asyncio.run(main())
+async def test_slow_handshakes_and_silence_are_ended(serve, ahead):
+    ahead.lead()
+    async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
+        silent, silent_writer = await asyncio.open_connection("127.0.0.1", server.port)
+        slow, slow_writer = await asyncio.open_connection("127.0.0.1", server.port)
+        slow_writer.write(b"GET /ws HTTP/1.1\r\nHost: x\r\nX-A: ")  # never ends its headers
+        mute, mute_writer = await raw(server)
+        idle, idle_writer = await raw(server)
+        idle_writer.write(frame(0x1, native(1).encode()))
+        picture = await idle.readuntil(b"VR")
+        await until(lambda: server.stats()["waiting"] == 2)
+        ahead.leap(11.5)  # aiohttp rounds up to whole seconds
+        said = [await all_of(reader) for reader in (silent, slow, mute)]
+        await until(lambda: [client["accepted"] for client in server.stats()["clients"]] == [1])
+        ahead.leap(50.0)
+        said.append(await all_of(idle))
+        for writer in (silent_writer, slow_writer, mute_writer, idle_writer):
+            writer.close()
+        (silent, slow, mute, idle) = said
     assert picture and silent == b"" and b" 101 " not in slow
     assert b"no valid request in time" in mute and b'"message":"idle"' in idle
 
 
-def test_pings_do_not_keep_a_connection_without_requests(serve, ahead):
+async def test_half_open_connections_are_found_by_pings(serve, cameras, ahead):
+    """Peers that vanished without a word: they neither read, nor answer, nor close."""
+    ahead.lead()
+    async with serve() as server:
+        gone = [await raw(server) for _ in range(5)]
+        for _, writer in gone:
+            writer.write(frame(0x1, native(1).encode()))
+        async with Client(server.url) as alive:  # answers pings, and stays
+            await alive.render(cameras)
+            await until(lambda: all(client["sent"] for client in server.stats()["clients"]))
+            for seconds in (16.0, 8.5):  # a ping after 15 s, given up 7.5 s later; aiohttp rounds up
+                ahead.leap(seconds)
+                for _ in range(3):  # meanwhile its pong arrives
+                    await alive.render(cameras)
+            await until(lambda: len(server.stats()["clients"]) == 1)
+            assert (await alive.render(cameras)).frame_id == 8
+        for _, writer in gone:
+            writer.transport.abort()
+
+
+async def test_pings_do_not_keep_a_connection_without_requests(serve, ahead):
     """Not one every second: a client that pings and reads the pongs."""
-
-    async def main():
-        ahead.lead()
-        async with serve() as server:
-            start = ahead()
-            reader, writer = await raw(server)
-            answered, said = 0, b"\x8a\x04here"
-            while said == b"\x8a\x04here" and answered < 60:
-                writer.write(frame(0x9, b"here"))
-                said = await asyncio.wait_for(reader.read(100), HANG)
-                answered += said.startswith(b"\x8a")
-                ahead.leap(1.0)
-            said += await all_of(reader)
-            writer.close()
-            return answered, ahead() - start, said
-
-    answered, seconds, said = asyncio.run(main())
+    ahead.lead()
+    async with serve() as server:
+        start = ahead()
+        reader, writer = await raw(server)
+        answered, said = 0, b"\x8a\x04here"
+        while said == b"\x8a\x04here" and answered < 60:
+            writer.write(frame(0x9, b"here"))
+            said = await asyncio.wait_for(reader.read(100), HANG)
+            answered += said.startswith(b"\x8a")
+            ahead.leap(1.0)
+        said += await all_of(reader)
+        writer.close()
+        seconds = ahead() - start
     assert answered <= 11 and seconds >= 10 and b"no valid request in time" in said
 
 
-def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
+async def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
     """The server gets stuck on writing them, and its time limit holds all the same."""
-
-    async def main():
-        ahead.lead()
-        async with serve(config=ServerConfig(port=0, limits=UNLIMITED, heartbeat=1e6)) as server:
-            _, writer = await raw(server)
-            (talk,) = server._talks.values()
-            while not talk._ws._writer.transport.get_write_buffer_size():
-                writer.write(frame(0x9, b"x" * 125) * 500)
-                await asyncio.sleep(0)
-            ahead.leap(10.0)
-            await until(lambda: not server.stats()["clients"])
-            writer.transport.abort()
-
-    asyncio.run(main())
+    ahead.lead()
+    async with serve(config=ServerConfig(port=0, limits=UNLIMITED, heartbeat=1e6)) as server:
+        _, writer = await raw(server)
+        (talk,) = server._talks.values()
+        while not talk._ws._writer.transport.get_write_buffer_size():
+            writer.write(frame(0x9, b"x" * 125) * 500)
+            await asyncio.sleep(0)
+        ahead.leap(10.0)
+        await until(lambda: not server.stats()["clients"])
+        writer.transport.abort()
 
 
-def test_answering_pings_is_not_a_message(serve, ahead):
+async def test_answering_pings_is_not_a_message(serve, ahead):
     """Pongs every second of the minute that a client may be silent."""
-
-    async def main():
-        ahead.lead()
-        async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
-            reader, writer = await raw(server)
-            start, sent = ahead(), 0
-            writer.write(frame(0x1, native(1).encode()))
-            await reader.readuntil(b"VR")
-            while server.stats()["clients"] and sent < 120:
-                writer.write(frame(0xA, b""))
-                ahead.leap(1.0)
-                sent += 1
-                await asyncio.sleep(0.002)
-            said = await all_of(reader)
-            writer.close()
-            return sent, ahead() - start, said
-
-    sent, seconds, said = asyncio.run(main())
+    ahead.lead()
+    async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
+        reader, writer = await raw(server)
+        start, sent = ahead(), 0
+        writer.write(frame(0x1, native(1).encode()))
+        await reader.readuntil(b"VR")
+        while server.stats()["clients"] and sent < 120:
+            writer.write(frame(0xA, b""))
+            ahead.leap(1.0)
+            sent += 1
+            await asyncio.sleep(0.002)
+        said = await all_of(reader)
+        writer.close()
+        seconds = ahead() - start
     assert sent < 120 and seconds >= 60 and b'"message":"idle"' in said and said.endswith(b"idle")

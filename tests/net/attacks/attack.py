@@ -1,11 +1,7 @@
-"""Attackers by name, and a process that runs them: ``python -m tests.net.attacks.attack NAME --port 8000``.
-
-A process of its own, so that neither the server nor the good client waits for their locks.
-"""
+"""Attackers by name, and a process of its own that runs them."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import subprocess
 import sys
@@ -51,22 +47,9 @@ class Raid:
             thread.join(max(0.0, until - time.monotonic()))
 
 
-def main(argv: list[str] | None = None) -> None:
-    """A raid for so many seconds; without a name, raids as they are told line by line on standard input."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0], epilog="; ".join(ATTACKS))
-    parser.add_argument("name", nargs="?", choices=[*ATTACKS, EVERYTHING])
-    parser.add_argument("--port", type=int, required=True)
-    parser.add_argument(
-        "--source", default="127.0.0.1", help="loopback address to come from; 127.0.0.10+: one for each"
-    )
-    parser.add_argument("--connections", type=int, default=4)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    args = parser.parse_args(argv)
-    if args.name:
-        raid = Raid(args.name, args.port, args.source, args.connections)
-        time.sleep(args.seconds)
-        raid.end()
-        return
+def main() -> None:
+    """Raids on the port, one for each line (name, source, connections) of standard input."""
+    port = int(sys.argv[1])
     collapsed()  # reads an avatar: not while somebody measures
     print("ready", flush=True)
     raid = None
@@ -76,7 +59,7 @@ def main(argv: list[str] | None = None) -> None:
             raid = None
         if line.strip():
             name, source, connections = line.strip().split("\t")
-            raid = Raid(name, args.port, source, int(connections))
+            raid = Raid(name, port, source, int(connections))
         print("done", flush=True)
 
 
@@ -135,7 +118,7 @@ class Attackers:
 @contextlib.contextmanager
 def attackers(port: int) -> Iterator[Attackers]:
     """A process of attackers on the server at that port."""
-    command = [sys.executable, "-m", "tests.net.attacks.attack", "--port", str(port)]
+    command = [sys.executable, "-m", "tests.net.attacks.attack", str(port)]
     process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         yield Attackers(process)

@@ -17,59 +17,60 @@ from dataclasses import dataclass, field
 from random import Random
 
 from tests.net.attacks.fuzz_messages import message
-from tests.net.attacks.handshakes import BROKEN, GARBAGE
 from tests.net.attacks.requests import request
 from tests.net.attacks.sockets import Target, abort, connect, frame, handshake
 from tests.net.attacks.victim import Victim
 
 __all__ = ["Sent", "send", "stream"]
 
+GARBAGE = [
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(range(256)),  # TLS to a plain port
+    b"GET /\r\n\r\n",
+    b"GET / HTTP/9.9\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\nContent-Length: -1\r\n\r\n",
+    b"POST /ws HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\nZZ\r\n",
+    b"\0" * 500,
+    b"GET /" + b"%ff" * 2000 + b" HTTP/1.1\r\nHost: a\r\n\r\n",
+    b"GET /ws HTTP/1.1\r\nHost: [::1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
+    b"GET http://[ HTTP/1.1\r\nHost: x\r\n\r\n",
+    b"CONNECT a:1 HTTP/1.1\r\nHost: a\r\n\r\n",
+    b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+]
+BROKEN = [
+    b"\x81\x05hello",  # not masked
+    frame(0x1, b"{}")[:1].replace(b"\x81", b"\xf1") + frame(0x1, b"{}")[1:],  # reserved bits
+    frame(0x3, b"no such opcode"),
+    frame(0x9, b"a ping of more than 125 bytes" * 10),
+    frame(0x0, b"a continuation of nothing"),
+    frame(0x1, b"\xff\xfe not UTF-8"),
+    b"\x81\xff" + b"\x7f" + b"\xff" * 7 + b"\0\0\0\0" + b"x" * 100_000,  # 2^63 bytes are to come
+    frame(0x1, b" " * 70_000),
+    frame(0x8, b"\x00"),
+    frame(0x8, b"\x03\xe8" + b"x" * 200),
+]
 BITS = [0, 1, 0x7D, 0x7E, 0x7F, 0x80, 0x81, 0x88, 0x89, 0x8A, 0xFE, 0xFF, 0x0A, 0x0D, 0x20, 0x3A]
 PARTS = [
-    *(
-        b"\r\n",
-        b"\r\n\r\n",
-        b"\n",
-        b"\r",
-        b" ",
-        b":",
-        b"\t",
-        b"\0",
-        b"HTTP/1.1",
-        b"GET ",
-        b"\x80",
-        b"%00",
-        b"Host: a\r\n",
-    ),
-    *(b"Content-Length: 5\r\n", b"Content-Length: 99999999999999999999\r\n", b"Transfer-Encoding: chunked\r\n"),
-    *(b"Connection: close\r\n", b"Expect: 100-continue\r\n", b"Upgrade: h2c\r\n", b"Origin: null\r\n", b"Cookie: \r\n"),
-    *(b"Sec-WebSocket-Version: 99\r\n", b"Sec-WebSocket-Extensions: permessage-deflate; server_max_window_bits=99\r\n"),
-    *(
-        b"Sec-WebSocket-Key: short\r\n",
-        b"Sec-WebSocket-Protocol: ,,,\r\n",
-        b"Authorization: Basic ====\r\n",
-        b"a" * 9000,
-    ),
+    b"\r\n",
+    b"\r\n\r\n",
+    b"\n",
+    b"\r",
+    b" ",
+    b":",
+    b"\t",
+    b"\0",
+    b"HTTP/1.1",
+    b"GET ",
+    b"\x80",
+    b"%00",
+    b"a" * 9000,
 ]
-PATHS = [
-    "/ws",
-    "/",
-    "/stats",
-    "/metrics",
-    "/healthz",
-    "/ws?window=9",
-    "/ws?height=nan",
-    "/ws?mirror=%ff",
-    "/ws?avatar=%00&span=nan",
-    "/vr",
-    "/vr/index.html",
-    "/vr/%2e%2e/stats",
-    "/session",
-    "/motions/idle",
-    "//",
-    "/../x",
-    "*",
-]
+LINES = b"""Host: a|Content-Length: 5|Content-Length: 99999999999999999999|Transfer-Encoding: chunked|Connection: close
+Expect: 100-continue|Upgrade: h2c|Origin: null|Cookie: |Sec-WebSocket-Version: 99|Sec-WebSocket-Key: short
+Sec-WebSocket-Extensions: permessage-deflate; server_max_window_bits=99|Sec-WebSocket-Protocol: ,,,
+Authorization: Basic ===="""
+PARTS += [line + b"\r\n" for line in LINES.replace(b"\n", b"|").split(b"|")]
+PATHS = "/ws / /stats /metrics /healthz /ws?window=9 /ws?height=nan /ws?mirror=%ff /ws?avatar=%00&span=nan /vr".split()
+PATHS += "/vr/index.html /vr/%2e%2e/stats /session /motions/idle // /../x *".split()
 
 HELD = 8  # connections a thread leaves open behind the one it is at
 

@@ -6,8 +6,8 @@ import itertools
 import threading
 from collections.abc import Callable
 
-from tests.net.attacks.requests import collapsed, heap, legacy, pair, request, tracking
-from tests.net.attacks.sockets import Attack, Target, abort, again_and_again, drain, frame, repeat, upgrade
+from tests.net.attacks.requests import collapsed, heap, pair, request, tracking
+from tests.net.attacks.sockets import Attack, Target, abort, again_and_again, frame, repeat, upgrade
 
 __all__ = ["PICTURES"]
 
@@ -61,20 +61,10 @@ def never_the_same_size(frame_id: int, number: int) -> bytes:
     return request(frame_id, size, ack=None)
 
 
-def strips(frame_id: int, number: int) -> bytes:
-    """One pixel wide, then one pixel high."""
-    return request(frame_id, (1, 2048) if frame_id % 2 else (2048, 1), ack=None)
-
-
 def specks(frame_id: int, number: int) -> bytes:
     """1 x 1 pixel: all that a picture costs besides its pixels, in another pose each time."""
     pose = {"root_pose": [0, frame_id % 60 / 10, 0], "body_pose": [[(frame_id % 3) / 10, 0, 0]] * 21}
     return request(frame_id, (1, 1), pose=pose, ack=None)
-
-
-def both_mailboxes(frame_id: int, number: int) -> bytes:
-    """The oldest form, whose two eyes wait side by side; left and right in turn, at the server's own size."""
-    return legacy(frame_id, "right" if frame_id % 2 else "left")
 
 
 def noisy(frame_id: int, number: int) -> bytes:
@@ -93,33 +83,6 @@ def leaving(target: Target, number: int, stop: threading.Event) -> None:
             stop.wait((0.0, 0.02, 0.1, 0.3)[i % 4])
         finally:
             abort(sock)
-
-
-def asleep(target: Target, number: int, stop: threading.Event) -> None:
-    """Takes a few bytes a second of what it asked for, so that each reply is nearly given up."""
-    with upgrade(target, "?window=8", receive_buffer=4096) as sock:
-        for frame_id in itertools.count(1):
-            if stop.is_set():
-                return
-            sock.sendall(frame(0x1, noisy(frame_id, number)))
-            sock.settimeout(0.1)
-            try:
-                sock.recv(512)
-            except TimeoutError:
-                pass
-            sock.settimeout(0.5)
-            stop.wait(0.3)
-
-
-def acknowledged(target: Target, number: int, stop: threading.Event) -> None:
-    """A client in good standing that reads, acknowledges and asks for the dearest picture it is given."""
-    with upgrade(target, "?window=8") as sock:
-        for frame_id in itertools.count(1):
-            if stop.is_set():
-                return
-            sock.sendall(frame(0x1, close_up(frame_id, number)))
-            drain(sock)
-            stop.wait(0.05)
 
 
 def undecided(frame_id: int, number: int) -> bytes:
@@ -184,18 +147,13 @@ PICTURES: dict[str, Attack] = {
     "lies about what arrived, 100 a second": asking(lying, 100),
     "a picture, a pose, 100 a second": asking(undecided, 100),
     "poses, 230 a second": asking(poses_alone, 230),
-    "poses that nobody reads": asking(poses_alone, 230, read=False, receive_buffer=4096),
     "collapsed body, 40 image sizes": asking(costly, 2),
     "close-ups, 2048^2": asking(close_up),
     "an eye inside the head, 2048^2": asking(inside),
     "64^2 to 1536^2": asking(of_many_sizes),
     "another size each time": asking(never_the_same_size),
-    "strips of 1 x 2048": asking(strips),
     "specks of 1 x 1": asking(specks, 230),
     "depth of specks": asking(deep, 230),
-    "one eye a message": asking(both_mailboxes, 100, query=""),
     "does not read": asking(noisy, 20, read=False, receive_buffer=4096),
-    "reads a few bytes": again_and_again(asleep),
     "leaves while drawn": again_and_again(leaving),
-    "acknowledges dear pictures": again_and_again(acknowledged),
 }

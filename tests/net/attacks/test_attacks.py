@@ -20,19 +20,14 @@ from tests.net.wire import until
 
 pytestmark = [pytest.mark.gl, pytest.mark.timeout(240), pytest.mark.check]
 
-MEASURED = [
-    "pings",
-    "63 kB with an old frame_id",
-    "tracking",
-    "collapsed body, 40 image sizes",
-    "64^2 to 1536^2",
-    "specks of 1 x 1",
-    "a picture, a pose, 100 a second",
-    "another codec each time, 100 a second",
-    "key frames without end",
-    "does not read",
-    "clients that end at once",
-]
+MEASURED = {  # what holds each of them
+    "63 kB with an old frame_id": "bytes",
+    "tracking": "time for reading and solving",
+    "collapsed body, 40 image sizes": "the cost of a picture",
+    "64^2 to 1536^2": "turns by renderer time",
+    "another codec each time, 100 a second": "time for coding",
+    "does not read": "the time to write a reply",
+}
 PACES = (6.0, 6.0, 4.0, 3.0, 3.0)
 """Hertz of the good client in each round: a machine that has other work keeps a slower pace."""
 LEAST, MOST = 0.5, 3.0
@@ -106,12 +101,10 @@ def test_a_good_client_keeps_its_pictures(server, name):
     assert name == EVERYTHING or server[0].log_lines - lines <= 60, server[0].log[-3000:]
 
 
-@pytest.mark.parametrize("name", ["a picture, a pose, 100 a second", "collapsed body, 40 image sizes"])
-def test_a_good_client_keeps_its_poses(server, name):
-    """Beside one that cannot decide, and beside dear pictures, which hold back nobody who draws itself."""
-    best = attacked(server, name, want="pose")
+def test_a_good_client_keeps_its_poses(server):
+    """Beside one that cannot decide between pictures and poses."""
+    best = attacked(server, "a picture, a pose, 100 a second", want="pose")
     assert best.held, f"{best}\n{server[0].log[-1000:]}"
-    assert server[0].alive() and "Traceback" not in server[0].log
 
 
 def test_the_other_attacks_leave_the_server_well(server):
@@ -126,12 +119,3 @@ def test_the_other_attacks_leave_the_server_well(server):
     assert running.alive()
     assert "Traceback" not in running.log
     assert running.log_lines - before <= 20 * len(REST), running.log[-3000:]
-
-
-def test_without_descriptors(tmp_path):
-    """100 idle connections on a server that may have 48 files: no flood of log lines, and it serves on."""
-    with victim(str(light_avatar(tmp_path)), files=48) as running, attackers(running.port) as raiders:
-        best = attacked((running, raiders), "idle connections", connections=1)
-        assert best.held, f"{best}\n{running.log[-1000:]}"
-        assert running.alive() and "Traceback" not in running.log
-        assert running.log_lines <= 10, running.log[-3000:]
