@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import signal
 import socket
 import struct
 
@@ -17,6 +15,7 @@ from glsplat.net import local_loop
 from glsplat.net.client import Client, request_message
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
+from tests.net.conftest import FakeBackend
 from tests.net.wire import EYE, HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
 
 MALFORMED = [
@@ -153,50 +152,49 @@ async def test_the_client_reports_a_server_that_goes_away(cameras):
     assert request_message(1)["v"] == 1
 
 
-@pytest.mark.parametrize("kind", ["comes back", "no new one"])
-def test_a_lost_context(fake_backend, cameras, kind, caplog, monkeypatch):
-    """It is made anew under the clients' feet; where that fails the server stops in order, with a message."""
+class Losing(FakeBackend):
+    """Loses its context at the second picture; ``opens`` counts how often it was made."""
+
+    opens, last = 0, 9
+
+    def open(self):
+        self.opens += 1
+        if self.opens > self.last:
+            raise ContextError("no EGL device any more")
+        return f"{super().open()} {self.opens}"
+
+
+def losing(monkeypatch, last):
     monkeypatch.setattr(local_loop, "_PAUSES", (0.0, 0.01, 0.02))
+    backend = Losing(fail=lambda request: ContextLostError("lost") if request.frame_id == 2 else None)
+    backend.last = last
+    return backend
 
-    class Losing(fake_backend):
-        opens = 0
 
-        def open(self):
-            self.opens += 1
-            if kind == "no new one" and self.opens > 1:
-                raise ContextError("no EGL device any more")
-            return f"{super().open()} {self.opens}"
+async def test_a_lost_context_is_made_anew_under_the_clients_feet(serve, cameras, monkeypatch, caplog):
+    backend = losing(monkeypatch, 9)
+    async with serve(backend) as server, Client(server.url) as client:
+        assert (await client.render(cameras)).info["driver"] == "numpy <fake> 1"
+        with pytest.raises(ProtocolError, match="the picture could not be drawn"):
+            await client.render(cameras)
+        assert (await client.render(cameras)).info["driver"] == "numpy <fake> 2"
+    assert backend.closed and len(backend.threads) == 1 and "Traceback" not in caplog.text
 
-    def lost(request):
-        return ContextLostError("lost") if request.frame_id == 2 else None
 
-    backend = Losing(fail=lost)
-    server = Server(backend, ServerConfig(port=0))
-    drivers, errors = [], []
-
-    async def watch():
-        async with Client(server.url) as client:
+async def test_without_a_new_context_the_server_stops_with_a_message(cameras, monkeypatch, caplog):
+    backend = losing(monkeypatch, 1)
+    server, ready = Server(backend, ServerConfig(port=0)), asyncio.Event()
+    running = asyncio.create_task(server.run(ready.set))
+    await ready.wait()
+    async with Client(server.url) as client:
+        with pytest.raises(ProtocolError, match=r"closed the connection \(1001\)$"):
             for _ in range(12):
                 try:
-                    drivers.append((await client.render(cameras)).info["driver"])
+                    await client.render(cameras)
                 except ProtocolError as error:
-                    errors.append(str(error))
                     if error.code == "closed":
-                        return
-        if kind == "comes back":
-            os.kill(os.getpid(), signal.SIGTERM)
-
-    async def main():
-        tasks = []
-        await server.run(lambda: tasks.append(asyncio.create_task(watch())))
-
-    if kind == "comes back":
-        asyncio.run(main())
-        assert drivers == ["numpy <fake> 1"] + ["numpy <fake> 2"] * 10 and errors == ["the picture could not be drawn"]
-    else:
-        with pytest.raises(ContextError, match="no EGL device"):
-            asyncio.run(main())
-        assert drivers == ["numpy <fake> 1"] and errors[-1].endswith("closed the connection (1001)")
-        assert backend.opens == 4  # it was tried three times
-    assert backend.closed and len(backend.threads) == 1
+                        raise
+    with pytest.raises(ContextError, match="no EGL device"):
+        await running
+    assert backend.opens == 4 and backend.closed  # it was tried three times
     assert "Traceback" not in caplog.text

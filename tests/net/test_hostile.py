@@ -11,11 +11,10 @@ import numpy as np
 import psutil
 import pytest
 
-from glsplat.camera import Camera
-from glsplat.net.backend import Rendered
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
-from tests.net.wire import EYE, UNLIMITED, UPGRADE, all_of, frame, native, raw, still_serves, until
+from tests.net.conftest import eyes
+from tests.net.wire import UNLIMITED, UPGRADE, all_of, frame, native, raw, still_serves, until
 
 pytestmark = pytest.mark.check
 
@@ -87,44 +86,23 @@ async def test_hundreds_of_connections_leave_nothing_behind(serve, fake_backend,
     async with serve(backend, ServerConfig(port=0, limits=UNLIMITED)) as server:
         await visits(100)
         before, threads = held(), threading.active_count()
-        await visits(400)
+        await visits(600)
         with contextlib.suppress(TimeoutError):
             await until(lambda: held()[:2] <= before[:2])
         tasks, files, objects = held()
-        assert tasks <= before[0] and files <= before[1] and objects - before[2] < 200, (before, held())
+        assert tasks <= before[0] and files <= before[1] and objects - before[2] < 550, (before, held())
         assert threading.active_count() <= threads + 5  # the pools start theirs when they are first needed
         assert await still_serves(server, cameras)
 
 
-class Signed:
-    """Each client's pictures carry its own colour (of its camera's fx) and the pattern of its frame_id."""
-
-    def open(self) -> str:
-        return "signed"
-
-    def render(self, request) -> Rendered:
-        out = np.zeros((len(request.cameras), 64, 64, 4), np.uint8)
-        for view, eye in enumerate(request.cameras):
-            out[view, :, :32] = (round(eye.K[0, 0]), 40 + 100 * view, 0, 255)
-            out[view, :, 32:] = (0, 0, (request.frame_id * 7) % 200 + 40, 255)
-        return Rendered(out)
-
-    def close(self) -> None: ...
-
-
-async def watch(url, number, frames):
-    """Check that each picture is this client's own and the one its frame_id says."""
-    K = np.diag([40.0 + 25 * number, 50, 1])
-    K[:2, 2] = 32
-    eyes = [Camera(np.array(EYE["viewmat"], float).reshape(4, 4), K, 64, 64)] * 2
+async def watch(url, side, frames):
+    """Check that each picture is this client's own, by its size, and the one its frame_id says, by its grey."""
     async with Client(url) as client:
         for frame_id in range(1, frames + 1):
-            await client.send(eyes, quality=95)
-            reply = (await client.receive()).reply
-            for view, image in enumerate(reply.images()):
-                expected = [40 + 25 * number, 40 + 100 * view, 0, 0, 0, frame_id * 7 % 200 + 40]
-                found = [*image[32, 8], *image[32, 56]]
-                assert reply.frame_id == frame_id and np.abs(np.subtract(found, expected)).max() <= 6, number
+            reply = await client.render(eyes(side), quality=95)
+            for image in reply.images():
+                assert image.shape == (side, side, 3)
+                assert abs(np.median(image[image > 25]) - frame_id - 50) <= 2
 
 
 async def test_eight_clients_one_of_them_misbehaving(serve):
@@ -138,6 +116,6 @@ async def test_eight_clients_one_of_them_misbehaving(serve):
             await all_of(reader)  # the last of them ended it
             writer.transport.abort()
 
-    async with serve(Signed()) as server:
-        await asyncio.gather(*(watch(server.url, i, 20) for i in range(7)), misbehave())
+    async with serve() as server:
+        await asyncio.gather(*(watch(server.url, 48 + 8 * i, 20) for i in range(7)), misbehave())
         assert server.stats()["totals"]["malformed"] == 30

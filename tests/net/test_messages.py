@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
-from glsplat.net.messages import MAX_BYTES, Ack, Decoder, Request, WireOptions, error_text, eye_fields
+from glsplat.net.messages import MAX_BYTES, Ack, Decoder, WireOptions, error_text, eye_fields
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.sample import Sample
@@ -43,20 +43,15 @@ def test_a_native_request():
     assert (request.frame_id, request.ack, request.t) == (7, 6, 1234.5)
     assert request.options.quality == 90 and request.options.crop
     assert request.form == "native" and request.eyes == (0, 1)
+    flat = decode(GOOD | {"pose": {"body_pose": np.ravel(body).tolist()}})
+    np.testing.assert_array_equal(flat.pose.rotations[1:], request.pose.rotations[1:])
+    assert decode({k: v for k, v in GOOD.items() if k != "pose"}).pose is None
     camera = request.cameras[1]
     assert (camera.width, camera.height) == (64, 48)
     np.testing.assert_array_equal(camera.K, [[50, 0, 31], [0, 60, 33], [0, 0, 1]])
     np.testing.assert_array_equal(camera.viewmat[2], [0, 0, 1, 2])
     np.testing.assert_allclose(request.pose.rotations[1:22], body)
     np.testing.assert_allclose(request.pose.rotations[0], [0.1, 0, 0])
-
-
-def test_poses_may_be_flat_or_nested_or_absent():
-    flat = list(range(63))
-    nested = np.reshape(flat, (21, 3)).tolist()
-    a, b = (decode(GOOD | {"pose": {"body_pose": value}}).pose for value in (flat, nested))
-    np.testing.assert_array_equal(a.rotations, b.rotations)
-    assert decode({k: v for k, v in GOOD.items() if k != "pose"}).pose is None
 
 
 def test_unknown_fields_are_left_for_the_future():
@@ -291,61 +286,14 @@ def test_the_box_is_asked_for():
     assert refused(GOOD | {"box": 1}, "bad_field") and refused(GOOD | {"mirror": "yes"}, "bad_field")
 
 
-# ------------------------------------------------------------------------------------------------------ any input
-
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
-    max_leaves=12,
-)
-numbers = st.lists(st.floats(allow_nan=False) | st.integers(-3, 3), max_size=17)
-eye_like = st.fixed_dictionaries({"viewmat": numbers | st.just(EYE["viewmat"]), "K": numbers | st.just(EYE["K"])})
-fields = {
-    "v": st.just(1) | json_values,
-    "frame_id": st.integers(-2, 2**33) | json_values,
-    "ack": st.integers(-2, 2**33) | json_values,
-    "t": st.floats() | json_values,
-    "eyes": st.lists(eye_like, max_size=3) | json_values,
-    "size": st.lists(st.integers(-5, 5000), max_size=3) | json_values,
-    "quality": st.integers(-5, 200) | json_values,
-    "crop": st.booleans() | json_values,
-    "pose": st.dictionaries(
-        st.sampled_from(["trans", "body_pose", "joints", "jaw_pose", "expression"]), numbers | json_values
-    ),
-    "tracking": st.dictionaries(
-        st.sampled_from(["head", "left", "left_joints", "waist", "body", "expression", "leftEye"]),
-        numbers | json_values,
-    ),
-    "cameras": st.lists(st.dictionaries(st.sampled_from(["pos_x", "rot_w", "eye"]), json_values), max_size=3),
-    "camera": json_values,
-    "smplx": json_values,
-}
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.fixed_dictionaries({}, optional=fields))
-def test_any_object_gives_a_checked_request_or_a_protocol_error(message):
-    _survives(json.dumps(message))
-
-
 @settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_any_damage_to_a_good_request(data):
     text = bytearray(json.dumps(GOOD).encode())
     for _ in range(data.draw(st.integers(1, 4))):
         text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
-    _survives(bytes(text))
-
-
-def _survives(data):
     try:
-        request = Decoder().decode(data)
+        Decoder().decode(bytes(text))
     except ProtocolError as error:
         assert error.code and len(str(error)) <= 300 and str(error).isprintable()
         json.loads(error_text(error.code, str(error), error.frame_id))
-        return
-    if isinstance(request, Request):
-        assert all(np.isfinite(c.viewmat).all() and np.isfinite(c.K).all() for c in request.cameras)
-        assert all(1 <= side <= 2048 for c in request.cameras for side in (c.width, c.height))
-        assert request.pose is None or np.isfinite(request.pose.rotations).all()
-        assert request.frame_id is None or 0 <= request.frame_id < 2**32

@@ -125,33 +125,30 @@ async def test_the_last_pictures_are_sent_before_the_server_stops(fake_backend, 
         assert arrived.reply.frame_id == 1
 
 
+class Solver:
+    def __init__(self, height, span):
+        self.height, self.calls = height, []
+
+    def solve(self, request, now):
+        self.calls.append(request)
+        return Solved(Pose.zero(), request.cameras[::-1], ("left_lost",))
+
+
 async def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
-    backend = fake_backend()
-    made = []
-
-    class Solver:
-        def __init__(self, height, span):
-            self.height, self.calls = height, []
-            made.append(self)
-
-        def solve(self, request, now):
-            self.calls.append(request)
-            return Solved(Pose.zero(), request.cameras[::-1], ("left_lost",))
-
+    backend, made = fake_backend(), []
+    offered = [AvatarInfo(name="default", solver=lambda *person: made.append(Solver(*person)) or made[-1])]
     tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": None, "right": [0.3, 1, 0, 0, 0, 0, 1]}
-    async with serve(backend, offered=[AvatarInfo(name="default", solver=Solver)]) as server:
+    async with serve(backend, offered=offered) as server:
         async with Client(server.url) as one, Client(server.url, height=1.8) as two:
-            await one.render(tracking=tracking)
-            await two.render(tracking=tracking)
-            reply = await one.render(tracking=tracking)
-    assert [len(solver.calls) for solver in made] == [2, 1]
-    assert [solver.height for solver in made] == [None, 1.8]
-    assert made[0].calls[0].tracking == Sample.from_json(tracking, made[0].calls[0].t / 1e3)
-    assert made[0].calls[1].t > made[0].calls[0].t
+            for client in (one, two, one):
+                reply = await client.render(tracking=tracking)
+    assert [(solver.height, len(solver.calls)) for solver in made] == [(None, 2), (1.8, 1)]
+    first, second = made[0].calls
+    assert first.tracking == Sample.from_json(tracking, first.t / 1e3) and second.t > first.t
     assert reply.info["tracking"] == ["left_lost"] and "ik" in reply.info["times"]
-    assert backend.drawn[0].pose is not None
-    assert backend.drawn[0].cameras[0].viewmat[0, 3] < 0 < reply.info["eyes"][0]["viewmat"][3]  # told: the client's own
-    np.testing.assert_allclose(backend.drawn[0].cameras[1].position, [-0.0275, 1.6, 0], atol=1e-12)
+    drawn = backend.drawn[0]
+    assert drawn.pose is not None and drawn.cameras[0].viewmat[0, 3] < 0 < reply.info["eyes"][0]["viewmat"][3]
+    np.testing.assert_allclose(drawn.cameras[1].position, [-0.0275, 1.6, 0], atol=1e-12)
 
 
 async def test_what_is_asked_in_vain_is_said_with_the_reason(serve, cameras):
@@ -166,26 +163,19 @@ async def test_what_is_asked_in_vain_is_said_with_the_reason(serve, cameras):
     assert error.code == "bad_pose" and error.frame_id == 4
 
 
-def test_errors_before_the_start_are_one_line(fake_backend):
+async def test_errors_before_the_start_are_one_line(serve, fake_backend):
     class Broken(fake_backend):
         def open(self):
             raise ContextError("no EGL here")
 
-    async def taken():
-        first = Server(fake_backend(), ServerConfig(port=0))
-        await first.start()
-        try:
-            with pytest.raises(GlsplatError, match=f"^port {first.port} is in use; choose another with --port$"):
-                await Server(fake_backend(), ServerConfig(port=first.port)).start()
-        finally:
-            await first.stop()
-
-    asyncio.run(taken())
+    async with serve() as first:
+        with pytest.raises(GlsplatError, match=f"^port {first.port} is in use; choose another with --port$"):
+            await Server(fake_backend(), ServerConfig(port=first.port)).start()
     with pytest.raises(ContextError, match="no EGL here"):
-        asyncio.run(Server(Broken(), ServerConfig(port=0)).start())
+        await Server(Broken(), ServerConfig(port=0)).start()
     with pytest.raises(GlsplatError, match=r"cannot listen on 192\.0\.2\.1 port 0"):
-        config = ServerConfig(access=Access(host="192.0.2.1", insecure=True), port=0)
-        asyncio.run(Server(fake_backend(), config).start())
+        access = Access(host="192.0.2.1", insecure=True)
+        await Server(fake_backend(), ServerConfig(access=access, port=0)).start()
 
 
 @pytest.mark.parametrize(

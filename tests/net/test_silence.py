@@ -8,7 +8,7 @@ import pytest
 
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
-from tests.net.wire import HANG, UNLIMITED, all_of, frame, native, raw, until
+from tests.net.wire import UNLIMITED, all_of, frame, native, raw, until
 
 pytestmark = pytest.mark.check
 
@@ -22,18 +22,16 @@ async def test_slow_handshakes_and_silence_are_ended(serve, ahead):
         mute, mute_writer = await raw(server)
         idle, idle_writer = await raw(server)
         idle_writer.write(frame(0x1, native(1).encode()))
-        picture = await idle.readuntil(b"VR")
+        await idle.readuntil(b"VR")
         await until(lambda: server.stats()["waiting"] == 2)
         ahead.leap(11.5)  # aiohttp rounds up to whole seconds
-        said = [await all_of(reader) for reader in (silent, slow, mute)]
+        assert await all_of(silent) == b"" and b" 101 " not in await all_of(slow)
+        assert b"no valid request in time" in await all_of(mute)
         await until(lambda: [client["accepted"] for client in server.stats()["clients"]] == [1])
         ahead.leap(50.0)
-        said.append(await all_of(idle))
+        assert b'"message":"idle"' in await all_of(idle)
         for writer in (silent_writer, slow_writer, mute_writer, idle_writer):
             writer.close()
-        (silent, slow, mute, idle) = said
-    assert picture and silent == b"" and b" 101 " not in slow
-    assert b"no valid request in time" in mute and b'"message":"idle"' in idle
 
 
 async def test_half_open_connections_are_found_by_pings(serve, cameras, ahead):
@@ -56,22 +54,28 @@ async def test_half_open_connections_are_found_by_pings(serve, cameras, ahead):
             writer.transport.abort()
 
 
-async def test_pings_do_not_keep_a_connection_without_requests(serve, ahead):
-    """Not one every second: a client that pings and reads the pongs."""
+@pytest.mark.parametrize(
+    ("asks", "opcode", "seconds", "why"),
+    [(False, 0x9, 10, b"no valid request in time"), (True, 0xA, 60, b'"message":"idle"')],
+    ids=["pings before a request", "pongs after one"],
+)
+async def test_control_frames_are_no_messages(serve, ahead, asks, opcode, seconds, why):
+    """One every second keeps no connection."""
     ahead.lead()
-    async with serve() as server:
-        start = ahead()
+    async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
         reader, writer = await raw(server)
-        answered, said = 0, b"\x8a\x04here"
-        while said == b"\x8a\x04here" and answered < 60:
-            writer.write(frame(0x9, b"here"))
-            said = await asyncio.wait_for(reader.read(100), HANG)
-            answered += said.startswith(b"\x8a")
+        start, sent = ahead(), 0
+        if asks:
+            writer.write(frame(0x1, native(1).encode()))
+            await reader.readuntil(b"VR")
+        while server.stats()["clients"] and sent < 120:
+            writer.write(frame(opcode, b"here"))
             ahead.leap(1.0)
-        said += await all_of(reader)
+            sent += 1
+            await asyncio.sleep(0.002)
+        assert why in await all_of(reader)
         writer.close()
-        seconds = ahead() - start
-    assert answered <= 11 and seconds >= 10 and b"no valid request in time" in said
+    assert sent <= seconds + 15 and ahead() - start >= seconds
 
 
 async def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
@@ -86,22 +90,3 @@ async def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
         ahead.leap(10.0)
         await until(lambda: not server.stats()["clients"])
         writer.transport.abort()
-
-
-async def test_answering_pings_is_not_a_message(serve, ahead):
-    """Pongs every second of the minute that a client may be silent."""
-    ahead.lead()
-    async with serve(config=ServerConfig(port=0, heartbeat=1e6)) as server:
-        reader, writer = await raw(server)
-        start, sent = ahead(), 0
-        writer.write(frame(0x1, native(1).encode()))
-        await reader.readuntil(b"VR")
-        while server.stats()["clients"] and sent < 120:
-            writer.write(frame(0xA, b""))
-            ahead.leap(1.0)
-            sent += 1
-            await asyncio.sleep(0.002)
-        said = await all_of(reader)
-        writer.close()
-        seconds = ahead() - start
-    assert sent < 120 and seconds >= 60 and b'"message":"idle"' in said and said.endswith(b"idle")

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import struct
 import time
 from dataclasses import dataclass, field
 from functools import partial
 from statistics import median
 from typing import Any, NamedTuple
 
+import aiohttp
+
 from glsplat.errors import ProtocolError
 from glsplat.net.reply import parse_reply
 from tests.net.attacks.requests import request
-from tests.net.attacks.sockets import Target, frame, handshake
+from tests.net.attacks.sockets import Target
 
 __all__ = ["GoodClient", "Service"]
 
@@ -64,35 +65,33 @@ class GoodClient:
         while True:
             try:
                 await self._visit()
-            except (OSError, EOFError, ProtocolError, TimeoutError) as error:
+            except (OSError, aiohttp.ClientError, ProtocolError, TimeoutError) as error:
                 self.losses.append(time.monotonic())
                 self.errors.append(f"{type(error).__name__}: {error}")
             await asyncio.sleep(0.25)
 
     async def _visit(self) -> None:
-        reader, writer = await asyncio.open_connection(
-            self.target.host, self.target.port, local_addr=(self.target.source, 0)
-        )
-        talk = _Talk(reader, writer)
-        asking: asyncio.Task[None] | None = None
-        opening: asyncio.Task[None] | None = None
-        talk.late = _LONG if self.datagrams else 0.0
-        try:
-            async with asyncio.timeout(60):
-                writer.write(handshake(self.target))
-                head = await reader.readuntil(b"\r\n\r\n")
-            if b" 101 " not in head.partition(b"\r\n")[0]:
-                raise ProtocolError(head.partition(b"\r\n")[0].decode("latin-1"), "refused")
-            asking = asyncio.create_task(self._ask(talk))
-            while True:
-                async with asyncio.timeout(60):
-                    data = await talk.message()
-                if (offer := self._arrived(talk, data)) is not None:
-                    opening = asyncio.create_task(self._open(talk, offer))
-        finally:
-            for task in filter(None, (asking, opening)):
-                task.cancel()
-            writer.transport.abort()
+        url = f"http://{self.target.host}:{self.target.port}/ws"
+        connector = aiohttp.TCPConnector(local_addr=(self.target.source, 0))
+        async with (
+            aiohttp.ClientSession(connector=connector) as http,
+            http.ws_connect(url, autoping=False, max_msg_size=0) as ws,
+        ):
+            talk = _Talk(ws, _LONG if self.datagrams else 0.0)
+            tasks = [asyncio.create_task(self._ask(talk))]
+            try:
+                while True:
+                    message = await ws.receive(60)
+                    if message.type == aiohttp.WSMsgType.BINARY:
+                        if (offer := self._arrived(talk, message.data)) is not None:
+                            tasks.append(asyncio.create_task(self._open(talk, offer)))
+                    elif message.type == aiohttp.WSMsgType.PING:
+                        tasks.append(asyncio.create_task(talk.pong(message.data)))
+                    else:
+                        raise ProtocolError(f"{message.type.name} {message.data!r:.200} {message.extra}", "closed")
+            finally:
+                for task in tasks:
+                    task.cancel()
 
     def _arrived(self, talk: _Talk, data: bytes, by_datagrams: bool = False) -> dict[str, str] | None:
         """Note a picture; the second way that it offers."""
@@ -130,7 +129,7 @@ class GoodClient:
             frame_id += 1
             pose = {"root_pose": [0, frame_id / 30, 0]}
             talk.asked[frame_id] = time.monotonic()
-            talk.writer.write(frame(0x1, self._request(frame_id, pose, talk)))
+            await talk.ws.send_str(self._request(frame_id, pose, talk).decode())
             if self.hertz is None:
                 talk.answered.clear()
                 await talk.answered.wait()
@@ -142,32 +141,17 @@ class GoodClient:
         return request(frame_id, (self.size,) * 2, pose=pose, ack=talk.newest, want=self.want, **told)
 
 
+@dataclass
 class _Talk:
     """One WebSocket of the good client."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.reader, self.writer = reader, writer
-        self.newest = 0  # frame_id that arrived last
-        self.age = 0.0  # ms of that picture
-        self.late = 0.0  # seconds by which pings are answered late
-        self.asked: dict[int, float] = {}
-        self.answered = asyncio.Event()
+    ws: aiohttp.ClientWebSocketResponse
+    late: float  # seconds by which pings are answered late
+    newest: int = 0  # frame_id that arrived last
+    age: float = 0.0  # ms of that picture
+    asked: dict[int, float] = field(default_factory=dict)
+    answered: asyncio.Event = field(default_factory=asyncio.Event)
 
-    async def message(self) -> bytes:
-        """The next binary message. Raises ProtocolError for the server's errors and for its close."""
-        while True:
-            first, second = await self.reader.readexactly(2)
-            length = second & 127
-            if length >= 126:
-                size = 2 if length == 126 else 8
-                (length,) = struct.unpack("!H" if size == 2 else "!Q", await self.reader.readexactly(size))
-            data = await self.reader.readexactly(length)
-            match first & 15:
-                case 0x2:
-                    return data
-                case 0x9:
-                    asyncio.get_running_loop().call_later(self.late, self.writer.write, frame(0xA, data))
-                case 0x1:
-                    raise ProtocolError(data.decode()[:200], "error")
-                case 0x8:
-                    raise ProtocolError(f"closed {data[:2].hex()} {data[2:].decode(errors='replace')}", "closed")
+    async def pong(self, data: bytes) -> None:
+        await asyncio.sleep(self.late)
+        await self.ws.pong(data)

@@ -53,15 +53,6 @@ def gone(sock) -> bool:
     return False
 
 
-def held_places(target: Target, number: int, stop: threading.Event) -> None:
-    """Asks for one speck of a picture, then says just enough to be let alone: a client's place for nothing."""
-    with upgrade(target, "?window=1") as sock:
-        sock.sendall(frame(0x1, request(1, (1, 1))))
-        while not stop.wait(0.5):
-            sock.sendall(frame(0x1, b'{"v":1,"ack":0}'))
-            drain(sock)
-
-
 def churn(target: Target, number: int, stop: threading.Event) -> None:
     """Connections that end as soon as they are there, 100 a second."""
     while not stop.wait(0.01):
@@ -113,7 +104,6 @@ def body(target: Target, number: int, stop: threading.Event) -> None:
 
 HANDSHAKES: dict[str, Attack] = {
     "idle connections": again_and_again(idle),
-    "clients that hold their place": again_and_again(held_places),
     "connections that end at once": again_and_again(churn),
     "clients that end at once": again_and_again(client_churn),
     "handshake and reset": again_and_again(reset),

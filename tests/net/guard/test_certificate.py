@@ -145,12 +145,6 @@ def test_names_that_no_certificate_can_hold(folder, name):
     assert not list(folder.iterdir())
 
 
-def test_a_file_that_cannot_be_read_is_one_line(folder):
-    (folder / KEY).mkdir()
-    with pytest.raises(GlsplatError, match=r"key-and-certificate\.pem: expected a file, but this is a directory$"):
-        kept_certificate(folder, ())
-
-
 def test_a_full_disk_leaves_what_was_there(folder):
     """A limit on the size of files stands for it: both end a write half way."""
     kept_certificate(folder, ())

@@ -34,14 +34,9 @@ def test_without_an_absolute_path_it_is_in_the_home_folder(tmp_path, monkeypatch
     assert state_folder() == tmp_path / ".local" / "state" / "glsplat"
 
 
-def test_a_folder_that_cannot_be_had_is_one_line(state, monkeypatch):
+def test_a_folder_that_cannot_be_had_is_one_line(state):
     state.write_text("a file in its place")
-    with pytest.raises(
-        GlsplatError, match=r"^/.*/glsplat: cannot be made \(.*\); name another place by XDG_STATE_HOME$"
-    ):
-        state_folder()
-    monkeypatch.setenv("XDG_STATE_HOME", "/proc/nowhere")  # where root cannot write either
-    with pytest.raises(GlsplatError, match=r"^/proc/nowhere/glsplat: cannot be made \("):
+    with pytest.raises(GlsplatError, match=r"/glsplat: cannot be made \(.*\); name another place by XDG_STATE_HOME$"):
         state_folder()
 
 

@@ -15,7 +15,6 @@ from glsplat.net.uploads.job import UploadConfig
 PAGE = (Path(__file__).parents[3] / "docs" / "deploying.md").read_text(encoding="utf-8")
 LIMITS, SERVER, SESSION = Limits(), ServerConfig(), SessionConfig()
 UPLOADS = UploadConfig(folder=Path(), make=lambda order, progress: None)
-assert LIMITS.file == 0.1 and LIMITS.uploads_unfinished == 0.25 and LIMITS.per_address is None
 ROWS = {
     "clients (`--max-clients`)": (f"{SERVER.max_clients}", ""),
     "clients of one address (`--max-per-address`)": ("half of them; on loopback without `--trusted-proxy` all", ""),

@@ -25,12 +25,8 @@ def test_each_interface_has_its_address(monkeypatch):
     addresses = {b"lo": "127.0.0.1", b"eth0": "192.0.2.9", b"eth1": "198.51.100.254"}
 
     def ioctl(of, code, name):
-        return (
-            name[:16]
-            + struct.pack("<HH", socket.AF_INET, 0)
-            + socket.inet_aton(addresses[name[:16].rstrip(b"\0")])
-            + bytes(232)
-        )
+        address = socket.inet_aton(addresses[name[:16].rstrip(b"\0")])
+        return name[:16] + struct.pack("<HH", socket.AF_INET, 0) + address + bytes(232)
 
     monkeypatch.setattr(fcntl, "ioctl", ioctl)
     monkeypatch.setattr(machine.socket, "if_nameindex", lambda: [(1, "lo"), (2, "eth0"), (3, "eth1")])

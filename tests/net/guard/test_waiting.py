@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import socket
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +19,8 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.net.clocks import Ahead
 from tests.net.conftest import FakeBackend, Serve
-from tests.net.guard.descriptors import few_descriptors
 from tests.net.guard.plain_http import ask, get, status
-from tests.net.wire import EYE, UPGRADE, all_of, frame, native, raw, until
+from tests.net.wire import EYE, UPGRADE, all_of, frame, native, still_serves, until
 
 TOKEN = "0123456789abcdef-token"
 RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
@@ -67,13 +64,9 @@ async def test_a_refusal_ends_its_connection(serve: Serve, kind: str) -> None:
     if kind == "no token":
         text = text.replace(TOKEN.encode(), b"wrong-" + TOKEN.encode())
     full, crowd = kind == "too many clients", kind == "too many clients of the address"
-    config = ServerConfig(
-        port=0,
-        access=Access(token=TOKEN),
-        limits=Limits(visits_burst=1e9, per_address=1 if crowd else 8),
-        max_clients=1 if full else 8,
-        rooms={"lab": 1},
-    )
+    limits = Limits(visits_burst=1e9, per_address=1 if crowd else 8)
+    more = {"limits": limits, "max_clients": 1 if full else 8, "rooms": {"lab": 1}}
+    config = ServerConfig(port=0, access=Access(token=TOKEN), **more)
     inside = partial(Client, token=TOKEN, room="lab", name="ann")
     async with serve(config=config, offered=OFFERED) as server, inside(server.url):
         source = "127.0.0.1" if crowd else "127.0.0.2"
@@ -85,19 +78,6 @@ async def test_a_refusal_ends_its_connection(serve: Serve, kind: str) -> None:
         held = sum(one.clients for one in server.gate.addresses._table.values())
         assert answer.count("HTTP/1.1 ") == 1 and "Connection: close" in answer
         assert (status(answer), len(server.stats()["clients"]), held) == (wanted, 1, 1)
-
-
-async def test_a_client_waits_until_it_is_accepted(serve: Serve) -> None:
-    """While its options are looked at it counts as a connection that is no client, afterwards as a client."""
-    async with serve() as server:
-        counts = []
-        chosen = server._open_channel
-        server._open_channel = lambda *of: (counts.append(server.gate.status()["waiting"]), chosen(*of))[1]  # type: ignore[method-assign]
-        _, writer = await raw(server)
-        counts.append(server.gate.status()["waiting"])
-        writer.transport.abort()
-        await until(lambda: not server.stats()["clients"])
-        assert [*counts, server.gate.status()["waiting"]] == [1, 0, 0]
 
 
 def small_peer(server: Server) -> socket.socket:
@@ -129,12 +109,10 @@ async def test_clients_that_leave_and_take_nothing_are_counted_again(serve: Serv
             await loop.sock_sendall(peer, frame(0x8, b"\x03\xe8"))  # it is going away
             await until(lambda: not server._channels)
         await asyncio.sleep(0)
-        waiting, held = server.gate.status()["waiting"], open_ones(transports)
-        async with Client(server.url) as new:
-            served = (await new.render(cameras)).frame_id == 1
+        assert 1 <= server.gate.status()["waiting"] <= 4 and open_ones(transports) <= 4
+        assert await still_serves(server, cameras)
         for peer in peers:
             peer.close()
-    assert 1 <= waiting <= 4 and held <= 4 and served
 
 
 async def test_idle_connections_with_something_unsent_can_be_closed(serve: Serve, ahead: Ahead) -> None:
@@ -156,11 +134,10 @@ async def test_idle_connections_with_something_unsent_can_be_closed(serve: Serve
                 await asyncio.sleep(0.001)
         ahead.leap(11)
         await until(lambda: all(one.transport is None for one in connections))
-        new = status(await ask(server.port, get("/healthz"), "127.0.0.2"))
-        held = open_ones(transports)
+        assert status(await ask(server.port, get("/healthz"), "127.0.0.2")) == 200
+        assert open_ones(transports) <= 3  # one made room
         for peer in peers:
             peer.close()
-    assert held <= 3 and new == 200  # one made room
 
 
 async def test_requests_that_take_long_leave_room_for_others(serve: Serve) -> None:
@@ -170,34 +147,6 @@ async def test_requests_that_take_long_leave_room_for_others(serve: Serve) -> No
     async with serve(backend, ServerConfig(port=0, limits=WAITING)) as server:
         asked = [asyncio.create_task(ask(server.port, get("/thumbnails/default"), "127.0.0.2")) for _ in range(4)]
         await until(lambda: sum(one.busy for one in server.gate._listener._waiting) == 4)  # type: ignore[union-attr]
-        new = status(await ask(server.port, get("/healthz"), "127.0.0.3"))
+        assert status(await ask(server.port, get("/healthz"), "127.0.0.3")) == 200
         backend.gate.set()
-        answers = [status(answer) for answer in await asyncio.gather(*asked)]
-        assert (new, answers.count(200)) == (200, 3)
-
-
-async def leave_without_reading(peer: socket.socket, port: int) -> None:
-    """A client, with pictures that it does not take."""
-    loop = asyncio.get_running_loop()
-    await loop.sock_connect(peer, ("127.0.0.1", port))
-    await loop.sock_sendall(peer, UPGRADE + b"".join(frame(0x1, native(1 + i, **LARGE).encode()) for i in range(3)))
-    await asyncio.sleep(0.15)
-    await loop.sock_sendall(peer, frame(0x8, b"\x03\xe8"))
-
-
-@pytest.mark.check
-async def test_at_the_limit_of_descriptors_newcomers_are_answered(cameras: object, tmp_path: Path) -> None:
-    with few_descriptors(tmp_path / "log") as port:
-        peers = []
-        for number in range(45):
-            peers.append(peer := socket.socket())
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-            peer.setblocking(False)
-            peer.bind((f"127.0.2.{number + 1}", 0))
-            with contextlib.suppress(OSError):  # TimeoutError, too
-                await asyncio.wait_for(leave_without_reading(peer, port), 5)
-        assert [status(await ask(port, get("/healthz"), "127.0.0.9")) for _ in range(3)] == [200] * 3
-        async with Client(f"ws://127.0.0.1:{port}/ws") as new:
-            assert (await new.render(cameras)).frame_id == 1
-        for peer in peers:
-            peer.close()
+        assert [status(answer) for answer in await asyncio.gather(*asked)].count(200) == 3

@@ -39,40 +39,35 @@ def made(tmp_path, state):
 
 async def test_whoever_had_it_made_drives_and_deletes_it_alone(serve, made, state):
     uploads, policy, config, tokens = made
-    async with serve(config=replace(config, consent=policy), uploads=Uploads(uploads, described)) as server:
-        uploads.folder.mkdir()
-        async with aiohttp.ClientSession() as http:
-            origin = f"http://127.0.0.1:{server.port}"
+    uploads.folder.mkdir()
+    async with (
+        serve(config=replace(config, consent=policy), uploads=Uploads(uploads, described)) as server,
+        aiohttp.ClientSession() as http,
+    ):
 
-            async def ask(method, path, who, data=None):
-                headers = {"Authorization": f"Bearer {tokens[who]}", "Content-Type": "image/jpeg"}
-                async with http.request(method, f"{origin}{path}", headers=headers, data=data) as answer:
-                    there = answer.content_type == "application/json"
-                    return answer.status, await (answer.json() if there else answer.text())
+        async def ask(method, path, who, data=None):
+            headers = {"Authorization": f"Bearer {tokens[who]}", "Content-Type": "image/jpeg"}
+            url = f"http://127.0.0.1:{server.port}{path}"
+            async with http.request(method, url, headers=headers, data=data) as answer:
+                return answer.status, await answer.json() if answer.content_type == "application/json" else None
 
-            async def names(who):
-                return [one["name"] for one in (await ask("GET", "/session", who))[1]["avatars"]]
-
-            name = (await ask("POST", "/avatars?consent=yes", "ann", PICTURE))[1]["name"]
-            while (await ask("GET", f"/avatars/{name}", "ann"))[1]["state"] != "done":
-                await asyncio.sleep(0.05)
-            offered = {who: await names(who) for who in tokens}
-            async with Client(server.url, tokens["ann"], avatar=name):
-                pass
-            for who in ("bob", "boss"):
-                with pytest.raises(ProtocolError, match="403"):
-                    async with Client(server.url, tokens[who], avatar=name):
-                        pass
-            refused = [(await ask("DELETE", f"/avatars/{name}", who))[0] for who in ("bob", "boss")]
-            found = on_file(uploads.folder / f"{name}.glb")
-            deleted = (await ask("DELETE", f"/avatars/{name}", "ann"))[0]
-    assert offered["ann"] == [name] and offered["bob"] == offered["boss"] == []
-    assert refused == [404, 404] and deleted == 204
-    consent = found.consent
+        name = (await ask("POST", "/avatars?consent=yes", "ann", PICTURE))[1]["name"]
+        while (await ask("GET", f"/avatars/{name}", "ann"))[1]["state"] != "done":
+            await asyncio.sleep(0.05)
+        async with Client(server.url, tokens["ann"], avatar=name):
+            pass
+        for who, offered in (("bob", []), ("boss", []), ("ann", [name])):
+            assert [one["name"] for one in (await ask("GET", "/session", who))[1]["avatars"]] == offered
+        for who in ("bob", "boss"):
+            with pytest.raises(ProtocolError, match="403"):
+                await Client(server.url, tokens[who], avatar=name).connect()
+            assert (await ask("DELETE", f"/avatars/{name}", who))[0] == 404
+        found = on_file(uploads.folder / f"{name}.glb")
+        assert (await ask("DELETE", f"/avatars/{name}", "ann"))[0] == 204
+    consent, key = found.consent, state / "glsplat" / "consent-key"
     assert found.fault == "" and consent.given_by == "ann" and consent.drivers == {"ann"}
-    assert consent.key == private_key(state / "glsplat" / "consent-key").public
+    assert consent.key == private_key(key).public and key.stat().st_mode & 0o777 == 0o600
     assert 364 < (consent.ends - consent.begins) / 86400 < 367
-    assert (state / "glsplat" / "consent-key").stat().st_mode & 0o777 == 0o600
 
 
 def test_what_lies_there_without_a_record_is_left_out_with_a_line(tmp_path, made, caplog):

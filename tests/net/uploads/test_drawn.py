@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
-from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
@@ -94,12 +93,6 @@ def test_a_folder_that_cannot_be_used_is_said(tmp_path: Path) -> None:
     for folder in (tmp_path / "file", tmp_path / "no" / "where"):
         with pytest.raises(GlsplatError, match="avatars cannot be kept there"):
             server_of(folder)
-
-
-def test_avatars_without_cones_are_refused_where_they_are_needed(tmp_path: Path) -> None:
-    save(replace(DARK, splats=replace(DARK.splats, cones=None)), tmp_path / "mine.glb")
-    with pytest.raises(GlsplatError, match='"mine": cull_hidden needs visibility cones'):
-        server_of(tmp_path, rendering=RenderConfig(cull_hidden=True))
 
 
 def test_a_wardrobe_holds_what_is_given_and_what_lies_there_by_now(tmp_path: Path) -> None:
