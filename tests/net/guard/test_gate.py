@@ -194,6 +194,7 @@ async def test_few_descriptors_and_a_hundred_idle_connections(cameras, how, tmp_
     with few_descriptors(tmp_path / "log", how) as port:
         url = f"ws://127.0.0.1:{port}/ws"
         async with Client(url) as good:
+            await good.render(cameras)
             idle = []
             for picture in range(1, 31):
                 while len(idle) < 100:
