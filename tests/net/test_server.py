@@ -5,24 +5,27 @@ from __future__ import annotations
 import asyncio
 import re
 import threading
+import time
 from collections import Counter
+from dataclasses import dataclass
 
 import aiohttp
 import numpy as np
 import pytest
 
 from glsplat.errors import ContextError, GlsplatError, ProtocolError
+from glsplat.gl.software import is_software
+from glsplat.net import render_loop
 from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.server import Server, ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
+from tests.net.accounts.test_accounts import WS
+from tests.net.conftest import FakeBackend, eyes, serving
 from tests.net.pace.contested import Contested, contest
 from tests.net.wire import HANG, until
-
-UPGRADE = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-UPGRADE |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
 
 
 async def test_a_client_gets_the_pair_it_asked_for(serve, fake_backend, cameras):
@@ -211,8 +214,47 @@ def test_what_is_offered_has_names_of_its_own(names, fake_backend):
 
 async def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
     offered = [AvatarInfo(name="ann"), AvatarInfo(name="Jürgen B")]
-    async with serve(offered=offered) as server, aiohttp.ClientSession() as http:
-        async with Client(server.url, avatar="Jürgen B"), Client(server.url):
-            answer = await http.get(server.url.replace("ws:", "http:") + "?avatar=eve", headers=UPGRADE)
-            status, text = answer.status, await answer.text()
-    assert status == 400 and text == "avatar needs a name of those offered here: ann, Jürgen B\n"
+    async with serve(offered=offered) as server, aiohttp.ClientSession() as http, Client(server.url, avatar="Jürgen B"):
+        async with http.get(server.url.replace("ws:", "http:") + "?avatar=eve", headers=WS) as answer:
+            assert answer.status == 400
+            assert await answer.text() == "avatar needs a name of those offered here: ann, Jürgen B\n"
+
+
+TOOK = 0.02  # seconds of a picture
+
+
+@dataclass
+class Named(FakeBackend):
+    driver: str = ""
+
+    def open(self) -> str:
+        super().open()
+        return self.driver
+
+
+async def seconds(driver: str, needed: bool, pictures: int = 3) -> float:
+    async with serving(Named(TOOK, driver=driver)) as server, Client(server.url) as client:
+        server.render_loop.stands_back = lambda: needed
+        await client.render(eyes())
+        began = time.monotonic()
+        for _ in range(pictures):
+            await client.render(eyes())
+        return time.monotonic() - began
+
+
+@pytest.mark.check
+async def test_a_software_driver_stands_back() -> None:
+    assert await seconds("llvmpipe (LLVM 15.0.6, 256 bits)", True) >= 3 * 9 * TOOK
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(("driver", "needed"), [("NVIDIA H100/PCIe/SSE2", True), ("llvmpipe", False)])
+async def test_others_go_on(monkeypatch: pytest.MonkeyPatch, driver: str, needed: bool) -> None:
+    monkeypatch.setattr(render_loop, "_BACK", 1e9)
+    monkeypatch.setattr(render_loop, "_LONGEST_BACK", 1e9)  # it would never end
+    assert await seconds(driver, needed) < 60
+
+
+@pytest.mark.parametrize("driver", ["llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe", "Google SwiftShader", "lavapipe"])
+def test_names_of_software(driver: str) -> None:
+    assert is_software(driver) and not is_software("zink Vulkan 1.3(NVIDIA)") and not is_software("AMD Radeon")

@@ -82,3 +82,25 @@ def full_hands(frame_id):
     return json.dumps(
         {"v": 1, "frame_id": frame_id, "ack": frame_id, "t": 1e3 / 3, "eyes": [eye, eye], "tracking": values}
     )
+
+
+async def ask(port, text, source="127.0.0.1"):
+    """The whole answer to a request written by hand."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(source, 0))
+    try:
+        writer.write(text if isinstance(text, bytes) else text.encode())
+        return (await asyncio.wait_for(reader.read(), HANG)).decode("latin-1")
+    except ConnectionError:
+        return ""
+    finally:
+        writer.transport.abort()
+        await asyncio.sleep(0)
+
+
+def get(path="/stats", host="127.0.0.1", more=""):
+    hosts = "".join(f"Host: {name}\r\n" for name in ([host] if isinstance(host, str) else host))
+    return f"GET {path} HTTP/1.1\r\n{hosts}{more}Connection: close\r\n\r\n"
+
+
+def status(answer):
+    return int(answer.split(" ", 2)[1]) if answer else None

@@ -29,22 +29,14 @@ from tests.net.wire import HANG, until
 
 RIG = Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]])  # people of rooms have joints
 OFFERED = tuple(AvatarInfo(name=name, skeleton=RIG) for name in ("default", "ann", "bob"))
-WS = {
-    "Upgrade": "websocket",
-    "Connection": "Upgrade",
-    "Sec-WebSocket-Version": "13",
-    "Sec-WebSocket-Key": "A" * 22 + "==",
-}
+WS = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+WS |= {"Sec-WebSocket-Key": "A" * 22 + "=="}
 
 
 @pytest.fixture
 def made(tmp_path):
     """A configuration with three accounts, their tokens, and the file."""
-    accounts = {
-        "ann": new_user("ann", ["ann"], ["lab"]),
-        "boss": new_user("boss"),
-        "eve": new_user("eve", [], []),
-    }
+    accounts = {"ann": new_user("ann", ["ann"], ["lab"]), "boss": new_user("boss"), "eve": new_user("eve", [], [])}
     path = tmp_path / "users.json"
     write_users(path, {name: user for name, (user, _) in accounts.items()})
     config = ServerConfig(port=0, access=Access(accounts=Accounts(path)), rooms={"lab": 4, "hall": 4})
@@ -121,7 +113,7 @@ NAMES = st.sampled_from(["default", "ann", "bob", "lab", "*", "", ".."]) | st.te
 
 
 @pytest.mark.check
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     query=st.fixed_dictionaries({}, optional={"avatar": NAMES, "room": NAMES}),
     avatars=st.lists(st.sampled_from(["default", "ann", "bob", "gone"]), max_size=2),

@@ -79,6 +79,7 @@ class Row:
 PUBLIC = {"GET /healthz", "GET /vr", "GET /vr/{path}"}
 _ANN, _BOB = "ann-avatar ann-room ann-mark", "bob-avatar bob-room bob-mark"
 OWN = {"bob": "403 bob-avatar", "meg": "403 made"}  # what they may ask for instead
+SHOWN, SPLATS = dict.fromkeys(("ann", "all"), "200"), dict.fromkeys(("ann", "all"), "200 ann-splats")
 TABLE = (
     Row("GET /healthz"),
     Row("GET /vr", usual="308"),
@@ -108,23 +109,11 @@ TABLE = (
     Row("GET /reach"),
     Row("GET /recording"),
     Row("GET /motions/{name}", "/motions/idle"),
-    Row(
-        "GET /thumbnails/{name}",
-        "/thumbnails/ann-avatar",
-        HIDDEN,
-        {"ann": "200", "all": "200"},
-        "/thumbnails/of-nobody",
-    ),
+    Row("GET /thumbnails/{name}", "/thumbnails/ann-avatar", HIDDEN, SHOWN, "/thumbnails/of-nobody"),
     Row("GET /thumbnails/{name}", f"/thumbnails/{MADE}", HIDDEN, {"meg": "200"}, "/thumbnails/photo-abcdefgh"),
     Row("GET /pictures/{number}", "/pictures/1", HIDDEN, {"ann": "200 ann-picture"}, "/pictures/77"),
     Row("GET /pictures/{number}", "/pictures/2", HIDDEN, {"bob": "200 bob-picture"}, "/pictures/77"),
-    Row(
-        "GET /splats/{sha256}",
-        "/splats/{ann_splats}",
-        HIDDEN,
-        {"ann": "200 ann-splats", "all": "200 ann-splats"},
-        f"/splats/{'0' * 64}",
-    ),
+    Row("GET /splats/{sha256}", "/splats/{ann_splats}", HIDDEN, SPLATS, f"/splats/{'0' * 64}"),
     Row("GET /ws", "/ws?avatar=ann-avatar", "403", {"ann": "101", "all": "101", **OWN}, "/ws?avatar=of-nobody"),
     Row(
         "GET /ws",
@@ -144,11 +133,7 @@ TABLE = (
     Row("POST /avatars", usual="415"),
     Row("GET /avatars/{name}", "/avatars/{job}", HIDDEN, {"meg": "200 job"}, "/avatars/photo-abcdefgh"),
     Row(
-        "POST /avatars/{name}/anyway",
-        "/avatars/{job}/anyway",
-        HIDDEN,
-        {"meg": "409"},
-        "/avatars/photo-abcdefgh/anyway",
+        "POST /avatars/{name}/anyway", "/avatars/{job}/anyway", HIDDEN, {"meg": "409"}, "/avatars/photo-abcdefgh/anyway"
     ),
     Row("DELETE /avatars/{name}", "/avatars/default", "403", absent="/avatars/of-nobody"),
     Row("DELETE /avatars/{name}", f"/avatars/{MADE}", HIDDEN, {"meg": "204"}, "/avatars/photo-abcdefgh"),

@@ -31,12 +31,8 @@ MEASURED = {  # what holds each of them
 PACES = (6.0, 6.0, 4.0, 3.0, 3.0)
 """Hertz of the good client in each round: a machine that has other work keeps a slower pace."""
 LEAST, MOST = 0.5, 3.0
-"""What a good client keeps of its rate, and how often its pictures' age, in the best of all rounds; an age of two
-pictures of its pace is not old on any machine.
-
-Before there were limits, attacks left 0 to 0.1 of the rate at 6 to 25 times the age. Whether the promise itself holds
-(0.7 of the rate, twice the age), the campaign tells: its phases are long enough for a machine that has other work.
-"""
+"""What a good client keeps of its rate, and how often its pictures' age, in the best of all rounds. The promise itself
+(0.7 of the rate, twice the age) is the campaign's to measure."""
 REST = [name for name in ATTACKS if name not in MEASURED]
 addresses = itertools.count(10)
 

@@ -125,7 +125,7 @@ def test_a_client_cannot_be_somebody_else() -> None:
     rng = random.Random(5)
     parts = ["6.6.6.6", "for=6.6.6.6", "10.0.0.1", "for=10.0.0.1", "127.0.0.1", "::1", "for=", "x=", 'host="']
     parts += [*'"\\,;= []\té', "unknown", "_a"]
-    for _ in range(4_000):
+    for _ in range(1_000):
         made_up = "".join(rng.choice(parts) for _ in range(rng.randrange(12)))
         added = rng.choice(("192.0.2.1", "192.0.2.1, 10.0.0.9"))
         assert listed(made_up + ", " + added) == listed(made_up, added) == "192.0.2.1", made_up

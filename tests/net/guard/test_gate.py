@@ -5,7 +5,13 @@ from __future__ import annotations
 import asyncio
 import inspect
 import re
+import signal
 import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from aiohttp import web
@@ -16,9 +22,7 @@ from glsplat.net.guard.connection import GuardedConnection
 from glsplat.net.guard.limits import Limits
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from tests.net.guard.descriptors import few_descriptors
-from tests.net.guard.plain_http import ask, get, status
-from tests.net.wire import UPGRADE, all_of, frame, native, raw, still_serves, until
+from tests.net.wire import HANG, UPGRADE, all_of, ask, frame, get, native, raw, status, still_serves, until
 
 TOKEN = "0123456789abcdef-token"
 
@@ -185,6 +189,39 @@ def test_overridden_methods_of_aiohttp_take_the_same(name, parameters):
     assert name in vars(GuardedConnection)
     for kind in (web.RequestHandler, GuardedConnection):
         assert list(inspect.signature(getattr(kind, name)).parameters) == parameters
+
+
+ROOT = Path(__file__).parents[3]
+FEW = """
+import asyncio, logging, resource, sys
+sys.path.insert(0, sys.argv[1])
+resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
+from glsplat.net.guard.limits import Limits
+from glsplat.net.server import Server, ServerConfig
+from tests.net.conftest import FakeBackend
+logging.basicConfig(format="LOG %(message)s")
+if sys.argv[2] == "no room kept":
+    import glsplat.net.guard.listener as listener
+    listener._descriptors_left = lambda: None
+server = Server(FakeBackend(noise=True), ServerConfig(port=0, limits=Limits(visits_burst=1e9)))
+asyncio.run(server.run(lambda: print(server.port, flush=True)))
+"""
+
+
+@contextmanager
+def few_descriptors(log: Path, how: str = "as it is") -> Iterator[int]:
+    """Its port; it logs to the file, and has to end in order at the end."""
+    command = [sys.executable, "-c", FEW, str(ROOT), how]
+    with log.open("wb") as errors:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
+    try:
+        assert process.stdout is not None
+        yield int(process.stdout.readline())
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(HANG) == 0
+    finally:
+        process.kill()
+        process.communicate()
 
 
 @pytest.mark.check

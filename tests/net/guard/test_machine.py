@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 import struct
 
@@ -18,6 +19,13 @@ fd00000000000000000000000000000a 02 40 00 82     eth0
 20010db8000000000000000000000002 02 40 00 20     eth0
 20010db8000000000000000000000003 02 40 00 80     eth0
 """
+
+
+def test_addresses_can_be_bound_to():
+    for address in machine_addresses():
+        assert not ipaddress.ip_address(address).is_loopback
+        with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as own:
+            own.bind((address, 0))  # fails for those of other machines
 
 
 def test_each_interface_has_its_address(monkeypatch):

@@ -18,9 +18,8 @@ from glsplat.net.options import ServerConfig
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from tests.net.conftest import Serve
-from tests.net.guard.plain_http import ask, get, status
 from tests.net.uploads.makers import make
-from tests.net.wire import UPGRADE, all_of, frame, native, until
+from tests.net.wire import UPGRADE, all_of, ask, frame, get, native, status, until
 
 TOKEN = "0123456789abcdef-token"
 ANN, BOB, EVE = "192.0.2.1", "2001:db8::2", "198.51.100.3"

@@ -13,8 +13,7 @@ import pytest
 from glsplat.net.guard.limits import Limits
 from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
-from tests.net.guard.plain_http import ask, get, status
-from tests.net.wire import EYE, UPGRADE, frame, native, still_serves, until
+from tests.net.wire import EYE, UPGRADE, ask, frame, get, native, status, still_serves, until
 
 
 @pytest.fixture

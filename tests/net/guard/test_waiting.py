@@ -19,8 +19,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.net.clocks import Ahead
 from tests.net.conftest import FakeBackend, Serve
-from tests.net.guard.plain_http import ask, get, status
-from tests.net.wire import EYE, UPGRADE, all_of, frame, native, still_serves, until
+from tests.net.wire import EYE, UPGRADE, all_of, ask, frame, get, native, status, still_serves, until
 
 TOKEN = "0123456789abcdef-token"
 RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))

@@ -45,6 +45,7 @@ REFUSED = {
     "no consent": (400, "consent=yes is needed", form(front=PICTURE, consent="no")),
     "a height in centimetres": (400, "height needs 0.5 to 2.8 metres", form(front=PICTURE, height="174")),
     "a height that is no number": (400, "height needs", form(front=PICTURE, height="nan")),
+    "a height in letters": (400, "height needs", form(front=PICTURE, height="tall")),
     "anyway of another kind": (400, "anyway needs yes or no", form(front=PICTURE, anyway="1")),
     "an unknown field": (400, "and no others", form(front=PICTURE, path="/etc/passwd")),
     "too long a field": (400, "height needs", form(front=PICTURE, height="1" * 500)),

@@ -10,7 +10,7 @@ import pytest
 
 from glsplat.net.guard.limits import Limits, RateFloor
 from glsplat.net.uploads.job import UploadConfig
-from tests.net.uploads.conftest import LIMITS, TOKEN, Client, until
+from tests.net.uploads.conftest import GUARD, LIMITS, TOKEN, Client, until
 from tests.net.uploads.makers import PICTURE
 
 NOTHING = dict.fromkeys(("receiving", "waiting", "making", "done", "failed"), 0)
@@ -76,29 +76,25 @@ def test_the_rate() -> None:
     assert late([(9.9, RATE * 10)] * 12, end=121) is None  # bursts of just the rate
 
 
-SLOW = {  # headers, first bytes, more of them ten times a second
-    "a byte now and then": (length(1_000_000), b"ok", b"x"),
-    "chunks of a byte": (CHUNKED, chunk(b"ok"), chunk(b"x")),
-    "nothing after 100 Continue": (EXPECTS, b"", b""),
-    "fast enough, without end": (length(10**7), b"ok", b"x" * RATE),
-    "no last chunk": (CHUNKED, chunk(PICTURE), b""),
-    "all but one byte": (length(len(PICTURE) + 1), PICTURE, b""),
+SLOW = {
+    "a byte": (length(1_000_000), b"x", {"stall": 0.2}),
+    "a chunk of a byte": (CHUNKED, chunk(b"x"), {"stall": 0.2}),
+    "nothing after 100 Continue": (EXPECTS, b"", {"stall": 0.2}),
+    "no last chunk": (CHUNKED, chunk(PICTURE), {"stall": 0.2}),
+    "all but one byte": (length(len(PICTURE) + 1), PICTURE, {"stall": 0.2}),
+    "too long in all": (length(10**7), b"ok", {"stall": GUARD, "receive": 0.2}),
 }
 
 
 @pytest.mark.parametrize("kind", SLOW)
 async def test_a_slow_sender_loses_its_place(takes, kind: str) -> None:
-    headers, first, again = SLOW[kind]
-    async with takes(waiting=0, stall=0.2, receive=0.6) as client:
+    headers, data, options = SLOW[kind]
+    async with takes(waiting=0, **options) as client:
         slow = await Sender.open(client, headers)
-        slow.writer.write(first)
-        answering = asyncio.create_task(slow.answer())
-        while not answering.done():
-            slow.writer.write(again)
-            await asyncio.sleep(0.1)
-        status, line = answering.result()
+        slow.writer.write(data)
+        status, line = await slow.answer()
         assert status == 408 and line.count("\n") == 1
-        assert "too slowly: at least 4 kB a second are needed, all of them within 0.6 s" in line
+        assert "too slowly: at least 4 kB a second are needed, all of them within" in line
         assert client.counts() == NOTHING
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import stat
 
 import aiohttp
 import pytest
@@ -17,6 +16,8 @@ from glsplat.net.uploads.routes import Uploads
 from tests.net.uploads.conftest import GUARD, HEADERS, described, until
 from tests.net.uploads.makers import PICTURE, make
 
+pytestmark = pytest.mark.check
+
 
 def form(**fields) -> aiohttp.FormData:
     data = aiohttp.FormData()
@@ -28,30 +29,6 @@ def form(**fields) -> aiohttp.FormData:
     return data
 
 
-async def test_a_photograph_becomes_an_avatar_that_is_offered_and_kept(takes):
-    async with takes() as client:
-        session = (await client.ask("GET", "/session"))[1]
-        assert session["upload"]["views"] == ["front", "back", "left", "right"]
-        status, told = await client.post()
-        assert status == 202 and told["state"] == "waiting" and told["ahead"] == 0
-        name = told["name"]
-        told = await client.until(name, "done")
-        assert told["steps"] == ["looking at the picture", "making the person"] and told["share"] == 1
-        assert told["error"] is None and told["findings"] == []
-        offered = (await client.ask("GET", "/session"))[1]["avatars"]
-        assert [one["name"] for one in offered] == ["default", name]
-        assert [one["made"] for one in offered] == [False, True]
-        async with client.http.ws_connect(f"{client.server.url}?avatar={name}", headers=HEADERS) as ws:
-            assert not ws.closed
-        assert client.kept() == [f"{name}.glb"]
-        path = client.folder / f"{name}.glb"
-        assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        avatar = load(path)
-        assert avatar.meta["pictures"] == "front" and avatar.meta["height"] == "None"
-        assert PICTURE not in path.read_bytes()
-
-
-@pytest.mark.check
 async def test_a_form_brings_sides_height_and_title(takes):
     fields = form(front=PICTURE, back=PICTURE, left=b"", height="1.74", anyway="no", name="Zoë O'Neil 日本")
     async with takes() as client:
@@ -61,7 +38,6 @@ async def test_a_form_brings_sides_height_and_title(takes):
     assert name.startswith("photo-")  # whatever the picture's file was called
 
 
-@pytest.mark.check
 async def test_findings_are_reported_and_the_avatar_is_made_anyway(takes):
     async with takes() as client:
         told = await client.job(b"doubt", "failed")
@@ -72,7 +48,6 @@ async def test_findings_are_reported_and_the_avatar_is_made_anyway(takes):
         await client.made(b"doubt", query="?consent=yes&anyway=yes")
 
 
-@pytest.mark.check
 async def test_notes_are_reported_steps_bounded_and_prints_kept_back(takes, capfd):
     async with takes() as client:
         told = await client.job(b"guess busy print this-secret", "done")
@@ -84,7 +59,6 @@ async def test_notes_are_reported_steps_bounded_and_prints_kept_back(takes, capf
 OWN_FAULT = "it could not be made, for a reason of the server's own; another picture may do"
 
 
-@pytest.mark.check
 async def test_a_failure_is_one_line_and_the_next_picture_is_made(takes, caplog, capfd):
     lines = dict.fromkeys(("crash", "exit", "fault", "memory"), OWN_FAULT)
     lines["refuse"] = "the JPEG file is damaged; copy it again"
@@ -98,7 +72,6 @@ async def test_a_failure_is_one_line_and_the_next_picture_is_made(takes, caplog,
     assert "signal 11" in caplog.text and "ValueError at makers.py" in caplog.text
 
 
-@pytest.mark.check
 async def test_one_is_made_at_a_time_and_few_wait(takes, tmp_path):
     async with takes(per_address=9) as client:
         names = [(await client.post(f"hold {tmp_path / 'go on'}".encode()))[1]["name"] for _ in range(3)]
@@ -112,7 +85,6 @@ async def test_one_is_made_at_a_time_and_few_wait(takes, tmp_path):
             await client.until(name, "done")
 
 
-@pytest.mark.check
 async def test_one_address_leaves_room_for_others(takes):
     async with takes(per_address=1) as client:
         name = (await client.post(b"wait"))[1]["name"]
@@ -122,7 +94,6 @@ async def test_one_address_leaves_room_for_others(takes):
         assert (await client.post(b"wait"))[0] == 202
 
 
-@pytest.mark.check
 @pytest.mark.parametrize("state", ["making", "waiting"])
 async def test_a_cancelled_job_ends_at_once_and_leaves_nothing(takes, state):
     async with takes() as client:
@@ -136,14 +107,12 @@ async def test_a_cancelled_job_ends_at_once_and_leaves_nothing(takes, state):
         assert client.kept() == [f"{made}.glb"]
 
 
-@pytest.mark.check
 async def test_a_job_that_takes_too_long_is_given_up(takes):
     async with takes(seconds=0.2) as client:
         told = await client.job(b"wait", "failed")
     assert told["error"] == "it took more than 0.2 s and was given up; try again later"
 
 
-@pytest.mark.check
 async def test_the_server_stops_while_one_is_made(takes):
     async with takes() as client:
         await client.job(b"wait", "making")
@@ -153,7 +122,6 @@ async def test_the_server_stops_while_one_is_made(takes):
         assert client.kept() == []
 
 
-@pytest.mark.check
 async def test_deleting_an_avatar_closes_its_viewers_only(takes):
     async with takes() as client:
         name = await client.made()
@@ -169,7 +137,6 @@ async def test_deleting_an_avatar_closes_its_viewers_only(takes):
         assert (await client.ask("DELETE", f"/avatars/{name}"))[0] == 404
 
 
-@pytest.mark.check
 async def test_only_avatars_made_here_are_deleted(takes):
     async with takes() as client:
         (client.folder / "mine.glb").write_bytes(b"of the operator")
@@ -179,7 +146,6 @@ async def test_only_avatars_made_here_are_deleted(takes):
         assert len(client.kept()) == 2
 
 
-@pytest.mark.check
 async def test_a_full_folder_is_refused_before_the_picture_is_made(takes):
     async with takes(most_files=1) as client:
         (client.folder / "mine.glb").write_bytes(b"of the operator")
@@ -188,7 +154,6 @@ async def test_a_full_folder_is_refused_before_the_picture_is_made(takes):
         assert line == "this server keeps 1 avatars and has no room for another; delete one first\n"
 
 
-@pytest.mark.check
 async def test_a_server_without_a_folder_takes_nothing(serve):
     async with serve() as server, aiohttp.ClientSession() as http:
         origin = f"http://127.0.0.1:{server.port}"
@@ -198,7 +163,6 @@ async def test_a_server_without_a_folder_takes_nothing(serve):
             assert answer.status == 404
 
 
-@pytest.mark.check
 async def test_a_refused_job_goes_on_where_it_stopped(takes):
     async with takes() as client:
         told = await client.job(b"doubt known worse", "failed")
@@ -214,7 +178,6 @@ async def test_a_refused_job_goes_on_where_it_stopped(takes):
         assert status == 409 and "send the pictures again" in text
 
 
-@pytest.mark.check
 async def test_a_server_that_is_busy_says_when_to_ask_again(takes):
     async with takes(waiting=1) as client:
         told = await client.job(b"doubt known", "failed")
@@ -231,7 +194,6 @@ async def test_a_server_that_is_busy_says_when_to_ask_again(takes):
         assert (await client.ask("POST", f"/avatars/{name}/anyway"))[0] == 202
 
 
-@pytest.mark.check
 async def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes, tmp_path):
     async with takes() as client:
         loop = client.server.render_loop
@@ -245,7 +207,6 @@ async def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes
         assert not loop.stands_back()  # what waits for a word needs no machine
 
 
-@pytest.mark.check
 async def test_a_refused_job_is_dropped_for_another_on_request_or_after_a_while(takes):
     async with takes(patience=0.3) as client:
         name = (await client.job(b"doubt known", "failed"))["name"]
@@ -260,7 +221,6 @@ async def test_a_refused_job_is_dropped_for_another_on_request_or_after_a_while(
         assert (await client.job(b"doubt known", "failed"))["goes_on"]  # and the server stops with it
 
 
-@pytest.mark.check
 @pytest.mark.parametrize(
     "access", [Access(host="0.0.0.0", insecure=True), Access(proxies=(proxy_network("127.0.0.1"),))]
 )
