@@ -120,12 +120,20 @@ async def test_the_last_pictures_are_sent_before_the_server_stops(fake_backend, 
         await until(lambda: backend.drawn)
         stopping = asyncio.create_task(server.stop())
         await until(lambda: server._draining)
+        await client.send(cameras)  # which is not drawn any more
         backend.gate.set()
         arrived = await client.receive()
         with pytest.raises(ProtocolError, match="1001"):
             await client.receive()
         await stopping
-        assert arrived.reply.frame_id == 1
+        assert arrived.reply.frame_id == 1 and len(backend.drawn) == 1
+
+
+async def test_mirror_is_an_option_of_the_session(serve, fake_backend, cameras):
+    backend = fake_backend()
+    async with serve(backend) as server, Client(server.url, mirror=True) as client:
+        await client.render(cameras)
+    np.testing.assert_allclose(backend.drawn[0].cameras[0].viewmat, cameras[0].viewmat @ np.diag([-1, 1, 1, 1]))
 
 
 class Solver:
