@@ -11,10 +11,12 @@ from glsplat.data import default_avatar
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.backends.tracking import MOST, PART, Ahead, TrackingSolver
 from glsplat.net.messages import Arrival, Decoder, Request
+from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter, Trend
 from glsplat.tracking.solve.quat import rotation_angle, yaw_quat
+from tests.net.wire import EYE
 
 RATE = 72
 
@@ -36,6 +38,14 @@ def test_lies_that_change_each_time_move_nothing_by_much() -> None:
     ahead = Ahead()
     steps = [ahead.update(Arrival((0.0, 60_000.0)[i % 2])) for i in range(500)]
     assert 0 <= min(steps) and max(steps) <= MOST and np.abs(np.diff(steps)).max() <= 0.001
+
+
+@pytest.mark.parametrize("adapts", [True, False])
+def test_a_server_that_fits_nothing_predicts_nothing(adapts: bool) -> None:
+    session = Session(Decoder(), SessionConfig(adapt=adapts))
+    text = json.dumps({"v": 1, "frame_id": 1, "ack": 0, "arrival": {"age": 80}, "eyes": [EYE]})
+    request = session.receive(text, 0.1)
+    assert isinstance(request, Request) and (request.arrival is not None) == adapts
 
 
 @pytest.mark.check

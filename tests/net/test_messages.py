@@ -189,6 +189,8 @@ def test_tracking_in_place_of_a_pose():
         ({"quality": 101}, "bad_request"),
         ({"crop": "yes"}, "bad_field"),
         ({"t": "now"}, "bad_field"),
+        ({"want": "song"}, "bad_request"),
+        ({"light": "nowhere"}, "bad_request"),
         ({"pose": []}, "bad_field"),
         ({"pose": {}}, "bad_pose"),
         ({"pose": {"poze": [0, 0, 0]}}, "bad_pose"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import numpy as np
@@ -128,6 +128,17 @@ def test_a_client_that_left_is_not_solved_for(thread):
     gate.set()
     thread.submit(lambda: None).result(HANG)
     assert solver.seen in ([], [4])
+
+
+def test_samples_that_wait_when_the_server_stops_are_cancelled():
+    gate, thread = threading.Event(), ThreadPoolExecutor(1)
+    solving = PoseQueue(Solver(gate), thread, time.perf_counter)
+    for frame_id in (4, 5):
+        solving.add(request(frame_id))
+    thread.shutdown(wait=False)
+    gate.set()
+    with pytest.raises(CancelledError):
+        solving.take(5).result(HANG)
 
 
 class Spent(list):
