@@ -73,7 +73,6 @@ async def test_framing_fragments_utf8_and_closing(serve):
 
 
 async def test_large_and_many_messages(serve, monkeypatch):
-    """Cases 9.1 to 9.6: messages up to 16 MiB, with the limit raised."""
+    """Cases 9: messages up to 16 MiB, with the limit raised, and thousands of small ones."""
     monkeypatch.setattr("glsplat.net.conversation.MAX_BYTES", 17 * 2**20)
-    passed, failed = await run(serve, ["9.1.*", "9.2.*", "9.3.*"])
-    assert failed == [] and passed > 0
+    assert await run(serve, ["9.*"]) == [54, []]
