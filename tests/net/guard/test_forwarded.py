@@ -27,7 +27,8 @@ def forwarded(*lines: str) -> str | None:
     return client(*(("forwarded", line) for line in lines))
 
 
-X_FORWARDED_FOR = {
+Cases = dict[str | None, list[tuple[str, ...]]]
+X_FORWARDED_FOR: Cases = {
     "192.0.2.7": [
         ("192.0.2.7",),
         ("6.6.6.6, 192.0.2.7",),  # what the client wrote itself is left of what its proxy added
@@ -51,7 +52,7 @@ X_FORWARDED_FOR = {
         ),
     ],
 }
-FORWARDED = {
+FORWARDED: Cases = {
     "192.0.2.43": [("for=192.0.2.43",)],
     "2001:db8:cafe::17": [('For="[2001:db8:cafe::17]:4711"',)],
     "192.0.2.60": [("for=192.0.2.60;proto=http;by=203.0.113.43",), ("proto=https; FOR=192.0.2.60 ;by=_proxy",)],
