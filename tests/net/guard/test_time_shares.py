@@ -34,6 +34,7 @@ def test_beyond_its_part_of_the_time_only_the_newest_message_is_read():
     assert 60 < len(read[greedy]) < 150 and greedy.left_out > 1800  # 0.2 s - 0.09 s a second over 0.03 s, and the start
     assert read[greedy] == sorted(set(read[greedy]))
     greedy.offer("x" * 100, now)
+    assert greedy.offer("{}", now) == "{}"  # although nothing is left of its part
     assert greedy.wait(now) > 0 and greedy.take() == "x" * 100 and greedy.wait(now) == float("inf")
 
 
