@@ -23,7 +23,7 @@ from glsplat.net.fields import PictureOptions
 from glsplat.net.reply import parse_reply
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from tests.net.loops import in_a_loop, opened
+from tests.net.running import opened
 from tests.net.wire import HANG, native
 
 SIZE = (320, 256)
@@ -78,7 +78,6 @@ class Tall:
         return Solved(Pose(np.zeros((55, 3))), request.cameras, scale=2.0)
 
 
-@in_a_loop
 async def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
     """And nobody else gets a byte more."""
 

@@ -19,7 +19,6 @@ from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from tests.net.backends.fakes import Boxed
-from tests.net.loops import in_a_loop
 from tests.net.wire import until
 
 
@@ -114,7 +113,6 @@ def test_a_driver_that_hangs_is_given_up(monkeypatch):
 
 
 @pytest.mark.check
-@in_a_loop
 async def test_a_renderer_that_crashes_is_started_again(serve, cameras):
     """One picture is lost, the connection stays."""
     async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:
@@ -144,7 +142,6 @@ def test_no_process_or_file_is_left_behind(tmp_path, monkeypatch):
     assert own.num_fds() <= before + 2
 
 
-@in_a_loop
 async def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
     """A picture that takes long keeps nobody waiting for an answer."""
     async with serve(ProcessBackend(Boxed, 64), ServerConfig(port=0)) as server:

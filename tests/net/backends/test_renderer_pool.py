@@ -26,7 +26,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
 from tests.compare import Difference
 from tests.net.legacy.test_legacy import thinned
-from tests.net.loops import in_a_loop, opened, running
+from tests.net.running import opened, running
 from tests.scenes import limb
 from tests.skinning.faces import expressive
 
@@ -165,7 +165,6 @@ def test_the_box_holds_what_a_face_moves() -> None:
     assert (images[0] != images[1]).any() and (images[1] != images[2]).any()
 
 
-@in_a_loop
 async def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
     """Also where the user is smaller than the avatar and stands on another floor; the mirror changes nothing."""
     calibration = Calibration(scale=0.8, floor=-0.25)
@@ -190,7 +189,6 @@ async def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
 
 
 @pytest.mark.gl
-@in_a_loop
 async def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     small = default_avatar().skeleton
     half = type(small).from_joints(small.names, small.parents, small.joints * 0.5)

@@ -19,7 +19,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from tests.net.backends.test_renderer_pool import BENT, PAIR, SIZE, direct, request
-from tests.net.loops import in_a_loop, opened, running
+from tests.net.running import opened, running
 from tests.scene.people import boxes
 from tests.scene.worlds import upright
 from tests.scenes import limb
@@ -68,7 +68,6 @@ def test_what_may_be_served() -> None:
         make_server(PERSON, avatars={"room": ROOM})
 
 
-@in_a_loop
 async def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
     sample = {"head": [0.1, 1.6, 0, 0, 0, 0, 1], "left": [-0.4, 1.2, -0.4, 0, 0, 0, 1]}
     async with running(make_server(PERSON, ServerConfig(port=0), own_process=False)) as server:

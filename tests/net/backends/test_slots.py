@@ -21,7 +21,7 @@ from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.slots import Slots, SlotWriter
 from glsplat.renderer import Renderer
 from tests.net.backends.fakes import Boxed
-from tests.net.loops import opened
+from tests.net.running import opened
 
 SIDE = 1200  # a pair takes 11 MiB, of which 8 are set aside at the start
 

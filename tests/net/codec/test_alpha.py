@@ -22,7 +22,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
-from tests.net.loops import in_a_loop, running
+from tests.net.running import running
 from tests.net.wire import native
 
 SIZE = (160, 128)
@@ -30,7 +30,6 @@ PAIR = stereo_cameras(head_matrix((0.1, 1.0, 2.2), (0, 0, 0, 1)), size=SIZE)
 
 
 @pytest.mark.gl
-@in_a_loop
 async def test_alpha_is_that_of_a_direct_render():
     """Whole and cropped, one eye and two; without the wish nothing changes."""
     avatar = default_avatar()
@@ -91,7 +90,6 @@ def test_alpha_is_true_false_or_straight(message, words):
     assert Decoder().decode(native(1, alpha="straight")).options.alpha == "straight"
 
 
-@in_a_loop
 async def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, fake_backend):
     """A user of 1.25 times the avatar: the client's room has its own eyes, the picture was drawn with others."""
     backend, calibration = fake_backend(), Calibration(scale=1.25, floor=0.1)

@@ -13,7 +13,6 @@ from glsplat.net.client import Client
 from glsplat.net.codec.video import VideoStream
 from glsplat.net.codec.video_reader import VideoReader
 from glsplat.net.server import ServerConfig
-from tests.net.loops import in_a_loop
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
 
@@ -28,7 +27,6 @@ def grey(reply, eye=1):
 
 @pytest.mark.parametrize("codec", ["vp9", "h264"])
 @pytest.mark.parametrize("alpha", [False, True, "straight"])
-@in_a_loop
 async def test_pictures_are_those_of_jpegs(serve, fake_backend, cameras, codec, alpha, monkeypatch):
     monkeypatch.setattr(VideoReader, "wish", lambda self: {"codecs": [codec]})
     async with serve(fake_backend(), WATCHES) as server:
@@ -49,7 +47,6 @@ async def test_pictures_are_those_of_jpegs(serve, fake_backend, cameras, codec, 
             mine.rgba()
 
 
-@in_a_loop
 async def test_who_does_not_show_all_of_them_sees_the_newest_right(serve, fake_backend, cameras):
     """Pictures that nobody takes are decoded all the same."""
     async with serve(fake_backend(), WATCHES) as server, Client(server.url, video=True, window=8) as client:
@@ -63,7 +60,6 @@ async def test_who_does_not_show_all_of_them_sees_the_newest_right(serve, fake_b
     assert abs(grey(reply) - (20 % 200 + 50)) < 6
 
 
-@in_a_loop
 async def test_after_a_loss_it_asks_for_a_key_frame(serve, fake_backend, cameras):
     async with serve(fake_backend(), WATCHES) as server, Client(server.url, video=True) as client:
         first = await client.render(cameras)

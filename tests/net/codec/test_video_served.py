@@ -15,7 +15,6 @@ from glsplat.net.local_loop import _CODED
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server, ServerConfig
-from tests.net.loops import in_a_loop
 from tests.net.wire import EYE, HANG, until
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
@@ -59,7 +58,6 @@ async def replies(server, count, **fields):
     return out
 
 
-@in_a_loop
 async def test_others_get_the_same_bytes_as_ever(serve, fake_backend):
     async with serve(fake_backend()) as server:
         found = [await replies(server, 4), await replies(server, 4, video={"codecs": ["vp9"]})]
@@ -71,7 +69,6 @@ async def test_others_get_the_same_bytes_as_ever(serve, fake_backend):
     assert pictures[0] == pictures[1] == pictures[2] == pictures[3]
 
 
-@in_a_loop
 async def test_what_was_sent_last_is_no_old_jpeg(serve, fake_backend):
     """The status page shows no JPEG of a client that has gone over to video."""
     async with serve(fake_backend(), WATCHES) as server, aiohttp.ClientSession() as http:
@@ -84,7 +81,6 @@ async def test_what_was_sent_last_is_no_old_jpeg(serve, fake_backend):
             assert out == [True, False]
 
 
-@in_a_loop
 async def test_a_picture_that_fails_leaves_no_gap(serve, fake_backend):
     backend = fake_backend(fail=lambda job: RuntimeError("no") if job.frame_id == 3 else None)
     async with serve(backend, WATCHES) as server, aiohttp.ClientSession() as http:
@@ -99,7 +95,6 @@ async def test_a_picture_that_fails_leaves_no_gap(serve, fake_backend):
     assert [reply.info["video"]["number"] for reply in out] == [1, 2, 3, 4]
 
 
-@in_a_loop
 async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeypatch):
     """While coding hangs, JPEGs of others come as ever."""
     gate, coded = threading.Event(), []

@@ -17,7 +17,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.watermark.detect import detect
 from glsplat.watermark.mark import WatermarkKey
-from tests.net.loops import running
+from tests.net.running import running
 
 pytestmark = pytest.mark.check
 

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from glsplat.net.datagrams.offers import LASTS, Offers
-from tests.net.loops import in_a_loop
 
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
@@ -148,7 +147,6 @@ def test_what_a_picture_takes_of_the_link_is_known_before_it_goes() -> None:
     assert way.on_the_way(1000) == 1000
 
 
-@in_a_loop
 async def test_of_too_many_requests_the_newest_are_kept() -> None:
     session = Session(Decoder(), SessionConfig(adapt=True), now=0.0)
     way = SecondWay(Nobody(), session, "a", lambda: 0.0, lambda: None)

@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-from tests.net.loops import in_a_loop
-
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
 from glsplat.errors import GlsplatError
@@ -28,7 +26,6 @@ from tests.net.workers.fakes import pool
 pytestmark = [pytest.mark.usefixtures("every_link_is_long"), pytest.mark.check]
 
 
-@in_a_loop
 async def test_pictures_go_by_datagrams_once_the_way_is_open(serve: Any) -> None:
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         await viewer.open()
@@ -42,7 +39,6 @@ async def test_pictures_go_by_datagrams_once_the_way_is_open(serve: Any) -> None
         assert not viewer.errors
 
 
-@in_a_loop
 async def test_requests_come_by_datagrams_as_well(serve: Any) -> None:
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         path = await viewer.open()
@@ -80,7 +76,6 @@ def test_lost_packets_cost_nothing_and_lost_pictures_one(serve: Any, fake_backen
     asyncio.run(main())
 
 
-@in_a_loop
 async def test_pictures_of_workers_as_well(serve: Any) -> None:
     async with serve(pool(2), CONFIG) as server, viewing(server) as viewer:
         await viewer.open()
@@ -92,7 +87,6 @@ async def test_pictures_of_workers_as_well(serve: Any) -> None:
     [(CONFIG, False, 0.0), (ServerConfig(port=0, webtransport=True), True, 0.0), (CONFIG, True, 10.0)],
     ids=["does not ask", "pictures are not fitted", "a short link"],
 )
-@in_a_loop
 async def test_nobody_else_is_offered_any(
     serve: Any, monkeypatch: pytest.MonkeyPatch, config: ServerConfig, wants: bool, long: float
 ) -> None:
@@ -103,7 +97,6 @@ async def test_nobody_else_is_offered_any(
 
 
 @pytest.mark.parametrize("how", ["closed", "silent"])
-@in_a_loop
 async def test_pictures_fall_back_to_the_websocket(serve: Any, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         path = await viewer.open()
@@ -118,7 +111,6 @@ async def test_pictures_fall_back_to_the_websocket(serve: Any, monkeypatch: pyte
         assert [by for _, by in viewer.frames[-5:]] == [False] * 5
 
 
-@in_a_loop
 async def test_a_way_that_lets_no_picture_through_is_left(
     serve: Any, fake_backend: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,7 +134,6 @@ async def test_a_way_that_lets_no_picture_through_is_left(
         assert [by for _, by in viewer.frames[-10:]] == [False] * 10
 
 
-@in_a_loop
 async def test_a_browser_that_throws_away_what_quic_says_it_has_is_left(
     serve: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,7 +148,6 @@ async def test_a_browser_that_throws_away_what_quic_says_it_has_is_left(
         assert server.stats()["clients"][0]["unacknowledged"] < 8
 
 
-@in_a_loop
 async def test_an_answer_that_is_lost_before_a_pause_ends_nothing(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for a picture that only QUIC acknowledges."""
     monkeypatch.setattr(paths, "_UNANSWERED", 0.2)
@@ -176,7 +166,6 @@ async def test_an_answer_that_is_lost_before_a_pause_ends_nothing(serve: Any, mo
         await viewer.more(5, by_datagrams=True)
 
 
-@in_a_loop
 async def test_datagrams_are_offered_anew_after_a_while(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(way, "_AGAIN", 0.2)
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
@@ -187,7 +176,6 @@ async def test_datagrams_are_offered_anew_after_a_while(serve: Any, monkeypatch:
         await viewer.more(5, by_datagrams=True)
 
 
-@in_a_loop
 async def test_who_leaves_takes_it_along_and_the_server_stops_in_order(serve: Any) -> None:
     async with serve(config=CONFIG) as server:
         async with viewing(server) as viewer:

@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from tests.net.loops import in_a_loop
-
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
 from glsplat.net.datagrams import path as paths
@@ -26,7 +24,6 @@ from tests.net.wire import HANG, until
 pytestmark = [pytest.mark.usefixtures("every_link_is_long"), pytest.mark.check]
 
 
-@in_a_loop
 async def test_without_an_invitation_nothing_is_answered(serve: Any) -> None:
     """Not a byte, to a handshake and to garbage."""
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
@@ -45,7 +42,6 @@ async def test_without_an_invitation_nothing_is_answered(serve: Any) -> None:
 
 
 @pytest.mark.parametrize("path", ["datagrams/wrong", "datagrams/" + "x" * 900])
-@in_a_loop
 async def test_a_wrong_secret_is_refused(serve: Any, path: str) -> None:
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         await until(lambda: viewer.offers)
@@ -56,7 +52,6 @@ async def test_a_wrong_secret_is_refused(serve: Any, path: str) -> None:
         await viewer.more(5, by_datagrams=True)
 
 
-@in_a_loop
 async def test_half_open_connections_are_few_and_end(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paths, "_HANDSHAKE", 0.5)
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
@@ -76,7 +71,6 @@ async def test_half_open_connections_are_few_and_end(serve: Any, monkeypatch: py
 
 
 @pytest.mark.parametrize("what", ["streams", "datagrams", "requests", "many bytes"])
-@in_a_loop
 async def test_who_sends_what_has_no_use_is_put_out_or_ignored(serve: Any, what: str) -> None:
     """A good client beside notices nothing."""
     async with serve(config=CONFIG) as server, viewing(server) as good, viewing(server) as bad:
@@ -109,7 +103,6 @@ async def test_who_sends_what_has_no_use_is_put_out_or_ignored(serve: Any, what:
         assert server.stats()["datagrams"]["open"] >= 1 and not good.errors
 
 
-@in_a_loop
 async def test_packets_that_take_long_count_as_many(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A client whose packets take too long is put out; its pictures go on by the WebSocket."""
     async with serve(config=CONFIG) as server, viewing(server) as good, viewing(server) as bad:
@@ -123,7 +116,6 @@ async def test_packets_that_take_long_count_as_many(serve: Any, monkeypatch: pyt
         assert not bad.errors and not good.errors
 
 
-@in_a_loop
 async def test_small_strays_are_not_looked_at() -> None:
     """A packet that opens a connection has 1,200 bytes."""
     listener = DatagramListener(asyncio.get_running_loop().time)

@@ -16,7 +16,6 @@ from glsplat.errors import ProtocolError
 from glsplat.net.messages import Decoder, WireOptions
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.skeleton import Skeleton
-from tests.net.loops import in_a_loop
 from tests.net.wire import HANG
 
 SIZE, DISTANCE = 128, 2.0  # pixels, metres
@@ -83,7 +82,6 @@ async def binary(ws):
 
 
 @pytest.mark.parametrize("ipd", [0.0, 0.055])
-@in_a_loop
 async def test_the_released_client(serve, fake_backend, ipd):
     backend, client = fake_backend(), ReleasedClient()
     config = ServerConfig(port=0, wire=WireOptions(size=(SIZE, SIZE), ipd=ipd))
@@ -104,7 +102,20 @@ async def test_the_released_client(serve, fake_backend, ipd):
     np.testing.assert_allclose(left.viewmat[2, :3], [0, 0, -1], atol=1e-9)
 
 
-@in_a_loop
+async def test_a_client_without_frame_ids_is_served_in_order(serve, fake_backend):
+    async with (
+        serve(fake_backend()) as server,
+        aiohttp.ClientSession() as http,
+        http.ws_connect(server.url) as ws,
+    ):
+        ids = []
+        for _ in range(4):
+            cameras = [head() | {"eye": "left"}, head() | {"eye": "right"}]
+            await ws.send_str(json.dumps({"cameras": cameras, "smplx": {"root_pose": [0, 0, 0]}}))
+            ids.append(struct.unpack_from("<HI", await binary(ws), 2)[1])
+        assert ids == [0, 1, 2, 3]
+
+
 async def test_the_older_form_gets_one_message_an_eye(serve, fake_backend):
     """One camera a message, no frame_id; each answer is the number of the eye and a JPEG."""
     config = ServerConfig(port=0, wire=WireOptions(size=(SIZE, SIZE)))

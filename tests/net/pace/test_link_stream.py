@@ -17,7 +17,6 @@ from glsplat.net.pace.link_control import LinkControl
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session, SessionConfig, Warn
-from tests.net.loops import in_a_loop
 from tests.net.wire import EYE, HANG
 
 
@@ -120,7 +119,6 @@ async def pictures_of(server, tells: bool = False) -> list[bytes]:
     return out
 
 
-@in_a_loop
 async def test_who_says_nothing_and_fixed_get_the_same_bytes(serve, fake_backend) -> None:
     async with serve(fake_backend(), ADAPTS) as server:
         silent = await pictures_of(server)
@@ -129,7 +127,6 @@ async def test_who_says_nothing_and_fixed_get_the_same_bytes(serve, fake_backend
     assert silent == fixed == told and len(silent) == 5
 
 
-@in_a_loop
 async def test_a_thin_link_brings_smaller_pictures_that_can_be_read(serve, fake_backend, monkeypatch, cameras) -> None:
     small = next(rung for rung in ladder(80, False) if rung.scale == 0.5)
     monkeypatch.setattr(LinkControl, "rung", lambda *_: small)
@@ -144,7 +141,6 @@ async def test_a_thin_link_brings_smaller_pictures_that_can_be_read(serve, fake_
     assert stats["clients"][0]["link"]["round_trip"] is not None
 
 
-@in_a_loop
 async def test_a_ping_follows_each_picture_and_its_pong_costs_the_client_nothing(serve, fake_backend) -> None:
     """Pongs of pictures do not count as the client's own control frames."""
     quick = ServerConfig(port=0, session=SessionConfig(adapt=True, rate=1e6))  # as the machine may be
@@ -172,7 +168,6 @@ async def test_a_ping_follows_each_picture_and_its_pong_costs_the_client_nothing
     assert client["link"]["rate"] > 0 and client["limited"] == 0
 
 
-@in_a_loop
 async def test_pings_of_clients_are_still_answered(serve) -> None:
     async with serve() as server, aiohttp.ClientSession() as http:
         async with http.ws_connect(server.url, autoping=False) as ws:

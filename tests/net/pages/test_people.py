@@ -19,7 +19,6 @@ from glsplat.net.backends.avatar_store import WithPeople
 from glsplat.net.backends.server import make_server, offered
 from glsplat.net.server import Server, ServerConfig
 from tests.net.conftest import FakeBackend
-from tests.net.loops import in_a_loop
 
 
 async def session(server: Server) -> dict:
@@ -36,7 +35,6 @@ async def started(server):
         await server.stop()
 
 
-@in_a_loop
 async def test_what_is_loaded_later_keeps_nobody_waiting():
     go_on = threading.Event()
 
@@ -56,7 +54,6 @@ async def test_what_is_loaded_later_keeps_nobody_waiting():
         pass  # stopped while it loads
 
 
-@in_a_loop
 async def test_a_fault_in_loading_ends_the_wait(caplog):
     def later():
         yield AvatarInfo(name="one")

@@ -21,7 +21,6 @@ from glsplat.net.pages.history import History
 from glsplat.net.pages.previews import SIDE, flattened
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import FakeBackend, eyes
-from tests.net.loops import in_a_loop
 
 TOKEN = "0123456789abcdef"
 PLAIN = ServerConfig(port=0)
@@ -116,7 +115,6 @@ def test_another_device_is_told_where_to_go(serve):
     assert status == 200 and "invented" not in json.loads(body)["svg"]
 
 
-@in_a_loop
 async def test_who_asks_at_once_waits_for_one_drawing(serve):
     backend = FakeBackend(delay=0.05)
     async with serve(backend, config=PLAIN) as server, aiohttp.ClientSession() as http:
@@ -126,7 +124,6 @@ async def test_who_asks_at_once_waits_for_one_drawing(serve):
     assert len(backend.drawn) == 1
 
 
-@in_a_loop
 async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serve):
     async with serve(FakeBackend(), config=PLAIN) as server, aiohttp.ClientSession() as http:
         name = server.offer()["avatars"][0]["name"]
@@ -139,7 +136,6 @@ async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serv
         assert (await waiting).status == 204 and (await http.get(address)).status == 404
 
 
-@in_a_loop
 async def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
     monkeypatch.setattr("glsplat.net.pages.history.STEP", 0.005)
     count = 0

@@ -15,7 +15,6 @@ from glsplat.net.guard.access import Access
 from glsplat.net.pages import qr
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import serving
-from tests.net.loops import in_a_loop
 
 TEXTS = (
     "http://localhost:8000/vr",
@@ -74,7 +73,6 @@ def test_what_a_host_may_be_called_is_escaped():
     assert "<title>&lt;b&gt;&amp;</title>" in qr.svg("<b>&")
 
 
-@in_a_loop
 async def test_a_page_draws_few_codes_and_each_once(monkeypatch):
     drawn, codes = [], qr.QrCodes(most=2)
     monkeypatch.setattr(qr, "svg", lambda text: drawn.append(text) or f"<svg>{text}</svg>")
@@ -84,7 +82,6 @@ async def test_a_page_draws_few_codes_and_each_once(monkeypatch):
     assert later == ["<svg>a</svg>", "<svg>b</svg>", "", "<svg>a</svg>", "<svg>b</svg>"]
 
 
-@in_a_loop
 async def test_the_status_page_shows_the_address_it_was_asked_by():
     token = "correct-horse-battery"
     config = ServerConfig(port=0, access=Access(token=token, hosts=("lab.example",)))
@@ -103,7 +100,6 @@ async def test_the_status_page_shows_the_address_it_was_asked_by():
 
 
 @pytest.mark.parametrize(("listens", "name"), [("0.0.0.0", "192.168.7.9"), ("127.0.0.1", "")])
-@in_a_loop
 async def test_a_code_never_leads_a_phone_to_itself(monkeypatch, listens, name):
     monkeypatch.setattr("glsplat.net.guard.machine.machine_addresses", lambda: ("192.168.7.9", "2001:db8::7"))
     config = ServerConfig(port=0, access=Access(host=listens, insecure=True))

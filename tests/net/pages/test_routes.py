@@ -19,7 +19,6 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.pages.site import Site
 from glsplat.net.server import ServerConfig
-from tests.net.loops import in_a_loop
 from tests.net.wire import HANG
 
 TOKEN = "0123456789abcdef"
@@ -67,7 +66,6 @@ def test_every_file_of_the_page_is_served_without_a_token(serve):
         assert policy["script-src"] == policy["connect-src"] == policy["worker-src"] == "'self'"
 
 
-@in_a_loop
 async def test_no_other_site_shows_or_measures_what_is_answered(serve, cameras):
     async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
         await client.render(cameras)
@@ -156,7 +154,6 @@ def test_a_page_of_many_files_costs_a_few_visits(serve):
     assert [a[0] for a in answers] == [200] * 9 + [429]
 
 
-@in_a_loop
 async def test_what_the_server_offers(serve):
     offered = [
         AvatarInfo(name="ann", solver=lambda height, span: None, height=1.71234567, parts=frozenset({"head"})),

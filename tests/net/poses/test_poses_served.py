@@ -17,7 +17,6 @@ from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server
 from glsplat.rotations import turn_between
 from tests.net.conftest import FakeBackend, Serve, eyes
-from tests.net.loops import in_a_loop
 from tests.net.poses.conftest import OFFERS, config, head
 from tests.net.wire import HANG, until
 
@@ -36,7 +35,6 @@ def member(server: Server, name: str, avatar: str = "ann") -> Client:
     return Client(f"{server.url}?room=lab&name={name}&avatar={avatar}", timeout=HANG)
 
 
-@in_a_loop
 async def test_a_pose_comes_back_as_it_was_sent_and_nothing_is_drawn(serve: Serve) -> None:
     backend = FakeBackend()
     async with serve(backend, config("ann"), offered=OFFERS) as server, alone(server) as client:
@@ -59,7 +57,6 @@ async def test_a_pose_comes_back_as_it_was_sent_and_nothing_is_drawn(serve: Serv
         assert server.stats()["totals"]["posed"] == 3
 
 
-@in_a_loop
 async def test_the_file_is_fetched_by_its_hash_and_kept(serve: Serve) -> None:
     async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server:
         async with aiohttp.ClientSession() as web, alone(server) as client:
@@ -82,7 +79,6 @@ async def test_the_file_is_fetched_by_its_hash_and_kept(serve: Serve) -> None:
                     assert answer.status == 404 and (await answer.text()).count("\n") == 1, path
 
 
-@in_a_loop
 async def test_who_is_not_handed_out_is_drawn_here(serve: Serve) -> None:
     """Neither file nor pose, also once the consent ends; pictures go on."""
     settings = config("ann")
@@ -109,7 +105,6 @@ async def test_who_is_not_handed_out_is_drawn_here(serve: Serve) -> None:
         assert all(one["hand_out"] is None for one in server.offer()["avatars"])
 
 
-@in_a_loop
 async def test_in_a_room_each_is_told_what_is_news_to_them(serve: Serve) -> None:
     async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server:
         async with member(server, "Ann") as ann, member(server, "Cat") as cat, member(server, "Bob", "bob") as bob:
@@ -141,7 +136,6 @@ async def test_in_a_room_each_is_told_what_is_news_to_them(serve: Serve) -> None
             assert [one["name"] for one in picture.info["room"]["people"]] == ["Ann", "Cat", "Bob"]
 
 
-@in_a_loop
 async def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
     async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server, member(server, "Ann") as ann:
         async with member(server, "Cat") as cat:
@@ -166,7 +160,6 @@ async def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
         assert not room._guests and not room._news
 
 
-@in_a_loop
 async def test_a_busy_renderer_holds_no_pose_back(serve: Serve) -> None:
     backend = FakeBackend()
     async with serve(backend, config("ann"), offered=OFFERS) as server, alone(server) as one, alone(server) as two:
@@ -191,7 +184,6 @@ WRONG = [
 ]
 
 
-@in_a_loop
 async def test_what_is_wrong_is_said_and_costs_that_message(serve: Serve) -> None:
     async with serve(FakeBackend(), config("ann"), offered=OFFERS) as server, aiohttp.ClientSession() as web:
         for message, code in WRONG:

@@ -16,7 +16,6 @@ from glsplat.net.guard.access import Access
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server
 from tests.net.conftest import FakeBackend, Serve
-from tests.net.loops import in_a_loop
 from tests.net.poses.conftest import OFFERS, config, head
 from tests.net.wire import HANG, UNLIMITED, until
 
@@ -66,7 +65,6 @@ def test_accounts_get_whom_they_drive_or_meet(serve: Serve, tmp_path: Path) -> N
     asyncio.run(talk())
 
 
-@in_a_loop
 async def test_the_window_holds_poses_too(serve: Serve) -> None:
     async with serve(FakeBackend(), config("ann", limits=UNLIMITED), offered=OFFERS) as server:
         async with aiohttp.ClientSession() as web:

@@ -28,7 +28,7 @@ from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
-from tests.net.loops import opened
+from tests.net.running import opened
 
 SIZE = 128
 EYE = np.array([0.0, 1.5, 0.0])

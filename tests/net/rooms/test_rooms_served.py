@@ -22,7 +22,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.net.clocks import Stopped
 from tests.net.conftest import FakeBackend, Serve
-from tests.net.loops import in_a_loop
 from tests.net.workers.fakes import GUARD, camera, pool, until
 from tests.net.workers.sleeper import Fragile
 
@@ -53,7 +52,6 @@ def member(server: Server, name: str, room: str = "lab", **options: Any) -> Clie
     return Client(f"{server.url}?room={room}&name={name}", timeout=GUARD, **options)
 
 
-@in_a_loop
 async def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
     backend = FakeBackend()
     async with serve(backend, config(), offered=OFFERS) as server:
@@ -77,7 +75,6 @@ async def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
             assert np.allclose(drawn.cameras[0].viewmat @ server._channels[2].member.person.seat, EYES[0].viewmat)  # type: ignore[union-attr]
 
 
-@in_a_loop
 async def test_the_way_in(serve: Serve) -> None:
     async with serve(FakeBackend(), config(), offered=OFFERS) as server:
         async with member(server, "Ann") as ann, member(server, "Ann", "small"):
@@ -106,7 +103,6 @@ async def test_the_way_in(serve: Serve) -> None:
         assert await until(lambda: server.stats()["rooms"][1]["people"] == [])
 
 
-@in_a_loop
 async def test_a_lost_connection_fades_and_may_come_back(serve: Serve, stopped: Stopped) -> None:
     async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
         server.render_loop._clock = stopped  # type: ignore[union-attr]
@@ -123,7 +119,6 @@ async def test_a_lost_connection_fades_and_may_come_back(serve: Serve, stopped: 
 
 
 @pytest.mark.parametrize("name", ["&name=Ann", ""])
-@in_a_loop
 async def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -> None:
     """And closes the other connection."""
     async with serve(FakeBackend(), config(), offered=OFFERS) as server:
@@ -147,7 +142,6 @@ async def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -
             assert (await late.render(EYES, pose=POSE)).info["room"]["resume"] != room["resume"]
 
 
-@in_a_loop
 async def test_pictures_say_nothing_of_rooms_to_who_is_in_none(serve: Serve) -> None:
     async with serve(FakeBackend(), config(), offered=OFFERS) as server, Client(server.url) as client:
         assert "room" not in (await client.render(EYES, pose=POSE)).info
@@ -190,7 +184,6 @@ async def asks(client: Client, count: int) -> list[str]:
     ],
 )
 @pytest.mark.usefixtures("nobody_fades")
-@in_a_loop
 async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
     serve: Serve, stopped: Stopped, error: Exception, shares: set[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -228,7 +221,6 @@ async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
         (BudgetError("1e12 pixels", "too_costly"), "too_costly", 8),
     ],
 )
-@in_a_loop
 async def test_what_goes_wrong_without_the_others_is_the_viewers_own(
     serve: Serve, error: Exception, code: str, warned: int
 ) -> None:
@@ -245,7 +237,6 @@ async def test_what_goes_wrong_without_the_others_is_the_viewers_own(
 
 
 @pytest.mark.usefixtures("nobody_fades")
-@in_a_loop
 async def test_a_worker_that_does_not_survive_another_person_is_no_viewers_fault(serve: Serve) -> None:
     """Each picture comes, drawn by the next worker without the others."""
     async with serve(pool(makes=[Fragile, Fragile]), config(), offered=OFFERS) as server:

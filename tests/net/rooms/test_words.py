@@ -27,7 +27,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.scene import Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
-from tests.net.loops import running
+from tests.net.running import running
 
 NOTICE = "no consent on file"
 HEAD = np.array([0.0, 1.75, 0.0])

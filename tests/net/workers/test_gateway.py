@@ -19,7 +19,7 @@ from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.workers.options import Workers
-from tests.net.loops import running
+from tests.net.running import running
 from tests.net.workers.fakes import GUARD, until
 
 pytestmark = pytest.mark.check

@@ -19,7 +19,6 @@ from glsplat.net.server import Server, ServerConfig
 from glsplat.net.workers import remote_loop as pump_module
 from glsplat.net.workers.pool import WorkerPool
 from tests.net.guard.test_fault_tracker import visitor
-from tests.net.loops import in_a_loop
 from tests.net.wire import native
 from tests.net.workers.fakes import GUARD, camera, held, pool, until, until_more, watching
 from tests.net.workers.sleeper import Sleeper
@@ -39,7 +38,6 @@ def lives(server: Server, index: int) -> bool:
     return server.render_loop.workers()[index]["alive"]
 
 
-@in_a_loop
 async def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
     """Killed, stalled in a picture and at rest, started anew: the others draw for all meanwhile."""
     begun, opened = [], WorkerPool.opened
@@ -77,7 +75,6 @@ async def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
     assert len(silences) == 2 and {why.rpartition("within ")[2] for why in silences} <= {"0.5 s", "0.4 s"}
 
 
-@in_a_loop
 async def test_a_picture_that_kills_does_not_kill_them_all(serve):
     """Its client is ended and held off; clients of the other worker notice nothing."""
     held_off = ServerConfig(port=0, limits=Limits(hold_off=2 * GUARD))
@@ -127,7 +124,6 @@ def drawing(server: Server) -> list[int]:
     ]
 
 
-@in_a_loop
 async def test_an_avatar_that_is_not_on_every_worker(serve):
     offered = [AvatarInfo(name=name) for name in ("default", "ann", "bob")]
     makes = [partial(Sleeper, without=name) for name in ("ann", "bob")]
@@ -153,7 +149,6 @@ async def test_an_avatar_that_is_not_on_every_worker(serve):
             assert again == f"sleeper {pids(server)[1]}" and server.render_loop.rebuilds == 1
 
 
-@in_a_loop
 async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
     """One of two: the other serves. None, again and again: the server ends."""
     monkeypatch.setattr(pump_module, "_PAUSES", (0.0, 0.1, 0.1))

@@ -15,7 +15,6 @@ from glsplat.net.client import Client
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.workers.cluster import RayCluster
 from glsplat.net.workers.pool import WorkerPool
-from tests.net.loops import in_a_loop
 from tests.net.workers.fakes import GUARD, camera, until, until_more, watching
 from tests.net.workers.sleeper import Sleeper
 from tests.net.workers.test_pool import pids
@@ -60,7 +59,6 @@ def test_pieces_of_work(machines):
         list(on_ray(half, [7], machines.address))
 
 
-@in_a_loop
 async def test_machines_that_are_lost(serve, machines, equal):
     """Connected clients stay and see their own pictures, in order."""
     actors = RayCluster(partial(Sleeper), machines.address, cpus=1)
