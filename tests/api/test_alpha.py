@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,9 @@ import pytest
 from PIL import Image
 
 import glsplat
-from apps.output import save_png
 from glsplat import Camera, GlsplatError
 
 SIZE = 192
-BLUE = (0.2, 0.4, 0.9)
 
 
 @pytest.fixture(scope="module")
@@ -89,29 +86,3 @@ def test_over_white_it_is_the_picture_rendered_over_white(renderer_of: Any, view
     assert np.abs(over(black, (255, 255, 255)) - wanted).max() >= 20
     partly = (black[..., 3] > 0) & (black[..., 3] < 255)
     assert partly.sum() > 500
-
-
-@pytest.mark.gl
-def test_the_background_is_taken_out_again(renderer_of: Any, view: Camera) -> None:
-    renderer = renderer_of(glsplat.default_avatar(), (SIZE, SIZE))
-    black, blue = (renderer.render([replace(view, background=b)])[0] for b in ((0, 0, 0), BLUE))
-    plain, cleaned = glsplat.straight(black), glsplat.straight(blue, BLUE)
-    seen = black[..., 3] > 0.05
-    assert np.abs(plain - cleaned)[seen].max() < 1e-4 and seen.sum() > 2000
-    assert np.abs(plain - glsplat.straight(blue))[seen].max() > 0.5  # without saying so it stays in
-    alpha = cleaned[..., 3:]
-    assert cleaned[..., :3] * alpha + (1 - alpha) * np.float32(BLUE) == pytest.approx(blue[..., :3], abs=1e-5)
-
-
-@pytest.mark.gl
-def test_png_files_with_alpha_are_straight(renderer_of: Any, view: Camera, tmp_path: Path) -> None:
-    for kind in ("uint8", "float32"):
-        image = renderer_of(glsplat.default_avatar(), (SIZE, SIZE), output=kind, target="auto").render([view])[0]
-        save_png(tmp_path / "a.png", image)
-        with Image.open(tmp_path / "a.png") as opened:
-            assert opened.mode == "RGBA"
-            stored = np.asarray(opened)
-        assert np.array_equal(stored[..., 3], np.rint(np.clip(image[..., 3] * (1 if kind == "uint8" else 255), 0, 255)))
-        wanted = glsplat.straight(image)
-        wanted = wanted if kind == "uint8" else np.rint(np.clip(wanted, 0, 1) * 255).astype(np.uint8)
-        assert np.array_equal(stored, wanted) and not np.array_equal(stored, image)

@@ -230,7 +230,3 @@ def test_anything_is_taken_or_refused_in_one_line(name: str) -> None:
     held().resize(32, 32)
     held().load(Scene([Item(small), Item(sp)]))
     assert held().render([cam]).any() and not wrong, wrong
-
-
-def test_there_are_enough_calls() -> None:
-    assert len(CALLS) > 140 and len(THINGS) > 30

@@ -5,10 +5,7 @@ from __future__ import annotations
 import ctypes.util
 import itertools
 import os
-import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
-from functools import partial
 from typing import Any
 
 import moderngl
@@ -22,7 +19,7 @@ from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from tests import needs
 from tests.api.current_context import asked, nothing_current
-from tests.api.variants import BACK, KINDS, SIZE, VIEWS, Kind, bent, splats
+from tests.api.variants import BACK, KINDS, SIZE, VIEWS, bent, splats
 from tests.scenes import camera, cloud, limb
 from tests.xvfb import display, python  # noqa: F401  (a fixture)
 
@@ -62,15 +59,6 @@ def test_every_pair_of_kinds_in_turn(alone: dict[str, NDArray[Any]], shared: boo
         assert context.ctx.error == "GL_NO_ERROR"
         context.release()
     assert not wrong
-
-
-def test_releasing_one_leaves_the_other() -> None:
-    kind = KINDS[0]
-    a, b = kind.make(), kind.make()
-    picture = kind.draw(a)
-    b.release()
-    assert np.array_equal(kind.draw(a), picture)
-    a.release()
 
 
 def every_call(renderer: Probe, pose: Any) -> Iterator[Callable[[], object]]:
@@ -214,33 +202,6 @@ def test_the_device_variable_is_put_back(monkeypatch: pytest.MonkeyPatch) -> Non
     assert os.environ["GLCONTEXT_DEVICE_INDEX"] == "31"
 
 
-@pytest.mark.parametrize("kind", [KINDS[0], KINDS[-1]], ids=lambda kind: kind.name)
-def test_arguments_of_render(kind: Kind) -> None:
-    with kind.make() as renderer:
-        expected = kind.draw(renderer)
-        assert np.array_equal(renderer.render(view for view in VIEWS), expected)  # type: ignore[arg-type]
-        assert np.array_equal(renderer.render(np.array(VIEWS)), expected)  # type: ignore[arg-type]
-        for wrong, message in (
-            (VIEWS[0], r"not one Camera; write render\(\[camera\]\)"),
-            (7, "a list of cameras, not int"),
-            ([VIEWS[0], None], "a list of glsplat.Camera, this one holds NoneType"),
-            ([], "at least one camera"),
-            ([camera(32)], "the renderer's size 64x64"),
-        ):
-            with pytest.raises(GlsplatError, match=message) as caught:
-                renderer.render(wrong)  # type: ignore[arg-type]
-            assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("wrong", [{"global_orient": np.zeros(3)}, np.zeros((4, 3)), "rest"])
-def test_what_is_no_pose(wrong: Any) -> None:
-    with (
-        Renderer(limb(), size=(SIZE, SIZE)) as renderer,
-        pytest.raises(PoseError, match=r"needs a glsplat\.Pose, not "),
-    ):
-        renderer.render(VIEWS, wrong)
-
-
 def test_draw_shows_what_render_returns() -> None:
     lower = camera(SIZE, sh_degree=0)
     for views in (VIEWS, (VIEWS[0], BACK), (VIEWS[0], lower), (lower, BACK), VIEWS[:1]):
@@ -255,29 +216,6 @@ def test_draw_shows_what_render_returns() -> None:
                 assert np.array_equal(drawn, expected)
                 assert renderer.stats.drawn == render_stats.drawn and renderer.stats.culled == render_stats.culled
                 assert np.array_equal(renderer.render(views), expected)
-
-
-def test_entering_costs_little() -> None:
-    """30 times what moderngl's own entering does at most, between a context that is current, another one, and none."""
-    contexts = [create_context(), create_context()]
-    nothing_current()
-
-    def cost(enter: Callable[[], AbstractContextManager[object]]) -> float:
-        best = np.inf
-        for _ in range(200):
-            start = time.perf_counter()
-            for _ in range(5):
-                with enter():
-                    pass
-            best = min(best, time.perf_counter() - start)
-        return best
-
-    for before in (nullcontext(), contexts[0]):
-        for context in contexts:
-            with before:
-                assert cost(partial(context.entered, "test")) < 30 * cost(lambda context=context: context.ctx)
-    for context in contexts:
-        context.release()
 
 
 @pytest.mark.parametrize("window", [False, True], ids=["egl and osmesa", "egl, osmesa and a window"])

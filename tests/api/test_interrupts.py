@@ -1,19 +1,14 @@
-"""A frame that is broken off anywhere: the next one is right, and what was current is current again.
+"""A frame broken off at any line: the next one is right, and what was current is current again.
 
-Broken off at a line of glsplat's own code chosen at random (a trace function raises there), and by a real signal at a
-random moment, as Ctrl-C does. ``GLSPLAT_INTERRUPTS=1000`` sets how often (by default a part of that).
+A trace function raises at a line of glsplat's own code chosen at random. ``GLSPLAT_INTERRUPTS=1000`` sets how often.
 """
 
 from __future__ import annotations
 
 import os
-import signal
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -160,61 +155,6 @@ def test_broken_off_at_any_line(pictures: Callable[[Kind], list[NDArray[Any]]], 
             context.release()
             users.release()
     assert len(places) > min(60, TIMES // 8)
-
-
-class Ended(BaseException):
-    """What the signal raises."""
-
-
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
-@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals need the main thread")
-# a handler that raises may be called inside a destructor or a C callback, where Python can only report it
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_broken_off_by_a_signal(pictures: Callable[[Kind], list[NDArray[Any]]]) -> None:
-    rng = np.random.default_rng(43)
-    share, broken = max(1, TIMES // (2 * len(INTERRUPTED))), 0
-    armed = [False]
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        if armed[0]:
-            armed[0] = False
-            raise Ended
-
-    former = signal.signal(signal.SIGALRM, handler)
-    try:
-        for kind in INTERRUPTED:
-            expected, plan = pictures(kind), frames(kind)
-            renderer = kind.make()
-            took = [least_time(partial(renderer.render, *frame)) for frame in plan]
-            for _ in range(share):
-                index, following = rng.integers(len(plan)), rng.integers(len(plan))
-                try:
-                    armed[0] = True
-                    signal.setitimer(signal.ITIMER_REAL, float(rng.uniform(1e-5, max(2e-5, took[index]))))
-                    renderer.render(*plan[index])
-                    armed[0] = False
-                except Ended:
-                    broken += 1
-                finally:
-                    armed[0] = False
-                    signal.setitimer(signal.ITIMER_REAL, 0)
-                picture = renderer.render(*plan[following])
-                assert np.array_equal(picture, expected[following]), (kind.name, index, following)
-            nothing_current()  # a signal in the few lines that leave a context may leave it current
-            renderer.release()
-    finally:
-        signal.signal(signal.SIGALRM, former)
-    assert broken > share
-
-
-def least_time(call: Callable[[], object]) -> float:
-    """Seconds, of the third call at best: the first may compile shaders."""
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def test_a_load_that_is_broken_off_leaves_the_old_scene(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import gc
-import signal
 import subprocess
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import moderngl
@@ -157,33 +154,6 @@ def test_items_come_and_go_while_another_thread_draws(monkeypatch: pytest.Monkey
         assert np.array_equal(renderer.render(VIEWS), last)
 
 
-def test_a_busy_thread_changes_the_scene_of_a_renderer_thread() -> None:
-    mine = glsplat.Item(SPLATS), glsplat.Item(limb()), glsplat.Item(SPLATS, transform=glsplat.similarity((0.3, 0, 0)))
-    scene, failed, over = glsplat.Scene(mine), [], threading.Event()
-
-    def change() -> None:
-        try:
-            while not over.is_set():
-                for item in mine[1:]:
-                    scene.remove(item)
-                    time.sleep(0.0003)
-                    scene.add(item)
-                    item.transform = glsplat.similarity((0.2, 0, 0))
-        except BaseException as error:
-            failed.append(error)
-
-    with Renderer.run_in_thread(scene, size=(SIZE, SIZE)) as thread:
-        changing = threading.Thread(target=change)
-        changing.start()
-        try:
-            for _ in range(100):
-                thread.render(VIEWS)
-        finally:
-            over.set()
-            changing.join()
-    assert not failed
-
-
 def test_threads_that_take_items_out_take_their_own() -> None:
     mine = [[glsplat.Item(SPLATS) for _ in range(300)] for _ in range(4)]
     scene = glsplat.Scene([item for pack in mine for item in pack])
@@ -273,43 +243,6 @@ def test_a_context_dropped_while_it_was_current_spoils_nothing(picture: np.ndarr
 
 
 # ----------------------------------------------------------------------------------------------- a frame within a frame
-
-
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers on this system")
-def test_a_signal_handler_that_renders_is_refused_and_the_picture_is_right() -> None:
-    """Some signals fall between two frames: what they draw is right, too."""
-    near = [glsplat.Camera(glsplat.look_at((0, 0, 1.5), (0, 0, 0)), VIEWS[0].K, SIZE, SIZE)]
-    with Renderer(cloud(4000), size=(SIZE, SIZE)) as renderer:
-        expected, inner = renderer.render(VIEWS), renderer.render(near)
-        refused, drawn, wrong = 0, 0, []
-
-        def handler(number: int, frame: FrameType | None) -> None:
-            nonlocal refused, drawn
-            for call in (lambda: renderer.render(near), lambda: renderer.load(SPLATS), renderer.release):
-                try:
-                    got = call()
-                except ContextError as error:
-                    assert "\n" not in str(error)
-                    refused += 1
-                    continue
-                drawn += 1
-                if not np.array_equal(got, inner):
-                    wrong.append("inner")
-                break  # not within a frame: the other calls would be carried out
-
-        former = signal.signal(signal.SIGALRM, handler)
-        try:
-            for _ in range(40):
-                signal.setitimer(signal.ITIMER_REAL, 0.001)
-                picture = renderer.render(VIEWS)
-                signal.setitimer(signal.ITIMER_REAL, 0)
-                if not np.array_equal(picture, expected):
-                    wrong.append("outer")
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, former)
-        assert not wrong and refused > 30
-        assert np.array_equal(renderer.render(VIEWS), expected)
 
 
 def test_two_renderers_of_one_context_do_not_draw_within_each_other() -> None:

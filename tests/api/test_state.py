@@ -213,23 +213,6 @@ def state_of(user: User) -> dict[str, Any]:
     return state
 
 
-def calm(user: User) -> None:
-    """As a new context is, but for what is bound."""
-    gl = user.gl
-    for switch in SWITCHES:
-        (gl.Enable if switch in (0x0BD0, 0x809D) else gl.Disable)(switch)
-    gl.PolygonMode(0x0408, 0x1B02)
-    gl.ColorMask(1, 1, 1, 1)
-    gl.DepthMask(1)
-    gl.DepthFunc(0x0201)
-    gl.DepthRange(ctypes.c_double(0), ctypes.c_double(1))
-    gl.BlendEquation(0x8006)
-    for unit in (0, 1):
-        gl.BindSampler(unit, 0)
-    if user.ctx.version_code >= 450:
-        gl.ClipControl(0x8CA1, 0x935E)
-
-
 def everything(user: User) -> None:
     for name, put in HOSTILE.items():
         if name not in ("polygon mode",):
@@ -258,52 +241,6 @@ def test_pictures_and_state(user: User, alone: dict[str, NDArray[Any]], name: st
     assert create_context(given=user.ctx).vertex_layers == context.vertex_layers
     context.release()
     assert state_of(user) == before
-
-
-def test_sixty_frames_between_a_users_own(user: User, alone: dict[str, NDArray[Any]]) -> None:
-    """What the user draws is what it was without glsplat, and the other way round."""
-    rng = np.random.default_rng(11)
-
-    def frame(names: list[str], glsplat_draws: Callable[[], None]) -> NDArray[np.uint8]:
-        bound(user)
-        calm(user)
-        for name in names:
-            HOSTILE[name](user)
-        bound(user)
-        glsplat_draws()
-        user.draw()
-        user.gl.Finish()
-        return np.frombuffer(clean_read(), np.uint8)
-
-    def clean_read() -> bytes:
-        calm(user)
-        bound(user)
-        for side in (0x0D00, 0x0CF0):
-            for offset, value in ((0, 0), (2, 0), (3, 0), (4, 0), (5, 1)):
-                user.gl.PixelStorei(side + offset, value)
-        user.gl.BindBuffer(0x88EB, 0)
-        return user.framebuffer.read(components=4)
-
-    names = [name for name in HOSTILE if name not in ("discard", "transform feedback", "bindings", "read framebuffer")]
-    plan = [list(rng.choice(names, 3, replace=False)) for _ in range(60)]
-    expected = [frame(chosen, lambda: None) for chosen in plan]
-    assert len({image.tobytes() for image in expected}) > 5  # the state does show in what the user draws
-    user.release()
-    user.__init__()  # type: ignore[misc]  # from the beginning, with glsplat in between
-    context = create_context(given=user.ctx)
-    kinds = [k for k in KINDS if k.name in ("plain", "float", "gpu", "limb", "mesh")]
-    renderers = [(kind, kind.make(context)) for kind in kinds]
-    calls = iter(range(10**6))
-
-    def between() -> None:
-        kind, renderer = renderers[next(calls) % len(renderers)]
-        assert np.array_equal(kind.draw(renderer), alone[kind.name])
-
-    for index, chosen in enumerate(plan):
-        assert np.array_equal(frame(chosen, between), expected[index]), (index, chosen)
-    for _, renderer in renderers:
-        renderer.release()
-    context.release()
 
 
 def test_a_viewport_set_afterwards_is_the_users(user: User) -> None:
@@ -357,10 +294,4 @@ def test_present_leaves_the_state_too(user: User) -> None:
     assert len(set(clean)) > 9
     present.release()
     renderer.release()
-    context.release()
-
-
-def test_own_contexts_pay_nothing() -> None:
-    context = create_context()
-    assert context.state is None
     context.release()

@@ -12,15 +12,18 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from glsplat.config import RenderConfig
+from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import create_context
 from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
+from glsplat.scene import Item
 from tests.api.current_context import GL, asked, nothing_current
 from tests.api.variants import KINDS, SIZE, VIEWS, bent
 from tests.scenes import cloud, limb
@@ -228,6 +231,7 @@ import os, sys, signal
 import numpy as np
 from glsplat import create_context
 from glsplat.renderer import Renderer
+from glsplat.scene import Item
 from tests.scenes import cloud, eyes
 renderer = Renderer(cloud(), size=(64, 64))
 picture = renderer.render(eyes())
@@ -251,38 +255,15 @@ os._exit(0) if child == 0 else os.waitpid(child, 0)
 print("right")
 """
 
-SPAWN = """
-import multiprocessing, sys
-import numpy as np
-from tests.api.spawned import picture
-if __name__ == "__main__":
-    mine = picture()
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert np.array_equal(pool.apply(picture), mine)
-    print("right")
-"""
-
 
 @pytest.mark.check
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-@pytest.mark.parametrize("script", [FORK, SPAWN], ids=["fork", "spawn"])
-def test_children(script: str, tmp_path: Path) -> None:
+def test_a_forked_child_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
-    file.write_text(script)
+    file.write_text(FORK)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=120, env=environment)
     assert done.stdout.strip() == "right", done.stdout + done.stderr
-
-
-def test_a_fork_before_any_context_is_free_to_draw() -> None:
-    script = (
-        "import os\nfrom glsplat.renderer import Renderer\nfrom tests.scenes import cloud, eyes\n"
-        "child = os.fork()\n"
-        "with Renderer(cloud(), size=(64, 64)) as renderer:\n    assert renderer.render(eyes()).any()\n"
-        "os._exit(0) if child == 0 else None\n"
-        "assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0\n"
-    )
-    subprocess.run([sys.executable, "-c", script], check=True, timeout=120, cwd=ROOT)
 
 
 def test_nothing_is_said_at_exit() -> None:
@@ -314,3 +295,25 @@ def test_mesh_and_splats_release_twice() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         del late
+
+
+def test_a_renderer_thread_renders_all_that_a_renderer_does() -> None:
+    camera = VIEWS[0].resized(8, 8)
+    item = Item(cloud(50))
+    options: dict[str, Any] = {"size": (8, 8), "config": RenderConfig(output="float32")}
+    with Renderer(item, **options) as renderer, Renderer.run_in_thread(item, **options) as thread:
+        for more in ({}, {"depth": True}):
+            one, other = renderer.render([camera], **more), thread.render([camera], **more)
+            assert all(map(np.array_equal, one, other))
+        out = np.empty((1, 8, 8, 4), np.float32)
+        assert thread.render([camera], out=out) is out and out.any()
+        assert (
+            isinstance(thread, Renderer)
+            and thread.stats.drawn == renderer.stats.drawn
+            and thread.nbytes() == renderer.nbytes()
+        )
+        assert thread.driver == renderer.driver and thread.config == options["config"]
+        thread.selector = mine = Selector(1.0)
+        assert thread.submit(lambda renderer: renderer.selector).result() is mine is thread.selector
+        thread.resize(4, 4)
+        assert thread.size == (4, 4) and thread.prepare([camera.resized(4, 4)]).cost > 0

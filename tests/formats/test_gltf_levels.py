@@ -13,7 +13,7 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import FORMATS, load, load_gltf, losses, save
+from glsplat.formats import load, load_gltf, save
 from glsplat.formats.gltf.levels import MOST_LEVELS
 from glsplat.formats.transform import transformed
 from glsplat.splats import Level, Splats
@@ -359,16 +359,3 @@ def test_levels_stand_where_the_finest_stands(tmp_path: Path) -> None:
     edit_glb(path, lambda document: document["nodes"][1].pop("scale"))
     found = load(path)
     np.testing.assert_allclose(np.abs(found.levels[0].content.scales), scene.levels[0].content.scales, rtol=1e-5)
-
-
-def test_other_formats_say_that_levels_are_dropped(tmp_path: Path) -> None:
-    scene = splats_with_levels()
-    for known in FORMATS:
-        if known.save is None:
-            continue
-        said = [text for text in losses(scene, tmp_path / f"a{known.suffixes[0]}") if "of detail" in text]
-        assert said == ([] if known.levels else ["3 coarser levels of detail dropped, the file holds the finest"])
-        if not known.levels:
-            save(scene, tmp_path / f"a{known.suffixes[0]}")
-            found = load(tmp_path / f"a{known.suffixes[0]}")
-            assert not found.levels

@@ -113,14 +113,6 @@ def test_large_textures_are_jpeg_and_lose_little(tmp_path: Path) -> None:
     assert np.abs(again.astype(int) - large).mean() < 1.5
 
 
-def test_a_texture_of_two_parts_is_written_once(tmp_path: Path) -> None:
-    mesh = chain()
-    shared = tuple(replace(part, texture=mesh.parts[0].texture) for part in mesh.parts)
-    save_gltf_mesh(replace(mesh, parts=shared), tmp_path / "m.glb")
-    file = pygltflib.GLTF2().load(str(tmp_path / "m.glb"))
-    assert len(file.images) == 1 and len(file.materials) == 2
-
-
 def test_nothing_is_left_half_written(tmp_path: Path) -> None:
     mesh, path = chain(), tmp_path / "m.glb"
     save_gltf_mesh(mesh, path)

@@ -12,7 +12,6 @@ import pytest
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats import load, save, save_gltf
-from glsplat.formats.registry import losses
 from glsplat.light.surface import Surface
 from glsplat.splats import Level
 from tests.formats.scenes import edit_glb, glb_parts, random_avatar, random_splats
@@ -57,14 +56,6 @@ def test_a_level_may_be_all_that_has_one(tmp_path: Path) -> None:
     assert found.splats.surface is None
 
 
-def test_without_a_surface_the_file_says_nothing(tmp_path: Path) -> None:
-    avatar = random_avatar(10)
-    save(replace(avatar, meta={"colour": "albedo"}), tmp_path / "a.glb")
-    gltf = glb_parts((tmp_path / "a.glb").read_bytes())[0]
-    assert "colour" not in gltf["asset"]["extras"]["glsplat"]
-    assert not [key for key in gltf["meshes"][0]["primitives"][0]["attributes"] if key in ("_NORMAL", "_OCCLUSION")]
-
-
 @pytest.mark.parametrize("said", ["baked", None, 3])
 def test_baked_colours_are_never_lit(tmp_path: Path, said: Any) -> None:
     save(surfaced(random_avatar(10)), tmp_path / "a.glb")
@@ -89,9 +80,3 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, key: str, kind: int) -> No
     edit_glb(tmp_path / "a.glb", wrong)
     with pytest.raises(FormatError, match=f"{key} needs 12 elements of u?int8"):
         load(tmp_path / "a.glb")
-
-
-def test_other_formats_say_that_it_is_lost(tmp_path: Path) -> None:
-    lost = list(losses(surfaced(random_splats(5, 0)), tmp_path / "a.ply"))
-    assert any("the surface is dropped" in line for line in lost)
-    assert not any("surface" in line for line in losses(surfaced(random_splats(5, 0)), tmp_path / "a.glb"))

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from apps import cli
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats import Format, load, losses, recognise, save, suffixes
@@ -72,42 +71,6 @@ def test_a_new_format_is_saved_recognised_and_loaded(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("registered")
-def test_every_text_names_a_new_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "none").write_bytes(b"hello")
-    with pytest.raises(FormatError, match=r"expected 3DGS PLY, .*glTF/GLB .*, a toy of points, or \.splat, but"):
-        load(tmp_path / "none")
-    with pytest.raises(FormatError, match=r"needs to end in \.ply, .*\.gltf, \.toy or \.points, not '\.stl'"):
-        save(random_splats(), tmp_path / "a.stl")
-    with pytest.raises(FormatError, match=r"format is one of ply, .*glb, gltf, .*toy, not 'stl'"):
-        save(random_splats(), io.BytesIO(), format="stl")
-    for command in ("convert", "inspect", "render"):
-        with pytest.raises(SystemExit):
-            cli.main([command, "--help"])
-        assert suffixes() in " ".join(capsys.readouterr().out.split()), command
-    assert suffixes().endswith(".toy or .points")
-
-
-@pytest.mark.usefixtures("registered")
-def test_a_format_that_is_only_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    save(random_splats(3), tmp_path / "a.toy")
-    monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS[:-1], replace(TOY, save=None)])
-    assert ".toy" in suffixes() and ".toy" not in suffixes(written=True) and ".ply" in suffixes(written=True)
-    assert len(load(tmp_path / "a.toy")) == 3  # type: ignore[arg-type]
-    with pytest.raises(FormatError, match=r"b\.toy: a toy of points is read, not written; choose \.ply, .*\.gltf$"):
-        save(random_splats(), tmp_path / "b.toy")
-    with pytest.raises(FormatError, match="is read, not written"):
-        losses(random_splats(), "b.toy")
-    assert cli.main(["convert", str(tmp_path / "a.toy"), str(tmp_path / "b.toy")]) == 1
-    assert "is read, not written" in capsys.readouterr().err and not (tmp_path / "b.toy").exists()
-    with pytest.raises(SystemExit):
-        cli.main(["convert", "--help"])
-    said = " ".join(capsys.readouterr().out.split())
-    assert suffixes() in said and suffixes(written=True) in said
-
-
-@pytest.mark.usefixtures("registered")
 def test_the_longest_suffix_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS[:-1], replace(TOY, suffixes=(".toy", ".toy.ply"))])
     for name, expected in {
@@ -121,18 +84,6 @@ def test_the_longest_suffix_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert stream.getvalue().startswith(b"toy")
 
 
-@pytest.mark.usefixtures("registered")
-def test_commands_know_a_new_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save(random_avatar(), tmp_path / "me.glb")
-    assert cli.main(["convert", str(tmp_path / "me.glb"), str(tmp_path / "me.toy")]) == 0
-    said = capsys.readouterr().err
-    assert "rig" in said and "colours" in said and "spherical harmonics" not in said
-    assert cli.main(["inspect", str(tmp_path / "me.toy")]) == 0
-    assert "splats, toy, " in capsys.readouterr().out
-    assert cli.main(["avatar", "export", str(tmp_path / "me.glb"), "-o", str(tmp_path / "pose.toy")]) == 0
-    assert recognise(tmp_path / "pose.toy") == "toy"
-
-
 def test_what_formats_lose_is_theirs_to_say(tmp_path: Path) -> None:
     avatar = random_avatar()
     assert not list(losses(avatar, "a.glb")) and not list(losses(avatar, io.BytesIO(), format="gltf"))
@@ -144,10 +95,3 @@ def test_what_formats_lose_is_theirs_to_say(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"a\.stl: the name needs to end in"):
         losses(avatar, "a.stl")
     assert suffixes(rigs=True) == ".glb or .gltf"
-
-
-def test_names_and_suffixes_are_one_formats_own() -> None:
-    names = [known.name for known in formats.FORMATS]
-    endings = [suffix for known in formats.FORMATS for suffix in known.suffixes]
-    assert len(set(names)) == len(names) and len(set(endings)) == len(endings)
-    assert all((suffix[0] == "." or suffix == "meta.json") and suffix == suffix.lower() for suffix in endings)

@@ -181,15 +181,6 @@ def test_same_bytes_and_every_form(tmp_path: Path) -> None:
     assert_equal(load_sog(tmp_path / "x" / "meta.json"), load_sog(tmp_path / "a.sog"))
 
 
-def test_colours_under_an_opacity_of_zero(tmp_path: Path) -> None:
-    splats = random_splats(50)
-    save(replace(splats, opacities=np.zeros(50)), tmp_path / "a.sog")
-    scene = load_sog(tmp_path / "a.sog")
-    assert not scene.opacities.any()
-    if hasattr(cv2, "IMWRITE_WEBP_LOSSLESS_MODE"):  # older OpenCV blackens what nobody sees
-        np.testing.assert_array_equal(scene.sh, in_order(splats).sh)
-
-
 def test_what_is_lost_is_said(tmp_path: Path) -> None:
     awkward = awkward_splats()
     save(awkward, tmp_path / "a.sog")

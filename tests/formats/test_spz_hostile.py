@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.formats.scenes import random_splats, spz_streams, zstd_frame
+from tests.formats.scenes import spz_streams, zstd_frame
 from tests.formats.test_contract import peak_of
 from tests.formats.test_spz import (
     ATTRIBUTES,
@@ -21,9 +21,7 @@ from tests.formats.test_spz import (
     _zstd,
     header,
     needs_zstd,
-    read,
     refused,
-    spz,
 )
 
 BREAKS: dict[str, tuple[bytes, str]] = {
@@ -144,10 +142,3 @@ def test_a_bomb_of_zstd_neither(tmp_path: Path) -> None:
     old, table = struct.unpack_from("<Q", data, 32)[0], 32 + 16 * 6
     bomb = data[:32] + struct.pack("<Q", len(frame)) + data[40:table] + frame + data[table + old :]
     assert peak_of(lambda: refused(tmp_path, bomb, "needs to hold 18 bytes")) < 2_000_000
-
-
-@needs_zstd
-@pytest.mark.parametrize("degree", [0, 3])
-def test_memory_for_streams_is_at_most_three_times_the_splats(degree: int) -> None:
-    data = spz_streams(spz(random_splats(30_000, degree)))
-    assert peak_of(lambda: read(data)) < 3 * read(data).nbytes

@@ -36,15 +36,6 @@ def test_it_comes_back_to_the_byte_with_its_levels(shaded: bool) -> None:
     assert back.levels[1].content.splats.surface is None
 
 
-def test_without_one_the_file_is_as_it_was() -> None:
-    plain = with_face(someone(200))
-    data = encode_avatar(surfaced(plain))
-    bare = encode_avatar(plain)
-    header, _ = read_header(bare)
-    assert all(part.kind != "surface" for part in header.parts) and b"shaded" not in bare
-    assert len(data) - len(bare) < 7 * 200 + 200
-
-
 FALSE: list[dict[str, Any]] = [{"shaded": False}, {"shaded": 1}, {"level": 1}, {"kind": "light"}, {"bytes": 5}]
 FALSE_LIES = [of_part(2, **lie) for lie in FALSE]
 
