@@ -86,3 +86,11 @@ def test_over_white_it_is_the_picture_rendered_over_white(renderer_of: Any, view
     assert np.abs(over(black, (255, 255, 255)) - wanted).max() >= 20
     partly = (black[..., 3] > 0) & (black[..., 3] < 255)
     assert partly.sum() > 500
+
+
+def test_the_background_is_taken_out_again() -> None:
+    rng, blue = np.random.default_rng(4), np.float32((0.2, 0.4, 0.9))
+    plain = rng.uniform(0.1, 1, (20, 4)).astype(np.float32)
+    over = plain.copy()
+    over[:, :3] = plain[:, :3] * plain[:, 3:] + (1 - plain[:, 3:]) * blue
+    assert glsplat.straight(over, blue) == pytest.approx(plain, abs=1e-5)

@@ -63,18 +63,6 @@ def test_a_client_can_be_connected_again_after_close():
     assert asyncio.run(main()) == ([[1, 2, 3]] * 3 + [0], 0)
 
 
-def test_a_client_can_be_used_in_one_event_loop_after_another():
-    client = Client("ws://127.0.0.1:1/ws")
-
-    async def main():
-        async with serving() as server:
-            client.url = server.url
-            async with client:
-                return (await client.render(PAIR)).frame_id
-
-    assert [asyncio.run(main()) for _ in range(3)] == [1, 1, 1]
-
-
 def test_connecting_twice_makes_one_connection():
     async def main():
         async with serving() as server:

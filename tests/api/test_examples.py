@@ -1,10 +1,12 @@
-"""Every public name ends its docstring with an example, and docs/python.md is made of programs: both run."""
+"""The examples of docstrings and docs/python.md run, and a strict program is clean."""
 
 from __future__ import annotations
 
 import doctest
 import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -44,3 +46,14 @@ def test_the_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.Mo
                 results += 1
                 assert str(eval(shown[1], names)) == shown[2], line
     assert results == PAGE.read_text(encoding="utf-8").count("# -> ") >= 10
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.check
+def test_a_strict_program_is_clean() -> None:
+    program = Path(__file__).with_name("typed_program.py")
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", program]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -213,6 +213,9 @@ MANY: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "a switch as 1": (lambda: RenderConfig(cull_hidden=1), ("cull_hidden",)),  # type: ignore[arg-type]
     "no influences": (lambda: RenderConfig(influences=False), ("influences",)),
     "targets": (lambda: RenderConfig(target=["8"]), ("target",)),  # type: ignore[arg-type]
+    "a level": (lambda: RenderConfig(level=17), ("level",)),
+    "half a level": (lambda: RenderConfig(level=1.5), ("level",)),  # type: ignore[arg-type]
+    "a bias": (lambda: RenderConfig(lod_bias=-9), ("lod_bias",)),
     "a scene of splats": (lambda: Scene(cloud(5)), ("Item",)),  # type: ignore[arg-type]
     "a scene of numbers": (lambda: Scene([5]), ("Item",)),  # type: ignore[list-item]
     "an item's name": (lambda: Item(cloud(5), name=b"Ann"), ("name",)),  # type: ignore[arg-type]

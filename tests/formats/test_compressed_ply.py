@@ -290,3 +290,23 @@ def test_a_real_file(shared_data: Path) -> None:
     for name, index, expected in REAL:
         np.testing.assert_allclose(getattr(splats, name)[index], expected, rtol=2e-6, atol=1e-6, err_msg=name)
     assert all(np.isfinite(getattr(splats, name)).all() for name in FIELDS)
+
+
+def test_a_crowd_in_one_cell_is_ordered_too() -> None:
+    rng = np.random.default_rng(4)
+    crowd = np.zeros((1001, 3), np.float32)
+    crowd[:1000, 0] = rng.permutation(1000) * np.float32(1e-6)
+    crowd[1000] = 5  # all others are in one cell of its grid
+    order = morton_order(crowd)
+    assert sorted(order) == list(range(1001)) and order[-1] == 1000
+    assert (np.diff(crowd[order[:1000], 0]) > 0).all()
+
+
+def test_harmonics_and_opacities_out_of_range_are_clamped(tmp_path: Path) -> None:
+    base = random_splats(5, 1)
+    sh, opacities = base.sh.copy(), base.opacities.copy()
+    sh[0, 0, 0], sh[1, 2, 1], sh[2, 3, 2], opacities[3] = 9, -4.5, 4.0, 1.5
+    save(Splats(base.means, base.quats, base.scales, opacities, sh), tmp_path / "a.compressed.ply")
+    again = load(tmp_path / "a.compressed.ply")
+    assert isinstance(again, Splats) and again.sh[:, 1:].min() == -4 and again.opacities.max() == 1
+    assert np.isclose(again.sh[:, 0].max(), 9)  # degree 0 has bounds

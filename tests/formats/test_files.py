@@ -336,17 +336,6 @@ def test_directory_pipe_missing_and_nul(tmp_path: Path) -> None:
         load("/dev/zero")
 
 
-def test_unreadable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a.ply").write_bytes(b"ply\n")
-
-    def refused(*_: object) -> int:  # a mode of 000 would not stop root
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(os, "open", refused)
-    with pytest.raises(FormatError, match="Permission denied"):
-        load(tmp_path / "a.ply")
-
-
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_unwritable_output_leaves_nothing(tmp_path: Path, suffix: str) -> None:
     (tmp_path / "file").write_text("")

@@ -210,6 +210,7 @@ MESH = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float 
 MESH += b"end_header\n0 0 0\n"
 GOOD = ply(columns(random_splats(6)))
 ASCII = ply(columns(random_splats(6)), "")
+LISTED = b"element face 1\nproperty list uchar int vertex_indices\n"
 
 
 @pytest.mark.parametrize(
@@ -235,7 +236,7 @@ ASCII = ply(columns(random_splats(6)), "")
         (header(0).replace(b"vertex 0", b"vertex 1e3"), "cannot be understood"),
         (header(0).replace(b"float x", b"float128 x"), "cannot be understood"),
         (header(0).replace(b"property float x", b"property list uchar int i\nproperty float x"), "list property"),
-        (GOOD.replace(b"element vertex", b"element face 1\nproperty list uchar int i\nelement vertex"), "list properties"),
+        (GOOD.replace(b"element vertex", LISTED + b"element vertex"), "list properties before the vertices"),
         (GOOD[:-1], "truncated: the header declares 6 splats, the file holds 5"),
         (GOOD.replace(b"vertex 6", b"vertex 5"), "declares 5 splats, but the file holds 6"),
         (GOOD.replace(b"vertex 6", b"vertex 999999999999999999"), "truncated: .* the file holds 6"),

@@ -7,11 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glsplat.errors import PoseError
-from glsplat.motion.bvh import parse_bvh
+from glsplat.motion.bvh import parse_acclaim, parse_bvh
 from glsplat.motion.loading import load_motion
 from glsplat.motion.retarget import retarget
-from glsplat.rotations import rotation_between, rotation_matrices
-from glsplat.skinning.rigs.humanoid import upright
 from glsplat.skinning.rigs.match import match_rig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
@@ -191,16 +189,6 @@ def test_units_follow_from_the_legs(skeleton, unit):
     assert trans[1] - trans[0] == pytest.approx([0, 0, leg], abs=1e-6)
 
 
-def test_other_axes(skeleton):
-    """z up, facing -y: the same poses come out."""
-    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0), "Hips": (0, 15, 0)}
-    plain = retarget(parse_bvh(bvh(angles)), skeleton)
-    turned = retarget(parse_bvh(bvh(angles, turn=turn)), skeleton)
-    assert turned[0] == pytest.approx(plain[0], abs=1e-6)
-    assert turned[1] == pytest.approx(plain[1], abs=1e-6)
-
-
 def test_at_rest_y_is_up_and_z_as_they_move(skeleton):
     """Of a skeleton with y up, moved by a root that turns it: they stand, look ahead, and lie down where they lie."""
     angles = {"LeftLeg": (0, 0, 50), "RightArm": (-70, 0, 0)}
@@ -240,27 +228,6 @@ def test_what_joints_are_of_families_with_helpers():
     found = match_rig(called, parents, at).joints
     assert called[found["pelvis"]] == "root"
     assert [called[found[f"left_index{i}"]] for i in (1, 2, 3)] == ["lindex1", "lindex2", "lindex3"]
-
-
-def test_a_rest_pose_that_is_none(skeleton):
-    """All bones along x in their own axes, as LaFAN's and Rokoko's files have it: the straightest frame stands in."""
-    ends = {"Hips": "Spine", "Spine": "Spine1", "Spine1": "Neck", "Neck": "Head"}
-    ends |= {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"))}
-    ends |= {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for a, b in (("Arm", "ForeArm"), ("ForeArm", "Hand"))}
-    at = {name: np.array(offset, float) for name, _, offset in HANGING}
-    own = {name: rotation_between([1.0, 0, 0], at[end]) @ rotation_matrices([0.3, 0, 0]) for name, end in ends.items()}
-    with pytest.raises(PoseError, match="stand"):
-        upright(_map(parse_bvh(bvh({}, own=own))), parse_bvh(bvh({}, own=own)).rest)
-    bent = {"LeftLeg": (0, 0, 50), "RightUpLeg": (0, 0, -40), "LeftForeArm": (0, 0, -90), "RightArm": (-70, 0, 0)}
-    text = bvh(bent, own=own, frames=1)
-    straight = bvh({}, own=own, frames=1).rsplit("Frame Time: 0.02", 1)[1]
-    clip = parse_bvh(text.replace("Frames: 1", "Frames: 2").rstrip() + straight)
-    plain = retarget(parse_bvh(bvh(bent)), skeleton)[0]
-    assert retarget(clip, skeleton)[0][0] == pytest.approx(plain[0], abs=1e-6)
-
-
-def _map(clip):
-    return match_rig(clip.names, clip.parents, clip.rest)
 
 
 def test_split_bones_point_where_their_ends_are(skeleton):
@@ -310,16 +277,6 @@ def test_forward_turns_to_z(skeleton):
     assert (ahead[1][1] - ahead[1][0])[2] > 0.5
 
 
-@pytest.mark.parametrize("cut", [0.05, 0.3, 0.7, 0.97])
-def test_truncated_files(tmp_path, skeleton, cut):
-    text = bvh({}, frames=20)
-    path = tmp_path / "cut.bvh"
-    path.write_text(text[: int(len(text) * cut)])
-    with pytest.raises(PoseError) as caught:
-        load_motion(path, skeleton)
-    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
@@ -343,3 +300,72 @@ def test_malformed_files(tmp_path, skeleton, old, new, word):
     with pytest.raises(PoseError) as caught:
         load_motion(tmp_path / "bad.bvh", skeleton)
     assert word in str(caught.value) and "bad.bvh" in str(caught.value)
+
+
+ASF = """:version 1.10
+:units
+  length 0.45
+  angle deg
+:root
+   order TX TY TZ RX RY RZ
+   axis XYZ
+   position 0 0 0
+   orientation 0 0 0
+:bonedata
+  begin
+     id 1
+     name lfemur
+     direction 0 -1 0
+     length 2
+     axis 0 0 20 XYZ
+     dof rx rz
+  end
+  begin
+     id 2
+     name ltibia
+     direction 0 -1 0
+     length 3
+     axis 0 90 0 XYZ
+     dof rx
+  end
+:hierarchy
+  begin
+    root lfemur
+    lfemur ltibia
+  end
+"""
+
+
+def test_acclaim_axes_and_tips():
+    clip = parse_acclaim(ASF, ":FULLY-SPECIFIED\n:DEGREES\n1\nroot 1 2 3 0 90 0\nlfemur 10 20\nltibia 30\n")
+    assert clip.names == ("root", "lfemur", "ltibia") and clip.fps == 120
+    assert clip.places[0, 0].tolist() == [1, 2, 3]
+    assert clip.rest[2].tolist() == [0, -2, 0]  # our joint is the near end of the bone
+    axis = Rotation.from_euler("xyz", [0, 0, 20], degrees=True)
+    turn = Rotation.from_euler("xyz", [10, 0, 20], degrees=True)
+    root, femur, tibia = clip.turns[0]
+    assert root.T @ femur == pytest.approx((axis * turn * axis.inv()).as_matrix())
+    assert femur.T @ tibia == pytest.approx(Rotation.from_euler("z", -30, degrees=True).as_matrix())
+
+
+@pytest.mark.parametrize(
+    ("asf", "amc", "word"),
+    [
+        (ASF, ":DEGREES\n", "no frames"),
+        (ASF, ":RADIANS\n1\nroot 0 0 0 0 0 0\n", "radians"),
+        (ASF, "1\nroot 0 0 0 0 0 0\nlfemur 1 2\n", "ltibia"),
+        (ASF, "1\nroot 0 0 0 0 0 0\nlfemur 1\nltibia 1\n", "lfemur"),
+        (ASF, "1\nroot 0 0 0 0 0 0\nlfemur x 1\nltibia 1\n", "lfemur"),
+        (ASF[:300], "1\nroot 0 0 0 0 0 0\n", ".asf"),
+        ("", "1\nroot 0 0 0 0 0 0\n", ".asf"),
+    ],
+)
+def test_malformed_acclaim(asf, amc, word):
+    with pytest.raises(PoseError, match=word):
+        parse_acclaim(asf, amc)
+
+
+def test_amc_without_skeleton(tmp_path, skeleton):
+    (tmp_path / "02_01.amc").write_text(":FULLY-SPECIFIED\n1\nroot 0 0 0 0 0 0\n")
+    with pytest.raises(PoseError, match=r"\.asf"):
+        load_motion(tmp_path / "02_01.amc", skeleton)

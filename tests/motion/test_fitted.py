@@ -1,8 +1,9 @@
-"""A motion on a body that it was not made for."""
+"""Embedded motions, and motions on bodies that they were not made for."""
 
 from __future__ import annotations
 
 import json
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.motion.loading import load_motion
+from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
+from tools.data.motions import library, to_json
 
 FEET = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
 LEGS = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("knee", "ankle", "foot")]
@@ -78,3 +80,11 @@ def test_a_body_that_is_none_is_refused_in_one_line(tmp_path: Path, joints: obje
     with pytest.raises(PoseError) as error:
         load_motion(file, default_avatar().skeleton)
     assert "\n" not in str(error.value) and "bad.json" in str(error.value)
+
+
+def test_they_are_made_of_these_curves(skeleton: Skeleton) -> None:
+    made = library(skeleton)
+    assert sorted(made) == list(embedded_motions())
+    for name, motion in made.items():
+        text = resources.files("glsplat.data").joinpath(f"{name}.json").read_text()
+        assert text == to_json(motion, skeleton)

@@ -151,11 +151,6 @@ def test_expressions_play_and_mix(tmp_path, skeleton):
     refused(path, skeleton, "frame 0", "jawOpen")
 
 
-def test_expressions_of_another_number_are_refused():
-    with pytest.raises(PoseError, match="2 frames needs as many expressions"):
-        Motion(30.0, np.zeros((2, 55, 3)), np.zeros((2, 3)), expressions=({},))
-
-
 def test_resampling_keeps_the_path():
     turn = np.linspace(0, 3, 61)
     rotations = np.zeros((61, 55, 3))

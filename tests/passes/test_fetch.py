@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import moderngl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -103,31 +102,6 @@ def test_parts_and_slices(renderer_of: Make, storage: None, monkeypatch: pytest.
     with pytest.raises(BudgetError):
         PictureBudget(slice_cost=5000, abandoned=lambda: True).render(renderer.prepare(views))
     assert np.array_equal(renderer.render(views), expected)  # what was broken off leaves nothing behind
-
-
-def test_no_more_parts_than_stated(
-    renderer_of: Make, context: Context, storage: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each part costs what the picture covers, however few records are in it."""
-    if not context.software:
-        pytest.skip("drawn in one part")
-    renderer, views = renderer_of(cloud(1000), views=2, fetch="storage"), eyes()
-    drawn: list[int] = []
-    render = moderngl.VertexArray.render
-
-    def counted(self: moderngl.VertexArray, *arguments: Any, **named: Any) -> None:
-        drawn.append(1)
-        render(self, *arguments, **named)
-
-    monkeypatch.setattr(moderngl.VertexArray, "render", counted)
-    monkeypatch.setattr(draw, "PART", 1)
-    draws = []
-    for parts in (1, 4):
-        monkeypatch.setattr(draw, "PARTS", parts)
-        drawn.clear()
-        renderer.render(views)
-        draws.append(len(drawn))
-    assert draws[1] - draws[0] == 3
 
 
 def test_who_pulls(renderer_of: Make, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from glsplat import reference
-from glsplat.authoring import cones
 from glsplat.authoring.cones import ConeConfig, hidden, with_cones
 from glsplat.authoring.posed import posed_splats
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load, save
+from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.passes.present import Layout, Present
 from glsplat.renderer import Renderer
@@ -28,7 +25,6 @@ from tests.scenes import camera, cloud, eyes, limb
 
 Make = Callable[..., Renderer]
 F64 = NDArray[np.float64]
-PACKED = cones._packed
 
 WIDER = (0.03, 0.06, 0.15, 0.35, 0.9)
 QUICK = ConeConfig(directions=32, size=40, psnr=40, choosing=3, tests=3, rounds=2, test_size=44, wider=WIDER)
@@ -154,14 +150,6 @@ def test_half_a_ball_is_hidden_and_the_picture_stays(renderer_of: Make, coned_ba
     assert np.array_equal(hidden(turned, [np.array([0, 0, 3.0])]), hidden(splats, [np.array([0, 0, 3.0])]))
 
 
-@pytest.mark.check
-def test_a_wanted_psnr_is_kept_by_hiding_less() -> None:
-    eye = [np.array([0.5, 0.4, 4.0])]
-    shares = [hidden(with_cones(ball(), replace(QUICK, psnr=psnr)), eye).mean() for psnr in (25, 38, 160)]
-    assert shares[0] > shares[1] > 0.1
-    assert shares[2] == 0  # more than the lift itself lets through: everything is kept
-
-
 def missing_at_worst(scene: Splats | Avatar, renderer_of: Make, views: int = 12) -> float:
     """dB of the worst picture without what the cones hide, drawn by the renderer, from directions of its own."""
     pictures = [renderer_of(scene, size=(44, 44), cull_hidden=culled) for culled in (True, False)]
@@ -184,60 +172,12 @@ def test_what_cones_keep_is_what_the_renderer_keeps(renderer_of: Make, antialias
     assert missing_at_worst(splats, renderer_of) > splats.cones_psnr - 3  # the worst of other pictures
 
 
-@pytest.mark.check
-def test_cones_that_are_too_narrow_are_widened(monkeypatch: pytest.MonkeyPatch) -> None:
-    cut = cones._cut
-    monkeypatch.setattr(cones, "_cut", lambda *args: np.minimum(cut(*args) + 0.12, 1.0))
-    left, mended = (with_cones(ball(), replace(QUICK, rounds=rounds)) for rounds in (0, 4))
-    assert left.cones_psnr is not None and mended.cones_psnr is not None
-    assert left.cones_psnr < 36 and mended.cones_psnr > left.cones_psnr + 2
-
-
-@pytest.mark.gl
-def test_what_a_broken_bake_loses_is_said(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cones that are left too narrow are not taken for good ones."""
-    monkeypatch.setattr(cones, "_cut", lambda weight, cosine, axis, *_: np.full(len(axis), 0.9))
-    monkeypatch.setattr(cones, "_packed", lambda axis, smallest: PACKED(axis, np.full(len(axis), 0.9)))
-    broken = with_cones(ball(), replace(QUICK, psnr=40, rounds=1))
-    assert broken.cones_psnr is not None and broken.cones_psnr < 30
-    assert abs(missing_at_worst(broken, renderer_of) - broken.cones_psnr) < 4
-
-
 def test_splats_that_cannot_be_drawn_have_no_cone(coned_ball: Splats) -> None:
     broken = coned_ball
     assert broken.cones is not None and broken.cones[3].tolist() == [0, 0, 0, -127]
     assert np.isfinite(broken.cones).all() and not hidden(broken, [np.array([0, 0, 3.0])])[3]
     with pytest.raises(GlsplatError, match="at least one finite splat"):
         with_cones(broken.take([3]), QUICK)
-
-
-@pytest.mark.gl
-def test_no_cones_is_one_clear_line(renderer_of: Make) -> None:
-    with pytest.raises(GlsplatError, match="cull_hidden needs splats with visibility cones"):
-        renderer_of(cloud(10), cull_hidden=True)
-    with pytest.raises(GlsplatError, match="no visibility cones"):
-        hidden(cloud(10), [np.zeros(3)])
-    with pytest.raises(FormatError, match="cones needs int8"):
-        replace(cloud(10), cones=np.zeros((9, 4), np.int8))
-
-
-def test_files_keep_cones_and_antialias(tmp_path: Path) -> None:
-    avatar = limb(50)
-    avatar = replace(avatar, splats=replace(coned(avatar.splats), antialias=True))
-    for scene, suffix in ((avatar, ".glb"), (avatar.splats, ".glb"), (avatar.splats, ".gltf")):
-        save(scene, tmp_path / f"a{suffix}")
-        read = load(tmp_path / f"a{suffix}")
-        splats = read.splats if isinstance(read, Avatar) else read
-        assert splats.antialias and np.array_equal(splats.cones, avatar.splats.cones)
-    for wants, meta in ((True, {"antialias": "no"}), (False, {"antialias": True})):  # the splats decide
-        save(replace(avatar, splats=replace(avatar.splats, antialias=wants), meta=meta), tmp_path / "m.glb")
-        read = load(tmp_path / "m.glb")
-        assert isinstance(read, Avatar) and read.splats.antialias == wants
-    save(avatar.splats, tmp_path / "a.ply")
-    ply = load(tmp_path / "a.ply")
-    assert isinstance(ply, Splats) and ply.antialias and ply.cones is None
-    save(replace(avatar.splats, antialias=False, cones=None), tmp_path / "b.ply")
-    assert not load(tmp_path / "b.ply").antialias  # type: ignore[union-attr]
 
 
 @pytest.mark.gl

@@ -7,12 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.config import CULL_PSNR, LEAN
+from glsplat.config import LEAN
 from glsplat.data import default_avatar
-from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import BAND
 from glsplat.evaluate.metrics.pixels import psnr
 from glsplat.motion.loading import load_motion
 from glsplat.renderer import Renderer
@@ -42,27 +39,6 @@ def difference(one: np.ndarray, other: np.ndarray) -> float:
     return min(psnr(a[..., :3] / 255.0, b[..., :3] / 255.0) for a, b in zip(one, other, strict=True))
 
 
-def limit_of(avatar: Avatar, density: float, turn: float) -> float:
-    """The distance at which a view shows the avatar as densely as that."""
-    proxy, bones = Proxy.of(avatar), standing().bones(avatar.skeleton)
-    near, far = 0.2, 60.0
-    for _ in range(40):
-        middle = (near * far) ** 0.5
-        if proxy.density(seen_from(middle, turn), bones=bones) > density:
-            near = middle
-        else:
-            far = middle
-    return (near * far) ** 0.5
-
-
-def test_there_are_levels_and_a_price_of_what_is_hidden() -> None:
-    avatar = default_avatar()
-    counts = [len(avatar.splats), *(len(level.content.splats) for level in avatar.levels)]
-    assert len(counts) >= 4 and counts[0] >= 40_000 and counts[-1] <= 6_000
-    for one in (avatar, *(level.content for level in avatar.levels)):
-        assert one.splats.cones_psnr is not None and one.splats.cones_psnr >= CULL_PSNR
-
-
 @pytest.mark.check
 @pytest.mark.parametrize("turn", [20.0, 200.0])
 def test_a_sweep_of_distance_shows_no_switch(renderer_of: Make, turn: float) -> None:
@@ -77,13 +53,3 @@ def test_a_sweep_of_distance_shows_no_switch(renderer_of: Make, turn: float) -> 
         assert kept >= LEAST, distance
         seen.append(lean.stats.levels[0])
     assert seen == sorted(seen) and seen[0] == 0 and seen[-1] == len(avatar.levels)
-
-
-@pytest.mark.check
-@pytest.mark.parametrize("turn", [-35.0, 120.0])
-def test_at_each_limit_both_levels_look_the_same(renderer_of: Make, turn: float) -> None:
-    avatar, pose = default_avatar(), standing()
-    renderers = [renderer_of(avatar, size=(SIZE, SIZE), output="uint8", level=k) for k in range(len(avatar.levels) + 1)]
-    for k, level in enumerate(avatar.levels):
-        view = [seen_from(limit_of(avatar, level.density, turn) / BAND, turn)]
-        assert difference(renderers[k].render(view, pose), renderers[k + 1].render(view, pose)) >= LEAST, k

@@ -12,18 +12,16 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.config import LEAN, RenderConfig
+from glsplat.config import RenderConfig
 from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import BAND, chosen
+from glsplat.detail.selector import chosen
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.passes import gpu_scene
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Level, Splats
 from tests.compare import Difference
-from tests.scene.worlds import random_pose
-from tests.scenes import cloud, eyes, limb
+from tests.scenes import cloud, limb
 
 Make = Callable[..., Renderer]
 COUNTS = (800, 300, 100)
@@ -66,18 +64,6 @@ def test_a_level_is_kept_within_a_band() -> None:
     assert chosen(densities, 5000.0, 2) == 0 and chosen(densities, 1.0, 0) == 2  # across both at once
 
 
-@pytest.mark.parametrize("start", [3.999, 4.0, 4.001])
-def test_noise_of_a_millimetre_never_toggles(start: float) -> None:
-    """A head that stands where a level ends: whatever it has, it keeps."""
-    scene = leveled()
-    proxy, level, seen = Proxy.of(scene), None, set()
-    for noise in np.random.default_rng(1).normal(0, 1e-3, 500):
-        level = chosen([one.density for one in scene.levels], proxy.density(seen_from(start + noise)), level)
-        seen.add(level)
-    assert len(seen) == 1
-    assert 4.0 * (BAND - 1) > 50 * 1e-3  # the band is that much wider than the noise
-
-
 @pytest.mark.gl
 @pytest.mark.parametrize("degree", [0, 1])
 def test_the_picture_is_that_of_the_level(renderer_of: Make, degree: int) -> None:
@@ -91,19 +77,6 @@ def test_the_picture_is_that_of_the_level(renderer_of: Make, degree: int) -> Non
         assert renderer.stats.coarsest == (level == 2)
         alone = renderer_of(replace(levels[level], levels=())).render(view)
         assert Difference.of(picture, alone).psnr > 120
-
-
-@pytest.mark.gl
-def test_an_avatar_is_posed_at_every_level(renderer_of: Make) -> None:
-    avatar = leveled_limb()
-    renderer = renderer_of(avatar, views=2, level="auto")
-    for seed, distance in enumerate((3.0, 9.0, 3.0, 9.0)):
-        pose, views = random_pose(4, seed), eyes(distance=distance)
-        picture = renderer.render(views, pose)
-        level = int(distance > 5)
-        assert renderer.stats.levels == (level,)
-        content = avatar.levels[0].content if level else replace(avatar, levels=())
-        assert Difference.of(picture, renderer_of(content, views=2).render(views, pose)).psnr > 120
 
 
 @pytest.mark.gl
@@ -167,24 +140,6 @@ def test_what_is_out_of_view_does_not_count_as_finer(renderer_of: Make) -> None:
 
 
 @pytest.mark.gl
-def test_choices_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    thing = leveled()
-    items = [Item(thing, transform=similarity((x, 0, 0))) for x in (-0.3, 0, 0.3)]
-    renderer = renderer_of(Scene(items), level="auto")
-    for x in np.linspace(0, 1, 30):
-        for item, depth in zip(items, (-30 * x, -12 * x, -5 * x), strict=True):
-            item.transform = similarity((0, 0, float(depth)))
-        renderer.render([seen_from(2.0)])
-    assert len(renderer._staged._drawables) <= gpu_scene._KEPT
-    monkeypatch.setattr(renderer._staged._drawables, "_most", 1)
-    renderer.render([seen_from(2.5)])
-    assert len(renderer._staged._drawables) == 1
-    items[0].visible = False
-    renderer.render([seen_from(2.5)])
-    assert len(renderer._staged._drawables) == 1 and len(renderer.stats.levels) == 2
-
-
-@pytest.mark.gl
 @pytest.mark.parametrize(("psnr", "culled"), [(46.0, True), (45.0, True), (44.9, False), (None, False)])
 def test_hidden_splats_are_left_out_by_their_price(renderer_of: Make, psnr: float | None, culled: bool) -> None:
     cones = np.tile(np.array([0, 0, 127, 127], np.int8), (400, 1))  # seen along one axis only
@@ -201,16 +156,6 @@ def test_hidden_splats_are_left_out_by_their_price(renderer_of: Make, psnr: floa
     both.render([seen_from(3.0)])
     assert (both.stats.culled["hidden"] > 0) == culled
     assert both.stats.culled["hidden"] <= 400
-
-
-@pytest.mark.gl
-def test_nothing_changes_for_what_has_neither(renderer_of: Make) -> None:
-    """LEAN on a scene without levels and cones: the same bytes by the same programs."""
-    scene = cloud(500)
-    lean, exact = renderer_of(scene, level=LEAN.level, cull_hidden=LEAN.cull_hidden), renderer_of(scene)
-    view = [seen_from(3.0)]
-    assert np.array_equal(lean.render(view), exact.render(view)) and lean.variant == exact.variant
-    assert lean.stats == exact.stats
 
 
 @pytest.mark.parametrize(
@@ -253,29 +198,6 @@ def test_a_view_from_inside_leaves_its_parts_out_of_all_levels() -> None:
     assert len(avatar.without("joint0").levels) == 0  # nothing is left
 
 
-def test_the_same_skeleton() -> None:
-    one = limb(10).skeleton
-    again = Skeleton(one.names, one.parents, one.rest + 1e-8, one.inverse_bind)
-    moved = Skeleton(one.names, one.parents, one.rest + _shift(1e-3))
-    assert one.same(one) and one.same(again) and not one.same(moved)
-    assert not one.same(Skeleton([*"abcd"], one.parents, one.rest))
-
-
-def _shift(metres: float) -> np.ndarray:
-    out = np.zeros((4, 4))
-    out[:3, 3] = metres
-    return out
-
-
-def test_config_refuses_what_is_no_level_and_no_bias() -> None:
-    for level in (-1, 17, 1.5, True, None, "finest"):
-        with pytest.raises(GlsplatError, match="level"):
-            RenderConfig(level=level)
-    for bias in (9, -9, np.nan, "1"):
-        with pytest.raises(GlsplatError, match="lod_bias"):
-            RenderConfig(lod_bias=bias)
-
-
 @pytest.mark.gl
 def test_a_selector_refuses_what_is_no_bias(renderer_of: Make) -> None:
     renderer = renderer_of(leveled(), level="auto")
@@ -314,3 +236,13 @@ def test_levels_are_those_of_their_splats() -> None:
         again = pickle.loads(pickle.dumps(thing))
         assert len(again.levels) == len(thing.levels) and again.levels[0].density == thing.levels[0].density
     assert replace(pickle.loads(pickle.dumps(scene)), sh=scene.sh * 2).levels == ()
+
+
+def test_the_same_skeleton() -> None:
+    one = limb(10).skeleton
+    again = Skeleton(one.names, one.parents, one.rest + 1e-8, one.inverse_bind)
+    shift = np.zeros((4, 4))
+    shift[:3, 3] = 1e-3
+    moved = Skeleton(one.names, one.parents, one.rest + shift)
+    assert one.same(one) and one.same(again) and not one.same(moved)
+    assert not one.same(Skeleton([*"abcd"], one.parents, one.rest))

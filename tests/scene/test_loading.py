@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load_splats, save
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Item, Scene, similarity
-from glsplat.scenes import load, load_scene
+from glsplat.scenes import load
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.splats import Splats
 from glsplat.views import viewing_point
 from tests.scenes import cloud
-from tests.skinning.avatars import part
-
-
-def test_splats_and_avatars_stay_what_they_are(tmp_path: Path) -> None:
-    save(cloud(5), tmp_path / "a.ply")
-    save(cloud(5), tmp_path / "a.gltf")
-    save(part(default_avatar(), np.arange(9)), tmp_path / "a.glb")
-    kinds = [type(load(tmp_path / name)) for name in ("a.ply", "a.gltf", "a.glb")]
-    assert kinds == [Splats, Splats, Avatar]
 
 
 def corners(mesh: RiggedMesh) -> np.ndarray:
@@ -130,49 +114,6 @@ def test_real_meshes_in_a_scene(shared_data: Path, renderer_of, path: str, joint
     least = 0.02 if path.endswith("fox.glb") else 0.08  # twice as long as it is high, and seen from the front
     assert least < (alone[..., 3] > 0.5).mean() < 0.9 and alone[..., :3].max() > 0.1  # all of it, and no speck
     assert renderer_of(scene).render([view])[0].shape == (64, 64, 4)
-
-
-def test_a_scene_of_one(tmp_path: Path) -> None:
-    save(cloud(5), tmp_path / "a.ply")
-    read = load_scene(tmp_path / "a.ply")
-    assert len(read.scene) == 1 and read.avatar is None and not read.motions
-
-
-def test_splats_need_no_mesh_readers(tmp_path: Path) -> None:
-    save(cloud(5), tmp_path / "a.ply")
-    (tmp_path / "s.json").write_text('{"version": 1, "items": [{"path": "a.ply"}]}')
-    script = (
-        "import sys; from glsplat.scenes import load_scene; load_scene(sys.argv[1]); "
-        "assert not {'cv2', 'trimesh', 'moderngl'} & set(sys.modules), sorted(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", script, str(tmp_path / "s.json")], check=True)
-
-
-@pytest.mark.parametrize(
-    "name", ["a.ply", "a.splat", "a.glb", "a.gltf", "a.spz", "mesh.glb", "room.obj", "s.json", "no"]
-)
-def test_a_file_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """By either door, and whatever it turns out to be, is read or refused."""
-    for ending in ("ply", "splat", "glb", "gltf", "spz"):
-        save(cloud(32), tmp_path / f"a.{ending}")
-    box = trimesh.creation.box((1, 2, 3))
-    (tmp_path / "mesh.glb").write_bytes(box.export(file_type="glb"))
-    (tmp_path / "room.obj").write_text(OBJ.replace("mtllib room.mtl", ""))
-    (tmp_path / "s.json").write_text('{"version": 1, "items": []}')
-    (tmp_path / "no").write_bytes(b"nothing")
-    opened: list[str] = []
-    real = os.open
-
-    def counted(path: str, *more: int) -> int:
-        opened.append(os.path.basename(path))
-        return real(path, *more)
-
-    monkeypatch.setattr("glsplat.io.files.os.open", counted)
-    for door in (load, load_scene):
-        opened.clear()
-        with contextlib.suppress(FormatError):
-            door(tmp_path / name)
-        assert opened == [name]
 
 
 def test_every_kind_is_what_it_is(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from tests.compare import Difference
-from tests.scene.people import boxes
 from tests.scene.worlds import random_pose, upright, wall
 from tests.scenes import cloud, eyes
 
@@ -150,17 +149,6 @@ def test_with_splats_silhouettes_are_at_pixel_centres(renderer_of: Make) -> None
     assert np.abs(covered[:, 2]).max() < 1e-6  # nothing of the background
     blended = (covered[:, 0] > 0.1) & (covered[:, 0] < 0.9)
     assert blended.sum() > 20 and np.allclose(covered[:, :2].sum(axis=1), 1, atol=2 / 255)
-
-
-def test_triangles_edge_on_come_to_an_end(renderer_of: Make) -> None:
-    """Their texture footprints are without bounds; a software driver that visits all texels of one must not hang."""
-    mesh = boxes()  # whose texture coordinates leap
-    target = mesh.vertices.mean(axis=0)
-    renderer = renderer_of(Item(mesh), size=(256, 256), output="uint8")
-    for degrees in range(0, 90, 10):
-        turn = np.radians(degrees)
-        view = Camera(look_at(target + (3 * np.sin(turn), 0, 3 * np.cos(turn)), target), pinhole(256, 256), 256, 256)
-        assert renderer.render([view])[..., 3].any()
 
 
 @pytest.mark.parametrize("far", [3.0, 3000.0])

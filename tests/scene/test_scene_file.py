@@ -102,10 +102,6 @@ def test_one_animation_of_a_file(scene: Writer) -> None:
     assert [len(motion) for _, motion in load_scene(scene(*items)).motions.values()] == [61, 31]
 
 
-def test_no_items(scene: Writer) -> None:
-    assert len(load_scene(scene()).scene) == 0
-
-
 def test_many_items_of_one_file_read_it_once(scene: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
 

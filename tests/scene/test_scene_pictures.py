@@ -15,7 +15,7 @@ from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from tests.compare import Difference, assert_contract
 from tests.scene.worlds import random_pose, reference_of, upright, wall
-from tests.scenes import camera, cloud, eyes, limb
+from tests.scenes import cloud, eyes, limb
 
 pytestmark = pytest.mark.gl
 
@@ -110,14 +110,6 @@ def test_depth_is_the_weighted_mean(renderer_of: Make, context: Context, setting
     assert np.abs(depth - distance)[seen].mean() < 1e-4 and (np.abs(depth - distance)[seen] < 1e-2).mean() > 0.999
 
 
-def test_depth_does_not_change_the_picture(renderer_of: Make) -> None:
-    for output in ("uint8", "float32"):
-        renderer = renderer_of(mixed_scene(), views=2, output=output)
-        alone = renderer.render(eyes())
-        beside, depth = renderer.render(eyes(), depth=True)
-        assert np.array_equal(alone, beside) and depth.shape == beside.shape[:3]
-
-
 @pytest.mark.parametrize("far", [0.0, 5e4])
 def test_far_from_the_origin(renderer_of: Make, far: float) -> None:
     """The same scene 50 km away: float64 on the host keeps it exact."""
@@ -133,15 +125,6 @@ def test_far_from_the_origin(renderer_of: Make, far: float) -> None:
     expected, _ = reference_of(scene, cameras)
     image = renderer_of(scene, views=2).render(cameras)
     assert Difference.of(image, expected).psnr >= 65
-
-
-def test_of_equal_depths_the_earlier_item_is_the_nearer(renderer_of: Make) -> None:
-    red, blue = cloud(40, seed=8), cloud(40, seed=8)
-    red = replace(red, sh=np.full_like(red.sh, 1.5))
-    for first, second in ((red, blue), (blue, red)):
-        scene, view = Scene([Item(first), Item(second)]), [camera()]
-        expected, _ = reference_of(scene, view)
-        assert_contract(renderer_of(scene).render(view), expected)
 
 
 @pytest.mark.parametrize("thing", [cloud(300, 2), limb(300, degree=1)], ids=["splats", "avatar"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 
@@ -138,48 +137,6 @@ PAGES = [variant for *_, variant in page_variants()]
 OTHERS = [*SKINS, *MESHES, *RESOLVES]
 
 
-def kept(text: str, defines: dict[str, int]) -> set[tuple[int, bool]]:
-    """(line of an #if or #elif, what it decides) for conditions that these flags reach; {} for other flags."""
-    out, stack = set(), [(True, False)]  # a level: this branch is kept; one of its branches was
-    for number, line in enumerate(text.splitlines(), 1):
-        word, _, rest = line.strip().partition(" ")
-        if word == "#endif":
-            stack.pop()
-        elif word in ("#if", "#elif", "#else"):
-            _, done = (False, False) if word == "#if" else stack.pop()
-            reached, yes = stack[-1][0] and not done, True
-            if word != "#else" and reached:
-                condition = rest.split("//")[0].replace("&&", " and ").replace("||", " or ")
-                yes = bool(eval(re.sub(r"!(?!=)", " not ", condition), dict(defines)))
-                out.add((number, yes))
-            stack.append((reached and yes, done or (reached and yes)))
-    return out
-
-
-def missed(rows: Sequence[Variant | SkinVariant | MeshVariant | ResolveVariant]) -> list[str]:
-    """Conditions of the shaders that these rows never make true, or never false."""
-    out = []
-    for file in FILES:
-        text = file.read_text()
-        conditions = [n for n, line in enumerate(text.splitlines(), 1) if re.match(r"\s*#\s*(el)?if\b", line)]
-        reached: set[tuple[int, bool]] = set()
-        for row in rows:
-            try:
-                reached |= kept(text, row.defines())
-            except NameError:  # a file for flags of another kind
-                continue
-        wanted = {(number, value) for number in conditions for value in (True, False)}
-        out += [f"{file.name}:{number} {value}" for number, value in sorted(wanted - reached)]
-    return out
-
-
-def test_the_rows_reach_every_branch() -> None:
-    # their flags are no variant's: tests/apps/preview and tests/xr draw all of them
-    windows = {"present.frag.glsl", "eyes.frag.glsl"}
-    rest = [line for line in missed([*ROWS, *OTHERS, *PAGES]) if line.split(":")[0] not in windows]
-    assert not rest
-
-
 @pytest.mark.gl
 def test_the_variants_that_matter_compile(gl: Context) -> None:
     programs = Programs(gl.ctx)
@@ -203,18 +160,6 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
         for step in ({}, {"step.glsl": Watermark(1, 2, b"sixteen bytes 01").source}):
             program = programs.draw("screen", "resolve", resolve, step)
             assert ("step_texture" in program, "background" in program) == (bool(step), bool(resolve.cull_hidden))
-    programs.release()
-
-
-@pytest.mark.gl
-def test_what_a_scene_does_not_need_is_left_out(gl: Context) -> None:
-    programs = Programs(gl.ctx)
-    plain = programs.feedback("project", Variant(), [name for name, _ in record_layout(Variant())])
-    assert attributes_of(plain) == {"order"} and "splats" in plain and "colours" in plain
-    assert attributes_of(programs.feedback("key", Variant(), ("key", "cover"), separate=True)) == set()
-    assert "bones" not in plain and "mesh_z" not in programs.draw("splat", "splat", Variant())
-    assert "extension" not in flatten("splat.vert.glsl", Variant().defines()).text
-    assert "extension" in flatten("splat.vert.glsl", Variant(views=2).defines()).text
     programs.release()
 
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 
 from glsplat.errors import ShaderError
-from glsplat.shaders import ResolveVariant, SkinVariant, Variant, flatten, record_layout
+from glsplat.shaders import ResolveVariant, SkinVariant, Variant, flatten
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS, MAX_VIEWS, ROW_BITS, TARGETS
 from glsplat.shaders.web import page_programs, page_variants
@@ -66,15 +64,3 @@ def test_a_page_lacks_what_webgl_lacks() -> None:
     for kind in (Variant, SkinVariant, ResolveVariant):
         with pytest.raises(ShaderError, match="target is 330 or es300, not vulkan"):
             kind(target="vulkan")
-
-
-def test_layout_of_a_record() -> None:
-    variant = Variant(sh_degree=1, stored_degree=1, posed=1, turned=1, views=2, antialias=1)
-    names = [name for name, _ in record_layout(variant)]
-    assert names == ["rgb0", "rgb1", "alpha0", "alpha1", "centre0", "centre1", "cholesky0", "cholesky1"]
-    assert variant.record_floats == 6 + 2 + 4 + 6
-
-
-def test_the_table_needs_no_opengl() -> None:
-    script = "import sys, glsplat.shaders.web as web; web.page_programs(); assert 'moderngl' not in sys.modules"
-    subprocess.run([sys.executable, "-c", script], check=True)

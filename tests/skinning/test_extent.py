@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,26 +12,12 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.formats.person import read_person
 from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.extent import Extent
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.skin import Skin
-from glsplat.splats import Splats
 from tests.scenes import limb
 from tests.skinning.avatars import part
-
-
-def person(shared_data: Path, name: str) -> Avatar:
-    """A splat at each vertex of a person at hand, as large as the vertices are far apart."""
-    mesh = read_person(shared_data / "people" / f"{name}.npz")
-    used = np.unique(mesh.faces)[::7]
-    count = len(used)
-    quats, scales = np.random.default_rng(1).normal(size=(count, 4)), np.tile((0.006, 0.006, 0.002), (count, 1))
-    splats = Splats.create(mesh.vertices[used], quats, scales, np.ones(count), rgb=np.full((count, 3), 0.5))
-    skin = Skin.create(mesh.joints[used], mesh.weights[used], len(mesh.skeleton))
-    return Avatar(splats, mesh.skeleton, skin)
 
 
 def poses(avatar: Avatar) -> Iterator[Pose]:
@@ -68,13 +53,6 @@ def test_the_embedded_avatar() -> None:
 
 def test_a_rod_of_other_joints() -> None:
     check(limb(300), largest=1.25, typical=1.1, short=0.05)  # soft weights: every splat is between two joints
-
-
-@pytest.mark.check
-@pytest.mark.shared
-@pytest.mark.parametrize("name", ["char_a", "char_b", "char_c_registry", "char_d_registry"])
-def test_people_at_hand(shared_data: Path, name: str) -> None:
-    check(person(shared_data, name), largest=1.15, typical=1.03, short=0.01)
 
 
 def test_one_joint_is_bounded_exactly_along_axes_and_diagonals() -> None:

@@ -13,13 +13,12 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.formats.person import read_person
 from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.compare import assert_contract
 from tests.scenes import cloud, limb
-from tests.skinning.avatars import VIEW, SkinError, any_rotations, blended_part, chain, part, person_avatar
+from tests.skinning.avatars import VIEW, SkinError, any_rotations, blended_part, chain, part
 
 pytestmark = pytest.mark.gl
 
@@ -40,14 +39,6 @@ def test_random_poses(renderer_of: Make, rng: np.random.Generator) -> None:
         assert error.within(), (index, error)
 
 
-def test_all_splats_of_the_default_avatar(renderer_of: Make, rng: np.random.Generator) -> None:
-    avatar = default_avatar()
-    renderer = renderer_of(avatar, (1, 1))
-    for index in range(3):
-        error = SkinError.of(renderer, avatar, random_pose(rng, 55, index))
-        assert error.within(), error
-
-
 @pytest.mark.parametrize("name", embedded_motions())
 def test_the_embedded_motions(renderer_of: Make, name: str) -> None:
     avatar = default_avatar()
@@ -55,20 +46,6 @@ def test_the_embedded_motions(renderer_of: Make, name: str) -> None:
     for frame in np.linspace(0, len(motion) - 1, 4)[1:3].astype(int):
         error = SkinError.of(renderer, avatar, motion.pose(int(frame)))
         assert error.within(position=2e-6, covariance=1e-5), error
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("name", ["char_a", "char_b"])
-def test_people(renderer_of: Make, rng: np.random.Generator, shared_data: Path, name: str) -> None:
-    mesh = read_person(shared_data / "people" / f"{name}.npz")
-    avatar = person_avatar(mesh)
-    renderer = renderer_of(avatar, (1, 1))
-    for index in range(3):
-        pose = random_pose(rng, 55, index)
-        error = SkinError.of(renderer, avatar, pose)
-        assert error.within(), error
-        if (mesh.weights > 0).sum(axis=1).max() <= 4:  # two ways to the same place
-            assert np.abs(renderer.posed()[0] - mesh.posed(pose)).max() < 1e-5
 
 
 @pytest.mark.parametrize("influences", [1, 2, 4, 8])
@@ -115,18 +92,3 @@ def test_posed_refuses_what_was_not_skinned(renderer_of: Make) -> None:
     for renderer in (static, fresh):
         with pytest.raises(GlsplatError, match="not skinned or not rendered"):
             renderer.posed()
-
-
-def test_bones_are_uploaded_whatever_the_number_of_splats(renderer_of: Make) -> None:
-    """A frame writes 3 x J texels; a pose that did not change writes nothing."""
-    for count in (10, 5000):
-        avatar = chain(count, 30)
-        renderer = renderer_of(avatar, (1, 1))
-        renderer.render([VIEW], Pose.zero(30))
-        (item,) = renderer._staged.arena.items
-        assert item.bones.size == (3, 30) and item.bones.dtype == "f4"
-        bent = Pose(np.full((30, 3), 0.1), np.zeros(3))
-        renderer.render([VIEW], bent)
-        assert "skin" in renderer.timings
-        renderer.render([VIEW], bent)
-        assert "skin" not in renderer.timings

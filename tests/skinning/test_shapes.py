@@ -13,7 +13,7 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
-from glsplat.skinning.expression import ARKIT, arkit_name, checked_expression, mixed
+from glsplat.skinning.expression import ARKIT, arkit_name, checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import Level
@@ -74,11 +74,6 @@ def test_a_pose_keeps_its_expression() -> None:
     assert Pose.from_json({"joints": {}, "expression": {"a": 2}}, skeleton).expression == {"a": 2.0}
 
 
-def test_expressions_mix() -> None:
-    assert dict(mixed({"a": 1.0}, {"b": 1.0}, 0.25)) == {"a": 0.75, "b": 0.25}
-    assert dict(mixed({}, {}, 0.5)) == {}
-
-
 @pytest.mark.parametrize("weight, drawn", [(0, 0), (1, 1), (2, 1), (-1, 0), (0.3, 0.3)])
 def test_weights_stay_within_the_limits(weight: float, drawn: float) -> None:
     shapes = random_shapes(10)
@@ -86,11 +81,6 @@ def test_weights_stay_within_the_limits(weight: float, drawn: float) -> None:
     assert (found is None) == (drawn == 0)
     if found is not None:
         assert found.tolist() == [drawn, 0, 0, 0]
-
-
-def test_an_avatar_may_say_other_limits() -> None:
-    shapes = replace(random_shapes(10), limits=np.array([[-1, 2]] * 4))
-    assert shapes.weights({"jawOpen": -3, "browInnerUp": 1.5}) == pytest.approx([-1, 0, 0, 1.5])
 
 
 def test_metres_and_axes_come_back_rounded() -> None:
@@ -206,3 +196,8 @@ def test_no_splat_moves_farther_than_is_said() -> None:
     weights = np.array([0.5, 1.0, 0.2, 0.0])
     moved = reference.expressed(avatar.splats, avatar.shapes, weights).means - avatar.splats.means
     assert 0 < np.linalg.norm(moved, axis=1).max() <= avatar.shapes.farthest(weights)
+
+
+def test_an_avatar_may_say_other_limits() -> None:
+    shapes = replace(random_shapes(10), limits=np.array([[-1, 2]] * 4))
+    assert shapes.weights({"jawOpen": -3, "browInnerUp": 1.5}) == pytest.approx([-1, 0, 0, 1.5])

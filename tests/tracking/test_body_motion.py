@@ -70,14 +70,6 @@ def test_looking_aside_does_not_turn_the_feet_but_staying_aside_does(stage: Stag
     assert heading(track(stay))[-1] > 45
 
 
-def test_standing_with_a_sway_keeps_both_feet_where_they_are(stage: Stage, track: Track) -> None:
-    x, y, z = stage.eye
-    samples = [stage.sample(t, head=(x + 0.03 * math.sin(2 * t), y, z + 0.02 * math.cos(3 * t))) for t in seconds(8)]
-    result = track(samples)
-    assert slides(result).max() < 1e-4
-    assert np.ptp(result.joints[30:, list(FEET)], axis=0).max() < 0.01  # no steps either
-
-
 @pytest.mark.parametrize("speed", [0.7, 1.3, 3.0])
 def test_walking_and_running_step_and_never_slide(stage: Stage, track: Track, speed: float) -> None:
     x, y, z = stage.eye
@@ -101,13 +93,6 @@ def test_walking_and_running_step_and_never_slide(stage: Stage, track: Track, sp
     assert np.abs(heading(result)).max() < 15
 
 
-def test_walking_backwards_and_sideways_does_not_turn_round(stage: Stage, track: Track) -> None:
-    x, y, z = stage.eye
-    for dx, dz in ((0.0, -0.8), (0.8, 0.0)):
-        samples = [stage.sample(t, head=(x + dx * t, y, z + dz * t), left=None, right=None) for t in seconds(3)]
-        assert np.abs(heading(track(samples))).max() < 20
-
-
 def test_steps_of_head_and_hand_overshoot_little(stage: Stage, track: Track) -> None:
     x, y, z = stage.eye
     first, second = (0.25, 1.2, 0.3), (0.25, 1.45, 0.35)
@@ -119,20 +104,6 @@ def test_steps_of_head_and_hand_overshoot_little(stage: Stage, track: Track) -> 
     pelvis = shifted.joints[:, 0, 1]
     assert pelvis.min() > pelvis[-1] - 0.06  # 6 cm while the bend follows
     assert shifted.joints[:, HEAD, 1].min() > shifted.joints[-1, HEAD, 1] - 0.02
-
-
-def test_prediction_moves_the_pose_ahead(stage: Stage, skeleton: Skeleton) -> None:
-    late, early = Tracker(skeleton), Tracker(skeleton, config=TrackerConfig(prediction=0.05))
-    for t in seconds(1):
-        sample = stage.sample(t, head=(0.5 * t, *stage.eye[1:]), left=None, right=None)
-        a, b = late.joints(late.update(sample)), early.joints(early.update(sample))
-    assert b[HEAD, 0] - a[HEAD, 0] == pytest.approx(0.025, abs=0.005)
-
-
-def test_a_wire_request_drives_the_tracker(stage: Stage, skeleton: Skeleton) -> None:
-    wire = stage.sample(0.0).to_json()
-    direct = Tracker(skeleton).update(stage.sample(0.0)).rotations
-    np.testing.assert_array_equal(Tracker(skeleton)(wire, 12345.0).rotations, direct)
 
 
 def measured(skeleton: Skeleton, motion: str, rate: float):
@@ -152,14 +123,6 @@ def test_embedded_motions_come_back(skeleton: Skeleton, motion: str) -> None:
     assert result.skate < 1 and result.penetration < 0.1
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("clip", ["cmu_02_01.amc", "cmu_02_04.amc"])
-def test_motion_capture_comes_back(skeleton: Skeleton, shared_data, clip: str) -> None:
-    result = measured(skeleton, str(shared_data / "mocap" / clip), 72.0)
-    limit = 5.5 if clip == "cmu_02_01.amc" else 9.0  # walking; jumping
-    assert result.mpjpe < limit and result.hands < 1.5 and result.skate < 1 and result.penetration < 0.2
-
-
 @pytest.mark.parametrize("rate", [30.0, 72.0, 90.0, 240.0])
 def test_the_slow_speed_lags_by_its_time_constant(body: Body, rate: float) -> None:
     """The mean delay of a first-order low pass is its time constant, whatever the rate; here behind the travel."""
@@ -171,3 +134,11 @@ def test_the_slow_speed_lags_by_its_time_constant(body: Body, rate: float) -> No
         lag += (solver._travel[0] - solver._slow[0]) * dt
     assert solver._slow[0] == pytest.approx(1, abs=1e-6)
     assert SLOW == 0.125 and lag == pytest.approx(SLOW, abs=0.6 * dt)
+
+
+def test_prediction_moves_the_pose_ahead(stage: Stage, skeleton: Skeleton) -> None:
+    late, early = Tracker(skeleton), Tracker(skeleton, config=TrackerConfig(prediction=0.05))
+    for t in seconds(1):
+        sample = stage.sample(t, head=(0.5 * t, *stage.eye[1:]), left=None, right=None)
+        a, b = late.joints(late.update(sample)), early.joints(early.update(sample))
+    assert b[HEAD, 0] - a[HEAD, 0] == pytest.approx(0.025, abs=0.005)

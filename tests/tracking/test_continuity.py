@@ -183,16 +183,3 @@ def test_a_level_head_low_over_the_floor_that_trembles_does_not_shake_the_body(
         head = np.array([0.0, y + (height - y) * down, 0.1]) + rng.normal(0, 5e-4, 3)
         samples.append(stage.sample(i / 72, head=tuple(head), turn=head_turn(*rng.normal(0, 1e-3, 3)), left=None))
     assert moved(track(samples))[144:].max() < 2.0
-
-
-@pytest.mark.check
-@pytest.mark.parametrize("height", [0.7, 0.8])
-def test_a_slow_turn_in_a_deep_squat_takes_steps_without_kicks(stage: Stage, track: Track, height: float) -> None:
-    """The thighs are asked for more flexion than hips have; a swinging foot itself moves at 2 m/s."""
-    for nod in (-0.3, 0.0):
-        samples = []
-        for i in range(360):
-            down, yaw = min(1.0, i / 72), 0.1 * i / 72
-            head = (0.1 * np.sin(yaw), stage.eye[1] + (height - stage.eye[1]) * down, 0.1 * np.cos(yaw))
-            samples.append(stage.sample(i / 72, head=head, turn=head_turn(yaw, nod * down), left=None, right=None))
-        assert moved(track(samples))[110:].max() < 6.0

@@ -45,16 +45,6 @@ def leaps(samples: list[Sample]) -> int:
     return int((fast[1:] & ~fast[:-1]).sum())
 
 
-def test_eyes_leap_two_or_three_times_a_second_and_stay_in_their_sockets():
-    samples = played(120)
-    assert 2 <= leaps(samples) / 120 <= 3
-    looks = np.array([one.left_eye for one in samples])
-    assert np.abs(np.linalg.norm(looks, axis=1) - 1).max() < 1e-9
-    assert np.degrees(np.arccos(-looks[:, 2])).max() < 22.1
-    assert np.degrees(np.arccos(-looks[:, 2])).mean() > 3  # it is no stare
-    assert abs(looks[:, 0].mean()) < 0.05, "no side is preferred"
-
-
 @pytest.mark.parametrize("face", [(), ((0.5, 1.7, -1.4),)], ids=["nobody", "a face"])
 @pytest.mark.parametrize("swing", [5, 30, 60])
 def test_leaps_are_two_or_three_a_second_whatever_the_head_does(swing, face):
@@ -64,12 +54,6 @@ def test_leaps_are_two_or_three_a_second_whatever_the_head_does(swing, face):
         for gaze in (one.left_eye, one.right_eye):
             turn = np.array(eye_turn(gaze, []))
             assert np.linalg.norm(turn) < radians(22.1) and abs(turn[2]) < 1e-12, "no roll: Listing's law"
-
-
-def test_eyes_lead_a_head_that_spins():
-    samples = played(30, yaw=lambda t: 90 * t)
-    assert leaps(samples) / 30 < 3.6
-    assert np.degrees(np.arccos([-one.left_eye[2] for one in samples])).max() < 22.1
 
 
 @pytest.mark.parametrize("face", [(0.3, 1.6, -0.3), (0.3, 1.6, -80.0), (float("nan"), 0, 0), (0.0,), "x"])
@@ -137,11 +121,6 @@ def test_sensors_win():
 @pytest.mark.parametrize("sample", [Sample(0.0), Sample(float("nan"), head()), Sample(0.0, (float("nan"),) * 7)])
 def test_what_cannot_be_a_head_is_returned_as_it_came(sample):
     assert IdleFace().fill(sample) is sample
-
-
-def test_the_same_seed_looks_the_same_and_another_does_not():
-    assert played(5) == played(5)
-    assert played(5) != played(5, seed=4)
 
 
 def test_gaps_and_clocks_that_go_back_begin_anew():

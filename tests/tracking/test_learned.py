@@ -1,4 +1,4 @@
-"""What the learned solver promises whatever its network says: exact head and hands, feet that stand, bounded motion."""
+"""The learned solver's promises whatever its network says: exact head and hands, feet that stand, bounded motion."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.evaluate.tracking_score import TrackingScore, mean_score, score
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking import Tracker, TrackerConfig
+from glsplat.tracking import Tracker
 from glsplat.tracking import solvers as module
 from glsplat.tracking.batch import forward_all
 from glsplat.tracking.derive import Disturbance, derive, disturb, truth_from_motion
@@ -53,24 +53,6 @@ def test_feet_stand_and_motion_is_no_rougher_than_it_should_be(skeleton: Skeleto
     result = measured(skeleton, name, 72.0, "learned")
     assert result.skate < 1 and result.penetration < 0.1 and result.hands < 0.5
     assert result.jitter < max(2 * result.jitter_truth, 1.5)
-
-
-@pytest.mark.check
-@pytest.mark.parametrize("name", ["walk", "wave-and-turn"])
-def test_every_rate_gives_the_same_body(skeleton: Skeleton, name: str) -> None:
-    found = [measured(skeleton, name, rate, "learned").mpjpe for rate in (30.0, 72.0, 90.0)]
-    assert max(found) - min(found) < 0.5
-
-
-@pytest.mark.check
-@pytest.mark.shared
-def test_dances_of_somebody_it_has_not_learned_from(skeleton: Skeleton, shared_data: Path) -> None:
-    """Of three, two come out better than analytically and one worse; feet and hands are right in all."""
-    paths = [str(shared_data / "mocap" / f"cmu_131_0{i}.bvh") for i in (1, 2, 3)]
-    learned, analytic = ([measured(skeleton, path, 72.0, s) for path in paths] for s in ("learned", "analytic"))
-    assert mean_score(learned).mpjpe < 0.97 * mean_score(analytic).mpjpe
-    assert mean_score(learned).skate < 1 and max(s.hands for s in learned) < 0.5
-    assert max(s.jitter / s.jitter_truth for s in learned) < 2
 
 
 def test_noise_at_rest_does_not_shake_the_body(skeleton: Skeleton) -> None:
@@ -130,14 +112,6 @@ def test_a_broken_model_is_a_clear_error_and_the_analytic_solver_stays(
         embedded_network.cache_clear()
 
 
-def test_head_rates_and_filters_apply(skeleton: Skeleton, stage: Stage, track: Track) -> None:
-    raw = TrackerConfig.raw()
-    result = track(
-        [stage.sample(t, head=(0.3 * t, *stage.eye[1:])) for t in seconds(2.0)], solver="learned", config=raw
-    )
-    np.testing.assert_allclose(result.joints[:, 23:25].mean(1)[:, 0], [0.3 * t for t in seconds(2.0)], atol=1e-6)
-
-
 def test_the_analytic_solver_steps_in_near_the_ground_and_leaves_again(stage: Stage, track: Track) -> None:
     """Down on all fours and up again: the head stays exact, nothing jumps, feet do not slide."""
     x, y, z = stage.eye
@@ -160,33 +134,25 @@ def test_the_analytic_solver_steps_in_near_the_ground_and_leaves_again(stage: St
     assert np.linalg.norm(np.diff(result.joints[:, :1], axis=0), axis=-1).max() * 72 < 3
 
 
-def test_who_sits_is_told_and_stays_seated(stage: Stage, track: Track) -> None:
-    """Down onto a chair within a second, then looking about and leaning, and up again."""
-    x, y, z = stage.eye
-
-    def head(t: float) -> tuple[float, float, float]:
-        down = 0.5 - 0.5 * np.cos(np.pi * min(max(t - 1, 0.0), 1.0))
-        down -= 0.5 - 0.5 * np.cos(np.pi * min(max(t - 7, 0.0), 1.0))
-        sway = 0.03 * np.sin(3 * t) * down
-        return (x + sway, y - 0.42 * down, z - 0.35 * down + sway)
-
-    samples = [stage.sample(t, head=head(t), left=None, right=None) for t in seconds(10.0)]
-    result = track(samples, solver="learned")
-    sits = np.array(["sitting" in flags for flags in result.flags])
-    assert not sits[:72].any() and sits[4 * 72 : 7 * 72].mean() > 0.9 and not sits[-36:].any()
-    pelvis, eyes = (a[4 * 72 : 7 * 72] for a in (result.joints[:, 0], np.array([s.head[:3] for s in samples])))  # type: ignore[index]
-    assert np.ptp(pelvis[:, 0]) < 0.8 * np.ptp(eyes[:, 0])
+LAGS = range(-10, 11)  # samples that the pelvis may be behind
 
 
-@pytest.mark.parametrize("back", [0.0, 0.1])
-def test_feet_of_who_sits_are_below_the_knees(stage: Stage, track: Track, back: float) -> None:
-    """Not folded under the seat, where the network alone has one of them."""
-    x, y, z = stage.eye
-    samples = []
-    for t in seconds(5.0):
-        down = 0.5 - 0.5 * np.cos(np.pi * min(max(t - 1, 0.0), 1.0))
-        samples.append(stage.sample(t, head=(x, y - 0.42 * down, z - back * down), left=None, right=None))
-    result = track(samples, solver="learned")
-    assert "sitting" in result.flags[-1]
-    ahead = result.joints[-1, list(FEET), 2] - result.joints[-1, 0, 2]
-    assert 0.3 < ahead.min() and ahead.max() < 0.6
+@pytest.mark.check
+@pytest.mark.shared
+def test_dances_tremble_little_more_than_the_truth(shared_data: Path, skeleton: Skeleton, track: Track) -> None:
+    """Three dances of 131, 4 s of each: at 72 Hz jitter was 1.4 times the truth's, by swings that were hurried."""
+    scores, alike = [], dict.fromkeys(LAGS, 0.0)
+    for clip in (1, 2, 3):
+        motion = load_motion(str(shared_data / "mocap" / f"cmu_131_0{clip}.bvh"), skeleton)
+        count = round(4 * motion.fps)
+        truth = truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, 72.0)
+        run = track(derive(skeleton, truth, fingers=False), solver="learned")
+        scores.append(score(run.joints, truth.positions, 72.0, Body.of(skeleton).sole))
+        ours, true = (np.gradient(joints[:, 0, [0, 2]], axis=0) for joints in (run.joints, truth.positions))
+        for k in LAGS:
+            pair = ours[max(k, 0) : len(ours) + min(k, 0)], true[max(-k, 0) : len(true) - max(k, 0)]
+            alike[k] += float((pair[0] * pair[1]).sum())
+    assert max(alike, key=alike.__getitem__) / 72 <= 0.035  # behind; ahead is no lag
+    mean = mean_score(scores)
+    assert mean.jitter < 1.35 * mean.jitter_truth
+    assert mean.skate < 1.0

@@ -1,4 +1,4 @@
-"""The network's file and arithmetic, and what it is fed: the same at run time as in training."""
+"""The network's file, arithmetic and training, and that it is fed the same at run time as in training."""
 
 from __future__ import annotations
 
@@ -13,19 +13,23 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.batch import forward_all, resample
 from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.learned import network as module
 from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE, Guess, TrackedFrames
 from glsplat.tracking.learned.hints import Hints
 from glsplat.tracking.learned.network import ARRAYS, PoseNetwork, load_network, save_network
-from glsplat.tracking.solve.body import Body
+from glsplat.tracking.learned.steady import Steady
+from glsplat.tracking.solve.body import ANKLES, FEET, PELVIS, SPINE1, SPINE3, WRISTS, Body
 from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 from glsplat.tracking.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
 from glsplat.tracking.training.disturbed import disturbed
-from glsplat.tracking.training.fit import _seen_from, features
+from glsplat.tracking.training.fit import Lesson, TrainingConfig, _seen_from, evaluate, features, fit, lessons_of, loss
+from glsplat.tracking.training.recurrent import Learner, started
+from glsplat.tracking.training.standing import TALL, stances_of, stood
 
 F32 = NDArray[np.float32]
 
@@ -201,3 +205,89 @@ def test_a_mirror_image_of_a_mirror_image_is_the_clip(skeleton: Skeleton) -> Non
     # the body's left foot is the right one now, on the other side, and its frames are rotations still
     np.testing.assert_allclose(other.points[:, 4] * [-1, 1, 1], clip.points[:, 3])
     np.testing.assert_allclose(np.linalg.det(other.chest), 1, atol=1e-5)
+
+
+SMALL = TrainingConfig(width=12, units=16, steps=40, batch=8, length=30)
+
+
+@pytest.fixture(scope="module")
+def lessons(skeleton: Skeleton) -> list[Lesson]:
+    clips = [c for name in ("walk", "idle") for c in clips_of(name, load_motion(name, skeleton), skeleton, (1.0,))]
+    return lessons_of(clips, unit_of_skeleton(skeleton), np.random.default_rng(3))
+
+
+def test_gradients_are_what_differences_say(rng: np.random.Generator) -> None:
+    t, b = 6, 3
+    learner = Learner({name: w * 0.7 for name, w in started(rng, INPUTS, 9, 7, OUTPUTS).items()})
+    x, y = (rng.standard_normal((t, b, n)).astype(np.float32) for n in (INPUTS, OUTPUTS))
+    known = np.ones((t, b), np.float32)
+    known[-1, 0] = 0
+
+    def far() -> float:
+        said = learner.say(x)
+        return loss(said.astype(np.float64), y, known)[0]  # type: ignore[arg-type]
+
+    said = learner.say(x)
+    gradient = learner.gradient(loss(said, y, known)[1])
+    for name, of in gradient.items():
+        weights = learner.weights[name]
+        way = rng.standard_normal(weights.shape).astype(np.float32)
+        step = 2e-4 / float(np.linalg.norm(way)) ** 0.5  # small, as |x| has a kink
+        learner.weights[name] = weights + way * np.float32(step)
+        more = far()
+        learner.weights[name] = weights - way * np.float32(step)
+        less = far()
+        learner.weights[name] = weights
+        assert (more - less) / (2 * step) == pytest.approx(float((of * way).sum()), rel=0.03, abs=2e-3), name
+
+
+def test_a_few_steps_are_worth_something_and_the_same_each_time(lessons: list[Lesson], skeleton: Skeleton) -> None:
+    clean, unit = [lesson for lesson in lessons if lesson.clean], unit_of_skeleton(skeleton)
+    losses: list[float] = []
+    short = fit(lessons, replace(SMALL, steps=2))
+    long = fit(lessons, SMALL, progress=lambda _, far: losses.append(far))
+    again = fit(lessons, SMALL)
+    assert len(losses) == SMALL.steps and np.isfinite(losses).all()
+    for name, array in long.weights().items():
+        np.testing.assert_array_equal(array, again.weights()[name], err_msg=name)
+    before, after = evaluate(short, clean, unit), evaluate(long, clean, unit)
+    assert after["feet"] < 0.7 * before["feet"] and after["pelvis"] < before["pelvis"]
+
+
+def test_what_is_said_in_training_is_said_at_run_time(lessons: list[Lesson], rng: np.random.Generator) -> None:
+    network = PoseNetwork(**started(rng, INPUTS, 12, 16, OUTPUTS))
+    heard, state = lessons[0].heard[:50], network.start()
+    said = Learner(network.weights()).say(heard[:, None])[:, 0]
+    for moment, want in zip(heard, said, strict=True):
+        numbers, state = network.step(moment, state)
+        np.testing.assert_allclose(numbers, want, atol=1e-4)
+
+
+def test_an_upper_body_stands_on_feet_that_stay(skeleton: Skeleton, rng: np.random.Generator) -> None:
+    body = Body.of(skeleton)
+    stances = stances_of(load_motion("wave-and-turn", skeleton), skeleton)
+    assert stances and all(stance.height > TALL * (body.joints[PELVIS][1] - body.ground) for stance in stances)
+    waves = load_motion("wave-and-turn", skeleton)
+    made = stood(waves, stances, skeleton, rng)
+    assert made is not None and made.fps == 30
+    at, _ = forward_all(skeleton, made.rotations, made.trans)
+    assert np.ptp(at[:, list(FEET)], axis=0).max() < 2e-3 and np.ptp(at[:, list(ANKLES)], axis=0).max() < 0.02
+    np.testing.assert_allclose(at[:, list(FEET), 1] - body.ground, body.sole, atol=2e-3)
+    assert np.ptp(at[:, PELVIS, [0, 2]], axis=0).max() > 0.01  # it sways
+    # arms and spine are the other's
+    theirs, _ = forward_all(skeleton, *resample(waves.rotations, waves.trans, waves.fps, 30.0))
+    for joint in (*WRISTS, SPINE3):
+        ours, other = (np.linalg.norm(p[:, joint] - p[:, SPINE1], axis=-1) for p in (at, theirs[: len(at)]))
+        np.testing.assert_allclose(ours, other, atol=1e-6)
+
+
+def test_a_steady_place_trembles_less_and_is_not_behind(rng: np.random.Generator) -> None:
+    steady, dt = Steady(), 1 / 72
+    walks = [(1.4 * i * dt, 0.9, 0.0) for i in range(200)]
+    shown = [steady.update(place, dt) for place in walks]
+    assert abs(shown[-1][0] - walks[-1][0]) < 1e-3
+    steady.reset()
+    trembles = rng.normal(0, 0.002, (400, 3))
+    shown = np.array([steady.update((x, y, z), dt) for x, y, z in trembles.tolist()])
+    jerk = [np.linalg.norm(np.diff(p, n=3, axis=0), axis=-1).mean() for p in (shown, trembles)]
+    assert jerk[0] < 0.5 * jerk[1]

@@ -1,26 +1,76 @@
-"""Items come, go, move and hide between frames: what is done again, and that nothing is left behind."""
+"""Items and scenes: what they accept, and what is drawn as items come, go, move and hide."""
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import moderngl
 import numpy as np
 import pytest
 
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.gl.context import Context
-from glsplat.passes import drawable
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
+from glsplat.skinning.pose import Pose
 from tests.scene.worlds import random_pose, upright
 from tests.scenes import camera, cloud, eyes, limb
 
-pytestmark = pytest.mark.gl
+
+@pytest.mark.parametrize(
+    ("transform", "message"),
+    [
+        (np.eye(3), "4x4 matrix, not"),
+        (np.full((4, 4), np.nan), "finite"),
+        (np.diag([1.0, 1, 1, 2]), "last row"),
+        (np.diag([1.0, 2, 1, 1]), "one scale for all axes"),
+        (np.diag([1.0, 1, -1, 1]), "no reflection"),
+        (np.diag([0.0, 0, 0, 1]), "scale above"),
+        (np.diag([1e7, 1e7, 1e7, 1]), "below 1e"),
+        ("here", "4x4 matrix of numbers"),
+    ],
+)
+def test_transforms(transform: object, message: str) -> None:
+    with pytest.raises(GlsplatError, match=message):
+        Item(cloud(3), transform=transform)  # type: ignore[arg-type]
+    item = Item(cloud(3))
+    with pytest.raises(GlsplatError, match=message):
+        item.transform = transform  # type: ignore[assignment]
+    assert np.array_equal(item.transform, np.eye(4))
+
+
+def test_a_transform_is_copied_and_read_only() -> None:
+    mine = similarity((1, 2, 3))
+    item = Item(cloud(3), transform=mine)
+    with pytest.raises(ValueError, match="read-only"):
+        item.transform[0, 3] = 9
+    assert item.transform is not mine
+
+
+def test_similarity() -> None:
+    turned = similarity((1, 2, 3), (0, 0, 2, 2), 2.0)  # 90 degrees about z
+    assert np.allclose(turned @ (1, 0, 0, 1), (1, 4, 3, 1))
+    for wrong in ({"rotation": (0, 0, 0, 0)}, {"scale": 0}, {"scale": np.inf}, {"translation": (1, 2)}):
+        with pytest.raises(GlsplatError):
+            similarity(**wrong)  # type: ignore[arg-type]
+
+
+def test_scenes() -> None:
+    item = Item(cloud(4), name="mist")
+    scene = Scene([item])
+    with pytest.raises(GlsplatError, match="already"):
+        scene.add(item)
+    with pytest.raises(GlsplatError, match="holds Items, not Splats"):
+        scene.add(cloud(4))  # type: ignore[arg-type]
+    scene.remove(item)
+    with pytest.raises(GlsplatError, match="not in the scene"):
+        scene.remove(item)
+    with pytest.raises(GlsplatError, match="not dict"):
+        Item({})  # type: ignore[arg-type]
+    assert "mist" in repr(item) and len(repr(item)) < 100 and len(scene) == 0
+
 
 Make = Callable[..., Renderer]
 
@@ -32,6 +82,7 @@ def fresh(context: Context, scene: Scene, **settings: Any) -> np.ndarray:
         return renderer.render(eyes())
 
 
+@pytest.mark.gl
 def test_every_change_is_drawn_as_if_new(renderer_of: Make, context: Context) -> None:
     """A walk through all the changes there are; after each the picture is that of a fresh renderer."""
     rod, mist = Item(limb(200, degree=1)), Item(cloud(150, 2))
@@ -83,6 +134,7 @@ def test_every_change_is_drawn_as_if_new(renderer_of: Make, context: Context) ->
         before = now
 
 
+@pytest.mark.gl
 def test_only_what_moved_is_posed_again(renderer_of: Make) -> None:
     first, second, still = Item(limb(50)), Item(limb(60, seed=9)), Item(cloud(70))
     scene = Scene([first, second, still])
@@ -104,6 +156,7 @@ def test_only_what_moved_is_posed_again(renderer_of: Make) -> None:
     assert "skin" not in renderer.timings and "sort" not in renderer.timings
 
 
+@pytest.mark.gl
 def test_sizes_in_turn_neither_pose_nor_sort_again(renderer_of: Make) -> None:
     """Three clients with a size each that ask in turn while nobody moves: each goes straight to its draw."""
     scene = Scene([Item(limb(200)), Item(cloud(100))])
@@ -123,48 +176,7 @@ def test_sizes_in_turn_neither_pose_nor_sort_again(renderer_of: Make) -> None:
     assert np.array_equal(renderer.render(four), image) and "sort" not in renderer.timings
 
 
-def test_pipelines_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    renderer = renderer_of(cloud(5000), views=2)
-    for size in range(8, 40):
-        renderer.resize(size, size)
-        renderer.render(eyes(size))
-    pipelines = renderer._staged._drawable.pipelines
-    assert len(pipelines) <= drawable._KEPT
-    monkeypatch.setattr(pipelines, "most_bytes", 1)
-    renderer.render(eyes(39))
-    assert len(pipelines) == 1
-
-
-@pytest.mark.check
-def test_coming_and_going_leaves_nothing(context: Context) -> None:
-    """100 times an item comes, is drawn and goes: no GL object stays."""
-    with context.ctx:
-        context.ctx.gc_mode = "context_gc"
-        try:
-            scene = Scene([Item(cloud(30))])
-            with Renderer(scene, size=(16, 16), context=context) as renderer:
-                kinds = [Item(limb(20)), Item(cloud(20, 1)), Item(upright(0.1, 0.3, (9, 9, 9)))]
-                renderer.render([camera(16)])
-                for round_ in range(100):
-                    item = scene.add(kinds[round_ % 3])
-                    renderer.render([camera(16)])
-                    scene.remove(item)
-                    if round_ % 2:
-                        renderer.render([camera(16)])
-                    if round_ == 20:
-                        gc.collect()
-                        early = len([o for o in context.ctx.objects if not isinstance(o, moderngl.InvalidObject)])
-                renderer.render([camera(16)])
-                gc.collect()
-                late = len([o for o in context.ctx.objects if not isinstance(o, moderngl.InvalidObject)])
-                assert late <= early
-            del renderer
-            gc.collect()
-            assert not [o for o in context.ctx.objects if not isinstance(o, moderngl.InvalidObject)]
-        finally:
-            context.ctx.gc_mode = None
-
-
+@pytest.mark.gl
 def test_hidden_splats_in_a_scene_of_which_some_have_cones(renderer_of: Make) -> None:
     """Items without cones are drawn whole, whatever the margin."""
     bare = cloud(200)
@@ -178,20 +190,14 @@ def test_hidden_splats_in_a_scene_of_which_some_have_cones(renderer_of: Make) ->
         renderer_of(Scene([Item(bare), Item(bare)]), cull_hidden=True)
 
 
-def test_statistics_do_not_count_padding(renderer_of: Make, context: Context) -> None:
-    for sorter in ("cpu", "gpu") if context.compute else ("cpu",):
-        renderer = renderer_of(Scene([Item(cloud(30)), Item(cloud(1025, seed=2))]), sorter=sorter)
-        renderer.render([camera()])
-        stats = renderer.stats
-        assert stats.splats == 1055 == stats.drawn + sum(stats.culled.values())
-
-
+@pytest.mark.gl
 def test_an_empty_scene(renderer_of: Make) -> None:
     for scene in (Scene(), Scene([Item(cloud(10), visible=False)]), Scene([Item(upright(0.1, 0.4, (9, 90, 9)))])):
         image, depth = renderer_of(scene, views=2).render(eyes(), depth=True)
         assert np.isfinite(image).all() and image.any() == depth.any() == (len(scene) == 1 and scene.items[0].visible)
 
 
+@pytest.mark.gl
 def test_a_pose_given_to_render_is_the_one_avatars(renderer_of: Make) -> None:
     rod = Item(limb(100))
     renderer = renderer_of(Scene([rod, Item(cloud(50))]), views=2)
@@ -202,3 +208,12 @@ def test_a_pose_given_to_render_is_the_one_avatars(renderer_of: Make) -> None:
     two = renderer_of(Scene([rod, Item(limb(50, 4))]))
     with pytest.raises(PoseError, match="2 avatars"):
         two.render([camera()], random_pose(4, 7))
+
+
+def test_poses_fit_or_are_refused() -> None:
+    with pytest.raises(PoseError, match="2 joints, the item 4"):
+        Item(limb(5), pose=Pose.zero(2))
+    with pytest.raises(PoseError, match="no pose"):
+        Item(cloud(5), pose=Pose.zero(4))
+    with pytest.raises(PoseError, match="is a Pose, not dict"):
+        Item(limb(5)).pose = {}  # type: ignore[assignment]
