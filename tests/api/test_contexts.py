@@ -225,3 +225,10 @@ def test_three_libraries_in_turn(window: bool, request: pytest.FixtureRequest) -
     done = python("-m", "tests.api.libraries_in_turn", *(["window"] if window else []), display=where)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "right", done.stdout
+
+
+def test_views_may_be_any_iterable() -> None:
+    with KINDS[0].make() as renderer:
+        expected = renderer.render(VIEWS)
+        for views in ((view for view in VIEWS), np.array(VIEWS)):
+            assert np.array_equal(renderer.render(views), expected)  # type: ignore[arg-type]

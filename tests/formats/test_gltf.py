@@ -150,6 +150,8 @@ def test_another_library_reads_the_same(tmp_path: Path) -> None:
     inverse = column(other.skins[0].inverseBindMatrices, "<f4").reshape(-1, 4, 4)  # column-major
     np.testing.assert_allclose(inverse.transpose(0, 2, 1), avatar.skeleton.inverse_bind, rtol=1e-6, atol=1e-6)
     assert [other.nodes[j].name for j in other.skins[0].joints] == list(avatar.skeleton.names)
+    assert other.accessors[attributes.POSITION].min == avatar.splats.means.min(axis=0).tolist()
+    assert other.extensionsUsed == [KHR, "KHR_materials_unlit"] and not other.extensionsRequired
     cones = np.random.default_rng(1).integers(-128, 128, (40, 4)).astype(np.int8)
     save_gltf(replace(avatar, splats=replace(avatar.splats, cones=cones)), tmp_path / "a.glb")
     other = pygltflib.GLTF2.load(str(tmp_path / "a.glb"))

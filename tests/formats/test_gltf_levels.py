@@ -338,3 +338,16 @@ def test_levels_stand_where_the_finest_stands(tmp_path: Path) -> None:
     edit_glb(path, lambda document: document["nodes"][1].pop("scale"))
     found = load(path)
     np.testing.assert_allclose(np.abs(found.levels[0].content.scales), scene.levels[0].content.scales, rtol=1e-5)
+
+
+@pytest.mark.parametrize("value", ["45", True, 10**400, [], None])
+def test_cones_psnr_that_is_no_number(tmp_path: Path, value: object) -> None:
+    path = tmp_path / "a.glb"
+    save(replace(random_splats(8), cones=np.full((8, 4), 5, np.int8), cones_psnr=40.0), path)
+
+    def change(document: Document) -> None:
+        document["meshes"][0]["primitives"][0]["extras"]["glsplat"]["cones_psnr"] = value
+
+    edit_glb(path, change)
+    found = load(path)
+    assert isinstance(found, Splats) and found.cones_psnr is None and found.cones is not None

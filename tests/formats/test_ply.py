@@ -296,3 +296,10 @@ def test_sh_of_a_real_file_against_its_bytes() -> None:
     np.testing.assert_array_equal(splats.sh[:, 5, 1], raw["f_rest_19"])  # coefficient 5 is 4 of 15, green
     np.testing.assert_allclose(splats.scales[:, 2], np.exp(raw["scale_2"]), rtol=1e-6)
     np.testing.assert_allclose(splats.opacities, 1 / (1 + np.exp(-raw["opacity"])), rtol=1e-6)
+
+
+def test_none_and_one_in_ascii(tmp_path: Path) -> None:
+    for count in (0, 1):
+        (tmp_path / "a.ply").write_bytes(ply(columns(random_splats(count, 1)), ""))
+        splats = load_ply(tmp_path / "a.ply")
+        assert len(splats) == count and splats.sh_degree == 1

@@ -369,3 +369,13 @@ def test_amc_without_skeleton(tmp_path, skeleton):
     (tmp_path / "02_01.amc").write_text(":FULLY-SPECIFIED\n1\nroot 0 0 0 0 0 0\n")
     with pytest.raises(PoseError, match=r"\.asf"):
         load_motion(tmp_path / "02_01.amc", skeleton)
+
+
+@pytest.mark.parametrize("cut", [0.05, 0.3, 0.7, 0.97])
+def test_truncated_files(tmp_path, skeleton, cut):
+    text = bvh({}, frames=20)
+    path = tmp_path / "cut.bvh"
+    path.write_text(text[: int(len(text) * cut)])
+    with pytest.raises(PoseError) as caught:
+        load_motion(path, skeleton)
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)

@@ -191,3 +191,13 @@ def test_a_fox_is_refused(shared_data: Path, skeleton: Skeleton) -> None:
     with pytest.raises(Exception, match=r"fox\.glb.*this is no person") as caught:
         load_motion(shared_data / "real/models/fox.glb", skeleton)
     assert "\n" not in str(caught.value)
+
+
+def test_slow_people_in_centimetres(skeleton: Skeleton) -> None:
+    for name in ("idle", "wave-and-turn"):
+        motion = load_motion(name, skeleton)
+        assert doubt(moved(100)(motion, skeleton), skeleton, "x").endswith("x#scale=0.01")
+
+
+def test_walking_backwards_is_no_mistake(skeleton: Skeleton, walk: Motion) -> None:
+    assert doubt(Motion(walk.fps, walk.rotations[::-1], walk.trans[::-1]), skeleton, "") == ""

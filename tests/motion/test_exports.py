@@ -135,3 +135,20 @@ def test_position_channels_move_bones(skeleton: Skeleton, walk: Motion, offsets:
     assert clip.places[:, where] == pytest.approx(100 * posed(walk, skeleton)[:, :22, :3, 3], abs=0.01)
     rest = clip.rest[where] - clip.rest[where[0]]
     assert rest == pytest.approx(100 * (skeleton.joints[:22] - skeleton.joints[0]), abs=0.01)
+
+
+def test_limbs_that_stretch_are_said(tmp_path: Path, skeleton: Skeleton, walk: Motion) -> None:
+    text = EXPORTS["Perception Neuron"].text(walk, skeleton)
+    head, rows = text.rsplit("\n", len(walk) + 1)[0], text.split("\n")[-len(walk) - 1 : -1]
+    joint = [name for name, _ in _channels(head)].index("Robot_LeftLeg")
+    column = 6 * joint  # all joints have six channels
+    numbers = [row.split() for row in rows]
+    numbers[5][column + 1] = str(1.5 * float(numbers[5][column + 1]))
+    path = tmp_path / "walk.bvh"
+    path.write_text(head + "\n" + "\n".join(map(" ".join, numbers)) + "\n")
+    assert "length by 50 %" in load_motion(path, skeleton).note
+
+
+def _channels(head: str) -> list[tuple[str, str]]:
+    lines = head.split("\n")
+    return [(line.split()[1], lines[k + 3]) for k, line in enumerate(lines) if line.startswith(("ROOT", "JOINT"))]

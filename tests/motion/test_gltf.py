@@ -169,3 +169,12 @@ def test_frames_are_bounded_before_anything_is_made(tmp_path: Path, skeleton: Sk
     (tmp_path / "bomb.bvh").write_text(text + "Frames: 100000\nFrame Time: 0.1\n" + "0 " * 100000)
     with pytest.raises(PoseError, match="at most"):
         load_motion(tmp_path / "bomb.bvh", skeleton)
+
+
+def test_every_truncation_is_one_line(tmp_path: Path, skeleton: Skeleton) -> None:
+    data = glb(tmp_path / "good.glb", [{"channels": [lift()]}], vrm=True).read_bytes()
+    for end in range(0, len(data) - 8, 97):
+        (tmp_path / "cut.vrma").write_bytes(data[:end])
+        with pytest.raises(PoseError) as caught:
+            load_motion(tmp_path / "cut.vrma", skeleton)
+        assert "\n" not in str(caught.value)

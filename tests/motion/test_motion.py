@@ -254,3 +254,8 @@ def test_embedded_motions_stand_on_the_floor(name, skeleton):
         for side in ("left", "right"):
             knee = frames[NAMES[f"{side}_hip"], :3, :3].T @ frames[NAMES[f"{side}_knee"], :3, :3]
             assert Rotation.from_matrix(knee).as_rotvec()[0] > -0.05  # never bent backwards
+
+
+def test_expressions_of_another_number_are_refused():
+    with pytest.raises(PoseError, match="2 frames needs as many expressions"):
+        Motion(30.0, np.zeros((2, 55, 3)), np.zeros((2, 3)), expressions=({},))

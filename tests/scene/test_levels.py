@@ -16,6 +16,7 @@ from glsplat.config import RenderConfig
 from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import chosen
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.passes import gpu_scene
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.skeleton import Skeleton
@@ -246,3 +247,21 @@ def test_the_same_skeleton() -> None:
     moved = Skeleton(one.names, one.parents, one.rest + shift)
     assert one.same(one) and one.same(again) and not one.same(moved)
     assert not one.same(Skeleton([*"abcd"], one.parents, one.rest))
+
+
+@pytest.mark.gl
+def test_choices_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    thing = leveled()
+    items = [Item(thing, transform=similarity((x, 0, 0))) for x in (-0.3, 0, 0.3)]
+    renderer = renderer_of(Scene(items), level="auto")
+    for x in np.linspace(0, 1, 30):
+        for item, depth in zip(items, (-30 * x, -12 * x, -5 * x), strict=True):
+            item.transform = similarity((0, 0, float(depth)))
+        renderer.render([seen_from(2.0)])
+    assert len(renderer._staged._drawables) <= gpu_scene._KEPT
+    monkeypatch.setattr(renderer._staged._drawables, "_most", 1)
+    renderer.render([seen_from(2.5)])
+    assert len(renderer._staged._drawables) == 1
+    items[0].visible = False
+    renderer.render([seen_from(2.5)])
+    assert len(renderer._staged._drawables) == 1 and len(renderer.stats.levels) == 2

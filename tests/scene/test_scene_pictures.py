@@ -132,3 +132,11 @@ def test_a_scene_of_one_is_that_thing_bit_for_bit(renderer_of: Make, thing: obje
     alone = renderer_of(thing, views=2).render(eyes())
     assert np.array_equal(renderer_of(Scene([Item(thing)]), views=2).render(eyes()), alone)  # type: ignore[arg-type]
     assert np.array_equal(renderer_of(Item(thing), views=2).render(eyes()), alone)  # type: ignore[arg-type]
+
+
+def test_depth_does_not_change_the_picture(renderer_of: Make) -> None:
+    for output in ("uint8", "float32"):
+        renderer = renderer_of(mixed_scene(), views=2, output=output)
+        alone = renderer.render(eyes())
+        beside, depth = renderer.render(eyes(), depth=True)
+        assert np.array_equal(alone, beside) and depth.shape == beside.shape[:3]

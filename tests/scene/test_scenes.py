@@ -217,3 +217,11 @@ def test_poses_fit_or_are_refused() -> None:
         Item(cloud(5), pose=Pose.zero(4))
     with pytest.raises(PoseError, match="is a Pose, not dict"):
         Item(limb(5)).pose = {}  # type: ignore[assignment]
+
+
+def test_statistics_do_not_count_padding(renderer_of: Make, context: Context) -> None:
+    for sorter in ("cpu", "gpu") if context.compute else ("cpu",):
+        renderer = renderer_of(Scene([Item(cloud(30)), Item(cloud(1025, seed=2))]), sorter=sorter)
+        renderer.render([camera()])
+        stats = renderer.stats
+        assert stats.splats == 1055 == stats.drawn + sum(stats.culled.values())

@@ -142,3 +142,10 @@ def test_prediction_moves_the_pose_ahead(stage: Stage, skeleton: Skeleton) -> No
         sample = stage.sample(t, head=(0.5 * t, *stage.eye[1:]), left=None, right=None)
         a, b = late.joints(late.update(sample)), early.joints(early.update(sample))
     assert b[HEAD, 0] - a[HEAD, 0] == pytest.approx(0.025, abs=0.005)
+
+
+def test_walking_backwards_and_sideways_does_not_turn_round(stage: Stage, track: Track) -> None:
+    x, y, z = stage.eye
+    for dx, dz in ((0.0, -0.8), (0.8, 0.0)):
+        samples = [stage.sample(t, head=(x + dx * t, y, z + dz * t), left=None, right=None) for t in seconds(3)]
+        assert np.abs(heading(track(samples))).max() < 20

@@ -116,7 +116,9 @@ def test_file_round_trip_and_errors(tmp_path: Path, skeleton: Skeleton) -> None:
     made = Calibration(scale=1.05, floor=-0.1, head_pitch=0.1, eye_height=1.6)
     made.save(path)
     assert Calibration.load(path) == made and json.loads(path.read_text())["scale"] == 1.05
-    broken = ["[]", "[1]", "{", "{}", '{"floor": 0}']
+    Calibration(scale=0.9, automatic=True).save(path)
+    assert Calibration.load(path) == Calibration(scale=0.9, automatic=True)
+    broken = ["[]", "[1]", "{", "{}", '{"floor": 0}', '{"scale": 1, "automatic": 1}', '{"scale": 1, "found": 7}']
     for text in (*broken, *(f'{{"scale": {value}}}' for value in ('"tall"', '"1"', "9", "true", "null"))):
         path.write_text(text)
         with pytest.raises(FormatError, match=r"me\.json"):

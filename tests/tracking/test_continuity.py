@@ -82,7 +82,7 @@ def bounded(result: Run, body: Body, most: float) -> None:
     assert (speeds[:, list(FEET)] * still).max() < 0.1
 
 
-@pytest.mark.parametrize("rate", [30.0, *(pytest.param(rate, marks=pytest.mark.check) for rate in (72.0, 90.0))])
+@pytest.mark.parametrize("rate", [30.0, pytest.param(72.0, marks=pytest.mark.check)])
 @pytest.mark.parametrize("seed", range(4))
 def test_strolls_with_stops_squats_and_turns(body: Body, track: Track, seed: int, rate: float) -> None:
     result = track(stroll(body, seed, rate))
@@ -91,10 +91,9 @@ def test_strolls_with_stops_squats_and_turns(body: Body, track: Track, seed: int
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0, 4.0])
-@pytest.mark.parametrize("rate", [30.0, pytest.param(72.0, marks=pytest.mark.check)])
-def test_recordings_that_begin_in_mid_stride(body: Body, track: Track, speed: float, rate: float) -> None:
+def test_recordings_that_begin_in_mid_stride(body: Body, track: Track, speed: float) -> None:
     for seed in range(3):
-        bounded(track(stroll(body, 10 + seed, rate, begin=speed)), body, 24.0)
+        bounded(track(stroll(body, 10 + seed, 30.0, begin=speed)), body, 24.0)
 
 
 @pytest.mark.parametrize(("moves", "hurries"), [(1, 1), (3, 1), (4, 0)])

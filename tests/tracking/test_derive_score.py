@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from glsplat.camera import head_matrix
+from glsplat.errors import PoseError
 from glsplat.evaluate.baseline import baseline
 from glsplat.evaluate.tracking_score import mean_score, score
 from glsplat.motion.loading import load_motion
@@ -86,3 +87,26 @@ def test_a_baseline_that_is_not_shown_the_first_frame_begins_at_rest(truth: True
     np.testing.assert_array_equal(baseline(replace(truth, positions=moved), "naive", body), estimate)
     feet = estimate[0, [7, 8], 1]
     np.testing.assert_allclose(feet, body.rest[[7, 8], 1] - body.ground, atol=1e-9)
+
+
+def test_rates_are_checked(skeleton: Skeleton) -> None:
+    with pytest.raises(PoseError, match="1 to 1000"):
+        truth_from_motion(skeleton, np.zeros((3, 55, 3)), np.zeros((3, 3)), 30.0, 0.0)
+    with pytest.raises(PoseError, match="two frames"):
+        truth_from_motion(skeleton, np.zeros((1, 55, 3)), np.zeros((1, 3)), 30.0, 72.0)
+
+
+def test_scores_refuse_what_does_not_match(truth: TrueMotion, body: Body) -> None:
+    with pytest.raises(PoseError, match="one shape"):
+        score(truth.positions[1:], truth.positions, 30.0, body.sole)
+    with pytest.raises(PoseError, match="at least 4"):
+        score(truth.positions[:3], truth.positions[:3], 30.0, body.sole)
+
+
+def test_baselines_know_head_and_hands(truth: TrueMotion, body: Body) -> None:
+    for kind in ("glued", "naive"):
+        estimate = baseline(truth, kind)
+        assert estimate.shape == truth.positions.shape and np.isfinite(estimate).all()
+        np.testing.assert_allclose(estimate[:, 20:22], truth.positions[:, 20:22])
+        np.testing.assert_allclose(estimate[:, 15], truth.positions[:, 15])
+        np.testing.assert_allclose(estimate[0], truth.positions[0], atol=0.06)  # it was shown the first frame

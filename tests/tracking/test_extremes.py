@@ -296,3 +296,18 @@ def test_the_same_samples_give_the_same_bytes(
     again.reset()
     for sample, rotations in zip(samples[:20], one.rotations, strict=False):
         assert again.update(sample).rotations[:22].tobytes() == rotations[:22].tobytes()
+
+
+def test_holes_of_some_tenths_are_bridged(stage: Stage, track: Track) -> None:
+    samples = [stage.sample(0.3 * i, left=stage.hand("left", y=0.68 + 0.05 * math.sin(i))) for i in range(40)]
+    result = track(samples)
+    assert not any(set(flags) & {"gap", "teleport"} for flags in result.flags)
+    assert max(pair[0] for pair in result.reach[1:] if pair[0] is not None) < 0.02
+
+
+def test_a_small_jump_of_the_head_is_not_a_teleport(stage: Stage, track: Track) -> None:
+    x, y, z = stage.eye
+    result = track([stage.sample(t, head=(x + (0.5 if t > 1 else 0), y, z), left=None, right=None) for t in seconds(3)])
+    assert not any("teleport" in flags for flags in result.flags)
+    assert np.linalg.norm(np.diff(result.trans, axis=0), axis=1).max() / DT < 15
+    assert result.joints[-1, list(FEET), 0].mean() == pytest.approx(0.5, abs=0.12)  # it stepped after it

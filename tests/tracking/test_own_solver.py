@@ -204,3 +204,25 @@ def test_limits_hold_for_a_solver_that_knows_none() -> None:
 def test_what_is_no_solver_is_refused(solver: Any) -> None:
     with pytest.raises(PoseError, match=r"needs the methods reset\(\) and solve\(targets, dt\)"):
         Tracker(SKELETON, solver=solver)
+
+
+def test_a_solver_that_never_works_leaves_the_zero_pose_on_the_floor() -> None:
+    own = Own()
+    own.kind = "nothing"
+    tracker = Tracker(SKELETON, solver=own)
+    for i in range(3):
+        pose = tracker.update(sample(i / 72, 0.0))
+        assert not pose.rotations[:22].any() and abs(pose.trans[1]) < 0.02
+        assert tracker.solver_error == "a solver returns a Solution, not NoneType"
+
+
+def test_an_interruption_is_not_swallowed() -> None:
+    own = Own()
+    tracker = Tracker(SKELETON, solver=own)
+    KINDS["stop"] = failing(KeyboardInterrupt())  # type: ignore[arg-type]
+    own.kind = "stop"
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            tracker.update(sample(0.0, 0.0))
+    finally:
+        del KINDS["stop"]

@@ -17,6 +17,7 @@ from glsplat.tracking.batch import forward_all
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, standing
 from glsplat.tracking.derive import derive, truth_from_motion
+from glsplat.tracking.learned.expected import FARTHEST, ExpectedError
 from glsplat.tracking.learned.hints import FootHint
 from glsplat.tracking.learned.seat import LONG, Seat
 from glsplat.tracking.learned.stance import NETWORK, Stance
@@ -153,6 +154,8 @@ def test_a_seated_start_is_told_and_sits(stage: Stage, track: Track, lean: float
     assert np.ptp(pelvis[:, 0], axis=0).max() < 0.07  # whatever the head does above it
     assert (knees[..., 1] > 0.35).all() and (knees[..., 2] > pelvis[..., 2] + 0.25).all()  # thighs ahead
     feet = feet[2 * RATE :]  # they have come to where they stay
+    ahead = feet[-1, :, 2] - pelvis[-1, 0, 2]  # not folded under the seat
+    assert 0.2 < ahead.min() and ahead.max() < 0.7
     assert np.ptp(feet, axis=0).max() < 0.05 and feet[..., 1].max() < stage.body.sole + 0.03
     assert np.abs(run.joints[late, HEAD, 1] - run.joints[late, HEAD, 1].mean()).max() < 0.08
 
@@ -301,3 +304,27 @@ def test_it_comes_and_goes_smoothly(stage: Stage, track: Track, solver: str, tim
 def test_a_stretch_that_is_none_is_refused(stretch: float) -> None:
     with pytest.raises(PoseError, match="stretch needs 0 to 1"):
         TrackerConfig(stretch=stretch)
+
+
+def test_a_new_user_begins_with_arms_at_rest(stage: Stage, skeleton: Skeleton) -> None:
+    tracker = Tracker(skeleton, config=RAW)
+    tracker.update(stage.sample(0.0, left=reaching(stage, 1.15)))
+    tracker.reset()
+    assert tracker.update(stage.sample(1.0)).translations is None
+
+
+def test_a_new_user_begins_on_the_floor(stage: Stage, skeleton: Skeleton) -> None:
+    tracker = Tracker(skeleton, solver="analytic")
+    for sample in climbing(stage, 1.0, down=False)[:360]:
+        tracker.update(sample)
+    assert "raised" in tracker.flags
+    tracker.reset()
+    joints = tracker.joints(tracker.update(stage.sample(0.0)))
+    assert "raised" not in tracker.flags and joints[list(FEET), 1].max() < stage.body.sole + 0.1
+
+
+def test_any_gap_gives_finite_metres(body: Body) -> None:
+    expected = ExpectedError(body.eye_height)
+    for gap in (0.0, 1e-9, 1e3, 1e30):
+        out = expected.update(Targets((0.0, 1e6, 0.0), (1.0, 0.0, 0.0, 0.0)), gap, 1e-4)
+        assert np.isfinite(out).all() and 0 <= min(out) and max(out) <= FARTHEST * expected.unit + 1e-9
