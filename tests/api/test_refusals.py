@@ -18,6 +18,7 @@ from tests.api.test_values import VIEW, K, one_splat, refused, two_bones
 from tests.scenes import cloud
 
 NO_NUMBERS: list[Any] = ["2", b"2", True, np.True_, 1j, np.complex64(1), None, [1], np.array([1.0]), {}, object()]
+NO_NUMBERS += [10**400, np.datetime64("2020"), memoryview(b"ab"), float]
 NO_SIZES: list[Any] = [64, 64.0, "64", (64,), (64, 48, 3), (64.0, 48.0), (64, True), ("6", "4"), (0, 4), (-1, 4), {}]
 NO_SWITCHES: list[Any] = ["no", "", 0, 1, 1.0, None, [], [False], np.array([True]), object()]
 URL = "ws://localhost:1/ws"
@@ -68,7 +69,8 @@ def test_arrays_of_anything_but_numbers(name: str) -> None:
         refused(lambda: call([masked(row) for row in good]), "mask")
     nothing = [] if name == "transform" else [None]  # where it stands as it was loaded
     others = [good.astype(kind) for kind in (complex, bool, str, object)]
-    for other in (*others, *nothing, "1", iter([1]), [1, [2, 3]]):
+    odd = ["1", iter([1]), [1, [2, 3]], memoryview(b"ab"), 10**400, np.datetime64("2020"), object(), np.full(3, np.nan)]
+    for other in (*others, *nothing, *odd):
         refused(lambda other=other: call(other))
 
 

@@ -27,7 +27,7 @@ def measured(skeleton: Skeleton, name: str, rate: float, solver: str, how: Distu
     motion = load_motion(name, skeleton)
     count = min(len(motion), round(8 * motion.fps))
     truth = truth_from_motion(skeleton, motion.rotations[:count], motion.trans[:count], motion.fps, rate)
-    samples = derive(skeleton, truth, fingers=False)
+    samples = derive(skeleton, truth)
     tracker = Tracker(skeleton, solver=solver)  # type: ignore[arg-type]
     poses = [tracker.update(sample) for sample in (samples if how is None else disturb(samples, how))]
     rotations, trans = np.array([p.rotations for p in poses]), np.array([p.trans for p in poses])
@@ -51,7 +51,8 @@ def test_head_and_reachable_hands_are_exact(stage: Stage, track: Track, solver: 
 @pytest.mark.parametrize("name", ["walk", "wave-and-turn", "idle"])
 def test_feet_stand_and_motion_is_no_rougher_than_it_should_be(skeleton: Skeleton, name: str) -> None:
     result = measured(skeleton, name, 72.0, "learned")
-    assert result.skate < 1 and result.penetration < 0.1 and result.hands < 0.5
+    assert result.skate < 1 and result.penetration < 0.1 and result.hands < 0.5 and result.fingers < 1
+    assert name == "walk" or (result.mpjpe < 4.5 and result.upper < 2)
     assert result.jitter < max(2 * result.jitter_truth, 1.5)
 
 
