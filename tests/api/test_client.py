@@ -216,21 +216,6 @@ def test_a_server_that_goes_away_wakes_all_who_wait():
     assert len({id(error) for error in outcomes}) == 4 and again == 1
 
 
-def test_close_wakes_all_who_wait():
-    backend, free = gated()
-
-    async def main():
-        async with serving(backend) as server, Client(server.url, timeout=GUARD) as client:
-            tasks = [asyncio.create_task(call) for call in (client.render(PAIR), client.render(PAIR), client.receive())]
-            await accepted(server, 1)
-            await client.close()
-            outcomes = await asyncio.gather(*tasks, return_exceptions=True)
-            free.set()
-            return outcomes
-
-    assert [str(error).endswith("the client was closed") for error in asyncio.run(main())] == [True] * 3
-
-
 def test_a_silent_server_is_not_one_that_is_not_there() -> None:
     async def said() -> tuple[tuple[str, str], tuple[str, str]]:
         async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
 from glsplat.formats import load, load_sog, losses, recognise, save, save_sog
-from glsplat.formats.sog.codebook import codebook
 from glsplat.formats.sog.palette import palette, palette_size
 from glsplat.formats.sog.write import stored_order
 from glsplat.splats import Splats
@@ -184,40 +183,19 @@ def test_what_is_lost_is_said(tmp_path: Path) -> None:
     scene = load_sog(tmp_path / "a.sog")
     drawn = int((awkward.finite() & awkward.quats.any(axis=1)).sum())
     assert len(scene) == drawn and scene.finite().all() and (scene.scales >= 1e-9 * 0.999).all()
-    said = list(losses(awkward, "a.sog"))
-    assert f"{len(awkward) - drawn} splats that are not finite or have no rotation are dropped (none is drawn)" in said
-    assert any(line.startswith("1 splats with negative scales") for line in said)
-    assert list(losses(random_splats(256, 3), "meta.json")) == []
-    assert ["nearest of 256 sets" in line for line in losses(random_splats(300, 3), "a.sog")] == [True]
     many = replace(random_splats(3), opacities=np.array([-1, 2, 0.5]))
-    assert list(losses(many, "a.sog")) == ["2 opacities outside 0 to 1 are clamped"]
-    assert "the rig of 5 joints is dropped" in next(losses(random_avatar(), "a.sog"))
-    save(random_avatar(), tmp_path / "b.sog")
-    assert len(load_sog(tmp_path / "b.sog")) == 40
+    for scene, words in (
+        (awkward, ["6 splats that are not finite", "1 splats with negative scales"]),
+        (random_splats(256, 3), []),
+        (random_splats(300, 3), ["nearest of 256 sets"]),
+        (many, ["2 opacities outside 0 to 1 are clamped"]),
+        (random_avatar(), ["the rig of 5 joints is dropped"]),
+    ):
+        said = list(losses(scene, "a.sog"))
+        assert bool(said) == bool(words) and all(any(word in line for line in said) for word in words), said
 
 
 # --- what values become ---
-
-
-def test_codebook(rng: np.random.Generator) -> None:
-    few = rng.normal(size=200).astype(np.float32)
-    book, index = codebook(np.tile(few, (50, 1)))
-    np.testing.assert_array_equal(book[index], np.tile(few, (50, 1)))
-    for values in (
-        rng.normal(size=50_000),
-        np.concatenate([rng.normal(size=50_000), [1000.0]]),
-        np.concatenate([rng.normal(0, 0.01, 20_000), rng.uniform(-9, 9, 300)]),
-        np.exp(rng.normal(0, 2, 20_000)),
-    ):
-        book, index = codebook(values)
-        assert len(book) == 256 and (np.diff(book) >= 0).all() and index.dtype == np.uint8
-        error = np.abs(book[index] - values)
-        assert error.max() <= np.ptp(values) / 60
-        np.testing.assert_allclose(error, np.abs(values[:, None] - book).min(axis=1), atol=1e-5 * np.ptp(values))
-    normal = rng.normal(size=200_000)
-    book, index = codebook(normal)
-    # Panter and Dite: sqrt(3) pi / 2 sigma^2 / 256^2 is what the best of all codebooks leaves
-    assert (book[index] - normal).std() < 1.15 * math.sqrt(math.sqrt(3) * math.pi / 2) / 256
 
 
 @pytest.mark.check

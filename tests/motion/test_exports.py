@@ -152,3 +152,18 @@ def test_limbs_that_stretch_are_said(tmp_path: Path, skeleton: Skeleton, walk: M
 def _channels(head: str) -> list[tuple[str, str]]:
     lines = head.split("\n")
     return [(line.split()[1], lines[k + 3]) for k, line in enumerate(lines) if line.startswith(("ROOT", "JOINT"))]
+
+
+@pytest.mark.check
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["cmu_02_04.amc", "cmu_131_03.bvh"])
+def test_soles_of_captured_people_are_flat(shared_data: Path, skeleton: Skeleton, name: str) -> None:
+    """CMU's skeletons rest with legs and soles spread by 20 degrees, which they would keep."""
+    motion = load_motion(shared_data / "mocap" / name, skeleton)
+    ours = posed(motion, skeleton)
+    for side in SIDES:
+        foot = ours[:, AT[f"{side}_ankle"]]
+        still = np.linalg.norm(np.diff(foot[:, :3, 3], axis=0), axis=1) * motion.fps < 0.2
+        stands = still & (foot[1:, 1, 3] < np.percentile(foot[:, 1, 3], 5) + 0.05)
+        tilt = np.degrees(np.arcsin(foot[1:][stands, 1, 0]))  # of the foot's own left
+        assert stands.sum() >= 3 and abs(np.median(tilt)) < 6

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from glsplat.errors import PoseError
-from glsplat.evaluate.tracking_score import score
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig
-from glsplat.tracking.batch import forward_all
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, standing
-from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.learned.expected import FARTHEST, ExpectedError
 from glsplat.tracking.learned.hints import FootHint
 from glsplat.tracking.learned.seat import LONG, Seat
@@ -25,7 +21,6 @@ from glsplat.tracking.solve.body import ANKLES, ELBOWS, FEET, HEAD, KNEES, PELVI
 from glsplat.tracking.solve.solution import Targets
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solvers import SOLVERS, SolverName
-from tests.motion.captured import captured
 from tests.tracking.moves import DT, Stage, Track, head_turn, seconds
 
 Place = tuple[float, float, float]
@@ -226,24 +221,6 @@ def test_a_taller_user_stands_on_the_floor(stage: Stage, track: Track, solver: S
     result = track([stage.sample(t, head=(x, y + taller, z), left=None, right=None) for t in seconds(4)], solver=solver)
     assert "raised" not in result.flags[-1] and "head_out_of_reach" in result.flags[-1]
     assert result.joints[-1, list(FEET), 1].max() < stage.body.sole + 0.02
-
-
-@pytest.mark.check
-@pytest.mark.shared
-@EACH
-def test_captured_climbs(skeleton: Skeleton, shared_data: Path, solver: SolverName) -> None:
-    """Steps and a ladder of the CMU database, by somebody on whom neither solver was developed but for the ground:
-    28 to 35 cm off without it.
-    """
-    body = Body.of(skeleton)
-    for name in ("14_21", "14_33"):
-        motion = captured(shared_data / "mocap_cmu", f"cmu_{name}.npz", skeleton)
-        truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, 72.0)
-        tracker = Tracker(skeleton, solver=solver)
-        poses = [tracker.update(s) for s in derive(skeleton, truth, fingers=False)[:860]]
-        rotations, trans = (np.stack([getattr(p, a) for p in poses]) for a in ("rotations", "trans"))
-        found, _ = forward_all(skeleton, rotations, trans)
-        assert score(found, truth.positions[:860], 72.0, body.sole).mpjpe < 11
 
 
 RAW = TrackerConfig.raw()
