@@ -235,3 +235,18 @@ def test_a_silent_server_is_not_one_that_is_not_there() -> None:
     (there, code), (gone, other) = asyncio.run(said())
     assert "no answer within 0.3 s" in there and "start one" not in there and code == "timeout"
     assert "start one with `glsplat serve`" in gone and other == "unreachable"
+
+
+def test_close_wakes_all_who_wait():
+    backend, free = gated()
+
+    async def main():
+        async with serving(backend) as server, Client(server.url, timeout=GUARD) as client:
+            tasks = [asyncio.create_task(call) for call in (client.render(PAIR), client.render(PAIR), client.receive())]
+            await accepted(server, 1)
+            await client.close()
+            outcomes = await asyncio.gather(*tasks, return_exceptions=True)
+            free.set()
+            return outcomes
+
+    assert [str(error).endswith("the client was closed") for error in asyncio.run(main())] == [True] * 3

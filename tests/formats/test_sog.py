@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
 from glsplat.formats import load, load_sog, losses, recognise, save, save_sog
+from glsplat.formats.sog.codebook import codebook
 from glsplat.formats.sog.palette import palette, palette_size
 from glsplat.formats.sog.write import stored_order
 from glsplat.splats import Splats
@@ -515,3 +516,24 @@ def test_mutated_zip(tmp_path: Path, data: st.DataObject) -> None:
         content[at : at + 2] = data.draw(st.binary(min_size=1, max_size=4))
     (tmp_path / "fuzz.sog").write_bytes(content)
     only_format_errors(tmp_path / "fuzz.sog", load)
+
+
+def test_codebook(rng: np.random.Generator) -> None:
+    few = rng.normal(size=200).astype(np.float32)
+    book, index = codebook(np.tile(few, (50, 1)))
+    np.testing.assert_array_equal(book[index], np.tile(few, (50, 1)))
+    for values in (
+        rng.normal(size=50_000),
+        np.concatenate([rng.normal(size=50_000), [1000.0]]),
+        np.concatenate([rng.normal(0, 0.01, 20_000), rng.uniform(-9, 9, 300)]),
+        np.exp(rng.normal(0, 2, 20_000)),
+    ):
+        book, index = codebook(values)
+        assert len(book) == 256 and (np.diff(book) >= 0).all() and index.dtype == np.uint8
+        error = np.abs(book[index] - values)
+        assert error.max() <= np.ptp(values) / 60
+        np.testing.assert_allclose(error, np.abs(values[:, None] - book).min(axis=1), atol=1e-5 * np.ptp(values))
+    normal = rng.normal(size=200_000)
+    book, index = codebook(normal)
+    # Panter and Dite: sqrt(3) pi / 2 sigma^2 / 256^2 is what the best of all codebooks leaves
+    assert (book[index] - normal).std() < 1.15 * math.sqrt(math.sqrt(3) * math.pi / 2) / 256
