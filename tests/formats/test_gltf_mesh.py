@@ -12,9 +12,13 @@ import pygltflib
 import pytest
 import trimesh
 
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.data import participants_folder
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.formats.gltf.meshes.write import save_gltf_mesh
+from glsplat.formats.person import read_person
+from glsplat.mesh import MeshRenderer
 from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.scenes import load
 from glsplat.skinning.pose import Pose
@@ -144,3 +148,16 @@ def test_expressions_are_morph_targets(tmp_path: Path, name: str) -> None:
     for face in ({"eyeBlinkLeft": 1.0}, {"jawOpen": 0.5}, {}):
         pose = Pose(bends(mesh).rotations, expression=face)
         assert corners(found, pose) == pytest.approx(corners(mesh, pose), abs=1e-6)
+
+
+@pytest.mark.gl
+def test_participants_look_the_same(tmp_path: Path) -> None:
+    person = read_person(participants_folder() / "p01.npz")
+    save_gltf_mesh(person, tmp_path / "p.glb")
+    again = read_gltf_person(tmp_path / "p.glb")
+    camera = Camera(look_at((0, 0.9, 2.6), (0, 0.9, 0)), pinhole(256, 256, fov=45), 256, 256)
+    pictures = []
+    for mesh in (person, again):
+        with MeshRenderer(mesh, size=(256, 256)) as renderer:
+            pictures.append(renderer.render([camera], Pose.zero())[0].astype(int))
+    assert pictures[0][..., 3].max() == 255 and np.abs(pictures[0] - pictures[1]).max() <= 2

@@ -14,7 +14,7 @@ from glsplat.authoring.cones import ConeConfig, hidden, with_cones
 from glsplat.authoring.posed import posed_splats
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.errors import GlsplatError
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.gl.context import Context
 from glsplat.passes.present import Layout, Present
 from glsplat.renderer import Renderer
@@ -227,3 +227,13 @@ def test_a_window_shows_lifted_pictures_too(renderer_of: Make, context: Context,
     }[layout]()
     assert np.abs(shown.astype(int) - wanted).max() <= 1  # half a level either way
     assert renderer_of(scene, size=size, views=2).draw(views).lift is None
+
+
+@pytest.mark.gl
+def test_no_cones_is_one_clear_line(renderer_of: Make) -> None:
+    with pytest.raises(GlsplatError, match="cull_hidden needs splats with visibility cones"):
+        renderer_of(cloud(10), cull_hidden=True)
+    with pytest.raises(GlsplatError, match="no visibility cones"):
+        hidden(cloud(10), [np.zeros(3)])
+    with pytest.raises(FormatError, match="cones needs int8"):
+        replace(cloud(10), cones=np.zeros((9, 4), np.int8))
