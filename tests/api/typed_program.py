@@ -1,4 +1,4 @@
-"""What a user who checks types strictly writes. tests/api/test_types.py runs mypy --strict (and pyright) on it."""
+"""A user's program under strict types. tests/api/test_examples.py runs mypy --strict on it."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, load_gltf, load_ply, load_splat, save
 from glsplat.io.files import replace_file
@@ -453,3 +454,13 @@ def test_of_a_large_buffer_only_what_is_wanted_is_read(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) < 64
     same(load(tmp_path / "b.glb"), load(tmp_path / "a.glb"))
+
+
+def test_the_default_avatar_through_memory() -> None:
+    avatar, memory = default_avatar(), io.BytesIO()
+    save(avatar, memory, format="glb")
+    memory.seek(0)
+    again = load(memory)
+    assert isinstance(again, Avatar) and again.skeleton.names == avatar.skeleton.names
+    same(again, avatar)
+    assert (again.skin.weights == avatar.skin.weights).all()

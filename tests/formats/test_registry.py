@@ -19,7 +19,9 @@ from glsplat.formats.format import Opened
 from glsplat.io.files import Source, replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import SH_C0, Splats
-from tests.formats.scenes import awkward_splats, random_avatar, random_splats
+from tests.formats.scenes import avatar_with_levels, awkward_splats, random_avatar, random_splats
+from tests.light.lit import surfaced
+from tests.skinning.faces import expressive
 
 
 def load_toy(start: Opened) -> Splats:
@@ -191,3 +193,18 @@ def test_every_format_says_in_which_order_it_writes(tmp_path: Path, suffix: str)
     found = read_back(scene, tmp_path / f"a{suffix}")
     assert found.positions.largest < 0.05
     assert found.rotations.largest < 5 and found.colours.mean < 20 and found.opacities.largest < 0.1
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        (expressive(20), ["4 shapes of the face are dropped", "the rig of 4 joints"]),
+        (avatar_with_levels(), ["3 coarser levels of detail dropped", "the visibility cones are dropped"]),
+        (surfaced(random_splats(5, 0)), ["the surface is dropped"]),
+    ],
+    ids=["shapes", "levels", "surface"],
+)
+def test_a_plain_format_says_what_it_drops(scene: Splats | Avatar, words: list[str]) -> None:
+    said = list(losses(scene, "a.ply"))
+    assert all(any(word in line for line in said) for word in words), said
+    assert not list(losses(scene, "a.glb"))

@@ -537,3 +537,14 @@ def test_codebook(rng: np.random.Generator) -> None:
     book, index = codebook(normal)
     # Panter and Dite: sqrt(3) pi / 2 sigma^2 / 256^2 is what the best of all codebooks leaves
     assert (book[index] - normal).std() < 1.15 * math.sqrt(math.sqrt(3) * math.pi / 2) / 256
+
+
+def test_targets_that_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "a.sog").mkdir()
+    for target in ("none/x/meta.json", "file/meta.json", "none/a.sog", "a.sog"):
+        with pytest.raises(FormatError, match="cannot be written"):
+            save(random_splats(), tmp_path / target)
+    with pytest.raises(FormatError, match=r"needs to end in .*\.sog, meta\.json.* not '\.json'"):
+        save(random_splats(), tmp_path / "other.json")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a.sog", "file"]
