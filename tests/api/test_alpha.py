@@ -89,7 +89,7 @@ def test_over_white_it_is_the_picture_rendered_over_white(renderer_of: Any, view
 
 
 def test_the_background_is_taken_out_again() -> None:
-    rng, blue = np.random.default_rng(4), np.float32((0.2, 0.4, 0.9))
+    rng, blue = np.random.default_rng(4), np.array([0.2, 0.4, 0.9], np.float32)
     plain = rng.uniform(0.1, 1, (20, 4)).astype(np.float32)
     over = plain.copy()
     over[:, :3] = plain[:, :3] * plain[:, 3:] + (1 - plain[:, 3:]) * blue

@@ -54,6 +54,6 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.check
 def test_a_strict_program_is_clean() -> None:
     program = Path(__file__).with_name("typed_program.py")
-    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", program]
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", str(program)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stdout + done.stderr
