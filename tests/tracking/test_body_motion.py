@@ -129,3 +129,9 @@ def test_walking_backwards_and_sideways_does_not_turn_round(stage: Stage, track:
     for dx, dz in ((0.0, -0.8), (0.8, 0.0)):
         samples = [stage.sample(t, head=(x + dx * t, y, z + dz * t), left=None, right=None) for t in seconds(3)]
         assert np.abs(heading(track(samples))).max() < 20
+
+
+def test_a_wire_request_drives_the_tracker(stage: Stage, skeleton: Skeleton) -> None:
+    wire = stage.sample(0.0).to_json()
+    direct = Tracker(skeleton).update(stage.sample(0.0)).rotations
+    np.testing.assert_array_equal(Tracker(skeleton)(wire, 12345.0).rotations, direct)

@@ -27,7 +27,18 @@ from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 from glsplat.tracking.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
 from glsplat.tracking.training.disturbed import disturbed
-from glsplat.tracking.training.fit import Lesson, TrainingConfig, _seen_from, evaluate, features, fit, lessons_of, loss
+from glsplat.tracking.training.fit import (
+    MADE,
+    Lesson,
+    TrainingConfig,
+    _seen_from,
+    evaluate,
+    features,
+    fit,
+    lessons_of,
+    loss,
+    shares_of,
+)
 from glsplat.tracking.training.recurrent import Learner, started
 from glsplat.tracking.training.standing import TALL, stances_of, stood
 
@@ -291,3 +302,30 @@ def test_a_steady_place_trembles_less_and_is_not_behind(rng: np.random.Generator
     shown = np.array([steady.update((x, y, z), dt) for x, y, z in trembles.tolist()])
     jerk = [np.linalg.norm(np.diff(p, n=3, axis=0), axis=-1).mean() for p in (shown, trembles)]
     assert jerk[0] < 0.5 * jerk[1]
+
+
+def test_a_network_that_goes_on_begins_where_it_was(lessons: list[Lesson]) -> None:
+    start = fit(lessons, replace(SMALL, steps=3))
+    same = fit(lessons, replace(SMALL, steps=1, rate=0.0), start)
+    for name, array in same.weights().items():
+        np.testing.assert_allclose(array, start.weights()[name], atol=2e-5, err_msg=name)
+    x, state = lessons[0].heard[5], start.start()
+    np.testing.assert_allclose(same.step(x, state)[0], start.step(x, state)[0], atol=1e-3)
+
+
+def test_clips_made_of_several_have_their_share(skeleton: Skeleton) -> None:
+    walk = load_motion("walk", skeleton)
+    clips = [*clips_of("a", walk, skeleton), *clips_of("b", walk, skeleton, made=True)]
+    assert [clip.made for clip in clips].count(True) == 2
+    share = shares_of(clips)
+    assert share.sum() == pytest.approx(1)
+    assert sum(s for s, clip in zip(share, clips, strict=True) if clip.made) == pytest.approx(MADE)
+
+
+def test_who_would_fall_is_left_out(skeleton: Skeleton, rng: np.random.Generator) -> None:
+    walk = load_motion("walk", skeleton)
+    stances = stances_of(load_motion("wave-and-turn", skeleton), skeleton)
+    rotations = walk.rotations.copy()
+    rotations[:, PELVIS] = (1.5, 0.0, 0.0)  # lies on the belly
+    assert stood(replace(walk, rotations=rotations), stances, skeleton, rng) is None
+    assert stood(walk, [], skeleton, rng) is None
