@@ -82,7 +82,7 @@ SCALARS: dict[str, tuple[Callable[[Any], Any], list[Any]]] = {
     "fov": (lambda v: glsplat.pinhole(64, 64, v), [0, 180, np.nan]),
     "ipd": (lambda v: glsplat.stereo_cameras(EYE, ipd=v), [63, 6.3, 2.1, -0.063, np.nan, np.inf]),
     "scale": (lambda v: glsplat.similarity(scale=v), [np.nan, np.inf, 0, -1, 1e-7, 1e7]),
-    "joint_count": (lambda v: Skin.create([[0]], [[1.0]], v), [0.5]),
+    "joint_count": (lambda v: Skin.create([[0]], [[1.0]], v), [0.5, 0, -1]),
     "zero": (Pose.zero, [-1, 0.5]),
     "eps2d": (lambda v: RenderConfig(eps2d=v), [np.nan]),
     "sort_period": (lambda v: RenderConfig(sort_period=v), [2.0]),

@@ -298,3 +298,12 @@ def test_what_is_no_pose_is_refused_with_and_without_a_skeleton(renderer_of: Mak
 def test_other_arguments_of_render(renderer_of: Make, more: dict[str, Any]) -> None:
     with pytest.raises(GlsplatError, match=r"out needs a contiguous array|depth is True or False"):
         renderer_of(cloud(50)).render([camera(SIZE)], **more)
+
+
+@pytest.mark.gl
+def test_views_of_render(renderer_of: Make) -> None:
+    renderer, view = renderer_of(cloud(50)), camera(SIZE)
+    wrong = ((view, r"write render\(\[camera\]\)"), ([view, None], "holds NoneType"), ([], "at least one camera"))
+    for views, message in (*wrong, ([camera(32)], "the renderer's size 64x64")):
+        with pytest.raises(GlsplatError, match=message):
+            renderer.render(views)  # type: ignore[arg-type]
