@@ -464,3 +464,25 @@ def test_the_default_avatar_through_memory() -> None:
     assert isinstance(again, Avatar) and again.skeleton.names == avatar.skeleton.names
     same(again, avatar)
     assert (again.skin.weights == avatar.skin.weights).all()
+
+
+@pytest.mark.check
+def test_a_disk_that_is_full_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    """The system refuses in the middle of writing: a limit on the size of files stands in for the disk."""
+    for suffix in SUFFIXES:
+        save(random_splats(3), tmp_path / f"a{suffix}")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    script = (
+        "import resource, sys, glsplat\n"
+        "from tests.formats.scenes import random_splats\n"
+        "scene = random_splats(30000)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (200000, 200000))\n"
+        "for path in sys.argv[1:]:\n"
+        "    try: glsplat.save(scene, path)\n"
+        "    except glsplat.GlsplatError as error: print(error)\n"
+    )
+    targets = [tmp_path / f"{name}{suffix}" for suffix in SUFFIXES for name in ("a", "new")]
+    command = [sys.executable, "-c", script, *map(str, targets)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout.splitlines() == [f"{target}: cannot be written (File too large)" for target in targets], done
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
