@@ -2,23 +2,24 @@
 
     python -m tools.docs.captures [docs/images]
 
-The pictures are those of tests/authoring/photo/test_capture.py and tests/authoring/reconstruct/test_robustness.py. Look
-at both sheets.
+The bad ones are those of tests/authoring/photo/test_capture.py. Look at both sheets.
 """
 
 from __future__ import annotations
 
+import io
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from glsplat.authoring.photo.capture import check_capture
 from glsplat.authoring.photo.photo_file import photo_of
-from tests.authoring.captures import capture
+from tests.authoring.captures import Capture, capture
 from tests.authoring.photo.test_capture import BAD
-from tests.authoring.reconstruct.test_robustness import EDITS
 
 TILE, CAPTION, COLUMNS = (190, 270), 20, 6
 GOOD = {
@@ -43,6 +44,54 @@ FAULTS = (
     "too dark",
     "on its side",
 )
+
+
+def packed(picture: np.ndarray, quality: int = 92, **options: object) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(picture, np.uint8)).save(out, "JPEG", quality=quality, **options)
+    return out.getvalue()
+
+
+def small(person: Capture) -> tuple[bytes, np.ndarray]:
+    """640 x 960 at quality 40."""
+    return packed(cv2.resize(person.picture, (640, 960), interpolation=cv2.INTER_AREA), 40), person.picture
+
+
+def mirrored(person: Capture) -> tuple[bytes, np.ndarray]:
+    """As many phones store the picture of their front camera."""
+    return packed(person.picture[:, ::-1]), person.picture[:, ::-1]
+
+
+def other_room(person: Capture) -> tuple[bytes, np.ndarray]:
+    """Shelves of books instead of the wall."""
+    books = np.random.default_rng(5).integers(20, 230, (9, 60, 3)).astype(np.float32)
+    room = cv2.resize(books, person.picture.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    soft = cv2.GaussianBlur(person.mask.astype(np.float32), (0, 0), 0.8)[..., None]
+    return packed(soft * person.picture + (1 - soft) * cv2.GaussianBlur(room, (0, 0), 1.5)), person.picture
+
+
+def side_light(person: Capture) -> tuple[bytes, np.ndarray]:
+    """From 40 % of the light to 160 % across the person."""
+    left, right = np.flatnonzero(person.mask.any(axis=0))[[0, -1]]
+    ramp = np.interp(np.arange(person.picture.shape[1]), (left, right), (0.4, 1.6))[None, :, None]
+    lit = 255 * np.clip((person.picture / 255.0) ** 2.2 * ramp, 0, 1) ** (1 / 2.2)
+    return packed(lit), lit.astype(np.uint8)
+
+
+def tilted(person: Capture) -> tuple[bytes, np.ndarray]:
+    """The camera held five degrees off the level, a little farther away."""
+    height, width = person.picture.shape[:2]
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), 5, 0.9)
+    return packed(cv2.warpAffine(person.picture, turn, (width, height), borderMode=cv2.BORDER_REFLECT)), person.picture
+
+
+EDITS: dict[str, Callable[[Capture], tuple[bytes, np.ndarray]]] = {
+    "p01": small,
+    "p02": mirrored,
+    "p05": other_room,
+    "p08": side_light,
+    "p10": tilted,
+}
 
 
 def tile(picture: np.ndarray, caption: str) -> np.ndarray:

@@ -33,8 +33,8 @@ from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.authoring.captures import capture
-from tests.authoring.filmed import SIZE, VIEWS, views_of
 from tests.conftest import SHARED_DATA
+from tools.docs.filmed import SIZE, VIEWS, views_of
 
 CROP = 0.66  # share of the square's width that the sheets show
 SHOWN = ("front", "left", "back")

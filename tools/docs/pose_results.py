@@ -28,9 +28,9 @@ from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.authoring.captures import Capture, capture
-from tests.authoring.filmed import SIZE, views_of
-from tests.authoring.poses import POSES, standing
 from tests.conftest import SHARED_DATA
+from tools.docs.filmed import SIZE, views_of
+from tools.docs.poses import POSES, standing
 
 A_POSE, BAG, GLASSES = "A-pose", "a bag in a hand", "sunglasses"
 TURN, BEND = 4.0, 1.0  # degrees by which each capture is turned, at most, and each joint bent, one standard deviation

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.authoring.filmed import SHOWN, cameras_of, compared, drawn, filmed
+from tools.docs.filmed import SHOWN, cameras_of, compared, drawn, filmed
 from tools.docs.photo_results import avatar_of
 
 POSES = "T-pose", "stride"
