@@ -1,35 +1,21 @@
-"""The parts of a fit, each alone: views, outlines, least squares, calibration, offsets."""
+"""The parts of a fit: kinematics, views, outlines, least squares, offsets."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
+import cv2
 import numpy as np
 import pytest
 
-from glsplat.authoring.fit.body import open_body
-from glsplat.authoring.fit.face import face_places
-from glsplat.authoring.fit.hands import CARRIERS, hand_places
-from glsplat.authoring.fit.landmarks import LANDMARK_COUNT, LANDMARKS, landmarks, twin
+from glsplat.authoring.fit.body import BETAS, open_body
+from glsplat.authoring.fit.kinematics import PLACE, Hinges, PosedBody, projected
+from glsplat.authoring.fit.landmarks import LANDMARK_COUNT
 from glsplat.authoring.fit.levenberg import least_squares
 from glsplat.authoring.fit.offsets import MOST, smooth_offsets
-from glsplat.authoring.fit.outline import edge_distances, lengths_inside, overlap, projected_mask
+from glsplat.authoring.fit.outline import brimless, edge_distances, lengths_inside, overlap, projected_mask
 from glsplat.authoring.fit.view import SIDES, View, facing
 from glsplat.errors import FormatError
-from glsplat.rotations import rotation_matrices
-from glsplat.skinning.smplx import JOINT_NAMES
-from tools.data.calibrate import (
-    KnownFace,
-    KnownHand,
-    KnownPicture,
-    calibrate,
-    calibrate_face,
-    calibrate_hands,
-    write_face_table,
-    write_hand_table,
-    write_table,
-)
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
 MASK = np.zeros((200, 150), bool)
 MASK[40:160, 50:100] = True
@@ -46,6 +32,7 @@ MARKS, SURE = np.zeros((LANDMARK_COUNT, 2)), np.ones(LANDMARK_COUNT)
         ({"focal": 0.0}, "above zero, not 0"),
         ({"focal": np.inf}, "above zero, not inf"),
         ({"side": "top"}, 'not "top"'),
+        ({"face": np.nan}, "a face's turn needs degrees, not nan"),
     ],
 )
 def test_a_view_says_what_it_misses(change: dict[str, object], message: str) -> None:
@@ -56,8 +43,8 @@ def test_a_view_says_what_it_misses(change: dict[str, object], message: str) -> 
 
 def test_a_smaller_view_is_the_same_picture() -> None:
     marks = np.tile([75.0, 100.0], (LANDMARK_COUNT, 1))
-    small = View(MASK, marks, SURE, 300.0).smaller(80.0)
-    assert abs(small.figure - 80) <= 1 and abs(small.focal - 200) < 2
+    small = View(MASK, marks, SURE, 300.0, face=-12.0).smaller(80.0)
+    assert abs(small.figure - 80) <= 1 and abs(small.focal - 200) < 2 and small.face == -12.0
     assert np.allclose(small.landmarks[0], small.centre)  # the middle stays the middle
     assert View(MASK, marks, SURE, 300.0).smaller(500.0).mask is MASK
 
@@ -101,31 +88,6 @@ def test_least_squares_descends_the_curved_valley() -> None:
     assert (least_squares(broken, np.ones(3), 5) == 1).all()  # never worse than it was given
 
 
-def test_calibration_finds_the_offsets_again(rng: np.random.Generator, tmp_path: Path) -> None:
-    table = landmarks()
-    pictures = []
-    for number in range(12):
-        joints = rng.normal(0, 0.3, (55, 3)) + (0, 0, 3)
-        frames = rotation_matrices(rng.normal(0, 0.6, (55, 3)))
-        at = joints[table.joints] + np.einsum("lij,lj->li", frames[table.joints], table.offsets * 1.7)
-        marks = np.zeros((LANDMARK_COUNT, 2))
-        marks[table.numbers] = at[:, :2] / at[:, 2:] * 1000 + (300, 400)
-        if number == 3:
-            marks += 150  # one person's are wrong
-        pictures.append(KnownPicture(joints, frames, marks, 1000.0, np.array([300.0, 400.0]), 1.7))
-    found = calibrate(pictures)
-    assert np.abs(found.offsets - table.offsets).max() < 2e-3 and found.strays.max() < 3e-3
-    write_table(found, tmp_path / "table.json", "made up")
-    assert len(json.loads((tmp_path / "table.json").read_text())["landmarks"]) == len(LANDMARKS)
-
-
-def test_twins_are_pairs() -> None:
-    numbers = [number for number, _ in LANDMARKS]
-    assert all(twin(twin(n)) == n and twin(n) in numbers for n in numbers) and twin(0) == 0 and twin(11) == 12
-    table = landmarks()
-    assert np.allclose(table.offsets[table.twins] * (-1, 1, 1), table.offsets)
-
-
 def test_offsets_meet_what_is_known_and_are_smooth_elsewhere() -> None:
     body = open_body()
     chest = np.flatnonzero(body.skin & (body.vertices[:, 1] > 0.2) & (body.vertices[:, 1] < 0.4))
@@ -135,47 +97,71 @@ def test_offsets_meet_what_is_known_and_are_smooth_elsewhere() -> None:
     assert smooth_offsets(body, chest, np.full(len(chest), 9.0), np.ones(len(chest))).max() <= MOST[1]
 
 
-def test_calibration_finds_the_hands_places_again(rng: np.random.Generator, tmp_path: Path) -> None:
-    table, hands = hand_places(), []
-    for number in range(12):
-        side, mirror = ("left", np.ones(3)) if number % 2 else ("right", np.array([-1.0, 1, 1]))
-        joints, frames = rng.normal(0, 0.3, (55, 3)) + (0, 0, 3), rotation_matrices(rng.normal(0, 0.6, (55, 3)))
-        carriers = [JOINT_NAMES.index(f"{side}_{name}") for name in CARRIERS]
-        at = joints[carriers] + np.einsum("lij,lj->li", frames[carriers], table.offsets * mirror * 0.1)
-        marks = at[:, :2] / at[:, 2:] * 1000 + (300, 400) + (30 if number == 4 else 0)  # one hand's are wrong
-        hands.append(KnownHand(joints, frames, marks, side, 0.1, 1000.0, np.array([300.0, 400.0])))
-    found = calibrate_hands(hands)
-    assert np.abs(found.offsets - table.offsets).max() < 0.03 and found.strays.max() < 0.02
-    write_hand_table(found, tmp_path / "table.json", "made up")
-    assert len(json.loads((tmp_path / "table.json").read_text())["landmarks"]) == 21
+FIGURE, NECK = 480.0, 100  # rows; below it nobody asks
 
 
-def test_calibration_finds_the_spots_of_the_face_again(rng: np.random.Generator, tmp_path: Path) -> None:
-    body, table = open_body(), face_places()
-    people = []
-    for number in range(6):
-        turn = rotation_matrices(rng.normal(0, 0.1, 3)) @ facing(SIDES["front"])
-        vertices = body.vertices @ turn.T + (0, 0.5, 3)
-        marks = np.full((468, 2), -100.0)
-        spots = table.of(body, vertices)
-        marks[table.numbers] = spots[:, :2] / spots[:, 2:] * 2000 + (300, 400) + rng.normal(0, 0.3, (len(spots), 2))
-        if number == 2:
-            marks += 8
-        people.append(KnownFace(vertices, marks, 2000.0, np.array([300.0, 400.0])))
-    found = calibrate_face(body, people)
-    both = np.isin(found.numbers, table.numbers)
-    known = np.isin(table.numbers, found.numbers)
-    assert both.all() and known.sum() > 0.8 * len(known)
-    away = found.of(body, body.vertices) - table.of(body, body.vertices)[known]
-    assert np.linalg.norm(away, axis=1).max() < 0.004 and np.linalg.norm(away, axis=1).mean() < 0.0015
-    write_face_table(found, tmp_path / "table.json", "made up")
-    assert len(json.loads((tmp_path / "table.json").read_text())["landmarks"]) == len(found.numbers)
+def head() -> np.ndarray:
+    """[160, 160] a head with a neck and shoulders."""
+    mask = np.zeros((160, 160), np.uint8)
+    cv2.ellipse(mask, (80, 60), (24, 32), 0, 0, 360, 1, -1)
+    cv2.rectangle(mask, (68, 80), (92, 110), 1, -1)
+    cv2.ellipse(mask, (80, 140), (70, 36), 0, 0, 360, 1, -1)
+    return mask
 
 
-def test_tables_of_hands_and_face_are_mirrored_and_whole() -> None:
-    body, table = open_body(), face_places()
-    spots = table.of(body, body.vertices)
-    assert np.allclose(table.weights.sum(axis=1), 1) and (table.weights >= 0).all() and (table.strays > 0).all()
-    near = np.linalg.norm(spots[:, None] * (-1, 1, 1) - spots, axis=2).min(axis=1)
-    assert np.median(near) < 0.002 and body.skin[body.faces[table.faces]].all()
-    assert hand_places().offsets.shape == (21, 3) == (len(CARRIERS), 3)
+@pytest.mark.parametrize(("thick", "aslant"), [(3, -4), (7, 4)])
+def test_the_brim_of_a_hat_is_removed(thick: int, aslant: int) -> None:
+    plain = head()
+    worn = cv2.ellipse(plain.copy(), (80, 42), (52, thick), aslant, 0, 360, 1, -1)
+    assert worn.sum() - plain.sum() > 100
+    left, plain = brimless(worn > 0, FIGURE)[:NECK], plain[:NECK]
+    assert (left & (plain == 0)).sum() < 0.2 * (worn[:NECK].sum() - plain.sum())
+    assert (left & (plain > 0)).sum() > 0.98 * plain.sum()
+
+
+def test_hair_and_ears_stay() -> None:
+    mask = head()
+    cv2.ellipse(mask, (80, 62), (34, 38), 0, 0, 360, 1, -1)  # a shock of hair
+    for x in (46, 114):
+        cv2.ellipse(mask, (x, 62), (5, 9), 0, 0, 360, 1, -1)
+    lost = (brimless(mask > 0, FIGURE) != (mask > 0))[:NECK]
+    assert lost.sum() < 0.02 * mask[:NECK].sum()
+
+
+HINGES = Hinges(tuple((name, axis) for name in ("left_hip", "spine1", "left_elbow", "head") for axis in range(3)))
+
+
+def unknowns(rng: np.random.Generator, turn: float = 0.3) -> np.ndarray:
+    place = [0.1, -0.2, 3.0, *rng.normal(0, turn, 3)]
+    return np.concatenate([rng.normal(0, 1, BETAS), place, rng.normal(0, 0.5, len(HINGES.names))])
+
+
+def posed(x: np.ndarray, side: str = "front") -> PosedBody:
+    place, angles = x[BETAS : BETAS + PLACE], x[BETAS + PLACE :]
+    return PosedBody(open_body(), HINGES, facing(SIDES[side]), x[:BETAS], place, angles)
+
+
+def test_vertices_are_those_of_linear_blend_skinning(rng: np.random.Generator) -> None:
+    body, x = open_body(), unknowns(rng, 0.0)
+    x[BETAS + 3 : BETAS + 6] = 0
+    mine = posed(x).points(body.points(np.arange(len(body.vertices))))
+    vertices, joints = body.shaped(x[:BETAS])
+    bones = Skeleton.from_joints(JOINT_NAMES, PARENTS, joints).bone_matrices(HINGES.rotations(x[BETAS + PLACE :]))
+    blended = np.einsum("vk,vkij->vij", body.skin_weights, bones[body.skin_joints])
+    skinned = np.einsum("vij,vj->vi", blended[..., :3], vertices) + blended[..., 3]
+    want = (skinned - joints[0]) @ facing(SIDES["front"]).T + x[BETAS : BETAS + 3]
+    assert np.abs(mine - want).max() < 1e-9
+
+
+def test_derivatives_match_differences(rng: np.random.Generator) -> None:
+    x = unknowns(rng)
+    points = open_body().points(rng.choice(len(open_body().vertices), 40))
+
+    def pixels(x: np.ndarray) -> np.ndarray:
+        return projected(posed(x, "back").points(points), 900.0, np.array([50.0, 60.0]))[0]
+
+    where, moves = posed(x, "back").derivatives(points)
+    derivative = projected(where, 900.0, np.array([50.0, 60.0]), moves)[1]
+    steps = 1e-6 * np.eye(len(x))
+    differences = np.stack([(pixels(x + step) - pixels(x - step)) / 2e-6 for step in steps], axis=-1)
+    assert np.abs(derivative - differences).max() < 1e-4 * np.abs(derivative).max()

@@ -14,7 +14,7 @@ from glsplat.authoring.fit.prior import HINGES
 from glsplat.authoring.fit.solver import BodySolver
 from glsplat.authoring.fit.standing.doubt import LIMBS, doubts_of
 from glsplat.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, forearms, hidden_arms, layers
-from glsplat.authoring.fit.standing.stances import metres_of, misread, stances_of
+from glsplat.authoring.fit.standing.stances import metres_of, stances_of
 from glsplat.authoring.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.authoring.made_up import FOCAL, posed_view
@@ -53,6 +53,7 @@ def test_a_hand_on_the_belly() -> None:
     fit = fit_body([view], 1.7)
     assert fit.problem == "" and fit.views[0].overlap > 0.97
     assert arms_off(fit, posed) < 35  # millimetres; above 150 without metres
+    assert set(fit.views[0].doubts) == set(LIMBS) and max(fit.views[0].doubts.values()) < 0.3
 
 
 @pytest.mark.check
@@ -76,13 +77,10 @@ def test_only_crossed_arms_are_taken_by_their_sleeves(bent: dict[tuple[str, int]
     assert [stance.sleeve > posed.sleeve for stance in others] == [crossed, crossed]
 
 
-@pytest.mark.check
 def test_metres_turn_the_person() -> None:
-    view, posed, _ = posed_view(turn=35, told=0, bent=DOWN)
+    view, _, _ = posed_view(turn=35, told=0, bent=DOWN)
     read = next(stance for stance in stances_of(view, open_body()) if stance.name == "read")
     assert abs(np.degrees(read.turn)) == pytest.approx(35, abs=9)
-    found = fit_body([view], 1.7).views[0].root
-    assert np.degrees(np.arccos((np.trace(found.T @ posed.frames[0]) - 1) / 2)) < 5
 
 
 def test_without_metres_there_is_one_stance() -> None:
@@ -175,39 +173,8 @@ def test_cloth_between_an_arm_and_the_trunk_is_the_trunks() -> None:
     assert flank.sum() > 10 and 0.013 < np.median(offsets[flank]) < 0.035  # 0.010 where it is nobody's
 
 
-def test_layers_are_mirrored() -> None:
-    body = open_body()
-    layer = layers(body)
-    assert (layer == 1).sum() == pytest.approx((layer == 2).sum(), rel=0.02)
-    assert (body.vertices[layer == 1, 0] > 0.15).all() and (body.vertices[layer == 2, 0] < -0.15).all()
-    assert (layer[forearms(body)] != TRUNK).all()
-
-
-def test_beside_arms() -> None:
-    posed = posed_view(bent=DOWN)[1]
-    _, pixels = surface(posed)
-    near, wide = (beside_arms(open_body(), pixels, (480, 320), reach) for reach in (0.0, 6.0))
-    assert near.sum() < wide.sum() and not (near & ~wide).any()
-    column, row = np.floor(pixels[forearms(open_body())]).astype(int).T
-    assert wide[row, column].all()
-    head = posed.joints[JOINT_NAMES.index("head")]
-    x, y = head[:2] / head[2] * FOCAL + (160, 240)
-    assert not wide[int(y), int(x)]
-
-
-def test_arms_that_point_elsewhere_are_misread() -> None:
-    view, posed, _ = posed_view(bent=BELLY)
-    assert view.world is not None
-    assert misread(view.world, posed.joints) < 0.25 < 0.35 < misread(view.world, posed_view(bent=DOWN)[1].joints)
-
-
-@pytest.mark.check
-def test_arms_that_hang_and_doubts_by_limb() -> None:
-    view, posed, _ = posed_view(bent=DOWN)
-    fit = fit_body([view], 1.7)
-    assert fit.problem == "" and fit.views[0].overlap > 0.97 and arms_off(fit, posed) < 50
-    doubts = fit.views[0].doubts
-    assert set(doubts) == set(LIMBS) and max(doubts.values()) < 0.3
+def test_doubts_by_limb() -> None:
+    view, _, _ = posed_view(bent=DOWN)
     dim = view.visibility.copy()
     dim[[14, 16]] = 0.9, 0.2  # the right elbow and wrist
     found = doubts_of(View(view.mask, view.landmarks, dim, FOCAL), (0.1, 0.0))
@@ -218,9 +185,7 @@ def test_arms_that_hang_and_doubts_by_limb() -> None:
 def test_legs_that_are_not_seen_are_a_problem() -> None:
     view, _, _ = posed_view()
     sure = view.visibility.copy()
-    sure[[27, 29, 31]] = 0.1
-    one = View(view.mask, view.landmarks, sure, FOCAL)
-    assert fit_body([one]).problem == ""
-    sure[[28, 30, 32]] = 0.1
-    both = View(view.mask, view.landmarks, sure, FOCAL)
-    assert fit_body([both]).problem == "the legs are not seen in the front picture"
+    sure[27:33] = 0.1
+    assert (
+        fit_body([View(view.mask, view.landmarks, sure, FOCAL)]).problem == "the legs are not seen in the front picture"
+    )
