@@ -88,13 +88,6 @@ _METARIG = {
     **sided(shoulder="upper_arm.{L}", elbow="forearm.{L}", wrist="hand.{L}"),
     **fingers("{f}.0{n}.{L}", {finger: finger if finger == "thumb" else f"f_{finger}" for finger in FINGERS}),
 }
-_BIPED = {
-    **_trunk("Bip001 Pelvis", "Bip001 Spine", "Bip001 Spine1", "Bip001 Neck", "Bip001 Head"),
-    **sided(hip="Bip001 {L} Thigh", knee="Bip001 {L} Calf", ankle="Bip001 {L} Foot", foot="Bip001 {L} Toe0"),
-    **sided(collar="Bip001 {L} Clavicle", shoulder="Bip001 {L} UpperArm", elbow="Bip001 {L} Forearm"),
-    **sided(wrist="Bip001 {L} Hand"),
-    **biped_fingers("Bip001 "),
-}
 _PLAINLY = {
     **_trunk("Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"),
     **sided(hip="{S}UpLeg", knee="{S}Leg", ankle="{S}Foot", foot="{S}ToeBase", collar="{S}Shoulder"),
@@ -114,12 +107,6 @@ NAMED = {
         {"pelvis.L": "pelvis", "pelvis.R": "pelvis", "breast.L": "spine3", "palm.01.L": "left_wrist"}
         | {"heel.02.L": "left_ankle"},
         {"spine.005": "head"},
-    ),
-    "Rigify, head as spine": Named(
-        {joint: f"DEF-{name}" for joint, name in _METARIG.items()},
-        {"DEF-pelvis.L": "pelvis", "DEF-breast.R": "spine3", "DEF-thigh.L.001": "left_hip", "ORG-spine.006": "head"}
-        | {"DEF-upper_arm.L.001": "left_shoulder", "DEF-palm.02.R": "right_wrist"},
-        {"DEF-spine.005": "head"},
     ),
     "Auto-Rig Pro": Named(
         {
@@ -143,17 +130,6 @@ NAMED = {
         },
         {"Toes_L": "left_foot", "Toes_R": "right_foot", "Eyes": "head", "Eyebrows": "head"},
     ),
-    "Poser": Named(
-        {
-            **_trunk("pelvis", "abdomen", "abdomen2", "chest", "neck", "head"),
-            **sided(hip="{l}Thigh", knee="{l}Shin", ankle="{l}Foot", foot="{l}Toe", collar="{l}Collar"),
-            **sided(shoulder="{l}Shldr", elbow="{l}ForeArm", wrist="{l}Hand", eye_smplhf="{l}Eye"),
-            **fingers("{l}{f}{n}", {**TITLE, "middle": "Mid"}),
-            "jaw": "lowerJaw",
-        },
-        {"lButtock": "pelvis", "lCarpal1": "left_wrist"},
-        {"hip": "pelvis"},
-    ),
     "Daz, of nine": Named(
         {
             **_trunk("pelvis", "spine1", "spine2", "spine4", "neck1", "head"),
@@ -165,104 +141,11 @@ NAMED = {
         | {"l_indexmetacarpal": "left_wrist", "l_bigtoe1": "left_foot", "l_metatarsal": "left_ankle", "l_ear": "head"},
         {"hip": "pelvis", "neck2": "head"},
     ),
-    "Second Life": Named(
-        {
-            **_trunk("mPelvis", "mTorso", "mChest", "mNeck", "mHead"),
-            **sided(hip="mHip{S}", knee="mKnee{S}", ankle="mAnkle{S}", foot="mToe{S}", collar="mCollar{S}"),
-            **sided(shoulder="mShoulder{S}", elbow="mElbow{S}", wrist="mWrist{S}", eye_smplhf="mEye{S}"),
-            **fingers("mHand{f}{n}{S}", TITLE),
-            "jaw": "mFaceJaw",
-        },
-        {"mSkull": "head", "mFaceRoot": "head", "mFaceEyeAltLeft": "head", "mTail1": "pelvis", "mWing1Left": "spine3"}
-        | {"mHindLimb1Left": "pelvis"},
-        {"mFootLeft": "left_foot", "mFootRight": "right_foot"},
-    ),
-    "Maya, advanced skeleton": Named(
-        {
-            **_trunk("Root_M", "Spine1_M", "Spine2_M", "Chest_M", "Neck_M", "Head_M"),
-            **sided(hip="Hip_{L}", knee="Knee_{L}", ankle="Ankle_{L}", foot="Toes_{L}", collar="Scapula_{L}"),
-            **sided(shoulder="Shoulder_{L}", elbow="Elbow_{L}", wrist="Wrist_{L}", eye_smplhf="Eye_{L}"),
-            **fingers("{f}Finger{n}_{L}", TITLE),
-            "jaw": "Jaw_M",
-        },
-        {"HipPart1_L": "left_hip", "ShoulderPart1_R": "right_shoulder", "ToesEnd_L": "left_foot", "Cup_L": "left_wrist"}
-        | {"HeadEnd_M": "head"},
-    ),
-    "Maya, modules": Named(
-        {
-            **_trunk(*(f"spine_C0_{n}_jnt" for n in range(4)), "neck_C0_0_jnt", "head_C0_jnt"),
-            **sided(hip="leg_{L}0_0_jnt", knee="leg_{L}0_1_jnt", ankle="foot_{L}0_0_jnt"),
-            **sided(collar="shoulder_{L}0_0_jnt", shoulder="arm_{L}0_0_jnt", elbow="arm_{L}0_1_jnt"),
-            **sided(wrist="arm_{L}0_2_jnt"),
-        }
-    ),
-    "ARKit": Named(
-        {
-            **_trunk("hips_joint", "spine_1_joint", "spine_4_joint", "spine_7_joint", "neck_1_joint", "head_joint"),
-            **sided(hip="{s}_upLeg_joint", knee="{s}_leg_joint", ankle="{s}_foot_joint", foot="{s}_toes_joint"),
-            **sided(collar="{s}_shoulder_1_joint", shoulder="{s}_arm_joint", elbow="{s}_forearm_joint"),
-            **sided(wrist="{s}_hand_joint", eye_smplhf="{s}_eye_joint"),
-            **fingers("{s}_hand{f}_{n}_joint", TITLE),
-            "jaw": "jaw_joint",
-        },
-        {"left_handThumbStart_joint": "left_wrist", "left_toesEnd_joint": "left_foot"}
-        | {
-            "left_eyeball_joint": "left_eye_smplhf",
-            "left_eyeUpperLid_joint": "left_eye_smplhf",
-            "nose_joint": "head",
-            "chin_joint": "jaw",
-        },
-        {"spine_2_joint": "spine2", "spine_6_joint": "spine3", "neck_2_joint": "head"},
-    ),
-    "Kinect": Named(
-        {
-            **_trunk("PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK", "HEAD"),
-            **sided(hip="HIP_{s}", knee="KNEE_{s}", ankle="ANKLE_{s}", foot="FOOT_{s}", collar="CLAVICLE_{s}"),
-            **sided(shoulder="SHOULDER_{s}", elbow="ELBOW_{s}", wrist="WRIST_{s}"),
-        },
-        {"HAND_LEFT": "left_wrist", "HANDTIP_LEFT": "left_wrist", "NOSE": "head"},
-    ),
-    "Xsens": Named(
-        {
-            **_trunk("Pelvis", "L5", "L3", "T8", "Neck", "Head"),
-            **sided(hip="{S}UpperLeg", knee="{S}LowerLeg", ankle="{S}Foot", foot="{S}Toe", collar="{S}Shoulder"),
-            **sided(shoulder="{S}UpperArm", elbow="{S}ForeArm", wrist="{S}Hand"),
-        }
-    ),
-    "a robot with joints in words": Named(
-        {
-            **_trunk("Hip", "Ribs", "Neck", "Head"),
-            **sided(hip="{S}_Thigh_Joint_01", knee="{S}_Knee_Joint_01", ankle="{S}_Ankle_Joint_01"),
-            **sided(foot="{S}_Toe_Joint_01", collar="{S}_Shoulder_Joint_01", shoulder="{S}_Upper_Arm_Joint_01"),
-            **sided(elbow="{S}_Forearm_Joint_01", wrist="{S}_Wrist_Joint_01"),
-            **_finger_list("{S}_{f}_Joint_01§", {"thumb": "Thumb", "index": "Index_Finger"}, ("a", "b", "c")),
-        },
-        {"Left_Toe_Joint_02": "left_foot"},
-    ),
-    "blocks of fifteen": Named(
-        {
-            **_trunk("LowerTorso", "UpperTorso", "Neck", "Head"),
-            **sided(hip="{S}UpperLeg", knee="{S}LowerLeg", ankle="{S}Foot"),
-            **sided(shoulder="{S}UpperArm", elbow="{S}LowerArm", wrist="{S}Hand"),
-        },
-        {},
-        {"HumanoidRootPart": "pelvis"},
-    ),
     "MMD": Named(
         _mmd(),
         {"左足ＩＫ": "pelvis", "左腕捩": "left_shoulder", "左手捩": "left_elbow", "左肩P": "spine3", "両目": "head"}
         | {"前髪１": "head", "左胸": "spine3", "左スカート1": "pelvis"},
         {"センター": "pelvis"},
-    ),
-    "XNALara": Named(
-        {
-            **_trunk("root hips", "spine lower", "spine middle", "spine upper", "head neck lower", "head neck upper"),
-            **sided(hip="leg {s} thigh", knee="leg {s} knee", ankle="leg {s} ankle", foot="leg {s} toes"),
-            **sided(collar="arm {s} shoulder 1", shoulder="arm {s} shoulder 2", elbow="arm {s} elbow"),
-            **sided(wrist="arm {s} wrist", eye_smplhf="head eyeball {s}"),
-            "jaw": "head jaw",
-        },
-        {"head eyelid left upper": "head", "head mouth corner left": "head", "breast left base": "spine3"},
     ),
     "Valve": Named(
         {
@@ -307,9 +190,6 @@ NAMED = {
         },
         {"Left_Breast": "spine3", "hair_front_L": "head"},
     ),
-    "Biped, numbered by an uploader": Named(
-        _numbered(_BIPED, "{name}_{n:03d}"), {"Bip001 HeadNub_090": "head", "Bip001 L Finger0Nub_091": "left_thumb3"}
-    ),
     "Mixamo, numbered by an uploader": Named(
         _numbered({j: f"mixamorig:{n}" for j, n in _PLAINLY.items()}, "{name}_{n:02d}"),
         {"mixamorig:HeadTop_End_066": "head", "mixamorig:LeftHandThumb4_067": "left_thumb3"},
@@ -318,7 +198,6 @@ NAMED = {
     "a name of one's own before all": Named(
         {joint: f"Hero42_{name}" for joint, name in _PLAINLY.items()}, {"Hero42_LeftArmTwist": "left_shoulder"}
     ),
-    "a name of one's own behind all": Named({joint: f"{name}_Bob" for joint, name in _PLAINLY.items()}),
     "legs and knees": Named(
         {
             **_trunk("Pelvis", "Torso", "Neck", "Head"),

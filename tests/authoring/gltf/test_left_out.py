@@ -121,36 +121,6 @@ def test_packed_geometry_is_refused_before_all_else(tmp_path: Path) -> None:
             read(tmp_path, draco, how)
 
 
-def test_whole_numbers_for_weights_and_points(tmp_path: Path) -> None:
-    """KHR_mesh_quantization: points of 16 bits under a node's scale, weights of eight."""
-
-    def smaller(document: dict[str, Any], blob: bytearray) -> None:
-        points, binds = document["accessors"][0], document["accessors"][4]
-        view = document["bufferViews"][points["bufferView"]]
-        start, count = view["byteOffset"], points["count"]
-        values = np.frombuffer(bytes(blob[start : start + 12 * count]), "<f4").reshape(-1, 3)
-        stored = np.rint(np.clip(values / 2, -1, 1) * 32767).astype("<i2")
-        raw = np.hstack([stored, np.zeros((count, 1), "<i2")]).tobytes()
-        document["bufferViews"].append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(raw), "byteStride": 8})
-        blob += raw
-        points |= {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5122, "normalized": True}
-        view = document["bufferViews"][binds["bufferView"]]
-        at = slice(view["byteOffset"], view["byteOffset"] + 64 * binds["count"])
-        matrices = np.frombuffer(bytes(blob[at]), "<f4").reshape(-1, 4, 4).copy()
-        matrices[:, :3] *= 2  # column-major: what is stored is half as large
-        blob[at] = matrices.tobytes()
-        weights = document["accessors"][2]
-        raw = np.tile(np.array([128, 127, 0, 0], np.uint8), weights["count"]).tobytes()
-        document["bufferViews"].append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(raw)})
-        blob += raw
-        weights |= {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5121, "normalized": True}
-        document["extensionsRequired"] = ["KHR_mesh_quantization"]
-
-    mesh, alone = read(tmp_path, smaller), read(tmp_path, lambda document, blob: None)
-    pose = Pose(np.random.default_rng(1).normal(0, 0.3, (55, 3)))
-    assert mesh.posed(pose) == pytest.approx(alone.posed(pose), abs=0.003)  # 1/255 of a weight, of 0.5 m at most
-
-
 def test_a_doll_of_parts(tmp_path: Path) -> None:
     """No skin: each node carries a cube. It moves as the person does whose joints are there."""
 
@@ -209,14 +179,3 @@ def test_of_two_people_one_is_taken_whole(tmp_path: Path, away: float) -> None:
     else:
         assert "left_out" not in mesh.meta and len(mesh.vertices) == 2 * len(alone.vertices)
         assert mesh.posed(pose) == pytest.approx(np.vstack([alone.posed(pose)] * 2), abs=1e-4)
-
-
-def test_morph_targets_are_counted_once_a_mesh(tmp_path: Path) -> None:
-    """All primitives of a mesh have the same ones (glTF 2.0, 3.7.2.2)."""
-
-    def morph(document: dict[str, Any], _: bytearray) -> None:
-        body = document["meshes"][0]["primitives"][0]
-        body["targets"] = [{"POSITION": 0}] * 3
-        document["meshes"][0]["primitives"].append(body)
-
-    assert read(tmp_path, morph).meta["left_out"] == ["3 morph targets stay at their default weights"]
