@@ -1,8 +1,8 @@
-"""From picture files to an avatar: what is read, refused, handed on and written into the avatar's notes."""
+"""From picture files to an avatar, by reconstructors that are called by name."""
 
 from __future__ import annotations
 
-import json
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import cv2
@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from glsplat.authoring.photo.capture import Finding
-from glsplat.authoring.photo.photo_file import read_photo
-from glsplat.authoring.reconstruct import from_photos
-from glsplat.authoring.reconstruct.photos import check_photos, reconstruct, refuse
+from glsplat.authoring.reconstruct import from_photos, plugins, registry
+from glsplat.authoring.reconstruct.photos import check_photos, reconstruct
 from glsplat.authoring.reconstruct.reconstructor import Options
 from glsplat.errors import CaptureError, FormatError, GlsplatError
 from glsplat.formats import load, save
-from tests.authoring.captures import needs_networks
 from tests.authoring.reconstruct.stubs import Detailed, Plain, replace_check
 
 ARMS = Finding("arms", "an arm lies against the body")
@@ -171,27 +169,50 @@ def test_a_transparent_picture_is_its_own_mask(seen, tmp_path) -> None:
     assert np.array_equal(shots["front"].capture.mask, cut[..., 3] > 0)
 
 
-def test_a_photo_that_is_read_already(seen, front) -> None:
-    seen["front"] = (ARMS,)
-    with pytest.raises(CaptureError, match="front picture: an arm"):
-        refuse(check_photos(read_photo(front)))
+HERE = "tests.authoring.reconstruct.stubs"
 
 
-@pytest.mark.shared
-def test_a_real_capture_goes_all_the_way(shared_data) -> None:
-    needs_networks()
-    maker = Detailed(fitted=True)
-    shots = check_photos(shared_data / "participants" / "capture" / "p01.jpg")
-    done = reconstruct(shots, using=maker)
-    assert shots["front"].capture.good and done.made.fit.views[0].overlap > 0.9
-    assert json.dumps(dict(done.avatar.meta))
+@pytest.fixture
+def installed(monkeypatch):
+    """Entry points as if packages had brought them."""
+
+    def install(**values: str | list[str]) -> None:
+        entries = EntryPoints(
+            EntryPoint(name, value, registry.GROUP)
+            for name, several in values.items()
+            for value in ([several] if isinstance(several, str) else several)
+        )
+        monkeypatch.setattr(plugins, "entry_points", lambda **which: entries.select(**which))
+
+    return install
 
 
-def test_a_method_that_happens_to_be_called_make_is_left_alone(seen, front) -> None:
-    class Other(Plain):
-        def make(self, *args: object) -> None:
-            raise AssertionError("nobody asked for it")
+def test_others_are_found_and_ours_cannot_be_taken(installed) -> None:
+    installed(other=f"{HERE}:Plain", builtin="nowhere:nothing", lhm="nowhere:nothing")
+    assert registry.names() == ("builtin", "lhm", "other")
+    assert isinstance(registry.named("other"), Plain)
+    with pytest.raises(GlsplatError, match="GLSPLAT_LHM"):
+        registry.named("lhm")
 
-    done = reconstruct(check_photos(front), using=Other())
-    assert done.made is None and done.made_by == "Other"
-    assert reconstruct(check_photos(front), using=Detailed()).made is not None
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("nowhere:nothing", r'"other" \(nowhere:nothing\) does not load: ModuleNotFoundError: No module named'),
+        (f"{HERE}:Nothing", "does not load: AttributeError"),
+        (f"{HERE}:small_avatar", 'has no method "reconstruct"'),
+        ("json:loads", "does not load: TypeError"),
+        ([f"{HERE}:Plain", f"{HERE}:Detailed"], r'several packages have a reconstructor "other" \(tests.*Detailed, '),
+    ],
+)
+def test_what_is_wrong_is_one_line(installed, value, message) -> None:
+    installed(other=value)
+    with pytest.raises(GlsplatError, match=message) as caught:
+        registry.named("other")
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_names_list_the_known(installed) -> None:
+    installed()
+    with pytest.raises(GlsplatError, match=r'no reconstructor is called "lmh"; there are builtin, lhm$'):
+        registry.named("lmh")
