@@ -75,8 +75,3 @@ def test_shares_make_the_picture_and_end_where_too_little_passes() -> None:
         assert np.allclose(picture, drawing.draw(splats, VIEW, True)[:, :, 3], atol=1e-5)
         counts.append(len(shares.pixel))
     assert counts[0] < counts[1] == shares.first[-1]
-
-
-def test_what_nothing_shows_counts_nothing() -> None:
-    found, weights = sums(placed(cloud(50)), np.zeros((50, 6)), np.array([0.0, 0, 1]))
-    assert (found == 0).all() and weights.max() > 0.1

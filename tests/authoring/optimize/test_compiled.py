@@ -1,4 +1,4 @@
-"""numba: told when it is not there, never imported before it is needed, and useful where nothing may be written."""
+"""numba: cached where possible, replaced by NumPy where missing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ import numba
 import numpy as np
 import pytest
 
-from glsplat.authoring.optimize.compiled import available, compiled
+from glsplat.authoring.optimize import mesh as module
+from glsplat.authoring.optimize.compiled import compiled
+from glsplat.authoring.optimize.mesh import STEPS, fitted_to_mesh
+from glsplat.authoring.optimize.pictures import ViewConfig
+from glsplat.authoring.refine import RefineConfig
+from tests.authoring.optimize.figures import kept, mesh, start
 from tests.authoring.optimize.without import without_numba
 
 ROOT = Path(__file__).parents[3]
@@ -23,12 +28,6 @@ def added(values: np.ndarray, times: int) -> float:
     for value in values:
         total += value * times
     return total
-
-
-def test_it_is_told_whether_it_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert available()
-    without_numba(monkeypatch)
-    assert not available()
 
 
 @pytest.mark.parametrize("written", [True, False])
@@ -61,9 +60,37 @@ raise SystemExit(apps.cli.main(["avatar", "reduce", "no.glb", "-o", "out.glb", "
 
 
 @pytest.mark.check
-@pytest.mark.check
 def test_all_that_can_do_without_it_does(tmp_path: Path) -> None:
     words = [sys.executable, "-c", WITHOUT]
     at = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, env=at, check=False)
     assert done.returncode == 1 and done.stderr.count("\n") == 1 and "pip install 'glsplat[make]'" in done.stderr
+
+
+FEW = {"body": 8, "poses": 1, "each": 1, "size": 96}
+
+
+@pytest.mark.check
+@pytest.mark.gl
+def test_a_fit_comes_closer_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in FEW.items():
+        monkeypatch.setitem(ViewConfig.__init__.__kwdefaults__, name, value)
+    told: list[str] = []
+    once, again = (fitted_to_mesh(start(), mesh(), 5, 60, lambda stage, _: told.append(stage)) for _ in range(2))
+    assert kept(once) > kept(start()) + 3
+    assert once.splats.means.tobytes() == again.splats.means.tobytes()
+    assert told[0] == "drawing what to fit to" and told[-1].startswith("fitting splats, error ")
+
+
+@pytest.mark.parametrize(("asked", "done"), [(STEPS, STEPS // 2), (7, 7)])
+def test_without_numba_its_twin_fits(monkeypatch: pytest.MonkeyPatch, asked: int, done: int) -> None:
+    without_numba(monkeypatch)
+    seen: list[tuple[Any, ...]] = []
+
+    def refine(*words: Any) -> Any:
+        seen.append(words)
+        return words[0]
+
+    monkeypatch.setattr(module, "refine", refine)
+    assert fitted_to_mesh(start(), mesh(), 5, asked) is start()
+    assert seen == [(start(), mesh(), 5, RefineConfig(steps=done), None)]

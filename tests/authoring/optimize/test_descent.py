@@ -93,30 +93,6 @@ def test_scales_shrink_of_themselves_where_that_is_asked_for(rng: np.random.Gene
     assert not np.delete(less, [3, 4, 5], axis=1).any() and not less[~seen].any()
 
 
-def test_nothing_goes_beyond_its_bounds(rng: np.random.Generator, values: np.ndarray) -> None:
-    state = State(values)
-    shift, least, most, turn, low, high = bounds = (1.2, -0.9, 0.3, 0.6, -3.0, 4.6)
-    gradients = gradients_of(rng)
-    gradients[:, 13] = 1
-    for _ in range(400):
-        state.step(gradients, bounds)
-    length = np.linalg.norm(state.values[:, :3], axis=1)
-    assert length == pytest.approx(shift, abs=1e-5)
-    # each in a straight line until something holds it
-    floors, ceilings = (np.repeat(ends, (3, 3, 1, 3)) for ends in ((least, -turn, low, 0), (most, turn, high, 1)))
-    slope = gradients[:, [3, 4, 5, 6, 7, 8, LOGIT, 10, 11, 12]]
-    np.testing.assert_allclose(state.values[:, 3:], np.where(slope > 0, floors, ceilings), atol=1e-6)
-
-
-def test_parts_of_the_splats_are_parts_of_the_result(rng: np.random.Generator, values: np.ndarray) -> None:
-    whole, parts = State(values), State(values)
-    gradients = gradients_of(rng)
-    parts.parts = ((20, COUNT), (0, 7), (7, 20))
-    for state in (whole, parts):
-        state.step(gradients)
-    assert whole.values.tobytes() == parts.values.tobytes() and whole.powers.tobytes() == parts.powers.tobytes()
-
-
 def test_bones_move_splats(rng: np.random.Generator) -> None:
     blended = rng.normal(size=(COUNT, 3, 4)).astype(np.float32)
     turned = Rotation.random(COUNT, rng=rng).as_matrix().astype(np.float32)

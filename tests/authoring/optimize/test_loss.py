@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
-from skimage.metrics import structural_similarity
 
 from glsplat.authoring.optimize.loss import loss_of
 
@@ -33,16 +32,9 @@ def ssim(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return (2 * mean_x * mean_y + c1) * (2 * xy + c2) / ((mean_x**2 + mean_y**2 + c1) * (xx + yy + c2))
 
 
-def test_this_ssim_is_that_of_others(pair: tuple[np.ndarray, np.ndarray]) -> None:
-    x, y = pair[0].astype(np.float64), pair[1] / 255
-    words = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    _, theirs = structural_similarity(x, y, data_range=1, channel_axis=2, full=True, **words)
-    np.testing.assert_allclose(ssim(x, y)[5:-5, 5:-5], theirs[5:-5, 5:-5], atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("structure", "trust"),
-    [*((structure, trust) for structure in (0.0, 0.03, 1.0) for trust in ("all", "half")), (0.0, "uneven")],
+    [(0.0, "all"), (0.03, "half"), (1.0, "all"), (0.0, "uneven")],
 )
 def test_the_slope_is_that_of_finite_differences(
     pair: tuple[np.ndarray, np.ndarray], structure: float, trust: str
@@ -73,16 +65,6 @@ def test_what_is_wrong(pair: tuple[np.ndarray, np.ndarray], structure: float) ->
     found, missed = loss_of(picture, target, SHARE, structure), picture - target / 255
     assert found.squares == pytest.approx((missed**2).mean(), rel=1e-5)
     np.testing.assert_allclose(found.error, np.abs(missed).sum(axis=2), atol=1e-5)
-
-
-@pytest.mark.parametrize("structure", [0.0, 0.03])
-def test_equal_pictures_ask_for_nothing(pair: tuple[np.ndarray, np.ndarray], structure: float) -> None:
-    target = pair[1]
-    same = target.astype(np.float32) * np.float32(1 / 255)
-    found = loss_of(same, target, 1.0, structure)
-    assert found.squares == 0 and not found.error.any()
-    one_step_off = 2 / 255
-    assert np.abs(found.slope).max() <= (0.01 * one_step_off if structure else 0)
 
 
 def test_nothing_is_asked_where_nobody_is_trusted_to_be(pair: tuple[np.ndarray, np.ndarray]) -> None:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glsplat.authoring.optimize.agreed import agreed, shared
-from glsplat.authoring.optimize.kernels import list_entries, project
-from glsplat.authoring.optimize.seen import as_seen, ready
+from glsplat.authoring.optimize.seen import as_seen
 from glsplat.avatar import Avatar
 from glsplat.rotations import matrix_quaternions
 from glsplat.skinning.skeleton import Skeleton
@@ -61,42 +57,8 @@ def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
     assert (ones == 1).all() and (unlit * found).sum(axis=1)[outer].min() > 0.95
 
 
-@pytest.mark.check
-def test_a_hand_of_one_splat_is_looked_at_like_any_other() -> None:
-    avatar, ways, normals, occlusion = cheek()
-    skeleton = Skeleton.from_joints(("base", "left_wrist"), [-1, 0], [[0, 0, 0], [0, 1, 0]])
-    joints = np.zeros((len(ways), 1), int)
-    joints[7] = 1
-    one_handed = Avatar(avatar.splats, skeleton, Skin.create(joints, np.ones((len(ways), 1)), 2))
-    found, opened, _ = as_seen(one_handed, normals, occlusion)
-    assert np.isfinite(found).all() and np.isfinite(opened).all()
-
-
 def test_without_numba_all_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     avatar, _, normals, occlusion = cheek()
     without_numba(monkeypatch)
     same, opened, shade = as_seen(avatar, normals, occlusion)
     assert same is normals and opened is occlusion and (shade == 1).all()
-
-
-@pytest.mark.check
-def test_the_same_bytes_come_of_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    avatar, _, normals, occlusion = cheek()
-    found = set()
-    for count in (1, 2, 3):
-        monkeypatch.setattr("glsplat.authoring.optimize.seen.cores", lambda count=count: count)
-        monkeypatch.setattr("glsplat.authoring.threads.cores", lambda count=count: count)
-        found.add(b"".join(part.tobytes() for part in as_seen(avatar, normals, occlusion)))
-    assert len(found) == 1
-
-
-@pytest.mark.check
-def test_loading_beforehand_loads_all_that_looking_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    ready()
-    kernels: tuple[Any, ...] = project, list_entries, shared, agreed
-    before = [len(kernel.signatures) for kernel in kernels]
-    avatar, _, normals, occlusion = cheek()
-    as_seen(avatar, normals, occlusion)
-    assert before == [len(kernel.signatures) for kernel in kernels] and min(before) >= 1
-    without_numba(monkeypatch)
-    ready()
