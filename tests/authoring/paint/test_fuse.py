@@ -10,7 +10,6 @@ from glsplat.authoring.faces.lining import mouth_lining
 from glsplat.authoring.fit.offsets import face_of
 from glsplat.authoring.paint.fuse import fusion_of
 from glsplat.authoring.paint.shot import SurfacePoints
-from glsplat.authoring.texture import baked
 from tests.authoring.paint.scene import Scene, photographed
 
 SIDES = ("front", "left", "back", "right")
@@ -50,13 +49,6 @@ def test_each_place_comes_from_who_sees_it_best() -> None:
     assert (np.abs(level - wanted)[sure] < 6).mean() > 0.9
 
 
-def test_the_face_is_the_fronts() -> None:
-    scene = photographed(*SIDES)
-    fusion = fusion_of(scene.body, scene.shots)
-    face = face_of(scene.body) & (scene.shots[0].trust > 0.5)
-    assert face.sum() > 500 and (fusion.shares[face, 0] > 0.9 * fusion.seen[face]).mean() > 0.95
-
-
 def test_a_blurred_picture_is_asked_last() -> None:
     scene = photographed("front", "front", "back")
     even = fusion_of(scene.body, scene.shots).shares
@@ -74,11 +66,3 @@ def test_nobody_looks_and_it_is_filled() -> None:
     assert np.isfinite(painted.rgb).all() and painted.rgb.min() >= 0 and painted.rgb.max() <= 1
     assert painted.seen.min() == 0 and painted.seen.max() == 1 and 0 <= painted.busy.min() <= painted.busy.max() <= 1
     assert (fusion.colours(middles(scene)) == painted.rgb).all()
-
-
-def test_a_texture_is_baked_of_it() -> None:
-    scene = photographed(*SIDES)
-    fusion = fusion_of(scene.body, scene.shots)
-    first, second = (baked(scene.mesh, fusion.colours, 128) for _ in range(2))
-    assert first.parts[0].texture.shape == (128, 128, 4)
-    assert all((a.texture == b.texture).all() for a, b in zip(first.parts, second.parts, strict=True))

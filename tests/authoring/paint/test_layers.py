@@ -66,28 +66,6 @@ def test_an_arm_lies_along_its_bones_even_in_the_trunks_colour() -> None:
     assert spilt[1] < 0.2 * spilt[0]
 
 
-def test_the_landmarks_of_a_hand_are_the_hand() -> None:
-    """Fingers spread over the trunk beyond the hand of the fit."""
-    picture, mask, _, segment = crossing()
-    picture, segment = picture.copy(), segment.copy()
-    bones = np.full((2, 24, 2), np.nan)
-    bones[0, :3] = (185, 80), (162, 170), (140, 260)
-    fan = np.radians([150, 120, 95, 70, 45])
-    chains = [np.array([140, 260]) + 7 * (1 + np.arange(4))[:, None] * (np.cos(a), np.sin(a)) for a in fan]
-    bones[0, 3:] = np.concatenate([[(140, 260)], *chains])
-    hand = np.zeros(mask.shape, np.uint8)
-    for chain in chains:
-        cv2.polylines(hand, [np.vstack([(140, 260), chain]).astype(np.int32)], False, 1, 6)
-    picture[hand > 0] = RED
-    nobody = np.zeros(mask.shape, bool)
-    without = bones.copy()
-    without[0, 3:] = np.nan
-    fingers = (hand > 0) & (np.arange(480)[:, None] > 274)
-    told = without, bones
-    found = [(labels_of(picture, mask, segment, nobody, nobody, each) == 1)[fingers].mean() for each in told]
-    assert found[1] > 0.8 > 0.6 > found[0], found
-
-
 def test_a_thing_in_a_hand_is_not_the_body() -> None:
     picture, mask, _, segment = crossing()
     picture, mask, hand = picture.copy(), mask.copy(), np.zeros(mask.shape, bool)
@@ -126,7 +104,6 @@ def test_prints_are_in_the_middle_alone_and_stripes_are_not() -> None:
 
 
 @pytest.mark.check
-@pytest.mark.check
 def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     """The made-up person's left arm is said to be over the trunk by its label: a stripe of green on the belly."""
     scene = photographed("front")
@@ -155,18 +132,6 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     assert (printed[:, 1] - printed[:, [0, 2]].max(axis=1))[close].max() > 0.3
     assert greenness.max() < 0.1
     assert not hidden.parts.agreed[top:bottom, left:right].any()  # and no splat is fitted to it
-
-
-def test_what_is_beside_the_body_is_no_layer() -> None:
-    """Else the wall between a hand and a hip counts as deep inside of the trunk."""
-    assert layer_of(np.array([NOTHING, 0, 1, 2, 3, 4])).tolist() == [NOTHING, 0, 1, 1, 2, 2]
-    picture, mask, truth, segment = crossing()
-    mask, picture = mask.copy(), picture.copy()
-    mask[250:300, 200:225] = True  # the outline goes around a piece of the room
-    nobody = np.zeros(mask.shape, bool)
-    label = labels_of(picture, mask, segment, nobody, nobody)
-    assert (label[255:295, 204:221] == NOTHING).mean() > 0.95
-    assert (label[(truth == 0) & (segment == 0)] == 0).mean() > 0.97
 
 
 def test_another_body_keeps_one_layer() -> None:

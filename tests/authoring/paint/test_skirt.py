@@ -63,25 +63,6 @@ def test_a_gown_ends_at_the_ankles() -> None:
     assert hem_of(scene.body, scene.fit, scene.mesh, view_with(torn)) is None
 
 
-def test_a_skirt_stays_over_legs_that_sit() -> None:
-    """Between the thighs its front hangs no deeper than their upper sides, but for a hand's breadth."""
-    scene = photographed("front")
-    mask, _ = skirted(0.55)
-    hem = hem_of(scene.body, scene.fit, scene.mesh, view_with(mask))
-    assert hem is not None
-    made, _ = with_skirt(scene.body, scene.mesh, [view_with(mask)], scene.fit.views, hem)
-    sitting = np.zeros((55, 3))
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        sitting[JOINT_NAMES.index(f"{side}_hip")] = (-1.45, 0.0, 0.15 * sign)
-        sitting[JOINT_NAMES.index(f"{side}_knee"), 0] = 1.45
-    now = made.posed(Pose(sitting))
-    level = (made.vertices[:, 1] > hem) & (made.vertices[:, 1] < hem + 0.12)
-    thighs = level & np.isin(scene.body.part, [JOINT_NAMES.index(f"{side}_hip") for side in ("left", "right")])
-    before = made.vertices[:, 2] > np.quantile(made.vertices[thighs, 2], 0.9)  # of both thighs and what hangs between
-    between = thighs & before & (np.abs(made.vertices[:, 0]) < 0.02)
-    assert between.any() and now[between, 1].min() > now[thighs & before, 1].max() - 0.06
-
-
 def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:
     scene = photographed("front")
     mask, _ = skirted(0.6)

@@ -5,17 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.authoring.fit.body import open_body
-from glsplat.authoring.fit.eyes import EyeLook
-from glsplat.authoring.fit.offsets import face_of
-from glsplat.authoring.paint.eyes import eye_colours
-from glsplat.authoring.paint.head import ears_of
 from glsplat.authoring.paint.paint import painter_of
 from glsplat.authoring.paint.scatter import even_points
-from glsplat.authoring.paint.shot import SurfacePoints
 from glsplat.authoring.paint.unseen.hair import with_hair
 from glsplat.authoring.paint.unseen.quilt import quilted
-from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.authoring.paint import scene as made_up
@@ -62,30 +56,6 @@ def test_long_hair_hangs_behind_the_neck_and_short_hair_does_not(monkeypatch: py
     assert with_hair(short.body, short.shots) == short.shots
 
 
-def test_ears_in_the_shade_are_no_hair(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Grey hair about a face and an ear that is darker; seen from the ear's side, the other side is grey."""
-    skin, grey = np.array([0.45, 0.3, 0.22]), np.array([0.17, 0.17, 0.16])
-
-    def with_ears(mesh: RiggedMesh) -> np.ndarray:
-        colours = albedo(mesh)
-        height = mesh.vertices[:, 1] / mesh.vertices[:, 1].max()
-        colours[height > 0.86] = grey
-        colours[face_of(open_body())] = skin
-        for ears in ears_of(open_body()):
-            colours[ears] = 0.55 * skin
-        return colours
-
-    monkeypatch.setattr(made_up, "albedo", with_ears)
-    scene = photographed.__wrapped__("left")
-    points = even_points(scene.mesh, 30_000)
-    where = points.at(scene.mesh.vertices)
-    height = where[:, 1] / scene.mesh.vertices[:, 1].max()
-    far = (height > 0.9) & (where[:, 0] < -0.03) & (where[:, 2] < 0)
-    painter = painter_of(scene.body, scene.shots, points)
-    colours = to_linear(painter.colours(SurfacePoints(points.corners[far], points.weights[far])))
-    assert len(colours) > 30 and np.quantile(colours[:, 0] / colours[:, 2], 0.9) < 1.3  # of such skin it is 2
-
-
 def test_a_quilt_has_the_textures_brightness_and_is_the_same_each_time() -> None:
     rng = np.random.default_rng(2)
     texture = np.repeat(rng.uniform(0.6, 1.4, (1, 48)), 40, axis=0).astype(np.float32)  # upright strands
@@ -106,17 +76,3 @@ def test_too_little_hair_makes_no_quilt() -> None:
     known[4:10, 4:10] = True
     assert quilted(texture, known, (40, 40)) is None
     assert quilted(texture[:6, :6], np.ones((6, 6), bool), (40, 40)) is None
-
-
-@pytest.mark.parametrize(("radius", "clear"), [(2.0, False), (12.0, True)])
-def test_lids_are_not_in_the_eyes_colours(radius: float, clear: bool) -> None:
-    scene = photographed("front")
-    iris, white = np.array([110.0, 64, 52]), np.array([182.0, 134, 126])
-    look = EyeLook(True, np.zeros(2), radius, iris, white)
-    points = even_points(scene.mesh, 60_000)
-    some, colours = eye_colours(scene.body, scene.shots[0], {"left": look, "right": look}, points)
-    found = np.unique(np.round(colours * 255), axis=0)
-    assert some.sum() > 10
-    is_white = found[found.sum(axis=1).argmax()]
-    assert (np.ptp(is_white) > 40) == clear  # as read from a large eye, and nearly grey in a small one
-    assert clear or is_white.mean() >= 148

@@ -1,4 +1,4 @@
-"""Splats strewn over a body whose face moves."""
+"""Splats strewn over a body, in the colours that give back the picture."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from glsplat.authoring.faces.open_face import with_expressions
+from glsplat.authoring.paint.paint import paint
 from glsplat.authoring.paint.scatter import scatter
+from glsplat.authoring.paint.sharpen import _equations, sharpened
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0
 from tests.authoring.faces.figures import person
+from tests.authoring.paint.scene import photographed
 
 
 def test_each_lip_s_splats_go_with_their_own_lip() -> None:
@@ -45,6 +48,29 @@ def test_any_number_of_cores_gives_the_same_splats(monkeypatch: pytest.MonkeyPat
         found.add(b"".join(one.tobytes() for one in arrays))
     assert len(found) == 1
     assert np.allclose(avatar.skin.weights.sum(axis=1), 1, atol=1e-5)
+
+
+@pytest.mark.check
+def test_the_picture_comes_back() -> None:
+    scene = photographed("front")
+    rng = np.random.default_rng(0)
+    strewn = scatter(scene.mesh, 3000, rng)
+    painted = paint(scene.body, scene.shots, strewn.points)
+    avatar = strewn.avatar(scene.mesh, painted.rgb, painted.busy, rng)
+    assert 0.99 * 3000 < len(avatar.splats) <= 3000
+    assert np.isfinite(avatar.splats.means).all() and np.isfinite(avatar.splats.scales).all()
+    matrix, target = _equations(avatar, scene.shots[0])
+
+    def miss(colours: np.ndarray) -> float:
+        return float(np.sqrt(((matrix @ (colours[:, 0] * SH_C0 + 0.5) - target) ** 2).mean()))
+
+    sharp = sharpened(avatar, scene.shots, 8)
+    assert miss(sharp.splats.sh) < 0.6 * miss(avatar.splats.sh)
+    hidden = np.asarray(matrix.sum(axis=0)).ravel() < 0.1  # pixels
+    change = np.abs(sharp.splats.sh - avatar.splats.sh)[:, 0].max(axis=1) * SH_C0
+    assert hidden.mean() > 0.1
+    assert change[hidden].max() < 0.1 and change[~hidden].max() > 0.15
+    np.testing.assert_array_equal(sharp.splats.means, avatar.splats.means)
 
 
 def test_a_body_without_expressions_has_no_shapes() -> None:
