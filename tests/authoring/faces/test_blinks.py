@@ -1,4 +1,4 @@
-"""Blinks that end where lids meet, eyeballs that give way, and lids in the colours of the skin around."""
+"""Round eyeballs, and blinks that end where lids meet."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from glsplat.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
-from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
+from glsplat.authoring.faces.eyeballs import IRISES, eye_texture, eyeballs, with_eyeballs
 from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.openings import lid_edges, openings
+from glsplat.errors import FormatError
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from tests.authoring.faces.figures import EYES, person
-from tools.data.lids import even_lids, lid_corners
+from tools.data.lids import lid_corners
 
 STILL = np.zeros((55, 3))
 SKIN, SHADE = (190, 140, 110), (120, 70, 50)
@@ -44,10 +45,8 @@ def shut(mesh: RiggedMesh) -> np.ndarray:
     return mesh.morphs.moved(Pose(STILL, expression=dict.fromkeys(BLINKS, 1.0)), len(mesh.vertices))
 
 
-@pytest.mark.parametrize("wide", [pytest.param(1.0, marks=pytest.mark.check), 0.6])
-def test_lids_meet_and_go_no_farther_whatever_the_eye_is_like(wide: float) -> None:
-    """``wide``: the upper lid at rest is there already but for so much of its way."""
-    mesh = seeing()
+def test_lids_meet_and_go_no_farther() -> None:
+    mesh, wide = seeing(), 0.6  # the upper lid at rest is there already but for so much of its way
     drawn = np.where(lid_corners(mesh)[:, None], (1 - wide) * 0.5 * shut(mesh), 0)
     mesh = replace(mesh, vertices=mesh.vertices + drawn)
     balls = eyeballs(mesh, *EYES)
@@ -77,17 +76,36 @@ def test_eyeballs_give_way_by_three_millimetres_and_nothing_else_changes() -> No
     assert np.array_equal(moved[0], moved[1])
 
 
-def test_dark_lids_become_skin_and_the_rest_stays() -> None:
-    mesh = seeing()
-    before = next(one for one in mesh.parts if one.name == "skin")
-    after = next(one for one in even_lids(mesh, 0.9, "skin").parts if one.name == "skin")
-    lids = lid_corners(mesh)[before.faces].all(axis=1)
-    middles = before.uv.mean(axis=1)
-    old, new = (255 * one.sample(middles)[:, :3] for one in (before, after))
-    darker = np.mean(np.subtract(SKIN, SHADE))
-    assert np.mean(SKIN - old[lids]) > 0.9 * darker and np.mean(SKIN - new[lids]) < 0.33 * darker  # soft at the edge
-    places = mesh.vertices[before.faces].mean(axis=1) - mesh.vertices[np.unique(before.faces[lids])].mean(0)
-    far = np.linalg.norm(places, axis=1) > 0.08
-    assert np.array_equal(old[far], new[far])
-    same = next(one for one in even_lids(mesh, 0.0, "skin").parts if one.name == "skin")
-    assert np.array_equal(same.texture, before.texture)
+@pytest.mark.parametrize("iris", IRISES)
+def test_an_iris_has_a_black_pupil_a_dark_rim_and_is_never_red(iris: str) -> None:
+    texture = eye_texture(iris, 0.015)[..., :3].astype(int)
+    rows = len(texture)
+    angle = np.arange(rows) / (rows - 1) * np.radians(115)
+    rim = np.arcsin(0.0059 / 0.015)
+    assert texture[angle < 0.25 * rim].max() < 20
+    zones = (0.9, 0.97), (0.5, 0.75), (1.2, 1.4)
+    ring, middle, white = (texture[(angle > low * rim) & (angle < high * rim)].mean() for low, high in zones)
+    assert ring < 0.6 * middle < 0.6 * white
+    inside = texture[(angle > 0.4 * rim) & (angle < 0.95 * rim)].reshape(-1, 3)
+    assert (inside[:, 0] <= 2.2 * inside[:, 1] + 8).all()  # red, of which brown has twice its green at most
+
+
+def test_the_ball_turns_about_its_middle_and_stays_where_it_is() -> None:
+    mesh = person()
+    made = with_eyeballs(mesh, "eyes", "blue")
+    assert [one.name for one in made.parts] == ["skin", "mouth", *EYES]
+    for ball in eyeballs(made, *EYES):
+        index = made.skeleton.names.index(ball.joint)
+        assert np.abs(made.skeleton.joints[index] - ball.centre).max() < 1e-4
+        rotations = np.zeros((55, 3))
+        rotations[index] = (0.3, -0.4, 0)
+        part = next(one for one in made.parts if one.name == ball.joint)
+        posed = made.posed(Pose(rotations))[np.unique(part.faces)]
+        assert np.abs(np.linalg.norm(posed - ball.centre, axis=1) - ball.radius).max() < 1e-4
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(FormatError, match="an iris is one of brown, dark brown, blue, grey, green, not 'red'"):
+        with_eyeballs(person(), "eyes", "red")
+    with pytest.raises(FormatError, match="left_eye_smplhf"):
+        eyeballs(person(), "skin")

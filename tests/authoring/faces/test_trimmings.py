@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 
 from glsplat import reference
-from glsplat.authoring.faces.carry import deformed
 from glsplat.authoring.faces.eyeballs import eyeballs
 from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.openings import lid_edges, openings
 from glsplat.authoring.faces.shapes import with_shapes
-from glsplat.authoring.faces.trimmings import VEIL, with_brow_hairs, with_lashes, with_strands
+from glsplat.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
-from glsplat.splats import SH_C0
 from tests.authoring.faces.figures import avatar_on, person
 
 STILL = np.zeros((55, 3))
@@ -67,18 +65,6 @@ def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
 def smiling() -> Avatar:
     """Few splats with shapes."""
     return with_shapes(avatar_on(expressive(), 300), expressive())
-
-
-def test_an_expression_as_an_affine_map_is_what_skinning_does() -> None:
-    avatar = smiling()
-    weights = avatar.shapes.weights({"jawOpen": 0.6, "mouthSmileLeft": 1.0, "browInnerUp": 0.3})
-    assert weights is not None
-    bend, move = deformed(avatar.shapes, avatar.splats, weights)
-    there = np.einsum("nij,nj->ni", bend, avatar.splats.means.astype(np.float64)) + move
-    bones = Pose(STILL).bones(avatar.skeleton)
-    posed = reference.skin(avatar.splats, avatar.skin, bones, shapes=avatar.shapes, expression=weights)
-    assert np.abs(there - posed.means).max() < 1e-6
-    assert np.abs(there - avatar.splats.means).max() > 0.003
 
 
 def test_strands_lie_along_the_texture_s_second_axis() -> None:
@@ -137,13 +123,3 @@ def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
     aside = np.abs(made.splats.means[300:, 0] - middle[0])
     assert along[aside < 0.02, 1].mean() > 0.85 and along[aside > 0.05, 0].mean() > 0.85
     assert with_brow_hairs(bald, browed, "beard", 160) is bald
-
-
-def test_veils_go_with_the_lids_without_stretching() -> None:
-    mesh = expressive()
-    avatar = smiling()
-    lashed = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")))
-    shapes, made = lashed.shapes, lashed.splats
-    veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - VEIL).max(axis=1) < 1e-3
-    assert shapes is not None and veils.sum() > 60
-    assert not shapes.bends[veils[shapes.rows]].any() and np.abs(shapes.metres[veils[shapes.rows]]).max() > 0.004
