@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.authoring.cones import ConeConfig, _far_camera, _weigher, hidden, with_cones, worth_cones
+from glsplat.authoring.cones import _far_camera, _weigher, worth_cones
 from glsplat.authoring.footprints import EPS2D
 from glsplat.splats import Splats
 from tests.authoring.optimize.figures import start
 from tests.authoring.optimize.without import without_numba
-from tests.passes.test_hidden import ball
 from tests.scenes import cloud
 
 
@@ -34,28 +33,6 @@ def test_weights_are_those_of_numpy(scene: Splats, monkeypatch: pytest.MonkeyPat
         seen = expected > 1  # pixel; what passes less than a ten thousandth is not drawn
         assert 0.3 < seen.mean() < 1 and np.abs(found - expected)[~seen].max() < 2e-3
         np.testing.assert_allclose(found[seen], expected[seen], rtol=1e-3)
-
-
-def test_another_dilation_is_drawn_in_numpy(scene: Splats, monkeypatch: pytest.MonkeyPatch) -> None:
-    faint = replace(scene, opacities=np.full(len(scene), 0.05))
-    camera = _far_camera(faint, np.array([0.0, 0, 1]), 160)
-    wide, narrow = (_weigher(len(faint), eps2d)(faint, camera) for eps2d in (10 * EPS2D, EPS2D))
-    assert wide.sum() > 1.2 * narrow.sum()
-    without_numba(monkeypatch)
-    assert np.array_equal(_weigher(len(faint), 10 * EPS2D)(faint, camera), wide)
-
-
-@pytest.mark.check
-@pytest.mark.check
-def test_cones_are_the_same_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = ConeConfig(directions=32, size=40, psnr=40, choosing=3, tests=3, rounds=1, test_size=44)
-    fast = with_cones(ball(800), quick)
-    without_numba(monkeypatch)
-    slow = with_cones(ball(800), quick)
-    off = np.abs(fast.cones[:800].astype(int) - slow.cones[:800])
-    assert (off[:, :3] <= 1).all() and (off[:, 3] > 1).mean() < 0.02
-    gone = [hidden(splats, [np.array([2.0, 1, -1])])[800:] for splats in (fast, slow)]  # those inside
-    assert min(one.mean() for one in gone) > 0.9
 
 
 @pytest.mark.parametrize("hiding", [0.0, 0.01, 0.5])

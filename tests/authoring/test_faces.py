@@ -11,26 +11,19 @@ import pytest
 
 from glsplat import reference
 from glsplat.authoring.cones import ConeConfig, with_cones
-from glsplat.authoring.detail.merge import merged
 from glsplat.authoring.faces.carry import carried
 from glsplat.authoring.faces.shapes import body_morphs, with_shapes
 from glsplat.authoring.light.surfaces import with_surface
-from glsplat.authoring.posed import posed_splats
 from glsplat.authoring.refine import RefineConfig, refine
-from glsplat.authoring.scans import read_obj_person
 from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.formats.person import read_body
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
-from glsplat.skinning.expression import ARKIT
-from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Level, Splats
 from tests.authoring.test_surface import ball, rigged
-from tests.formats.scenes import SHARED_DATA
 
 SIDE = 21
 
@@ -97,11 +90,6 @@ def test_what_hardly_moves_and_what_is_far_is_left_out() -> None:
     assert len(with_shapes(away, sheet({"jawOpen": half})).shapes.targets) == 0  # type: ignore[union-attr]
 
 
-def test_without_expressions_nothing_changes() -> None:
-    avatar = discs()
-    assert with_shapes(avatar, sheet()) is avatar
-
-
 def test_cones_of_a_still_face_are_left_out_and_levels_have_shapes() -> None:
     avatar = discs()
     cones = np.tile(np.int8([0, 0, 127, 0]), (len(avatar.splats), 1))
@@ -109,17 +97,6 @@ def test_cones_of_a_still_face_are_left_out_and_levels_have_shapes() -> None:
     made = with_shapes(avatar, sheet({"jawOpen": np.tile((0.0, 0.0, 0.02), (SIDE * SIDE, 1))}))
     assert made.splats.cones is None and len(made.levels) == 1
     assert made.levels[0].content.shapes is not None and len(made.levels[0].content.shapes.targets) == 60
-
-
-def test_merged_splats_move_with_those_they_stand_for() -> None:
-    linear = np.array([[1.2, 0.3, 0], [0.0, 0.9, 0], [0.3, -0.2, 1]])
-    mesh = sheet()
-    avatar = with_shapes(discs(), sheet({"jawOpen": mesh.vertices @ (linear - np.eye(3)).T}))
-    few = merged(avatar, 80)
-    assert few.shapes is not None and few.shapes.names == ("jawOpen",)
-    found = reference.expressed(few.splats, few.shapes, np.ones(1))
-    wanted = few.splats.means * (1, 1, 0) @ linear.T
-    assert np.abs(found.means - wanted).max() < 5e-3  # they lie up to 4 mm before the plane
 
 
 def test_shapes_follow_splats_that_were_turned_and_moved() -> None:
@@ -136,16 +113,6 @@ def test_shapes_follow_splats_that_were_turned_and_moved() -> None:
     one, other = (reference.expressed(splats, shapes, np.ones(1)) for shapes in (found, wanted))
     assert np.abs(one.means - other.means).max() < 2e-3  # the gradient is rounded to 0.024
     assert np.abs(one.shapes - other.shapes).max() < 0.06 * 0.02
-
-
-def test_an_avatar_s_splats_in_a_pose_have_its_expression() -> None:
-    mesh = sheet({"jawOpen": np.tile((0.0, 0.0, 0.02), (SIDE * SIDE, 1))})
-    avatar = with_shapes(discs(), mesh)
-    pose = Pose(np.zeros((1, 3)), expression={"jawOpen": 0.5})
-    posed = posed_splats(avatar, pose)
-    assert posed.means == pytest.approx(avatar.splats.means + (0, 0, 0.01), abs=1e-6)
-    assert mesh.posed(pose) == pytest.approx(mesh.vertices + (0, 0, 0.01))
-    assert np.sort(posed.scales, axis=1) == pytest.approx(np.sort(avatar.splats.scales, axis=1), rel=1e-5)
 
 
 def body_file(path: Path, **changes: Any) -> Path:
@@ -196,44 +163,6 @@ def test_points_near_a_body_move_as_its_surface() -> None:
     assert body_morphs(body, mesh.vertices + 0.001) is body.morphs
 
 
-@pytest.mark.shared
-def test_the_shapes_of_ready_player_me_come_in(tmp_path: Path) -> None:
-    mesh = read_gltf_person(SHARED_DATA / "real/models/rpm_template_xr.glb")
-    assert mesh.morphs is not None and set(mesh.morphs.names) == set(ARKIT)
-    assert not any("morph" in line for line in mesh.meta.get("left_out", []))
-    opened = mesh.posed(Pose(np.zeros((55, 3)), expression={"jawOpen": 1.0})) - mesh.posed(Pose.zero())
-    assert -0.06 < opened[:, 1].min() < -0.02 and np.abs(opened[:, 0]).max() < 0.02  # down, not aside
-
-
-@pytest.mark.shared
-def test_a_vrm_blinks(tmp_path: Path) -> None:
-    mesh = read_gltf_person(SHARED_DATA / "real/models/godette.vrm")
-    assert mesh.morphs is not None and {"eyeBlinkLeft", "eyeBlinkRight"} <= set(mesh.morphs.names)
-    for side, sign in (("Left", 1), ("Right", -1)):
-        moved = mesh.posed(Pose(np.zeros((55, 3)), expression={f"eyeBlink{side}": 1.0})) - mesh.posed(Pose.zero())
-        rows = np.flatnonzero(np.linalg.norm(moved, axis=1) > 0.002)
-        assert len(rows) and (np.sign(mesh.posed(Pose.zero())[rows, 0]) == sign).mean() > 0.95
-
-
-@pytest.mark.check
-@pytest.mark.check
-@pytest.mark.shared
-def test_an_avatar_of_the_open_body_has_its_52(tmp_path: Path) -> None:
-    body = read_body(SHARED_DATA / "people/open_body55.npz")
-    lines = ["v {} {} {}".format(*v) for v in body.vertices] + ["f {} {} {}".format(*(f + 1)) for f in body.faces]
-    (tmp_path / "person.obj").write_text("\n".join(lines))
-    mesh = read_obj_person(tmp_path / "person.obj", body)
-    assert mesh.morphs is not None and set(mesh.morphs.names) == set(ARKIT)
-    avatar = with_shapes(make_avatar(mesh, 2000, config=SamplerConfig(probe=128)), mesh)
-    assert avatar.shapes is not None and set(avatar.shapes.names) == set(ARKIT)
-    weights = avatar.weights(Pose(np.zeros((55, 3)), expression={"jawOpen": 1.0}))
-    assert weights is not None
-    moved = reference.expressed(avatar.splats, avatar.shapes, weights).means - avatar.splats.means
-    assert -0.06 < moved[:, 1].min() < -0.01
-    head = avatar.skeleton.joints[avatar.skeleton.names.index("head"), 1]
-    assert avatar.splats.means[np.linalg.norm(moved, axis=1) > 1e-3, 1].min() > head - 0.15
-
-
 def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
     """Two opaque walls of discs, of which each hides the other, and half of the nearer one moves."""
     thin = discs(400).splats
@@ -250,7 +179,6 @@ def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
     assert (cones[np.diff(face.shapes.starts) > 0, 3] == -127).all()
 
 
-@pytest.mark.check
 @pytest.mark.check
 def test_the_fit_without_compiled_loops_carries_shapes_and_surface() -> None:
     mesh = rigged(ball(0.3))
@@ -269,3 +197,8 @@ def test_the_fit_without_compiled_loops_carries_shapes_and_surface() -> None:
     wanted = rest.shapes @ np.swapaxes(rest.shapes, 1, 2)
     error = np.abs(found.shapes @ np.swapaxes(found.shapes, 1, 2) - linear @ wanted @ linear.T).max(axis=(1, 2))
     assert np.median(error / np.abs(wanted).max(axis=(1, 2))) < 0.2
+
+
+def test_without_expressions_nothing_changes() -> None:
+    avatar = discs()
+    assert with_shapes(avatar, sheet()) is avatar

@@ -11,12 +11,10 @@ from glsplat import reference
 from glsplat.authoring.detail.fitted import FittedConfig, fitted_levels, reduced
 from glsplat.authoring.detail.merge import merged
 from glsplat.authoring.optimize.pictures import TargetPicture, ViewConfig
-from glsplat.authoring.posed import posed_splats
 from glsplat.authoring.surface import SamplerConfig, make_avatar
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
-from glsplat.skinning.pose import Pose
 from glsplat.splats import Level
 from tests.authoring.test_surface import ball, rigged
 
@@ -44,31 +42,11 @@ def test_a_fitted_level_is_closer_to_the_finest_than_a_merged_one(finest: Avatar
     assert apart(level, finest) < 0.5 * apart(merged(finest, 120), finest)
 
 
-@pytest.mark.check
-def test_same_seed_same_bytes(finest: Avatar) -> None:
-    once, again = (fitted_levels(finest, [300, 120], 5, QUICK) for _ in range(2))
-    for a, b in zip(once, again, strict=True):
-        assert a.splats.means.tobytes() == b.splats.means.tobytes() and a.splats.sh.tobytes() == b.splats.sh.tobytes()
-    (other,) = fitted_levels(finest, [300], 6, QUICK)
-    assert other.splats.means.tobytes() != once[0].splats.means.tobytes()
-    (alone,) = fitted_levels(finest, [120], 5, QUICK)  # a level does not hang on those beside it
-    assert alone.splats.means.tobytes() == once[1].splats.means.tobytes()
-
-
 def test_levels_grow_fewer(finest: Avatar) -> None:
     for counts in ([900], [300, 300], [120, 300], [0]):
         with pytest.raises(GlsplatError, match="fewer and fewer splats below 900"):
             fitted_levels(finest, counts, config=QUICK)
     assert fitted_levels(finest, [], config=QUICK) == ()
-
-
-@pytest.mark.check
-def test_a_level_moves_as_the_finest_does(finest: Avatar) -> None:
-    (level,) = fitted_levels(finest, [250], config=replace(QUICK, steps=60))
-    assert np.allclose(level.skin.weights.sum(axis=1), 1, atol=1e-6)
-    bent = Pose(np.array([[0.0, 0, 0], [0.4, 0, 0.9]]))
-    moved, still = (replace(one, splats=posed_splats(one, bent)) for one in (level, finest))
-    assert apart(moved, still) < 0.1 * apart(finest, still)
 
 
 def test_levels_and_cones_are_left_out(finest: Avatar) -> None:
@@ -99,16 +77,3 @@ def test_fewer_splats_are_fitted_in_smaller_pictures(finest: Avatar, monkeypatch
         reduced(finest, count, 7, config)
     assert [views.size for views in seen] == [768, 768, 473, 160]
     assert [views.close for views in seen] == [384, 384, 236, 80]
-
-
-def test_progress_names_the_level(finest: Avatar) -> None:
-    told: list[tuple[str, float]] = []
-    fitted_levels(finest, [300, 120], config=replace(QUICK, steps=2), progress=lambda *words: told.append(words))
-    stages = list(dict.fromkeys(stage.partition(", error")[0] for stage, _ in told))
-    assert stages == [
-        f"level {number} of 2: {stage}" for number in (1, 2) for stage in ("drawing what to fit to", "fitting splats")
-    ]
-    for stage, share in told:
-        first = 0.0 if stage.startswith("level 1") else 0.5
-        assert first <= share < first + 0.5
-    assert len({share for _, share in told}) > 20

@@ -33,29 +33,6 @@ def test_the_box_counts_and_not_the_background() -> None:
     assert difference(picture, gone) == pytest.approx(-10 * np.log10(0.5), abs=1e-4)  # the box is that of both
 
 
-def test_black_on_black_is_seen_before_grey() -> None:
-    picture = np.zeros((8, 8, 4), np.float32)
-    picture[..., 3] = 1
-    assert difference(picture, 0 * picture) == pytest.approx(-10 * np.log10(0.25), abs=1e-4)
-
-
-def tinted(scene: Splats, keep: int, by: float) -> Splats:
-    """Fewer splats: what is left out is transparent anyhow; the others are off by ``by``."""
-    few = scene.take(np.arange(keep))
-    return replace(few, sh=few.sh + np.float32(by))
-
-
-def test_levels_get_the_density_up_to_which_they_keep_the_decibels(context: Context) -> None:
-    base = cloud(400)
-    opacities = base.opacities.copy()
-    opacities[200:] = 0
-    finest = replace(base, opacities=opacities)
-    same, off, far_off = tinted(finest, 300, 0.0), tinted(finest, 250, 1.0), tinted(finest, 200, 3.0)
-    levels = measured(finest, [same, off, far_off], QUICK, context=context)
-    assert levels[0].content is same and levels[0].psnr is not None and levels[0].psnr > 60
-    assert len(levels) == 1  # the others keep 40 dB nowhere
-
-
 def test_what_is_measured_is_what_the_renderer_shows(context: Context) -> None:
     """A picture of another size and place, at the density that was found, keeps what was promised, give or take."""
     finest = cloud(600, spread=0.3)
@@ -91,14 +68,14 @@ def test_a_level_as_good_as_a_finer_one_takes_its_place(context: Context) -> Non
     assert replace(finest, levels=levels).levels == levels
 
 
-def test_it_makes_its_own_context_and_releases_it() -> None:
-    scene = cloud(60)
-    for _ in range(2):
-        assert len(measured(scene, [scene.take(np.arange(59))], replace(QUICK, psnr=1.0))) == 1
-
-
 def test_nothing_to_measure(context: Context) -> None:
     nothing = Splats.create([[np.nan] * 3], [[1, 0, 0, 0]], [[1, 1, 1]], [1], rgb=[[1, 1, 1]])
     with pytest.raises(GlsplatError, match="at least one finite splat"):
         measured(nothing, [nothing], QUICK, context=context)
     assert measured(cloud(50), [], QUICK, context=context) == ()
+
+
+def test_black_on_black_is_seen_before_grey() -> None:
+    picture = np.zeros((8, 8, 4), np.float32)
+    picture[..., 3] = 1
+    assert difference(picture, 0 * picture) == pytest.approx(-10 * np.log10(0.25), abs=1e-4)

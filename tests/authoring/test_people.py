@@ -4,7 +4,6 @@ import io
 import struct
 import zipfile
 import zlib
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,7 +15,6 @@ from glsplat.errors import FormatError
 from glsplat.formats.person import read_person
 from glsplat.formats.texture import decode_texture
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.skinning.pose import Pose
 
 
 def png(pixels) -> np.ndarray:
@@ -53,26 +51,12 @@ def square(tmp_path) -> RiggedMesh:
     return read_person(tmp_path / "p.npz")
 
 
-def test_what_is_read(square):
-    assert square.skeleton.names == ("base", "top")
-    assert square.faces.tolist() == [[0, 1, 2], [0, 2, 3]] and square.face_parts.tolist() == [0, 0]
-    assert square.parts[0].uv[1].tolist() == [[0, 0], [1, 1], [0, 1]]
-    assert not square.parts[0].cutout
-
-
 def test_v_axis_points_up(square):
     uv = np.array([[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25]])
     rgb = square.parts[0].sample(uv)[:, :3]
     assert rgb == pytest.approx(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1.0]]))
     assert square.parts[0].sample(np.array([[0.5, 0.5]]))[0, :3] == pytest.approx([0.5, 0.5, 0.5], abs=1e-9)
     assert square.parts[0].sample(uv + [3, -2]) == pytest.approx(square.parts[0].sample(uv))
-
-
-def test_posing(square):
-    pose = Pose([[0, 0, 0], [np.pi / 2, 0, 0]])  # about the top edge: nothing at that edge moves
-    assert square.posed(pose) == pytest.approx(square.vertices, abs=1e-12)
-    pose = Pose(np.array([[0, 0, np.pi / 2], [0, 0, 0]]), np.array([0, 0, 2.0]))
-    assert square.posed(pose)[1] == pytest.approx([0, 1, 2])
 
 
 def test_picture_matches_the_geometry(square):
@@ -109,10 +93,8 @@ def test_nearer_triangles_win_and_holes_let_through(square):
     ("changes", "words"),
     [
         ({"vertices": None}, ["vertices"]),
-        ({"uv_0": None}, ["uv_0"]),
         ({"part_names": np.array(["a", "b"])}, ["faces_1"]),
         ({"part_names": np.array([], "U1")}, ["triangle"]),
-        ({"faces_0": np.array([[0, 1, 9]], np.uint16)}, ["faces_0"]),
         ({"faces_0": np.array([[0, 1, 9], [0, 1, 2]], np.uint16)}, ["square", "9 of 4"]),
         ({"faces_uv_0": np.array([[0, 1, 9], [0, 1, 2]], np.uint16)}, ["faces_uv_0"]),
         ({"skin_indices": np.array([[0, 7]] * 4)}, ["joint 7 of 2"]),
@@ -120,7 +102,6 @@ def test_nearer_triangles_win_and_holes_let_through(square):
         ({"vertices": np.full((4, 3), np.nan)}, ["finite"]),
         ({"parents": np.array([1, 0])}, ["root"]),
         ({"texture_0": np.arange(20, dtype=np.uint8)}, ["texture_0", "JPEG, PNG or WebP"]),
-        ({"texture_0": np.zeros(0, np.uint8)}, ["texture_0"]),
         ({"joints": np.array([["a", "b", "c"]] * 2)}, ["needs an array of numbers"]),
     ],
 )
@@ -160,13 +141,6 @@ def test_files_that_are_no_archives(tmp_path):
         read_person(tmp_path / "absent.npz")
 
 
-def test_texture_kinds():
-    grey = cv2.imencode(".png", np.full((3, 4), 7, np.uint8))[1]
-    deep = cv2.imencode(".png", np.full((3, 4, 3), 65535, np.uint16))[1]
-    assert decode_texture(grey.tobytes(), "x")[0, 0].tolist() == [7, 7, 7, 255]
-    assert decode_texture(deep.tobytes(), "x")[0, 0].tolist() == [255, 255, 255, 255]
-
-
 def test_webp_and_damage_without_a_word(capfd):
     """Of damage there is one line, ours: the libraries write theirs to standard error."""
     picture = np.random.default_rng(0).integers(0, 255, (40, 50, 3), np.uint8)
@@ -203,15 +177,3 @@ def test_textures_that_no_graphics_card_takes():
     for odd in (bytes(bitmap), np.zeros((3, 3), np.uint8), np.zeros(9, np.float32), b"\xff\xd8", b"\x89PNG"):
         with pytest.raises(FormatError, match="x: a texture is"):
             decode_texture(odd, "x")
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("name", ["char_a", "char_c_registry", "char_d_registry"])
-def test_people_at_hand(shared_data: Path, name):
-    mesh = read_person(shared_data / "people" / f"{name}.npz")
-    assert len(mesh.skeleton) == 55 and len(mesh.parts) == 6
-    used = mesh.vertices[np.unique(mesh.faces)]
-    assert used[:, 1].min() == pytest.approx(0, abs=1e-6) and 1.5 < np.ptp(used[:, 1]) < 2.0
-    left = mesh.skeleton.joints[mesh.skeleton.names.index("left_wrist")]
-    assert left[0] > 0.4
-    assert any(part.cutout for part in mesh.parts)  # hair

@@ -6,13 +6,11 @@ import copy
 import time
 from collections.abc import Iterator
 from threading import Event
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from glsplat.authoring.threads import _openblas, abreast, aside, found_once, one_blas_thread, one_heap
+from glsplat.authoring.threads import _openblas, abreast, aside, found_once, one_blas_thread
 
 
 def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
@@ -39,15 +37,6 @@ def test_what_is_done_aside_is_waited_for_and_its_errors_come_through() -> None:
     assert result() == "done" == result()
     with pytest.raises(ZeroDivisionError):
         aside(lambda: 1 // 0)()
-
-
-def test_one_heap_is_asked_of_the_c_library_and_not_missed_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[int, int]] = []
-    libraries = [SimpleNamespace(mallopt=lambda *words: asked.append(words)), SimpleNamespace()]
-    for library in libraries:
-        monkeypatch.setattr("glsplat.authoring.threads.ctypes.CDLL", lambda name, library=library: library)
-        one_heap()
-    assert asked == [(-8, 1), (-3, 32 << 20), (-1, 256 << 20)]
 
 
 @pytest.fixture
@@ -81,16 +70,6 @@ def test_whoever_leaves_last_gives_the_threads_back(blas: list[Any]) -> None:
     assert [get() for get, _ in blas] == [2] * len(blas)
 
 
-def test_sums_do_not_hang_on_the_number_of_threads(blas: list[Any]) -> None:
-    rows, found = np.random.default_rng(3).normal(size=(2, 200_000)), set()
-    for count in (1, 2, 3):
-        for _, put in blas:
-            put(count)
-        with one_blas_thread():
-            found.add(float(rows[0] @ rows[1]))
-    assert len(found) == 1
-
-
 def test_threads_that_ask_at_once_have_it_found_once() -> None:
     class Slow:
         """Counts how often it was asked."""
@@ -114,21 +93,3 @@ def test_threads_that_ask_at_once_have_it_found_once() -> None:
     assert slow.times == 1 and len(set(map(id, found))) == 1
     assert copy.deepcopy(slow).times == 1  # no lock is left in it
     assert Slow().half is not slow.half and (Slow.half.__doc__ or "").startswith("What")
-
-
-def test_what_was_not_found_is_looked_for_again() -> None:
-    class Failing:
-        """Finds nothing the first time."""
-
-        times = 0
-
-        @found_once
-        def there(self) -> int:
-            """2, or an error."""
-            self.times += 1
-            return 2 // (self.times - 1)
-
-    failing = Failing()
-    with pytest.raises(ZeroDivisionError):
-        _ = failing.there
-    assert failing.there == 2

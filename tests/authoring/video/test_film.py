@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -43,9 +41,7 @@ def numbers(frames: list[np.ndarray]) -> list[int]:
     return [round(float(frame[4:12, 4:12].mean()) / 4) for frame in frames]
 
 
-@pytest.mark.parametrize(
-    ("name", "code"), [("a.mp4", "mp4v"), ("a.avi", "MJPG"), ("a.webm", "VP80"), ("a.mkv", "mp4v")]
-)
+@pytest.mark.parametrize(("name", "code"), [("a.mp4", "mp4v"), ("a.webm", "VP80")])
 def test_frames_are_spread_evenly(tmp_path: Path, name: str, code: str) -> None:
     path = write(tmp_path / name, [picture(number) for number in range(60)], code)
     assert is_video(path)
@@ -60,17 +56,6 @@ def test_the_sharpest_of_a_stretch_is_taken(tmp_path: Path) -> None:
     frames = [picture(number % 60, blurred=number not in sharp) for number in range(80)]
     path = write(tmp_path / "a.avi", frames, "MJPG")
     assert numbers(read_frames(path, 8)) == [3, 14, 26, 36, 43, 56, 6, 13]
-
-
-def test_few_frames_are_all_taken(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.avi", [picture(number) for number in range(11)], "MJPG")
-    assert numbers(read_frames(path, 30)) == list(range(11))
-
-
-def test_large_frames_are_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(film, "SIDE", 48)
-    path = write(tmp_path / "a.avi", [picture(number) for number in range(9)], "MJPG")
-    assert {frame.shape for frame in read_frames(path, 9)} == {(32, 48, 3)}
 
 
 def test_a_phone_that_was_held_upright(tmp_path: Path) -> None:
@@ -129,22 +114,6 @@ def test_a_head_and_nothing_else(tmp_path: Path, data: bytes) -> None:
     path.write_bytes(data)
     with pytest.raises(FormatError, match=r"a\.mp4: the video is damaged or of an unknown kind"):
         read_frames(path, 8)
-
-
-def test_ffmpeg_and_opencv_keep_silent(tmp_path: Path) -> None:
-    """In a process of its own: the level is read when the first video is opened."""
-    path = tmp_path / "a.mp4"
-    path.write_bytes(b"\0\0\0\x18ftypisom" + b"\0" * 400)
-    program = f"""
-from glsplat.errors import FormatError
-from glsplat.authoring.video.film import read_frames
-try:
-    read_frames({str(path)!r}, 8)
-except FormatError:
-    print("refused")
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=250, check=False)
-    assert (done.stdout, done.stderr, done.returncode) == ("refused\n", "", 0)
 
 
 def test_a_video_that_was_cut_off(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Normals and occlusion of meshes whose answers are known: balls, a plane under a roof, a ball in a ball."""
+"""Normals, occlusion and the light of a photograph on meshes whose answers are known."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import pytest
 
 from glsplat.authoring.light.capture import CapturedLight, with_captured_light
 from glsplat.authoring.light.carried import surface_carried
+from glsplat.authoring.light.cloth import cloth_normals
 from glsplat.authoring.light.occlusion import ambient_occlusion
 from glsplat.authoring.light.surfaces import nearest_open, with_surface
+from glsplat.authoring.paint.light import Light as Lamp
+from glsplat.authoring.paint.light import find_light
 from glsplat.avatar import Avatar
 from glsplat.light.light import Light
-from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
@@ -63,15 +65,6 @@ def test_of_cloth_folded_over_itself_the_outer_side_is_taken() -> None:
     assert nearest_open(near, splats, half_open).at(half_open).min() > 0.65
 
 
-def test_two_balls_shade_each_other_where_they_touch() -> None:
-    vertices, part = ball(0.3)
-    mesh = rigged((vertices, part), (vertices + (0.61, 0, 0), replace(part, name="beside")))
-    occlusion = ambient_occlusion(mesh, mesh.vertices, 24)
-    first = occlusion[: len(vertices)]
-    near, far = vertices[:, 0].argmax(), vertices[:, 0].argmin()
-    assert first[near] < 0.35 and first[far] > 0.97
-
-
 def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
     splats = cloud(50)
     moved = replace(splats, means=splats.means + 1e-4)
@@ -84,11 +77,6 @@ def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
     hurt = surface_carried(surface, replace(splats, means=means), moved)
     assert hurt is not None and len(hurt) == 50 and np.isfinite(hurt.units).all()
     assert surface_carried(None, splats, moved) is None
-
-
-@pytest.mark.parametrize("normals", [np.zeros((5, 3)), np.full((5, 3), np.nan)])
-def test_no_normal_stays_none(normals: np.ndarray) -> None:
-    assert not Surface.of(normals, np.ones(5)).normals.any()
 
 
 def test_colours_that_no_photograph_gave_hold_no_light() -> None:
@@ -118,3 +106,67 @@ def test_only_what_lies_before_a_head_is_mixed_as_seen() -> None:
         away = avatar.splats.means[len(vertices) :] - (0, 1, 0)
         out = (surface.units[len(vertices) :] * away).sum(axis=1) / np.linalg.norm(away, axis=1)
         assert (np.median(out) > 0) == changes, name
+
+
+def dented(upper: str, metres: float) -> tuple[RiggedMesh, np.ndarray]:
+    """A ball of two joints with dents of that depth, and the unit normals of the one without."""
+    vertices, part = ball(0.3)
+    out = (vertices - (0, 1, 0)) / 0.3
+    vertices = vertices + out * np.random.default_rng(5).normal(0, metres, (len(vertices), 1))
+    held = np.zeros((len(vertices), 1), np.int64)
+    held[out[:, 1] > 0] = 1
+    skeleton = Skeleton.from_joints(("base", upper), [-1, 0], np.array([[0, 0.7, 0], [0, 1, 0]]))
+    return RiggedMesh(vertices, skeleton, held, np.ones((len(vertices), 1)), (part,)), out
+
+
+def off(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Degrees between unit vectors."""
+    return np.asarray(np.degrees(np.arccos(np.einsum("nc,nc->n", one, other).clip(-1, 1))))
+
+
+def test_cloth_is_evened_out_and_a_face_is_kept() -> None:
+    mesh, round_ = dented("head", 0.006)
+    own = vertex_normals(mesh.vertices, mesh.faces)
+    (evened,) = cloth_normals(mesh, [mesh.vertices])
+    below, above = round_[:, 1] < -0.25, round_[:, 1] > 0.25
+    assert off(evened, round_)[below].mean() < 0.6 * off(own, round_)[below].mean()
+    assert off(evened, own)[above].max() < 3
+    assert np.linalg.norm(evened, axis=1) == pytest.approx(1)
+    arm, _ = dented("left_shoulder", 0.006)
+    (all_,) = cloth_normals(arm, [arm.vertices])
+    assert off(all_, round_)[above].mean() < 0.6 * off(own, round_)[above].mean()
+
+
+def test_a_round_body_stays_round_in_every_pose() -> None:
+    mesh, round_ = dented("spine1", 0.0)
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    still, turned = cloth_normals(mesh, [mesh.vertices, mesh.vertices @ turn.T])
+    assert off(still, round_).max() < 2
+    assert off(turned, still @ turn.T).max() < 0.1
+
+
+DOUBTS = 1.5, 0.7
+
+
+def seen_under(lamp: tuple[float, float, float], seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Normals that a camera on -z sees, and colours of cloths under a lamp, with noise."""
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(4000, 3))
+    normals[:, 2] = -np.abs(normals[:, 2])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    albedo = rng.uniform(0.1, 0.8, (30, 3))[rng.integers(0, 30, 4000)] * rng.lognormal(0, 0.1, (4000, 3))
+    way = np.array(lamp) / np.linalg.norm(lamp)
+    light = Lamp(way, np.array([0.0, -1, 0]), 1.7)
+    return normals, albedo * light.shade(normals)[:, None]
+
+
+@pytest.mark.parametrize("lamp", [(-0.85, -0.55, -0.6), (0.85, -0.55, -0.6), (0.1, -0.9, -0.6)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_lamp_from_aside_is_found(lamp: tuple[float, float, float], seed: int) -> None:
+    normals, colours = seen_under(lamp, seed)
+    up, towards = np.array([0.0, -1, 0]), np.array([0.0, 0, -1])
+    found = find_light(normals, colours, np.ones(4000), up, towards, DOUBTS)
+    angle = np.degrees(np.arccos(found.direction @ np.array(lamp) / np.linalg.norm(lamp)))
+    assert angle < 15 and 1.0 < found.strength < 2.6
+    usual = find_light(normals, colours, np.ones(4000), up, towards)
+    assert found.direction[0] * lamp[0] >= usual.direction[0] * lamp[0] - 0.02  # more doubt leans no less
