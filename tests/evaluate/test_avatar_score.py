@@ -11,12 +11,10 @@ import pytest
 import apps.cli as cli
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
-from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose
 from glsplat.evaluate.avatar_score import DISTANCE, FILL, camera_around, compare, score
 from glsplat.formats.person import read_person
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.renderer import Renderer
-from glsplat.rotations import rotation_matrices
 
 WHOLE = (slice(None), slice(None))
 
@@ -48,22 +46,6 @@ def test_the_figure_fills_the_picture(rng):
     assert camera_around(points, 0, 200).position[2] > 2 and camera_around(points, 90, 200).position[0] > 2
 
 
-def test_poses_are_symmetric_unless_they_say_otherwise():
-    skeleton = default_avatar().skeleton
-    known = set(skeleton.names)
-    mirror = np.diag([-1.0, 1, 1])
-    for name, rotations in SCORE_POSES.items():
-        assert set(rotations) <= known, name
-        pose = score_pose(name, skeleton)
-        assert np.abs(pose.rotations).max() < 2.5
-        for joint in rotations:
-            twin = joint.replace("left", "right")
-            if joint.startswith("left") and twin not in rotations:
-                left, right = (rotation_matrices(pose.rotations[[skeleton.names.index(j)]])[0] for j in (joint, twin))
-                assert mirror @ left @ mirror == pytest.approx(right, abs=1e-12)
-    assert len(SCORE_POSES) == 8 and not score_pose("T-pose", skeleton).rotations.any()
-
-
 @pytest.mark.gl
 @pytest.mark.shared
 def test_default_avatar_looks_like_its_mesh(shared_data: Path, context):
@@ -89,18 +71,11 @@ def test_default_avatar_looks_like_its_mesh(shared_data: Path, context):
 @pytest.mark.gl
 @pytest.mark.shared
 def test_the_command(shared_data: Path, tmp_path, capsys):
-    words = ["avatar", "score", "--mesh", str(shared_data / "people" / "char_c_registry.npz"), "--size", "128"]
     sheet = tmp_path / "s.png"
-    assert cli.main([*words, "--poses", "2", "--views", "2", "--sheet", str(sheet), "--json"]) == 0
+    words = ["--size", "128", "--poses", "1", "--views", "2", "--sheet", str(sheet), "--cull-hidden", "--json"]
+    assert cli.main(["avatar", "score", "--mesh", str(shared_data / "people" / "char_c_registry.npz"), *words]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["pictures"] == len(facts["each"]) == 4 and facts["splats"] == len(default_avatar().splats)
+    assert facts["pictures"] == len(facts["each"]) == 2 and facts["drawn"] < facts["splats"]
     assert facts["body_psnr"]["min"] == pytest.approx(min(e["body_psnr"] for e in facts["each"]), abs=0.01)
-    assert {e["azimuth"] for e in facts["each"]} == {15, 195}
-    assert cv2.imread(str(sheet)).shape == (2 * 66 - 2, 6 * 66 - 2, 3)
-    assert facts["face_psnr"]["min"] > 20 and facts["finest_psnr"] is None and facts["drawn"] <= facts["splats"]
-    assert cli.main([*words, "--poses", "1", "--views", "2", "--cull-hidden", "--json"]) == 0
-    less = json.loads(capsys.readouterr().out)
-    assert 30 < less["finest_psnr"]["min"] < 80 and less["drawn"] < less["splats"]
-    assert cli.main([*words, "--poses", "1", "--views", "1", "--cull-hidden"]) == 0
-    text = capsys.readouterr().out
-    assert "face" in text and "against the finest level drawn exactly" in text
+    assert {e["azimuth"] for e in facts["each"]} == {15, 195} and facts["face_psnr"]["min"] > 20
+    assert cv2.imread(str(sheet)).shape == (66 - 2, 6 * 66 - 2, 3) and 30 < facts["finest_psnr"]["min"] < 80

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from glsplat.authoring.surface import SamplerConfig
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
-from glsplat.evaluate.knobs import Drawn, Setting, base_config, error_frames, settings_of
+from glsplat.evaluate.knobs import base_config, error_frames, settings_of
 from glsplat.evaluate.sections.measure import measure
-from glsplat.evaluate.subjects import Subject, cameras_for, check_cameras, dense_person, subjects_of
-from glsplat.formats import load, save
+from glsplat.evaluate.subjects import Subject, cameras_for, check_cameras, subjects_of
+from glsplat.formats import save
 from glsplat.gl.context import Context
-from glsplat.splats import Level, Splats
 from tests.golden.stored import DATA
 from tests.scenes import camera, cloud, limb
 
@@ -89,56 +86,3 @@ def test_exact_ties_stay_exact_under_a_given_camera(context: Context) -> None:
     settings = settings_of(subject, RenderConfig(target="32f", shape="triangle"))[:2]
     result = measure(context, subject, settings, 3, error_frames(subject, 3))
     assert result["settings"][0]["psnr"] > 110
-
-
-@pytest.mark.check
-@pytest.mark.usefixtures("gl")
-@pytest.mark.gl
-def test_a_scene_with_the_camera_of_its_golden(context: Context) -> None:
-    cameras = [f"playbot_lod6={DATA / 'playbot_lod3.camera.json'}"]
-    (subject,) = subjects_of(str(DATA / "playbot_lod6.ply"), 96, cameras)
-    settings = settings_of(subject, base_config(context), few=True)
-    result = measure(context, subject, settings, 3, error_frames(subject, 3))
-    rows = {(r["knob"], r["setting"]): r for r in result["settings"]}
-    assert result["views"] == 1 and rows["default", "default"]["psnr"] > 65
-    assert rows["SH degree", "0"]["psnr"] < rows["SH degree", "1"]["psnr"] < rows["SH degree", "2"]["psnr"]
-    assert rows["splats", "468"]["psnr"] < rows["splats", "1,873"]["psnr"]
-
-
-@pytest.mark.check
-@pytest.mark.usefixtures("gl")
-@pytest.mark.shared
-@pytest.mark.gl
-def test_a_person_is_held_against_all_joints(context: Context, shared_data: Path) -> None:
-    subject = dense_person(shared_data / "people" / "char_c_registry.npz", 300, 64, SamplerConfig(probe=96, rounds=1))
-    assert subject.right.skin.influences > 4 and subject.scene.skin.influences == 8
-    np.testing.assert_allclose(subject.right.skin.weights.sum(axis=1), 1, atol=1e-5)
-    base = base_config(context)
-    settings = [s for s in settings_of(subject, base) if s.knob in ("default", "influences")]
-    assert [s.label for s in settings[2:]] == ["1", "2", "4", "8"]
-    psnr = [r["psnr"] for r in measure(context, subject, settings, 3, [7])["settings"][2:]]
-    assert psnr[0] < psnr[1] < psnr[2] <= psnr[3] and psnr[3] > 65
-
-
-@pytest.mark.usefixtures("gl")
-@pytest.mark.gl
-def test_saved_scene_and_settings_are_one_measurement(tmp_path: Path, context: Context) -> None:
-    save(cloud(1200, degree=1), tmp_path / "a.ply")
-    scene = load(tmp_path / "a.ply")
-    assert isinstance(scene, Splats)
-    base = base_config(context)
-    many, few = (settings_of(Subject("a", scene, 32), base, short) for short in (False, True))
-    assert len({s.drawn for s in few}) < len({s.drawn for s in many}) < len(many)
-    assert Setting("splats", "1,200", Drawn(base)) in many and Setting("splats", "1,200", Drawn(base)) in few
-
-
-@pytest.mark.usefixtures("gl")
-@pytest.mark.gl
-def test_levels_of_detail_are_a_knob(context: Context) -> None:
-    base = base_config(context)
-    coned = replace(cloud(1200), cones=np.full((1200, 4), 100, np.int8), cones_psnr=50.0)
-    scene = replace(coned, levels=(Level(cloud(300), 40.0), Level(cloud(90), 20.0)))
-    labels = [s.label for s in settings_of(Subject("a", scene, 32), base) if s.knob == "level of detail"]
-    assert labels == ["0", "0, hidden by price", "1", "1, hidden by price", "2", "2, hidden by price"]
-    plain = settings_of(Subject("a", cloud(1200), 32), base)
-    assert not [s for s in plain if s.knob == "level of detail"]

@@ -1,118 +1,102 @@
-"""A wrong picture moves the tables by what it moves when everything is worked out by hand, from the pictures alone."""
+"""Tables against means and deviations that NumPy takes of the same figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
+import itertools
+from typing import Any
 
 import numpy as np
 import pytest
-from skimage.metrics import structural_similarity
 
 from glsplat.evaluate.comparison import tables
-from glsplat.evaluate.comparison import work as working
-from glsplat.evaluate.comparison.method import method_of
-from glsplat.evaluate.comparison.participant import Participant
-from glsplat.evaluate.comparison.protocol import Protocol
-from glsplat.evaluate.comparison.stage import Stage, StageTruth
-from glsplat.evaluate.comparison.work import Result, Task, work
+from glsplat.evaluate.comparison.control import CONTROLS
+from glsplat.evaluate.comparison.measure import MEASURES, OVERLAP, PARTED
+from glsplat.evaluate.comparison.parts import PARTS
+from glsplat.evaluate.comparison.work import Result
 
-Pictures = dict[tuple[str, int, str], np.ndarray]
-"""Participant, moment, view -> what both eyes should see, [2, H, W, 4]."""
-Wrong = Callable[[Pictures, tuple[str, int, str]], np.ndarray]
-
-PROTOCOL = Protocol(tasks=("standing", "turning"), views=("front", "left"), size=64, light="none")
-MEASURED = ("l1", "psnr", "ssim", "lpips")
-WRONG: dict[str, Wrong] = {
-    "the other person": lambda pictures, key: pictures[{"p01": "p02", "p02": "p01"}[key[0]], *key[1:]],
-    "one eye of one view": lambda pictures, key: (
-        pictures[key] * np.array([1, key[2] != "left"], np.uint8)[:, None, None, None]
-    ),
-}
-
-
-def by_hand(one: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Of two pictures [H, W, 4]; scikit-image's SSIM, and the mean square that stands in for LPIPS."""
-    a, b = one[..., :3] / 255, truth[..., :3] / 255
-    square = ((a - b) ** 2).mean()
-    similar = structural_similarity(
-        a, b, data_range=1, channel_axis=2, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
-    )
-    psnr = -10 * np.log10(square) if square else 120.0
-    return {"l1": np.abs(a - b).mean(), "psnr": psnr, "ssim": similar, "lpips": square}
+PEOPLE, METHODS = ("p01", "p02", "p03"), ("first", "second")
+TASKS, VIEWS = ("standing", "turning"), ("front", "left")
+MEASURED = (*MEASURES, OVERLAP)
 
 
 @pytest.fixture(scope="module")
-def pictures() -> Pictures:
-    """Filled by the first comparison."""
-    return {}
+def figures() -> np.ndarray:
+    """[participant, method, control, measure, moment, view, eye]."""
+    return np.random.default_rng(4).random((3, 2, 2, len(MEASURED), 2, 2, 2))
 
 
-def compare(
-    wrong: Wrong, pictures: Pictures, people: list[Participant], out: Path, monkeypatch: pytest.MonkeyPatch
-) -> list[Result]:
-    """The comparison of a method that sees what is ``wrong`` with the truth."""
+@pytest.fixture(scope="module")
+def results(figures: np.ndarray) -> list[Result]:
+    """Two methods of three people, of whom the last failed with the second method; nobody's hands are seen."""
 
-    class Told(Stage):
-        def truth(self, moment: int, view: str) -> StageTruth:
-            found = super().truth(moment, view)
-            self.key = current, moment, view
-            pictures[self.key] = found.pictures
-            return found
+    def of(rows: np.ndarray) -> dict[str, Any]:
+        return {name: row.tolist() for name, row in zip(MEASURED, rows, strict=True)}
 
-        def draw(self, *_: object) -> np.ndarray:
-            return wrong(pictures, self.key)
-
-    monkeypatch.setattr(working, "Stage", Told)
-    results = []
-    for one in people:
-        current = one.name
-        task = Task(one, dict([method_of("itself")]), PROTOCOL, out, {"seed": 0})
-        results += work(task, lambda *said: None)
-    return results
+    found = []
+    for person, methods in zip(PEOPLE, figures, strict=True):
+        for method, controls in zip(METHODS, methods, strict=True):
+            if (person, method) == ("p03", "second"):
+                found.append(Result(person, method, "no idea"))
+                continue
+            values = {control: of(rows) for control, rows in zip(CONTROLS, controls, strict=True)}
+            none = {name: [[[None] * 2] * 2] * 2 for name in PARTED}
+            parts = {control: {part: values[control] for part in PARTS} | {"hands": none} for control in CONTROLS}
+            data = {"product": {"count": 7}, "moments": list(TASKS), "views": list(VIEWS), "values": values}
+            found.append(Result(person, method, data=data | {"parts": parts}))
+    return found
 
 
-@pytest.mark.check
-@pytest.mark.usefixtures("no_lpips", "strangers")
-@pytest.mark.parametrize("name", WRONG)
-def test_tables_are_those_by_hand(people, pictures, tmp_path, monkeypatch, name) -> None:
-    if not pictures:  # the other person's are needed before that person's turn
-        compare(lambda pictures, key: pictures[key], pictures, people[:2], tmp_path / "first", monkeypatch)
-    results = compare(WRONG[name], pictures, people[:2], tmp_path / "out", monkeypatch)
-    assert not [one.failed for one in results if one.failed] and len(pictures) == 8
-    hand = {
-        key: [by_hand(*pair) for pair in zip(WRONG[name](pictures, key), truth, strict=True)]
-        for key, truth in pictures.items()
-    }
+def good(figures: np.ndarray, row: dict[str, Any]) -> np.ndarray:
+    """[participant, measure, moment, view, eye] of the row's method and control, without what failed."""
+    people = slice(0, 2 if row["method"] == "second" else 3)
+    return figures[people, METHODS.index(row["method"]), CONTROLS.index(row["control"])]
 
-    def mean(measure: str, *parts: object) -> list[float]:
-        """Of each participant, over the pictures whose key has all the ``parts``."""
-        return [
-            float(np.mean([e[measure] for key, eyes in hand.items() if {person, *parts} <= set(key) for e in eyes]))
-            for person in ("p01", "p02")
-        ]
 
-    for row in tables.summary(results, ("itself",), 2):
-        for measure in MEASURED:
-            values = mean(measure)
-            assert row[measure]["mean"] == pytest.approx(np.mean(values), abs=2e-6)
-            assert row[measure]["sd"] == pytest.approx(np.std(values, ddof=1), abs=2e-6)
-    for row in tables.by_participant(results, ("itself",)):
-        for measure in MEASURED:
-            wanted = mean(measure)[("p01", "p02").index(row["participant"])]
-            assert row["pose"][measure] == row["tracking"][measure] == pytest.approx(wanted, abs=2e-6)
-    for row in tables.by_view(results, ("itself",)):
-        for measure in MEASURED:
-            assert row[measure]["mean"] == pytest.approx(np.mean(mean(measure, row["view"])), abs=2e-6)
-    for row in tables.by_moment(results, ("itself",)):
-        place = ("standing", "turning").index(row["moment"])
-        for measure in MEASURED:
-            wanted = [
-                float(np.mean([e[measure] for key, eyes in hand.items() if key[:2] == (person, place) for e in eyes]))
-                for person in ("p01", "p02")
-            ]
-            assert row[measure]["mean"] == pytest.approx(np.mean(wanted), abs=2e-6)
-    assert np.mean(mean("l1")) > 0
-    if name == "one eye of one view":
-        rows = {row["view"]: row for row in tables.by_view(results, ("itself",)) if row["control"] == "pose"}
-        assert rows["front"]["l1"]["mean"] == 0 and rows["left"]["l1"]["mean"] > 0
+def check(row: dict[str, Any], values: np.ndarray, names: tuple[str, ...] = MEASURED) -> None:
+    """``values`` [participant, measure]."""
+    for name, column in zip(names, values.T, strict=False):
+        assert row[name]["mean"] == pytest.approx(column.mean(), abs=1e-5)
+        assert row[name]["sd"] == pytest.approx(column.std(ddof=1), abs=1e-5)
+
+
+def test_summary(results: list[Result], figures: np.ndarray) -> None:
+    rows = tables.summary(results, METHODS, 3)
+    assert [(row["method"], row["n"], row["of"]) for row in rows[:2]] == [("first", 3, 3), ("second", 2, 3)]
+    for row in rows:
+        check(row, good(figures, row).mean(axis=(2, 3, 4)))
+    assert tables.failures(results) == [{"participant": "p03", "method": "second", "why": "no idea"}]
+
+
+def test_by_participant(results: list[Result], figures: np.ndarray) -> None:
+    *rows, last = tables.by_participant(results[::-1], METHODS)
+    assert last == {"participant": "p03", "method": "second", "failed": "no idea"}
+    for row, control in itertools.product(rows, CONTROLS):
+        person = PEOPLE.index(row["participant"])
+        wanted = good(figures, row | {"control": control})[person].mean(axis=(1, 2, 3))
+        assert list(row[control].values()) == pytest.approx(wanted[: len(row[control])], abs=1e-5)
+
+
+@pytest.mark.parametrize(("key", "labels", "axes"), [("moment", TASKS, (3, 4)), ("view", VIEWS, (2, 4))])
+def test_along_an_axis(
+    results: list[Result], figures: np.ndarray, key: str, labels: tuple[str, ...], axes: tuple[int, ...]
+) -> None:
+    rows = {"moment": tables.by_moment, "view": tables.by_view}[key](results, METHODS)
+    assert len(rows) == len(METHODS) * len(CONTROLS) * 2
+    for row in rows:
+        check(row, good(figures, row).mean(axis=axes)[..., labels.index(row[key])])
+
+
+def test_parts_that_are_not_seen_have_no_row(results: list[Result], figures: np.ndarray) -> None:
+    rows = tables.by_part(results, METHODS)
+    assert {row["part"] for row in rows} == set(PARTS) - {"hands"}
+    for row in rows:
+        columns = [MEASURED.index(name) for name in PARTED]
+        check(row, good(figures, row).mean(axis=(2, 3, 4))[:, columns], PARTED)
+
+
+def test_methods_are_compared_on_common_participants(results: list[Result], figures: np.ndarray) -> None:
+    (row,) = [
+        row for row in tables.compared(results, METHODS, 0) if (row["control"], row["measure"]) == ("pose", "ssim")
+    ]
+    away = (figures[:2, 0] - figures[:2, 1])[:, CONTROLS.index("pose"), MEASURED.index("ssim")].mean()
+    assert row["n"] == 2 and row["missing"] == ["p03"] and row["mean"] == pytest.approx(away, abs=1e-5)

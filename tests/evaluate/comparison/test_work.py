@@ -92,22 +92,29 @@ def _only_from_files(product: Callable) -> Callable:
     return checked
 
 
-@pytest.mark.check
-def test_results_hold_for_their_files_and_protocol_alone(people, short, tmp_path) -> None:
-    folder = tmp_path / "people"
+def test_results_hold_for_their_files_and_protocol_alone(people, tmp_path) -> None:
+    short = Protocol(tasks=("standing",), views=("left",), size=64, light="none")  # a view that is no front
+    folder, made = tmp_path / "people", tmp_path / "mine"
     folder.mkdir()
+    made.mkdir()
     shutil.copy(people[1].mesh_file, folder / "one.npz")
-    (task,) = tasks_of(participants_in(folder), short, tmp_path / "out", "itself")
+    shutil.copy(people[1].mesh_file, made / "one.npz")
+    task = tasks_of(participants_in(folder), short, tmp_path / "out", f"mine={made}")[0]
     assert finished(task) == []
-    work(task, quiet)
-    assert len(finished(task)) == 1
+    (good,) = work(task, quiet)
+    assert not good.failed and len(finished(task)) == 1
     other = Protocol(tasks=short.tasks, views=("back",), size=64, light="none")
-    assert finished(tasks_of(participants_in(folder), other, tmp_path / "out", "itself")[0]) == []
+    assert finished(tasks_of(participants_in(folder), other, tmp_path / "out", f"mine={made}")[0]) == []
+    shutil.copy(people[0].mesh_file, made / "one.npz")
+    assert finished(task) == []
+    (worse,) = work(task, quiet)
+    assert np.mean(worse.data["values"]["pose"]["l1"]) > 2 * np.mean(good.data["values"]["pose"]["l1"])
     shutil.copy(people[0].mesh_file, folder / "one.npz")
-    assert finished(tasks_of(participants_in(folder), short, tmp_path / "out", "itself")[0]) == []
-    result = tmp_path / "out" / "results" / "itself" / "one.json"
-    for broken in ("", "{", "[]", '{"key": 1}', '{"key": {}, "data": {}}'):
-        result.write_text(broken)
+    assert finished(tasks_of(participants_in(folder), short, tmp_path / "out", f"mine={made}")[0]) == []
+    (tmp_path / "out" / "sheets" / "mine" / "one.jpg").unlink()
+    assert finished(task) == []
+    for broken in ("", "[]", '{"key": 1}'):
+        (tmp_path / "out" / "results" / "mine" / "one.json").write_text(broken)
         assert finished(task) == []
 
 
@@ -196,39 +203,6 @@ def test_participants_are_found_by_their_files(tmp_path) -> None:
         (tmp_path / "participants.json").write_text(text)
         with pytest.raises(FormatError, match=r"participants\.json"):
             participants_in(tmp_path)
-
-
-@pytest.mark.check
-def test_another_file_of_a_method_is_measured_anew(people, short, tmp_path) -> None:
-    made = tmp_path / "mine"
-    made.mkdir()
-    one = people[1]
-    shutil.copy(one.mesh_file, made / "p02.npz")
-    task = Task(one, dict([method_of(f"mine={made}")]), short, tmp_path / "out")
-    (good,) = work(task, quiet)
-    assert not good.failed and len(finished(task)) == 1
-    shutil.copy(people[0].mesh_file, made / "p02.npz")
-    assert finished(task) == []
-    (other,) = work(task, quiet)
-    assert np.mean(other.data["values"]["pose"]["l1"]) > 2 * np.mean(good.data["values"]["pose"]["l1"])
-    (tmp_path / "out" / "sheets" / "mine" / "p02.jpg").unlink()
-    assert finished(task) == []
-    (made / "p02.npz").unlink()
-    assert "no file of p02" in work(task, quiet)[0].failed
-
-
-@pytest.mark.check
-def test_an_avatar_of_another_run_does_not_pass(people, tmp_path) -> None:
-    protocol = Protocol(tasks=("standing",), views=("left",), size=64)  # a view that is no front
-    (task,) = tasks_of(people[1:2], protocol, tmp_path, "itself")
-    (other,) = tasks_of(people[1:2], protocol, tmp_path / "other", "smaller")
-    (first,) = work(task, quiet)
-    work(other, quiet)
-    avatar = tmp_path / "avatars" / "itself" / "p02.glb"
-    shutil.copy(tmp_path / "other" / "avatars" / "smaller" / "p02.glb", avatar)  # as if interrupted before the note
-    (tmp_path / "results" / "itself" / "p02.json").unlink()
-    (again,) = work(task, quiet)
-    assert again.data["values"] == first.data["values"] and not first.failed
 
 
 @pytest.mark.check

@@ -8,7 +8,6 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
@@ -87,20 +86,6 @@ def test_the_distance_written_out(kind: Any, tmp_path: Path, rng: np.random.Gene
     assert lpips.distance(first, second) == pytest.approx(right, abs=1e-6) and right > 0.01
     assert lpips.distance(second, first) == lpips.distance(first, second) and lpips.distance(first, first) == 0
     assert lpips.distance(lpips.features(pair[0].astype(np.float32)), second) == pytest.approx(right, abs=1e-5)
-
-
-def test_sizes_in_turn_and_the_same_again(alex: Path, rng: np.random.Generator) -> None:
-    """One network takes pictures of any size, one after another, with any number of threads, and keeps nothing."""
-    pictures = [rng.random((*size, 3)) for size in ((64, 64), (47, 90), (64, 64), (120, 31))]
-    alone = [Lpips("alex", alex).features(picture) for picture in pictures]
-    lpips, threads = Lpips("alex", alex), cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        in_turn = [lpips.features(picture) for picture in pictures]
-    finally:
-        cv2.setNumThreads(threads)
-    for one, other in zip(alone, in_turn, strict=True):
-        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 @pytest.mark.skipif(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,7 @@ def test_equal_pictures(rng: np.random.Generator) -> None:
 def test_ssim_is_that_of_scikit_image(rng: np.random.Generator, kind: type) -> None:
     structural_similarity = pytest.importorskip("skimage.metrics").structural_similarity
     options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1}
-    for _ in range(5):
+    for _ in range(2):
         picture, truth = (one.astype(kind) for one in noisy(rng))
         exact = (picture.astype(np.float64), truth.astype(np.float64))
         whole, full = structural_similarity(*exact, channel_axis=2, full=True, **options)
@@ -83,19 +82,6 @@ def test_flip_is_its_authors_own(rng: np.random.Generator) -> None:
     errors, mean, _ = flip_evaluator.evaluate(truth, picture, "LDR", applyMagma=False)
     assert flip(picture, truth) == mean and flip(truth, truth) == 0
     assert flip(picture, truth, BOX) == pytest.approx(float(np.asarray(errors)[BOX].mean()), rel=1e-6)
-
-
-def test_without_flip_it_says_what_to_install(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def no_flip(name: str, *rest: Any) -> Any:
-        if name == "flip_evaluator":
-            raise ImportError(name=name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", no_flip)
-    with pytest.raises(GlsplatError, match=r"pip install 'glsplat\[evaluate\]'"):
-        flip(*noisy(rng))
 
 
 @pytest.mark.parametrize("measure", [l1, psnr, ssim, flip])
