@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -35,21 +34,6 @@ def test_equal_designs_have_equal_digests(tmp_path: Path) -> None:
     for before, after in [("latency = 150", "latency = 151"), ('"Wave."', '"Wave!"'), ("seed = 5", "seed = 6")]:
         assert read_study(write(tmp_path / "b", SMALL.replace(before, after))).digest != one.digest
     assert read_study(write(tmp_path / "b", SMALL, OWN.replace("odd.", "odd!"))).digest != one.digest
-
-
-def test_the_papers_study() -> None:
-    """2 x 3 within 24 participants, in blocks by type, six tasks, in front of a mirror."""
-    with resources.as_file(resources.files("glsplat.study") / "examples" / "paper.toml") as path:
-        study = read_study(path)
-    assert study.participants == 24 and study.order.block == "type"
-    assert {tuple(one.levels.values()) for one in study.conditions} == {
-        (type, method) for type in ("self", "other") for method in ("ours", "video", "image")
-    }
-    assert {one.view for one in study.conditions} == {"mirror"}
-    assert study.condition("self-ours").file("sub-007") == "avatars/sub-007-self-ours.glb"
-    counts = {name: len(study.questionnaires[name].items) for name in study.each}
-    assert counts == {"veq": 12, "veq-plus": 12, "vhp-abp": 6, "movement": 3}  # the paper, "Dependent Variables"
-    assert len(study.untold) == 30
 
 
 WRONG = [

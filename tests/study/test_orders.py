@@ -66,20 +66,6 @@ def test_blocks_stay_together_and_are_balanced(tmp_path: Path) -> None:
     assert set(within) == {8}
 
 
-@pytest.mark.parametrize(("participants", "apart"), [(24, True), (12, False)])
-def test_each_group_is_balanced_where_its_number_allows(tmp_path: Path, participants: int, apart: bool) -> None:
-    """Else the order would differ between groups by chance; twelve people are balanced together at least."""
-    path = design(tmp_path, (2, 3), participants, 'block = "f0"', seed=3)
-    path.write_text(path.read_text().replace("[order]", '[between]\ngroup = ["old", "young"]\n[order]'))
-    study = read_study(path)
-    orders, groups = orders_of(study), groups_of(study)
-    assert {count for counts in positions(orders).values() for count in counts} == {participants // 6}
-    for level in ("old", "young"):
-        own = [order for order, group in zip(orders, groups, strict=True) if group["group"] == level]
-        found = {count for counts in positions(own).values() for count in counts}
-        assert (found == {2}) is apart and len(own) == participants // 2
-
-
 def test_chance_is_the_seeds(tmp_path: Path) -> None:
     def orders(seed: int) -> list[tuple[str, ...]]:
         return orders_of(read_study(design(tmp_path, (2, 2), 200, 'scheme = "random"', seed)))

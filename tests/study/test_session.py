@@ -228,7 +228,7 @@ def test_notes_and_the_end(walk: Walk) -> None:
     assert walk.again().state.ended == "aborted" and walk.log[-1].values == {"reason": "felt sick"}
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_anything_anytime(tmp_path: Path, seed: int) -> None:
     """Whoever does what they like finds it refused or done; steps only go on, and the log tells the same."""
     walk, rng = Walk(tmp_path, 1 + seed % 6), np.random.default_rng(seed)

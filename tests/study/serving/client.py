@@ -25,7 +25,7 @@ from tests.net.conftest import FakeBackend
 from tests.net.wire import UNLIMITED
 from tests.study.designs import planned
 
-__all__ = ["OTHER", "PAGE", "Client", "Clock", "run", "until"]
+__all__ = ["OTHER", "PAGE", "Client", "Clock", "run", "served", "until"]
 
 PAGE, OTHER = "0123456789abcdef", "fedcba9876543210"
 TOKEN = "0123456789abcdef"
@@ -134,6 +134,19 @@ def run(folder: Path, test: Callable[[Client], Awaitable[None]], **options: Any)
             await test(client)
 
     asyncio.run(whole())
+
+
+def served(**options: Any) -> Callable[[Callable[[Client], Awaitable[None]]], Callable[[Path], None]]:
+    """Make a test of a coroutine function that takes a client of a server with these ``options``."""
+
+    def made(test: Callable[[Client], Awaitable[None]]) -> Callable[[Path], None]:
+        def whole(tmp_path: Path) -> None:
+            run(tmp_path, test, **options)
+
+        whole.__name__, whole.__doc__, whole.__module__ = test.__name__, test.__doc__, test.__module__
+        return whole
+
+    return made
 
 
 async def until(true: Callable[[], object], seconds: float = 20.0) -> None:

@@ -1,4 +1,4 @@
-"""A session that is under way: time, restarts, a full disk, and what a condition changes of a picture."""
+"""A session that is under way: time, restarts, full disks, and what a condition changes of a picture."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ import asyncio
 import errno
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import aiohttp
 import numpy as np
 import pytest
 
+from glsplat.errors import FormatError
 from glsplat.net.reply import parse_reply
 from glsplat.study.serving.light import dim
 from glsplat.study.serving.live import GONE, resumed_at
 from glsplat.study.session import Event
-from glsplat.study.store import SESSION, TRACKING, Log
+from glsplat.study.store import SESSION, TRACKING, Log, Store
 from tests.study.serving.client import PAGE, Client, Clock, run, until
 
 SAMPLE = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": [-0.3, 1, 0, 0, 0, 0, 1], "right": [0.3, 1, 0, 0, 0, 0, 1]}
@@ -148,3 +150,25 @@ def test_light_is_a_factor_of_light() -> None:
     assert (images[..., 1] == before[..., 1]).all() and (images[..., 3] == before[..., 3]).all()
     assert (images[..., 2] == 0).all()
     assert np.abs(images[..., 0] / 255 - (0.5 * (before[..., 0] / 255) ** 2.2) ** (1 / 2.2)).max() <= 0.5 / 255 + 1e-12
+
+
+def test_a_disk_that_was_full_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    append, full = Store.append, [True]
+
+    def tried(self: Store, events: Sequence[Event]) -> None:
+        if full[0]:
+            raise FormatError(f"{self.folder}: No space left on device")
+        append(self, events)
+
+    monkeypatch.setattr(Store, "append", tried)
+
+    async def test(client: Client) -> None:
+        for _ in range(2):
+            status, said = await client.do("enter")
+            assert status == 507 and str(tmp_path) not in str(said)
+        assert "No space left" in str((await client.post("watch", {}, "experimenter"))[1])
+        full[0] = False
+        await client.begin()
+        assert client.log().count("open") == 1 and client.log()[-1] == "begin"
+
+    run(tmp_path, test)

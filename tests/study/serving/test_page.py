@@ -49,18 +49,3 @@ def test_the_page_keeps_what_has_to_wait(tmp_path: Path, monkeypatch: pytest.Mon
         assert client.log().count("answer") == 5
 
     run(tmp_path, test)
-
-
-def test_the_page_shows_what_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """413: the answer before stays, on the page as on the server."""
-    monkeypatch.setattr(quota, "MAX_LOG_BYTES", 10)
-
-    async def test(client: Client) -> None:
-        await client.begin()
-        said = await answering(client, tmp_path, [5, 10, 5, 15])
-        assert said["answers"] == {"mental": 5} == (await client.state())["answers"]
-        assert (
-            said["refused"] == 2 and said["unsaved"] == [] and "the log of this session is full" in said["troubles"][0]
-        )
-
-    run(tmp_path, test)

@@ -18,7 +18,7 @@ from glsplat.study.serving.lead import HEADER
 from tests.net.accounts.test_accounts import WS
 from tests.net.accounts.test_who_sees_what import routes
 from tests.net.wire import native
-from tests.study.serving.client import OTHER, PAGE, TOKEN, Client, Clock, run, serving, until
+from tests.study.serving.client import OTHER, PAGE, TOKEN, Client, Clock, run, served, serving, until
 
 PUBLIC = ("/healthz", "/vr", "/vr/{path}")
 AUTHORIZED = {"Authorization": f"Bearer {TOKEN}"}
@@ -62,74 +62,63 @@ async def a_picture(client: Client) -> aiohttp.ClientWebSocketResponse:
     return ws
 
 
-def test_strangers_hear_nothing_whatever_goes_on(tmp_path: Path) -> None:
+@served()
+async def test_strangers_hear_nothing_whatever_goes_on(client: Client) -> None:
     """Each address says the same, byte by byte, before the session, while a condition is shown, and after its end."""
 
-    async def test(client: Client) -> None:
-        async def everything() -> dict[Any, Any]:
-            found = {}
-            for secret in ("", "x", client.lead.secrets["participant"]):
-                for method, path in sorted(paths(client)):
-                    for more in ({}, PARTIAL, WS):
-                        found[method, path, secret, *more] = await ask(client, method, path, **{HEADER: secret}, **more)
-            return found
+    async def everything() -> dict[Any, Any]:
+        found = {}
+        for secret, more in (("", {}), ("x", PARTIAL), (client.lead.secrets["participant"], WS)):
+            for method, path in sorted(paths(client)):
+                found[method, path, secret] = await ask(client, method, path, **{HEADER: secret}, **more)
+        return found
 
-        before = await everything()
-        assert {status for status, _, _ in before.values()} == {403}
-        assert len({body for (method, *_), (_, _, body) in before.items() if method != "HEAD"}) == 1
-        await to_the_task(client)
-        ws = await a_picture(client)
-        assert len(client.server._channels) == 1
-        assert await everything() == before
-        await client.post("command", {"do": "abort", "text": "the end"}, "experimenter")
-        await ws.receive(20)
-        await until(lambda: not client.server._channels)
-        assert await everything() == before
-
-    run(tmp_path, test)
+    before = await everything()
+    assert {status for status, _, _ in before.values()} == {403}
+    assert len({body for (method, *_), (_, _, body) in before.items() if method != "HEAD"}) == 1
+    await to_the_task(client)
+    ws = await a_picture(client)
+    assert len(client.server._channels) == 1
+    assert await everything() == before
+    await client.post("command", {"do": "abort", "text": "the end"}, "experimenter")
+    await ws.receive(20)
+    await until(lambda: not client.server._channels)
+    assert await everything() == before
 
 
-def test_the_experimenter_finds_everything(tmp_path: Path) -> None:
-    async def test(client: Client) -> None:
-        await to_the_task(client)
-        ws = await a_picture(client)
-        secret = {HEADER: client.lead.secrets["experimenter"]}
-        for path in ("/", "/stats", "/status.json", "/metrics", "/history", "/session", "/pictures/1"):
-            assert (await ask(client, "GET", path, **secret))[0] == 200, path
-        (shown,) = json.loads((await ask(client, "GET", "/stats", **secret))[2])["clients"]
-        assert shown["avatar"] in ("avatar-fast", "avatar-slow")
-        await ws.close()
-
-    run(tmp_path, test)
+@served()
+async def test_the_experimenter_finds_everything(client: Client) -> None:
+    await to_the_task(client)
+    ws = await a_picture(client)
+    secret = {HEADER: client.lead.secrets["experimenter"]}
+    for path in ("/", "/stats", "/status.json", "/metrics", "/history", "/session", "/pictures/1"):
+        assert (await ask(client, "GET", path, **secret))[0] == 200, path
+    (shown,) = json.loads((await ask(client, "GET", "/stats", **secret))[2])["clients"]
+    assert shown["avatar"] in ("avatar-fast", "avatar-slow")
+    await ws.close()
 
 
-def test_whoever_guesses_a_page_is_not_let_in(tmp_path: Path) -> None:
+@served()
+async def test_whoever_guesses_a_page_is_not_let_in(client: Client) -> None:
     """Nor does an answer tell whether there is a page, whether something is shown, or what is offered."""
-
-    async def test(client: Client) -> None:
-        queries = ("", "?study=", f"?study={OTHER}", f"?study={PAGE[:-1]}", "?avatar=avatar-fast", "?avatar=nobody")
-        before = [await ask(client, "GET", f"/ws{query}", **WS) for query in queries]
-        await to_the_task(client)
-        ws = await a_picture(client)
-        assert [await ask(client, "GET", f"/ws{query}", **WS) for query in queries] == before
-        assert {status for status, _, _ in before} == {403} and len({body for _, _, body in before}) == 1
-        assert not any(word in before[0][2] for word in WORDS)
-        await ws.close()
-
-    run(tmp_path, test)
+    queries = ("", "?study=", f"?study={OTHER}", f"?study={PAGE[:-1]}", "?avatar=avatar-fast", "?avatar=nobody")
+    before = [await ask(client, "GET", f"/ws{query}", **WS) for query in queries]
+    await to_the_task(client)
+    ws = await a_picture(client)
+    assert [await ask(client, "GET", f"/ws{query}", **WS) for query in queries] == before
+    assert {status for status, _, _ in before} == {403} and len({body for _, _, body in before}) == 1
+    assert not any(word in before[0][2] for word in WORDS)
+    await ws.close()
 
 
-def test_a_full_server_says_nothing_of_it(tmp_path: Path) -> None:
+@served(max_clients=1)
+async def test_a_full_server_says_nothing_of_it(client: Client) -> None:
     """With room for one client, 503 would tell that the participant is shown something."""
-
-    async def test(client: Client) -> None:
-        before = await ask(client, "GET", "/ws", **WS)
-        await to_the_task(client)
-        ws = await a_picture(client)
-        assert await ask(client, "GET", "/ws", **WS) == before
-        await ws.close()
-
-    run(tmp_path, test, max_clients=1)
+    before = await ask(client, "GET", "/ws", **WS)
+    await to_the_task(client)
+    ws = await a_picture(client)
+    assert await ask(client, "GET", "/ws", **WS) == before
+    await ws.close()
 
 
 def test_the_participants_page_does_not_know_the_condition(tmp_path: Path) -> None:
@@ -227,16 +216,3 @@ def test_one_participant_is_nobody_at_anothers_server(tmp_path: Path) -> None:
             assert logs[0] != logs[1]
 
     asyncio.run(main())
-
-
-def test_steps_are_known_by_their_aliases_alone(tmp_path: Path) -> None:
-    """The names of the log, which say the condition, are no way to try which one it is."""
-
-    async def test(client: Client) -> None:
-        await to_the_task(client)
-        for condition in ("fast", "slow"):
-            assert (await client.do("ready", step=f"003-{condition}-wave"))[0] == 409
-        aliases = [step.alias for step in client.live.session.steps]
-        assert len(set(aliases)) == len(aliases) and aliases[:3] == ["001-consent", "002-questionnaire", "003-task"]
-
-    run(tmp_path, test)

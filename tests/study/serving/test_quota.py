@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from glsplat.study.serving import quota, recording
-from glsplat.study.serving.quota import BURST_BYTES, MAX_LOG_BYTES, RATE_BYTES_S, LinkQuota, QuotaError
 from glsplat.study.serving.recording import Recording
 from glsplat.study.store import FRAMES, SESSION, Log
 from tests.study.serving.client import OTHER, PAGE, Client, Clock, run, until
@@ -102,52 +101,6 @@ def test_a_full_log_takes_what_leads_on(tmp_path: Path, monkeypatch: pytest.Monk
         assert state["ended"] == "done"
 
     run(tmp_path, test, clock=clock)
-
-
-def test_a_log_beyond_the_size_is_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def first(client: Client) -> None:
-        await client.begin()
-        for value in (5, 10, 15):
-            assert await answered(client, "mental", value) == 200
-
-    async def second(client: Client) -> None:
-        await client.do("enter")
-        step = (await client.state())["step"]
-        assert (await client.state())["answers"] == {"mental": 15}
-        assert (await refused(client, "answer", step=step, item="mental", value=5))[:2] == (413, "full")
-        await client.answer_all_but("mental")
-
-    run(tmp_path, first)
-    monkeypatch.setattr(quota, "MAX_LOG_BYTES", 10)
-    run(tmp_path, second)
-
-
-def test_the_page_on_studies_has_the_numbers() -> None:
-    text = " ".join((Path(__file__).parents[3] / "docs" / "study.md").read_text(encoding="utf-8").split())
-    for phrase in (
-        f"may take {BURST_BYTES >> 20} MiB at once and {RATE_BYTES_S / 1024:g} KiB a second after that",
-        f"From {MAX_LOG_BYTES >> 20} MiB on the log takes only what leads on",
-        f"They end at {recording.MAX_BYTES >> 30} GiB each, and while less than {recording.MIN_FREE_BYTES >> 20} MiB",
-    ):
-        assert phrase in text, phrase
-
-
-def test_the_numbers() -> None:
-    """An hour of the quickest honest answers passes; the longest answers without end come to the rate."""
-    honest, t = LinkQuota(0.0), 0.0
-    for _ in range(3600):
-        t += 1
-        honest.check(t, 0, False)
-        honest.charge(t, 250)
-    hostile, written = LinkQuota(0.0), 0
-    for n in range(36_000):
-        try:
-            hostile.check(n / 10, written, False)
-        except QuotaError:
-            continue
-        hostile.charge(n / 10, 48_200)
-        written += 48_200
-    assert written <= BURST_BYTES + 3600 * RATE_BYTES_S + 48_200 < MAX_LOG_BYTES
 
 
 def test_figures_are_written_twice_a_second_at_most(tmp_path: Path) -> None:
