@@ -55,17 +55,6 @@ def test_keys_that_are_trusted(ann, key):
     assert nobody.refusal("ann", "ann", DURING)
 
 
-def test_what_an_operator_is_told(ann, key):
-    policy = ConsentPolicy()
-    policy.add("ann", [ann])
-    told = policy.doubts("ann", accounts=False)
-    assert key.public[:16] in told[0] and "--trust" in told[0] and "--users" in told[1] and len(told) == 2
-    assert ConsentPolicy(trusted=[key.public]).doubts("ann", accounts=True) == []
-    assert policy.maker("ann") == ""
-    policy.trust_own(key.public)
-    assert policy.doubts("ann", accounts=True) == [] and policy.maker("ann") == "Ann Example"
-
-
 def test_without_consent_it_is_shown_and_said(ann):
     policy = ConsentPolicy(without=True)
     policy.add("ann", [ann])

