@@ -89,14 +89,19 @@ def test_the_turn_of_a_face() -> None:
     """Within six degrees, and relative to the camera's principal point."""
     needs_networks()
     body, person = open_body(), capture("p18")
-    turned = person.pose.copy()
-    turned[0] = (0, np.radians(30), 0)
+    turned = np.zeros_like(person.pose)  # arms hang
+    for joint, turn in (
+        ("pelvis", (0, np.pi / 6, 0)),
+        ("left_shoulder", (0, 0, -1.4)),
+        ("right_shoulder", (0, 0, 1.4)),
+    ):
+        turned[person.mesh.skeleton.names.index(joint)] = turn
     taken = Pose(turned, person.trans)
     front = person.camera.viewmat[:3, :3] @ person.mesh.skeleton.forward(taken.rotations, taken.trans)[0, :3, 2]
     read = find_person(person.shown(taken))
     focal, middle = float(person.camera.K[0, 0]), person.camera.width / 2
-    turn = face_turn(body, read.face, focal, middle)
-    assert turn == pytest.approx(float(np.degrees(np.arctan2(front[0], -front[2]))), abs=6)
+    found = face_turn(body, read.face, focal, middle)
+    assert found == pytest.approx(float(np.degrees(np.arctan2(front[0], -front[2]))), abs=6)
     aside = face_turn(body, read.face, focal, middle - focal * np.tan(np.radians(10)))
-    assert turn is not None and aside is not None and turn - aside == pytest.approx(10, abs=0.6)
+    assert found is not None and aside is not None and found - aside == pytest.approx(10, abs=0.6)
     assert face_turn(body, replace(read.face, presence=0.5), focal, middle) is None

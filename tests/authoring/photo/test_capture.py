@@ -12,6 +12,7 @@ import pytest
 from glsplat.authoring.photo.capture import check_capture, is_outline
 from glsplat.authoring.photo.photo_file import read_photo
 from glsplat.authoring.photo.sharpness import blur_of
+from glsplat.skinning.pose import Pose
 from tests.authoring.captures import Capture, capture, needs_networks
 
 Edit = Callable[[Capture, Capture], np.ndarray]
@@ -139,20 +140,20 @@ def test_faults_are_named(pair, name: str) -> None:
 
 @pytest.mark.check
 @pytest.mark.parametrize(
-    ("arms", "words"),
+    ("turns", "words"),  # turns: of both shoulders, left and right, and of both elbows
     [
         (
-            {"left_shoulder": (0.73, -1.16, -1.09), "left_elbow": (0, -0.89, 0), "right_shoulder": (0.26, 0.24, 1.4)},
+            [(0.73, -1.16, -1.09), (0.26, 0.24, 1.4), (0, -0.89, 0), (0, 0.07, 0)],
             "the left hand is before the belly and the right arm hangs along the body",
         ),
-        (
-            {"right_shoulder": (1.16, 0.5, 1.76), "right_elbow": (0, 0.45, 0), "left_shoulder": (0.26, -0.24, -1.4)},
-            "the right hand is hidden",
-        ),
+        ([(0.26, -0.24, -1.4), (1.16, 0.5, 1.76), (0, -0.07, 0), (0, 0.45, 0)], "the right hand is hidden"),
     ],
 )
-def test_arms_are_named(pair, arms: dict[str, tuple[float, float, float]], words: str) -> None:
-    found = check_capture(pair[0].seen(**arms))
+def test_arms_are_named(pair, turns: list[tuple[float, float, float]], words: str) -> None:
+    person, names = pair[0], pair[0].mesh.skeleton.names
+    rotations = np.zeros_like(person.pose)
+    rotations[[names.index(f"{side}_{joint}") for joint in ("shoulder", "elbow") for side in ("left", "right")]] = turns
+    found = check_capture(person.shown(Pose(rotations, person.trans)))
     assert not found.refused and [finding.code for finding in found.findings] == ["arms"]
     assert words in found.findings[0].text
 

@@ -31,21 +31,22 @@ def test_refusals(tmp_path: Path) -> None:
 
 @pytest.mark.check
 @pytest.mark.gl
+@pytest.mark.timeout(1200)
 def test_a_participant_on_a_turntable(monkeypatch: pytest.MonkeyPatch) -> None:
     needs_networks()
     fits: list[BodyFit] = []  # the mesh and the splats are of one
     whole = video.fit_turning
     monkeypatch.setattr(video, "fit_turning", lambda *words: fits[0] if fits else fits.append(whole(*words)) or fits[0])
     person = capture("p01")
-    camera = person.camera.resized(round(0.5 * person.camera.width), round(0.5 * person.camera.height))
+    camera = person.camera.resized(round(0.6 * person.camera.width), round(0.6 * person.camera.height))
     lamp = person.light["direction_to"], person.light["colour"]
-    shown = list(turntable(person.mesh, camera, Pose(person.pose, person.trans), *lamp, frames=8, turns=1, seed=1))
+    shown = list(turntable(person.mesh, camera, Pose(person.pose, person.trans), *lamp, frames=12, turns=1, seed=1))
     pictures = [(f"frame {index}", frame.rgb, None) for index, frame in enumerate(shown)]
-    made = from_pictures(pictures, in_order=True, options=Options(height=1.66, texture=256), anyway=True)
-    assert made.problem == "" and made.left_out == () and len(made.frames) == 8
+    made = from_pictures(pictures, in_order=True, options=Options(height=1.66, texture=512), anyway=True)
+    assert made.problem == "" and made.left_out == () and len(made.frames) == 12
     assert np.mean([seen.overlap for seen in made.fit.views]) > 0.955 and abs(made.fit.stature - 1.66) < 0.03
     assert made.unseen < 0.1 and isinstance(made.thing, RiggedMesh)
-    assert made.thing.meta["source"] == "8 pictures of a turn" and made.thing.meta["unseen"] == round(made.unseen, 4)
+    assert made.thing.meta["source"] == "12 pictures of a turn" and made.thing.meta["unseen"] == round(made.unseen, 4)
     true = np.array([shown[int(frame.name.split()[1])].turn for frame in made.frames])
     told = np.array([frame.turn for frame in made.frames])
     assert np.abs((told - true + 180) % 360 - 180).max() < 25 and abs((told[0] + 180) % 360 - 180) < 20

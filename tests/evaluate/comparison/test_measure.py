@@ -1,4 +1,4 @@
-"""The table's figures against figures by hand: shifted, brightened, swapped pictures."""
+"""The table's figures against figures by hand, over whole pictures and body parts."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
+from glsplat.errors import FormatError
 from glsplat.evaluate.comparison.measure import Reference, Scores
 from glsplat.evaluate.comparison.participant import Participant
-from glsplat.evaluate.comparison.parts import PARTS
+from glsplat.evaluate.comparison.parts import PARTS, labelled_mesh, labels_of, regions
 from glsplat.evaluate.comparison.performance import perform
-from glsplat.evaluate.comparison.protocol import Protocol
+from glsplat.evaluate.comparison.protocol import Protocol, eyes
 from glsplat.evaluate.comparison.stage import Stage, StageTruth
+from glsplat.gl.context import Context
+from glsplat.mesh import MeshConfig, MeshRenderer
 
 PROTOCOL = Protocol(tasks=("waving",), views=("left",), size=128, light="none")
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -78,3 +81,60 @@ def test_a_part_that_is_not_seen_has_no_figure(truths: tuple[StageTruth, StageTr
     found = measured(hidden, cv2.GaussianBlur(truth.pictures[0], (5, 5), 0)[None].repeat(2, axis=0))
     assert found["parts"]["pose"]["face"]["psnr"] == [[[None, None]]] * 2
     assert found["parts"]["pose"]["legs"]["psnr"][1][0][0] > 10
+
+
+def test_every_pixel_of_a_person_has_a_part_and_parts_are_where_they_are(
+    people: list[Participant], context: Context
+) -> None:
+    mesh = people[1].mesh
+    done = perform(mesh, ("standing",))
+    protocol = Protocol(size=256)
+    plain = MeshConfig(samples=1, supersample=1)
+    points = mesh.posed(done.pose(0))
+    with MeshRenderer(labelled_mesh(mesh), size=(256, 256), config=plain, context=context) as renderer:
+        pictures = {view: renderer.render(eyes(points, view, protocol), done.pose(0))[0] for view in protocol.views}
+    labels = {view: labels_of(picture) for view, picture in pictures.items()}
+    for view, label in labels.items():
+        assert ((label >= 0) == (pictures[view][..., 3] > 127)).all()
+        rows = {part: np.flatnonzero((label == i).any(axis=1)) for i, part in enumerate(PARTS)}
+        assert rows["head"].mean() < rows["torso"].mean() < rows["legs"].mean()
+        assert len(rows["hands"]) and rows["hands"].min() > rows["torso"].min()
+    face = {view: (label == PARTS.index("face")).sum() for view, label in labels.items()}
+    assert face["front"] > 1.5 * max(face["left"], face["right"]) > 10 > face["back"]
+
+
+def test_the_background_beside_a_part_is_the_part_s() -> None:
+    labels = np.full((20, 20), -1, np.int8)
+    labels[5:10, 5:10], labels[5:10, 12:15] = 0, 3
+    found = regions(labels, 3)
+    assert found[7, 4] == found[7, 2] == 0 and found[7, 1] == -1
+    assert found[7, 10] == 0 and found[7, 11] == 3
+    assert (found[labels >= 0] == labels[labels >= 0]).all()
+    empty = np.full((8, 8), -1, np.int8)
+    assert (regions(empty, 3) == -1).all()
+
+
+def test_the_figure_fills_what_it_should(people: list[Participant]) -> None:
+    mesh = people[3].mesh
+    protocol = Protocol(size=200, tasks=("standing", "arms sideways"), light="none")
+    with Stage(mesh, perform(mesh, protocol.tasks), protocol) as stage:
+        for moment, axis in ((0, 1), (1, 0)):  # its height; its span, which is longer
+            covered = stage.truth(moment, "front").pictures[0, ..., 3] > 127
+            share = np.ptp(np.flatnonzero(covered.any(axis=axis))) / 200
+            assert 0.84 < share < 0.9
+            left, right = stage.truth(moment, "front").cameras
+            assert abs(np.linalg.norm(left.position - right.position) - 0.055) < 1e-12
+
+
+def test_the_truth_is_lit_where_it_is_asked_to_be(people: list[Participant]) -> None:
+    mesh, note = people[0].mesh, people[0].light
+    drawn = {}
+    for light in ("none", "capture"):
+        protocol = Protocol(size=96, tasks=("standing",), light=light)
+        with Stage(mesh, perform(mesh, protocol.tasks), protocol, note) as stage:
+            drawn[light] = stage.truth(0, "back").pictures[0].astype(int)
+    np.testing.assert_array_equal(drawn["none"][..., 3], drawn["capture"][..., 3])
+    inside = drawn["none"][..., 3] == 255
+    assert drawn["capture"][inside, :3].mean() < 0.9 * drawn["none"][inside, :3].mean()  # the lamp is before them
+    with pytest.raises(FormatError, match="light of the photograph is not known"):
+        Stage(mesh, perform(mesh, ("standing",)), Protocol(size=96, light="capture"))

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from glsplat.study.serving import quota, recording
-from glsplat.study.serving.recording import Recording
+from glsplat.study.serving import quota
 from glsplat.study.store import FRAMES, SESSION, Log
 from tests.study.serving.client import OTHER, PAGE, Client, Clock, run, until
 
@@ -117,21 +116,3 @@ def test_figures_are_written_twice_a_second_at_most(tmp_path: Path) -> None:
     run(tmp_path, test, clock=clock)
     lines = [json.loads(line) for line in (tmp_path / "data/sub-001" / FRAMES).read_text().splitlines()]
     assert len(lines) == 2 and lines[1]["t"] == lines[0]["t"] + 1
-
-
-@pytest.mark.parametrize(("limit", "value", "said"), [("MAX_BYTES", 3000, "most that is recorded"),
-                                                     ("MIN_FREE_BYTES", 1 << 62, "kept for answers")])  # fmt: skip
-def test_a_recording_leaves_room(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, limit: str, value: int, said: str
-) -> None:
-    """It ends at its size, and before the disk is full: the log's answers need it."""
-    monkeypatch.setattr(recording, limit, value)
-    path = tmp_path / "tracking.jsonl"
-    one = Recording(path)
-    for n in range(1000):
-        one.add(n, "x", "tracking", {"head": [n] * 7})
-    one.close()
-    size = path.stat().st_size if path.exists() else 0
-    lines = path.read_text().splitlines() if size else []
-    assert size <= 3000 and one.lost == 1000 - len(lines) > 0 and all(map(json.loads, lines))
-    assert [said in record.getMessage() for record in caplog.records] == [True]

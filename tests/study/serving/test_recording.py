@@ -47,3 +47,21 @@ def test_a_slow_disk_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.Monke
     assert time.monotonic() - begun < 5 and one.lost > 3000
     gate.set()
     one.close()
+
+
+@pytest.mark.parametrize(("limit", "value", "said"), [("MAX_BYTES", 3000, "most that is recorded"),
+                                                     ("MIN_FREE_BYTES", 1 << 62, "kept for answers")])  # fmt: skip
+def test_a_recording_leaves_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, limit: str, value: int, said: str
+) -> None:
+    """It ends at its size, and before the disk is full: the log's answers need it."""
+    monkeypatch.setattr(recording, limit, value)
+    path = tmp_path / "tracking.jsonl"
+    one = Recording(path)
+    for n in range(1000):
+        one.add(n, "x", "tracking", {"head": [n] * 7})
+    one.close()
+    size = path.stat().st_size if path.exists() else 0
+    lines = path.read_text().splitlines() if size else []
+    assert size <= 3000 and one.lost == 1000 - len(lines) > 0 and all(map(json.loads, lines))
+    assert [said in record.getMessage() for record in caplog.records] == [True]
