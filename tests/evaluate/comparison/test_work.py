@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -55,41 +54,6 @@ def test_a_perfect_avatar_is_nearly_perfect_and_a_small_one_is_not(whole) -> Non
     assert worse["l1"]["sd"] == pytest.approx(by_hand.std(ddof=1), abs=1e-6)
     for method in TWO:
         assert (out / "sheets" / method / "p02.jpg").read_bytes().startswith(b"\xff\xd8")
-
-
-@pytest.mark.check
-def test_interrupted_and_gone_on_is_as_one_run(whole, people, short, tmp_path, monkeypatch) -> None:
-    """As if the run had been interrupted in the midst of the second person."""
-    out, results = whole
-    shutil.copytree(out, tmp_path, dirs_exist_ok=True)
-    for path in tmp_path.glob("*/*/p02.*"):
-        path.unlink()
-    tasks = tasks_of(people[:2], short, tmp_path, *TWO)
-
-    def interrupt(step: str, done: float) -> None:
-        if "pictures" in step and done > 0.7:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        work(tasks[1], interrupt)
-    kept = [r for task in tasks for r in finished(task)]
-    assert {r.participant for r in kept} == {people[0].name} and len(kept) == 2
-    monkeypatch.setattr(working, "product", _only_from_files(working.product))
-    again = kept + work(tasks[1], quiet)
-    assert table(again, *TWO) == table(results, *TWO)
-    assert table([r for task in tasks for r in finished(task)], *TWO) == table(results, *TWO)
-
-
-def _only_from_files(product: Callable) -> Callable:
-    """Avatars that were made before the interruption are not made again."""
-
-    def checked(name, source, participant, out, options):
-        before = (out / f"{participant.name}.glb").stat().st_mtime_ns
-        made = product(name, source, participant, out, options)
-        assert (out / f"{participant.name}.glb").stat().st_mtime_ns == before
-        return made
-
-    return checked
 
 
 def test_results_hold_for_their_files_and_protocol_alone(people, tmp_path) -> None:
