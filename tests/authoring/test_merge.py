@@ -12,6 +12,7 @@ from glsplat import reference
 from glsplat.authoring.detail.make import halves, with_merged_levels
 from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.authoring.detail.merge import Cover, area_of, covered, merged, merged_levels
+from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.splats import Splats
@@ -119,3 +120,16 @@ def test_halves() -> None:
     assert halves(40_000) == [20_000, 10_000, 5_000]
     assert halves(1_000_000)[-1] == 7812 and len(halves(1_000_000)) == 7
     assert halves(6000) == [3000] and halves(1) == []
+
+
+def test_splats_of_two_joints_stay_apart() -> None:
+    avatar = limb(40)
+    rigid = np.zeros((40, avatar.skin.influences), np.float32)
+    rigid[:, 0] = 1
+    joints = np.zeros((40, avatar.skin.influences), np.uint16)
+    joints[20:] = 1
+    means = np.tile(np.linspace(0, 1, 20)[:, None] * [1, 0, 0], (2, 1)) + np.repeat([[0, 0.001, 0], [0, 0, 0]], 20, 0)
+    skin = replace(avatar.skin, joints=joints, weights=rigid)
+    base = Splats.create(means, [[1, 0, 0, 0]] * 40, [[0.02] * 3] * 40, [0.9] * 40, rgb=[[0.5] * 3] * 40)
+    few = merged(Avatar(base, avatar.skeleton, skin), 26)
+    assert (few.skin.weights.max(axis=1) > 0.999).all()
