@@ -18,6 +18,7 @@ from glsplat.consent.keys import new_key, private_key, public_key, signature_of
 from glsplat.data import embedded_file
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.record import canonical
+from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level
 from tests.consent.conftest import FIELDS, person
 
@@ -240,3 +241,18 @@ def test_handing_out_the_splats_is_said_in_the_record_alone_and_cannot_be_added_
     forged = on_file_data(put(document, rest))
     assert not forged.hands_out and "signature does not fit" in forged.fault
     assert on_file(embedded_file("ben")).hands_out  # nobody is shown
+
+
+def test_an_avatar_with_expressions_carries_one_too(key, tmp_path):
+    """Its splats have attributes that are zeros but for what a shape does: accessors without data."""
+    avatar, path = person(), tmp_path / "face.glb"
+    bends = np.full((2, 2, 3), 0.3)
+    shapes = Shapes.create(["jawOpen"], 30, splats=[1, 2], targets=[0, 0], moves=np.full((2, 3), 0.01), bends=bends)
+    glsplat.save(replace(avatar, shapes=shapes), path)
+    data = sign_data(path.read_bytes(), key, **FIELDS)
+    assert on_file_data(data).consent is not None and b'"_AXIS_0"' in data
+    document, rest = parts(data)
+    zeros = [k for k, one in enumerate(document["accessors"]) if "bufferView" not in one and "sparse" not in one]
+    assert zeros
+    document["accessors"][zeros[0]]["componentType"] = 5121
+    assert on_file_data(put(document, rest)).fault

@@ -97,3 +97,14 @@ def test_splats_are_withheld_unless_every_record_hands_them_out(file, signed, ke
     stranger = ConsentPolicy(trusted=["0" * 64])
     stranger.add("bob", [given])
     assert "does not trust" in stranger.withheld("bob", DURING)
+
+
+def test_what_an_operator_is_told(ann, key):
+    policy = ConsentPolicy()
+    policy.add("ann", [ann])
+    told = policy.doubts("ann", accounts=False)
+    assert key.public[:16] in told[0] and "--trust" in told[0] and "--users" in told[1] and len(told) == 2
+    assert ConsentPolicy(trusted=[key.public]).doubts("ann", accounts=True) == []
+    assert policy.maker("ann") == ""
+    policy.trust_own(key.public)
+    assert policy.doubts("ann", accounts=True) == [] and policy.maker("ann") == "Ann Example"

@@ -11,6 +11,8 @@ import pytest
 from glsplat.errors import FormatError
 from glsplat.study.export import export
 from glsplat.study.plan import label
+from glsplat.study.session import Event, Session
+from glsplat.study.steps import steps_of
 from glsplat.study.store import FRAMES, Store
 from tests.study.designs import planned
 from tests.study.test_session import Walk
@@ -128,3 +130,14 @@ def test_a_changed_log_stops_the_export(tables: Path, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="line"):
         export(study, plan, tmp_path / "data", tmp_path / "other")
     assert not (tmp_path / "other").exists()
+
+
+def test_a_log_of_another_plan_is_not_believed(tmp_path: Path) -> None:
+    """Lines that the steps do not allow change nothing, or say so; nothing crashes."""
+    study, plan = planned(tmp_path)
+    store = Store(tmp_path / "data", 1)
+    store.append([Event(1.0, "900-x", "phase", {"phase": "running"}), Event(2.0, "900-x", "done", {"attempt": 1})])
+    store.close()
+    with pytest.raises(FormatError, match="sub-001"):
+        export(study, plan, tmp_path / "data", tmp_path / "out")
+    assert Session(study, steps_of(study, plan, 1)).state.at == 0

@@ -13,10 +13,11 @@ from glsplat.authoring.faces.eyeballs import eyeballs
 from glsplat.authoring.faces.open_face import with_expressions
 from glsplat.authoring.faces.openings import lid_edges, openings
 from glsplat.authoring.faces.shapes import with_shapes
-from glsplat.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
+from glsplat.authoring.faces.trimmings import VEIL, with_brow_hairs, with_lashes, with_strands
 from glsplat.avatar import Avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
+from glsplat.splats import SH_C0
 from tests.authoring.faces.figures import avatar_on, person
 
 STILL = np.zeros((55, 3))
@@ -123,3 +124,13 @@ def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
     aside = np.abs(made.splats.means[300:, 0] - middle[0])
     assert along[aside < 0.02, 1].mean() > 0.85 and along[aside > 0.05, 0].mean() > 0.85
     assert with_brow_hairs(bald, browed, "beard", 160) is bald
+
+
+def test_veils_go_with_the_lids_without_stretching() -> None:
+    mesh = expressive()
+    avatar = smiling()
+    lashed = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")))
+    shapes, made = lashed.shapes, lashed.splats
+    veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - VEIL).max(axis=1) < 1e-3
+    assert shapes is not None and veils.sum() > 60
+    assert not shapes.bends[veils[shapes.rows]].any() and np.abs(shapes.metres[veils[shapes.rows]]).max() > 0.004

@@ -146,3 +146,9 @@ def test_nothing_that_varies() -> None:
     assert fit(table, table.cell.astype(float)) is None  # cells explain all
     assert fit(table, 1000.0 * table.participant + 1e-9 * table.values) is None  # participants do
     assert np.isnan(kenward_roger(table, (1,), None).f)
+
+
+def test_too_few_answers() -> None:
+    single = Planned({"g": ("a", "b")}, 8, frozenset({"g"})).table
+    with pytest.raises(FormatError, match="several answers"):
+        fit(single, np.arange(8.0))

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from glsplat.study.analysis.align import ranked_for_contrasts
 from glsplat.study.analysis.anova import Model, ModelName, art, art_contrasts, choose, name_of
+from glsplat.study.analysis.mixed import fit
 from tests.study.analysis.designs import COUNT, design
 
 SAID: dict[str, dict[str, dict[str, list[float]]]] = json.loads(
@@ -59,3 +61,21 @@ def test_a_choice_of_models() -> None:
         gaps.names
     ) - len(gaps.incomplete)
     assert [choose(gaps, name).kind for name in names] == names
+
+
+@pytest.mark.check
+def test_contrasts_across_strata() -> None:
+    """One factor within, one between, balanced: strata and Satterthwaite are the mixed model, where people differ."""
+    compared = 0
+    for number, kinds in SAID.items():
+        table = design(int(number)).table()
+        if len(table.factors) > 2 or not table.balanced or not table.within or not table.between:
+            continue
+        rows = ranked_for_contrasts(table, (0, 1))
+        fitted = fit(table, rows)
+        assert fitted is not None
+        if fitted.intercepts > 0:
+            ours = numbers(choose(table, "rm"), "rm_contrasts")["A:B"]
+            assert ours == pytest.approx(kinds["mixed_contrasts"]["A:B"], rel=FOUR_DIGITS, abs=1e-5), number
+            compared += 1
+    assert compared >= 2

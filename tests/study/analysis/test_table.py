@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.study.analysis.table import read_table
+from glsplat.study.analysis.table import make_table, read_table
 
 GOOD = "participant,view,group,measure,value,note\nP2,a,x,m,1,\nP2,b,x,m,2,\nP10,a,y,m,3,\nP10,b,y,m,4.5,\n"
 
@@ -84,3 +84,14 @@ def test_mistakes_are_said_in_one_line(tmp_path: Path) -> None:
         read_table(written(tmp_path, GOOD), ["view"], measure="z")
     with pytest.raises(FormatError, match="different columns"):
         read_table(written(tmp_path, GOOD), ["view", "view"])
+
+
+def test_what_is_no_design() -> None:
+    with pytest.raises(FormatError, match="at least one factor"):
+        make_table("y", {}, [("a", (), 1.0), ("b", (), 2.0)])
+    with pytest.raises(FormatError, match="knows x, y, not 'z'"):
+        make_table("y", {"f": ("x", "y")}, [("a", ("x",), 1.0), ("b", ("z",), 2.0)])
+    many = {f"f{i}": () for i in range(9)}
+    rows = [(name, tuple(str(i >> k & 1) for k in range(9)), 0.0) for name in "ab" for i in range(512)]
+    with pytest.raises(FormatError, match="at most 256 conditions"):
+        make_table("y", many, rows)
