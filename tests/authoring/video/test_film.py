@@ -144,3 +144,9 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.mp4")
     with pytest.raises(FormatError):
         read_frames(tmp_path / "a.mp4", 8)
+
+
+def test_large_frames_are_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(film, "SIDE", 48)
+    path = write(tmp_path / "a.avi", [picture(number) for number in range(9)], "MJPG")
+    assert {frame.shape for frame in read_frames(path, 9)} == {(32, 48, 3)}
