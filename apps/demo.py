@@ -136,7 +136,7 @@ def running_server(avatar: str | None, rendering: RenderConfig = LEAN) -> Iterat
 
 def _serve(connection: Connection, avatar: str | None, rendering: RenderConfig) -> None:
     """The child: tells its URL, or one line of what went wrong."""
-    from glsplat.net.backends.server import make_server
+    from glsplat.net.gl_server import make_server
     from glsplat.net.options import ServerConfig
 
     from .args import load_avatar

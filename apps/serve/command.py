@@ -15,9 +15,9 @@ from glsplat.config import RenderConfig
 from glsplat.data import DEFAULT, PEOPLE, embedded_file
 from glsplat.errors import GlsplatError
 from glsplat.net.backends.gl import MAX_TIME
-from glsplat.net.backends.server import make_server
 from glsplat.net.face.feed import FaceFeed
 from glsplat.net.face.listener import FaceListener
+from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.forwarded import Network, proxy_network
 from glsplat.net.guard.limits import Limits

@@ -6,7 +6,7 @@ import argparse
 import re
 from dataclasses import dataclass
 
-from glsplat.net.backends.server import SEATS
+from glsplat.net.gl_server import SEATS
 from glsplat.net.options import NAME
 from glsplat.scene import Scene
 from glsplat.scenes.scene_file import SceneFile, load_scene

@@ -8,9 +8,9 @@ from glsplat import on_demand
 
 if TYPE_CHECKING:
     from glsplat.net.backend import AvatarInfo, Backend, PoseSolver, Rendered, RenderJob, Solved
-    from glsplat.net.backends.server import make_server
     from glsplat.net.client.client import Client
     from glsplat.net.fields import PictureOptions
+    from glsplat.net.gl_server import make_server
     from glsplat.net.messages import Request
     from glsplat.net.options import ServerConfig
     from glsplat.net.reply import Reply
@@ -40,7 +40,7 @@ _HOME = {
     "Server": "server",
     "Client": "client.client",
     "Reply": "reply",
-    "make_server": "backends.server",
+    "make_server": "gl_server",
 }
 
 __getattr__ = on_demand(__name__, _HOME)

@@ -18,7 +18,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
 if TYPE_CHECKING:
-    from glsplat.net.rooms.view import RoomView
+    from glsplat.net.room_view import RoomView
     from glsplat.watermark.mark import Watermark
 
 __all__ = ["AvatarInfo", "Backend", "Interruptible", "Placing", "PoseSolver", "RenderJob", "Rendered", "Solved"]

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
+from glsplat.net.client_stream import ClientStream, Frame
 from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Request
-from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.poses.answers import Answers
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from glsplat.errors import ContextError
 from glsplat.io.machine import cores
 from glsplat.net.backend import Backend, Interruptible, Rendered
+from glsplat.net.client_stream import ClientStream, Frame
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.fields import PictureOptions
-from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.render_loop import RenderLoop
 
 if TYPE_CHECKING:

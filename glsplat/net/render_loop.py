@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.gl.software import is_software
 from glsplat.net.backend import AvatarInfo, PoseSolver, Rendered, RenderJob
+from glsplat.net.client_stream import ANYTHING, ClientStream, Frame
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.pace.adaptive_quality import AdaptiveQuality
-from glsplat.net.pace.client_stream import ANYTHING, ClientStream, Frame
 from glsplat.net.pace.fair_queue import FairQueue
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.pose_queue import PoseQueue

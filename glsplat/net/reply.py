@@ -19,8 +19,8 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
+from glsplat.net.codec.body import Body, unpack_bodies
 from glsplat.net.messages import VERSION
-from glsplat.net.poses.body import Body, unpack_bodies
 
 if TYPE_CHECKING:
     from glsplat.net.codec.depth import DepthGrid

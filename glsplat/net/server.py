@@ -20,7 +20,7 @@ from aiohttp import web
 
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo, Backend
-from glsplat.net.backends.labels import driven_by
+from glsplat.net.client_stream import ClientStream
 from glsplat.net.conversation import Conversation, cut_off, make_socket
 from glsplat.net.datagrams.start import datagram_listener
 from glsplat.net.datagrams.way import SecondWay
@@ -28,10 +28,10 @@ from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
+from glsplat.net.labels import driven_by
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, ServerConfig, client_options
-from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.clients import client_fields

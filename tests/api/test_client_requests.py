@@ -13,9 +13,9 @@ from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.messages import Ack, Decoder, WireOptions, eye_fields
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from glsplat.data import default_avatar
-from glsplat.net.backends.server import make_server
+from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.certificate import kept_certificate
 from glsplat.net.guard.kept import kept_token, state_folder

@@ -10,7 +10,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import ProtocolError
-from glsplat.net.poses.body import HERE, pack_body, place_of
+from glsplat.net.codec.body import HERE, pack_body, place_of
 from glsplat.net.reply import pack_poses, parse_reply
 from glsplat.rotations import slerp, vector_quaternions
 from glsplat.skinning.expression import ARKIT

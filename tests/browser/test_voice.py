@@ -13,7 +13,7 @@ import pytest
 from glsplat.consent.file import OnFile
 from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import default_avatar
-from glsplat.net.backends.server import make_server
+from glsplat.net.gl_server import make_server
 from glsplat.net.options import ServerConfig
 from glsplat.skinning.expression import ARKIT
 from glsplat.speech.analysis import Analysis

@@ -14,8 +14,8 @@ from glsplat.errors import ProtocolError
 from glsplat.net import rights
 from glsplat.net.accounts.users import Accounts, new_user, write_users
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
 from tests.net.accounts.test_accounts import WS

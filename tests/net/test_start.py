@@ -28,7 +28,7 @@ import argparse, json
 import numpy as np
 from apps.serve import command as serve
 from apps.args import open_scene
-from glsplat.net.backends.server import make_server
+from glsplat.net.gl_server import make_server
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.messages import Decoder
 

@@ -20,7 +20,7 @@ import cv2
 
 import glsplat
 from glsplat.net import ServerConfig
-from glsplat.net.backends.server import make_server
+from glsplat.net.gl_server import make_server
 from tools.docs.site.public import ROOT
 
 PICTURES = {

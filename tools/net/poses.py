@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
-from glsplat.net.backends.server import offered
+from glsplat.net.client_stream import ClientStream
+from glsplat.net.gl_server import offered
 from glsplat.net.messages import Decoder, Request
-from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.poses import body
 from glsplat.net.poses.answers import Answers

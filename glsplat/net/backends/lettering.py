@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.net.backends.labels import Label
+from glsplat.net.labels import Label
 from glsplat.passes.stats import union
 
 __all__ = ["draw_labels"]

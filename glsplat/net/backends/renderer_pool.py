@@ -15,8 +15,8 @@ from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.figure_bounds import FigureBounds
-from glsplat.net.backends.labels import Label
 from glsplat.net.backends.room import LABEL_SIGMAS, RoomRenderer, label_of, selectors
+from glsplat.net.labels import Label
 from glsplat.passes.lru_cache import LruCache
 from glsplat.passes.views import checked_pose
 from glsplat.renderer import Prepared, Renderer

@@ -18,13 +18,13 @@ from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import others_share
 from glsplat.net.backends.figure_bounds import FigureBounds
-from glsplat.net.backends.labels import Label
+from glsplat.net.labels import Label
 from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
 
 if TYPE_CHECKING:
-    from glsplat.net.rooms.view import RoomView, VisiblePerson
+    from glsplat.net.room_view import RoomView, VisiblePerson
 
 __all__ = ["LABEL_SIGMAS", "RoomRenderer", "label_of"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.client_stream import ClientStream
 
 __all__ = ["client_fields"]
 

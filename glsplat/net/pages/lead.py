@@ -8,7 +8,7 @@ from typing import Protocol
 from aiohttp import web
 
 from glsplat.net.backend import AvatarInfo, PoseSolver
-from glsplat.net.pace.client_stream import Tap
+from glsplat.net.client_stream import Tap
 
 __all__ = ["Lead"]
 

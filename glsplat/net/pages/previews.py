@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
+from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.messages import Decoder, Request, WireOptions
-from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.pace.fitting import Fitted, fit
 from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.rights import Rights, user_of

@@ -11,9 +11,9 @@ from glsplat.net.backend import Solved
 from glsplat.net.fields import PictureOptions
 from glsplat.net.messages import Request
 from glsplat.net.poses.history import PoseHistory, Poses
+from glsplat.net.room_view import RoomView
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room
-from glsplat.net.rooms.view import RoomView
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Member"]

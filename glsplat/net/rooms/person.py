@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError, PoseError
-from glsplat.net.poses.body import Place, pack_body, place_of
+from glsplat.net.codec.body import Place, pack_body, place_of
 from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose

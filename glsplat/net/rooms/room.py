@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.net.backends.labels import driven_by
+from glsplat.net.codec.body import MOST, yours
 from glsplat.net.fields import Place
-from glsplat.net.poses.body import MOST, yours
+from glsplat.net.labels import driven_by
 from glsplat.net.poses.history import PoseHistory, Poses
+from glsplat.net.room_view import RoomView, VisiblePerson, people_fields
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.seats import free_seat, seat
-from glsplat.net.rooms.view import RoomView, VisiblePerson, people_fields
 
 __all__ = ["Room", "RoomError"]
 

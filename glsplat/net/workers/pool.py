@@ -16,9 +16,9 @@ from typing import Any
 
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
 from glsplat.net.backend import AvatarInfo, PoseSolver
+from glsplat.net.client_stream import ANYTHING, ClientStream, Frame
 from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.messages import Request
-from glsplat.net.pace.client_stream import ANYTHING, ClientStream, Frame
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.rooms.member import Member
 from glsplat.net.session import Session

@@ -13,9 +13,9 @@ import numpy as np
 
 from glsplat.errors import ContextError, FormatError, GlsplatError
 from glsplat.net.backend import Rendered
+from glsplat.net.client_stream import ClientStream, Frame
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.fault_tracker import FaultTracker
-from glsplat.net.pace.client_stream import ClientStream, Frame
 from glsplat.net.pace.fair_queue import FairQueue
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.render_loop import RenderLoop

@@ -23,7 +23,7 @@ from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from glsplat.net.backend import AvatarInfo, Rendered
-from glsplat.net.backends.server import make_server
+from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.rooms.person import Person

@@ -21,9 +21,9 @@ from glsplat.data import default_avatar
 from glsplat.formats import save
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import encode_picture
+from glsplat.net.gl_server import make_server
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder, eye_fields
 from glsplat.net.reply import decode_picture

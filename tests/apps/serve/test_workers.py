@@ -12,8 +12,8 @@ import glsplat
 from apps.serve.workers import add_workers, workers_of
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.workers.options import Workers
 

@@ -18,10 +18,10 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import request_message
 from glsplat.net.messages import Decoder, PictureOptions, Request
+from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.person import Person
 from glsplat.net.rooms.room import Room
-from glsplat.net.rooms.view import RoomView, VisiblePerson
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile

@@ -16,8 +16,8 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import KEPT
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.messages import PictureOptions
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer

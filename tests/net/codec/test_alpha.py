@@ -13,9 +13,9 @@ from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.backends.server import make_server
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import pack_reply, parse_reply
 from glsplat.net.server import ServerConfig

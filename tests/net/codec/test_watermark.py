@@ -11,8 +11,8 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.motion.loading import load_embedded_motion
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from glsplat.watermark.detect import detect

@@ -16,7 +16,7 @@ from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import PEOPLE, default_avatar, person
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import WithPeople
-from glsplat.net.backends.server import make_server, offered
+from glsplat.net.gl_server import make_server, offered
 from glsplat.net.server import Server, ServerConfig
 from tests.net.conftest import FakeBackend
 

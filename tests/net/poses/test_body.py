@@ -7,7 +7,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import PoseError, ProtocolError
-from glsplat.net.poses.body import HERE, pack_body, place_of, unpack_bodies, yours
+from glsplat.net.codec.body import HERE, pack_body, place_of, unpack_bodies, yours
 from glsplat.net.reply import pack_poses, parse_reply
 from glsplat.rotations import turn_between
 from glsplat.skinning.expression import ARKIT

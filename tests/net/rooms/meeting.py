@@ -8,11 +8,11 @@ from concurrent.futures import Executor, Future
 from typing import Any
 
 from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import client_options
-from glsplat.net.pace.client_stream import ClientStream
 from glsplat.net.poses.answers import Answers
 from glsplat.net.reply import Reply, pack_reply, parse_reply
 from glsplat.net.rooms.rooms import Rooms

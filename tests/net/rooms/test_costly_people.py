@@ -23,7 +23,7 @@ from glsplat.net.backends.gl import RendererBackend, most_cost
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.room import RoomRenderer
 from glsplat.net.fields import PictureOptions
-from glsplat.net.rooms.view import RoomView, VisiblePerson
+from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile

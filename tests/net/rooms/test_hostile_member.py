@@ -16,13 +16,13 @@ from glsplat.errors import PoseError
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import RendererPool
-from glsplat.net.backends.server import offered
+from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.pace.client_stream import ClientStream
+from glsplat.net.gl_server import offered
 from glsplat.net.reply import Reply
+from glsplat.net.room_view import VisiblePerson
 from glsplat.net.rooms.person import FADE, SILENT
 from glsplat.net.rooms.room import RoomError
-from glsplat.net.rooms.view import VisiblePerson
 from glsplat.scene import Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
 from tests.net.rooms.hostile import Hostile

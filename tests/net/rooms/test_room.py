@@ -16,9 +16,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import PoseError, ProtocolError
 from glsplat.net.accounts.users import User
 from glsplat.net.backend import AvatarInfo
+from glsplat.net.codec.body import unpack_bodies
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RequestedOptions, client_options
-from glsplat.net.poses.body import unpack_bodies
 from glsplat.net.poses.history import PoseHistory
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
 from glsplat.net.rooms.room import Room, RoomError

@@ -19,7 +19,7 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.renderer_pool import RendererPool, SceneRenderer
 from glsplat.net.backends.room import RoomRenderer
 from glsplat.net.messages import PictureOptions
-from glsplat.net.rooms.view import RoomView, VisiblePerson
+from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Rigged, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile

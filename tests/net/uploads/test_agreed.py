@@ -15,8 +15,8 @@ from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
 from glsplat.formats import save
 from glsplat.net.accounts.users import Accounts, new_user, write_users
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
 from glsplat.net.uploads.job import UploadConfig

@@ -16,8 +16,8 @@ from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.formats import save
 from glsplat.net.backends.avatar_store import AvatarStore
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client as Streaming
+from glsplat.net.gl_server import make_server
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.uploads.job import UploadConfig

@@ -15,8 +15,8 @@ import pytest
 
 import glsplat
 from glsplat.camera import head_matrix, stereo_cameras
-from glsplat.net.backends.server import make_server
 from glsplat.net.client import Client
+from glsplat.net.gl_server import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.workers.options import Workers
 from tests.net.running import running

@@ -15,7 +15,7 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.codec.depth import grid_of
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.messages import PictureOptions
-from glsplat.net.rooms.view import RoomView, VisiblePerson
+from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.workers import wire
 from glsplat.net.workers.wire import Drawn, Kind, Reader, WorkerLostError, Writer, greet, pack
 from glsplat.skinning.pose import Pose

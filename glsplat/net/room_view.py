@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.net.poses.body import place_of
+from glsplat.net.codec.body import place_of
 from glsplat.net.rooms.person import Person
 from glsplat.skinning.pose import Pose
 
