@@ -48,7 +48,22 @@ WITHIN = {
         ["frame", "target_pool", "present"],
     ],
     "tracking": [["solve"]],
-    "net": [["codec"]],
+    "net": [
+        ["accounts", "codec", "face", "fields", "labels", "pace", "room_view"],
+        ["rights"],
+        ["guard"],
+        ["messages"],
+        ["backend", "reply", "session"],
+        ["backends", "datagrams", "flow", "options", "pose_queue"],
+        ["client", "rooms", "uploads"],
+        ["client_stream"],
+        ["pages", "render_loop"],
+        ["local_loop", "poses"],
+        ["workers"],
+        ["conversation"],
+        ["server"],
+        ["gl_server"],
+    ],
 }
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 ROOT_OWN = {"on_demand", "__version__"}  # defined by the root itself, below everything
@@ -139,6 +154,8 @@ def offences(module: str, imports: frozenset[str]) -> list[str]:
 
 def test_imports_go_down() -> None:
     assert set(FLOOR) == {room_of(module) for module in FILES if module != "glsplat"}
+    inside = {module.split(".")[2] for module in FILES if module.startswith("glsplat.net.")}
+    assert inside == {name for names in WITHIN["net"] for name in names}
     assert not [line for name in FILES if name != "glsplat" for line in offences(name, imports_of(name))]
 
 
@@ -150,6 +167,8 @@ def test_imports_go_down() -> None:
         ("glsplat.net.session", "import moderngl"),
         ("glsplat.passes.arena", "from glsplat import reference"),
         ("glsplat.passes.item.buffers", "from glsplat.passes.arena import Arena"),  # up within a room
+        ("glsplat.net.session", "from glsplat.net.client_stream import ClientStream"),
+        ("glsplat.net.rooms.room", "from glsplat.net.uploads.job import UploadConfig"),  # beside each other
         ("glsplat.evaluate.frames", "from glsplat_apps.output import label"),
     ],
 )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.fields import PictureOptions
@@ -20,7 +21,6 @@ from glsplat.net.guard.limits import CpuShare
 from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
-from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.session import Session
 
 if TYPE_CHECKING:

@@ -12,9 +12,6 @@ from math import inf, radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
@@ -80,7 +77,7 @@ class RequestedOptions:
     name: str = ""  # of the user: the account's; else what the user says, or nothing
     resume: str = ""  # token of the person in the room that the user comes back as; "": a newcomer
     label: bool = False  # over the head of who is shown alone, too
-    place: NDArray[np.float64] | None = None  # [4, 4] room from user; None: the room chooses
+    place: tuple[float, float, float] | None = None  # x and z in metres, radians about y; None: the room chooses
 
 
 def client_options(
@@ -142,8 +139,8 @@ def _name(given: str | None, user: User | None) -> str:
     return given or ""
 
 
-def _place(given: str | None) -> NDArray[np.float64] | None:
-    """[4, 4] of x, z in metres and degrees about y."""
+def _place(given: str | None) -> tuple[float, float, float] | None:
+    """Return x and z in metres and radians about y, of "x,z,degrees"."""
     if given is None:
         return None
     try:
@@ -152,9 +149,7 @@ def _place(given: str | None) -> NDArray[np.float64] | None:
         x = z = degrees = inf
     if not (abs(x) <= _FARTHEST and abs(z) <= _FARTHEST and abs(degrees) <= 360):  # max() lets a NaN through
         raise ProtocolError(f"at needs x,z,degrees: metres up to {_FARTHEST:g} and an angle up to 360")
-    from glsplat.net.rooms.seats import place_at  # here: most clients meet nobody
-
-    return place_at(x, z, radians(degrees))
+    return x, z, radians(degrees)
 
 
 def _metres(query: Mapping[str, str], name: str, low: float, high: float) -> float | None:

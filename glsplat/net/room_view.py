@@ -1,19 +1,16 @@
-"""What a picture of a room shows: values on their way from the server to what draws, and to the client."""
+"""The people of a room at one moment, as one picture shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.net.codec.body import place_of
-from glsplat.net.rooms.person import Person
 from glsplat.skinning.pose import Pose
 
-__all__ = ["RoomView", "VisiblePerson", "people_fields"]
+__all__ = ["RoomView", "VisiblePerson"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,19 +52,3 @@ class RoomView:
         assert one.pose is not None  # who has none is not in the picture
         ground = self.from_room @ one.transform @ (*one.pose.trans, 1.0)
         return [round(float(v), 3) for v in ground[:3]]
-
-
-def people_fields(
-    room: str, viewer: Person, people: Sequence[Person], hashes: Mapping[str, bytes | None]
-) -> dict[str, Any]:
-    """``room`` of a reply in poses: who is there, what to draw each from, and where the viewer's own space stands.
-
-    And the token that brings the viewer back.
-    """
-    translation, rotation, _ = place_of(viewer.seat)
-    told = [
-        {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer, "label": one.label}
-        | {"sha256": None if (digest := hashes[one.avatar]) is None else digest.hex()}
-        for one in people
-    ]
-    return {"name": room, "place": [*translation, *rotation], "people": told, "resume": viewer.resume}

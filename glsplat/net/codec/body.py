@@ -11,7 +11,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, nan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 
-__all__ = ["HERE", "MOST", "Body", "Place", "pack_body", "place_of", "unpack_bodies", "yours"]
+__all__ = ["HERE", "MOST", "Body", "Place", "PoseHistory", "Poses", "pack_body", "place_of", "unpack_bodies", "yours"]
 
 F64 = NDArray[np.float64]
 
@@ -63,6 +63,22 @@ class Body:
     sha256: str  # of the avatar's file
     place: F64  # [4, 4] room from avatar
     pose: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """A reply in poses, before it is packed."""
+
+    bodies: list[bytes]  # packed
+    room: dict[str, Any] | None = None  # its people, where they have changed
+
+
+@dataclass(slots=True, eq=False)
+class PoseHistory:
+    """What one client was sent of its room, so that nothing is sent twice."""
+
+    room: tuple[object, ...] = ()  # version of the room's people, and the digests of their avatars
+    change: int = 0  # number of the newest change of a body that was sent
 
 
 def pack_body(

@@ -17,8 +17,7 @@ from typing import Any
 from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
 from glsplat.net.client_stream import ClientStream, Frame
-from glsplat.net.codec.body import HERE, Place, pack_body
-from glsplat.net.poses.history import Poses
+from glsplat.net.codec.body import HERE, Place, Poses, pack_body
 from glsplat.net.reply import pack_poses
 from glsplat.skinning.pose import Pose
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from glsplat.camera import Camera
 from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
+from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.fields import PictureOptions
 from glsplat.net.messages import Request
-from glsplat.net.poses.history import PoseHistory, Poses
 from glsplat.net.room_view import RoomView
 from glsplat.net.rooms.person import Moved, Person
 from glsplat.net.rooms.room import Room

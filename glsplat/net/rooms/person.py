@@ -6,8 +6,9 @@ Tracking that is late or missing is extrapolated for a moment and then held; who
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 
-__all__ = ["AHEAD", "FADE", "SILENT", "Moved", "Person"]
+__all__ = ["AHEAD", "FADE", "SILENT", "Moved", "Person", "people_fields"]
 
 AHEAD = 0.1
 """Seconds that a pose is extrapolated at most."""
@@ -173,3 +174,19 @@ def _ahead(first: Pose, second: Pose, part: float) -> Pose:
     step = second.trans - first.trans
     moved = min(part, _FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
     return Pose(rotations, second.trans + step * moved, second.translations, second.expression)
+
+
+def people_fields(
+    room: str, viewer: Person, people: Sequence[Person], digests: Mapping[str, bytes | None]
+) -> dict[str, Any]:
+    """Return ``room`` of a reply in poses: its people with the SHA-256 of their avatars' files, and the viewer's seat.
+
+    ``resume`` is the token by which the viewer comes back.
+    """
+    translation, rotation, _ = place_of(viewer.seat)
+    fields = [
+        {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer, "label": one.label}
+        | {"sha256": None if (digest := digests[one.avatar]) is None else digest.hex()}
+        for one in people
+    ]
+    return {"name": room, "place": [*translation, *rotation], "people": fields, "resume": viewer.resume}

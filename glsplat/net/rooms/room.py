@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.net.codec.body import MOST, yours
+from glsplat.net.codec.body import MOST, PoseHistory, Poses, yours
 from glsplat.net.fields import Place
 from glsplat.net.labels import driven_by
-from glsplat.net.poses.history import PoseHistory, Poses
-from glsplat.net.room_view import RoomView, VisiblePerson, people_fields
-from glsplat.net.rooms.person import Moved, Person
+from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.rooms.person import Moved, Person, people_fields
 from glsplat.net.rooms.seats import free_seat, seat
 
 __all__ = ["Room", "RoomError"]

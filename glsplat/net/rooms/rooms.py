@@ -10,6 +10,7 @@ from glsplat.net.options import RequestedOptions
 from glsplat.net.rights import Thing
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.room import Room, RoomError
+from glsplat.net.rooms.seats import place_at
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Rooms"]
@@ -45,7 +46,8 @@ class Rooms:
             raise RoomError("there is no such room here", 404)
         if shown.skeleton is None:
             raise RoomError("a room needs people: name an avatar with joints", 400)
-        person = room.join(asked.name, shown.name, now, asked.resume, asked.place, leave, notice, number)
+        place = None if asked.place is None else place_at(*asked.place)
+        person = room.join(asked.name, shown.name, now, asked.resume, place, leave, notice, number)
         return Member(room, person, Pose.zero(len(shown.skeleton)))
 
     def worn(self, names: Sequence[str]) -> set[str]:

@@ -16,10 +16,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import PoseError, ProtocolError
 from glsplat.net.accounts.users import User
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.codec.body import unpack_bodies
+from glsplat.net.codec.body import PoseHistory, unpack_bodies
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RequestedOptions, client_options
-from glsplat.net.poses.history import PoseHistory
 from glsplat.net.rooms.person import AHEAD, FADE, SILENT, Moved, Person
 from glsplat.net.rooms.room import Room, RoomError
 from glsplat.net.rooms.rooms import Rooms
@@ -319,7 +318,7 @@ def test_what_an_address_asks_for() -> None:
     assert asked().name == "" and not asked().label and asked(label="1").label
     with pytest.raises(ProtocolError, match="label needs 0 or 1"):
         asked(label="yes")
-    assert place is not None and np.allclose(place @ (0, 0, 1, 1), (2.5, 0, -2, 1))
+    assert place is not None and np.allclose(place_at(*place) @ (0, 0, 1, 1), (2.5, 0, -2, 1))
     for wrong in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,nan,0", "0,0,nan", "0,inf,0", "1e9,0,0", "0,0,361"):
         with pytest.raises(ProtocolError, match="at needs x,z,degrees"):
             asked(room="lab", at=wrong)
