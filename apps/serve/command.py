@@ -324,7 +324,7 @@ def run(args: argparse.Namespace) -> int:
         workers=workers,
         idle=not args.no_idle,
         face=None if face is None else face.feed,
-        lead=None if study is None else study.lead,
+        features=() if study is None else (study.lead,),
         people=PEOPLE if args.scene is None and not args.avatar and study is None else (),
     )
 
@@ -335,11 +335,11 @@ def run(args: argparse.Namespace) -> int:
         if args.insecure and not place.local:
             logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
-            fields = {"url": server.url, "port": server.port, "driver": server.render_loop.driver}
+            fields = {"url": server.url, "port": server.port, "driver": server.drawer.driver}
             more = {} if study is None else {"study": study.fields(place)}
             print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
-            print(f"{config.scene}, drawn by {server.render_loop.driver}")
+            print(f"{config.scene}, drawn by {server.drawer.driver}")
             announce(place, sys.stdout, args.qr, status=study is None)
             if study is not None:
                 study.announce(place, sys.stdout)

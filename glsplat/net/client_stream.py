@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.backend import AvatarInfo, RenderJob, Solved
 from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encode import Encoded
@@ -25,27 +25,97 @@ from glsplat.net.session import Session
 
 if TYPE_CHECKING:
     from glsplat.net.codec.video import VideoStream
-    from glsplat.net.datagrams.way import SecondWay
-    from glsplat.net.rooms.member import Member
+    from glsplat.net.room_view import RoomView
 
-__all__ = ["ANYTHING", "ClientStream", "Frame", "Tap"]
+__all__ = ["ANYTHING", "ClientStream", "DatagramTransport", "Frame", "FrameObserver", "RoomMember"]
 
 ANYTHING = AvatarInfo(name="")
 
 
-class Tap(Protocol):
-    """Hears what one client asks for and is sent. All of it is to return at once."""
+class FrameObserver(Protocol):
+    """What a feature of the server hears of one client. Its methods return at once."""
 
-    def asked(self, request: Request) -> None:
-        """A request was taken. On the event loop."""
+    def request_received(self, request: Request) -> None:
+        """A request was accepted. Called on the event loop."""
         ...
 
-    def drawn(self, images: NDArray[np.uint8]) -> None:
-        """A picture [V, H, W, 4] was drawn here; it may be changed in place. On the thread that draws."""
+    def picture_drawn(self, images: NDArray[np.uint8]) -> None:
+        """Pictures [V, H, W, 4] were drawn in this process; they may be changed in place. Called while drawing."""
         ...
 
-    def sent(self, messages: Sequence[bytes]) -> None:
-        """The messages of a picture are in the socket. On the event loop."""
+    def reply_sent(self, messages: Sequence[bytes]) -> None:
+        """The socket took the messages of a reply. Called on the event loop."""
+        ...
+
+
+class RoomMember(Protocol):
+    """A client's person in a room, as drawing and answering see it. May be used by several threads."""
+
+    @property
+    def resume(self) -> str:
+        """The token by which the person comes back on another connection."""
+        ...
+
+    def meeting(self, request: Request) -> Request:
+        """Return a request with tracking and with the faces of the others, for the solver."""
+        ...
+
+    def received(self, request: Request, at: float) -> None:
+        """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""
+        ...
+
+    def options(self, request: Request) -> PictureOptions:
+        """Return the options of the request's picture, in the room's space."""
+        ...
+
+    def look(
+        self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float
+    ) -> tuple[tuple[Camera, ...], RoomView]:
+        """Return the ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it."""
+        ...
+
+    def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
+        """Return the poses that changed since the client was last sent any, by its ``history``."""
+        ...
+
+    def posed(self, count: int) -> None:
+        """Count people who were skinned anew for a picture."""
+        ...
+
+    def fair_cost(self, seconds: float) -> float:
+        """Return the seconds that a picture counts for its viewer: those of a mean picture of this room."""
+        ...
+
+
+class DatagramTransport(Protocol):
+    """A second connection for the pictures of one client, beside its WebSocket."""
+
+    def offer(self) -> dict[str, str] | None:
+        """Return what the next reply says of it, where it is wanted and worth it."""
+        ...
+
+    def on_the_way(self, nbytes: int) -> int:
+        """Return the bytes that a picture of ``nbytes`` takes of the link."""
+        ...
+
+    def send(self, frame_id: int, picture: bytes) -> bool:
+        """Send a picture; False where it has to go over the WebSocket."""
+        ...
+
+    def ping(self, payload: bytes) -> bool:
+        """Send a ping; False where it has to go over the WebSocket."""
+        ...
+
+    async def message(self) -> str:
+        """Return the next message of the client."""
+        ...
+
+    def status(self) -> dict[str, float]:
+        """Return its numbers for /stats."""
+        ...
+
+    def close(self) -> None:
+        """The client has left."""
         ...
 
 
@@ -124,7 +194,7 @@ class Frame:
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
         if channel.member is not None and self.job is not None and self.job.room is not None:
-            info["room"] = self.job.room.fields() | {"resume": channel.member.person.resume}
+            info["room"] = self.job.room.fields() | {"resume": channel.member.resume}
         return info
 
 
@@ -137,7 +207,8 @@ class ClientStream:
     solving: PoseQueue | None = None  # None: this server solves no tracking
     address: str = ""  # what has a fair share of the renderer's time
     shown: AvatarInfo = ANYTHING
-    member: Member | None = None  # in a room; None: sees what it is shown alone
+    member: RoomMember | None = None  # in a room; None: sees what it is shown alone
+    room: str = ""  # its name
     account: str = ""  # whose it is; "": the server has no accounts
     driver: str = ""  # name of who drives what is shown; "": nobody knows
     label: str = ""  # over the head of what is shown alone
@@ -145,18 +216,18 @@ class ClientStream:
     share: CpuShare | None = None  # of the time for reading and solving; None: no limit
     frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
     again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
-    place_key: str = ""  # where it is drawn (workers/placement.py); empty: room:NAME or avatar:NAME
     cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
     pose_history: PoseHistory = field(default_factory=PoseHistory)  # whom it was sent in poses, and how they stood
-    tap: Tap | None = None  # what else hears of it
+    observers: tuple[FrameObserver, ...] = ()  # of the server's features
     video: VideoStream | None = None  # what codes its pictures where it asks for video; None: this server has none
     coding: Future[Encoded] | None = None  # the newest picture of it: the next is coded after that
-    way: SecondWay | None = None  # for its pictures; None: this server has none
+    way: DatagramTransport | None = None  # for its pictures; None: this server has none
     newest: Encoded | None = None  # what it was sent last, for the status page
 
-    def __post_init__(self) -> None:
-        alone = f"avatar:{self.shown.name}"
-        self.place_key = self.place_key or (alone if self.member is None else f"room:{self.member.room.name}")
+    @property
+    def place_key(self) -> str:
+        """Clients with the same key are best drawn by one worker (workers/placement.py)."""
+        return f"room:{self.room}" if self.room else f"avatar:{self.shown.name}"
 
     @property
     def untracked(self) -> str:

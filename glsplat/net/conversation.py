@@ -13,18 +13,17 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.client_stream import ClientStream, Frame
+from glsplat.net.client_stream import ClientStream, DatagramTransport, Frame
 from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Request
-from glsplat.net.poses.answers import Answers
+from glsplat.net.poses.responder import PoseResponder
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn
 
 if TYPE_CHECKING:
-    from glsplat.net.datagrams.way import SecondWay
     from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Conversation", "cut_off", "make_socket"]
@@ -47,13 +46,13 @@ class Conversation:
         request: web.Request,
         render_loop: RenderLoop | WorkerPool,
         gate: Gate,
-        answers: Answers,
+        responder: PoseResponder,
         deaf: Callable[[], bool],
         write_timeout: float,
     ) -> None:
         self.channel = channel
         self._ws, self._request, self._render_loop, self._gate = ws, request, render_loop, gate
-        self._answers, self._deaf, self._write_timeout = answers, deaf, write_timeout
+        self._responder, self._deaf, self._write_timeout = responder, deaf, write_timeout
         assert channel.share is not None
         self._reading = Reading(channel.share)
 
@@ -153,13 +152,14 @@ class Conversation:
             await self._farewell(heard)
             return True
         elif text is not None:
-            if self.channel.tap is not None and heard is not None:
-                self.channel.tap.asked(heard)
+            if heard is not None:
+                for observer in self.channel.observers:
+                    observer.request_received(heard)
             self._render_loop.received(self.channel, heard)
-            self._answers.due(self.channel)
+            self._responder.due(self.channel)
         return False
 
-    async def _read_datagrams(self, way: SecondWay) -> None:
+    async def _read_datagrams(self, way: DatagramTransport) -> None:
         """The same of what comes by the second way."""
         while True:
             wait = self._reading.wait(clock())
@@ -191,7 +191,7 @@ class Conversation:
             frame = await self.channel.frames.get()
             try:
                 posed = frame.poses is not None
-                packed = self._answers.pack(frame) if posed else await self._render_loop.pack(self.channel, frame)
+                packed = self._responder.pack(frame) if posed else await self._render_loop.pack(self.channel, frame)
                 if not isinstance(packed, str):
                     await self._ping()
                 if posed or isinstance(packed, str) or not self._sent_by_datagrams(frame, packed):
@@ -213,9 +213,9 @@ class Conversation:
                 if not session.counts.sent:  # who only knocks fills no log
                     session.announce(self.channel.number, self.channel.address)
                 session.sent(frame.request, sum(map(len, packed)))
-                if self.channel.tap is not None:
-                    self.channel.tap.sent(packed)
-            self._answers.due(self.channel)
+                for observer in self.channel.observers:
+                    observer.reply_sent(packed)
+            self._responder.due(self.channel)
             self._render_loop.wake(self.channel)
             if frame.ends:
                 with contextlib.suppress(TimeoutError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -19,10 +19,11 @@ from glsplat.net.backends.avatar_store import AvatarStore, WithPeople
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
+from glsplat.net.feature import Feature
 from glsplat.net.messages import PARTS
 from glsplat.net.options import NAME, ServerConfig
-from glsplat.net.pages.lead import Lead
 from glsplat.net.server import Server
+from glsplat.net.standard_server import server_of
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
@@ -64,7 +65,7 @@ def make_server(
     workers: Workers | None = None,  # that draw and encode instead (docs/scaling.md)
     idle: bool = False,  # eyes of tracked users that no sensor sees look around and blink
     face: FaceFeed | None = None,  # a face that is tracked beside the headset, of one user at a time
-    lead: Lead | None = None,  # leads the clients through more than pictures, such as a study
+    features: Sequence[Feature] = (),  # more of them, such as a study
     title: str = "",  # what people read for ``name``; "": as its file says
     people: Collection[str] = (),  # names of glsplat.data.PEOPLE that clients may choose, too, soon after the start
 ) -> Server:
@@ -123,7 +124,8 @@ def make_server(
         partial(offered, calibration=calibration, solver=solver, idle=idle, face=face),
         consent,
     )
-    return Server(backend, config, offers, takes, lead, later)
+    features = features if takes is None else (takes, *features)
+    return server_of(backend, config, offers, features, later)
 
 
 def _people(

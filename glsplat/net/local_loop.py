@@ -47,7 +47,7 @@ class LocalLoop(RenderLoop):
         video: bool = False,
     ) -> None:
         super().__init__(clock, rate)
-        self.codecs: tuple[str, ...] = _codecs() if video else ()
+        self.codecs = _codecs() if video else ()
         self._backend = backend
         self._render_thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._encode_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
@@ -121,8 +121,8 @@ class LocalLoop(RenderLoop):
         done = rendered.done or _nothing
         try:
             self._note(frame, rendered, start, scale, floor)
-            if frame.channel.tap is not None:
-                frame.channel.tap.drawn(rendered.images)
+            for observer in frame.channel.observers:
+                observer.picture_drawn(rendered.images)
             # from here: the event loop need not hear of it first
             encoded = self._submit(frame.channel, rendered, job.options)
         except BaseException:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from glsplat.consent.policy import ConsentPolicy
     from glsplat.net.accounts.users import User
 
-__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "ServerConfig", "client_options"]
+__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "RoomError", "ServerConfig", "client_options"]
 
 MAX_WINDOW = 8
 _FARTHEST = 100.0  # metres from a room's centre
@@ -33,6 +33,14 @@ NOT_ALLOWED = "not_allowed"
 
 NAME = re.compile(r"[^\W_](?:[\w .'-]{0,30}[\w.])?")
 """Names of rooms and of people in them: up to 32 letters and digits of any script, blanks and _ . ' - between them."""
+
+
+class RoomError(ProtocolError):
+    """A client cannot enter its room; ``status`` is the HTTP status of the answer."""
+
+    def __init__(self, message: str, status: int) -> None:
+        super().__init__(message, "bad_request")
+        self.status = status
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

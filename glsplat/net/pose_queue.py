@@ -40,11 +40,12 @@ class PoseQueue:
         thread: Executor,
         clock: Callable[[], float],
         cpu: Callable[[], float] = thread_time,  # seconds the calling thread has worked
-        heard: Callable[[Request, Solved, float], None] | None = None,  # what was solved, and when it came
     ) -> None:
         self.share: CpuShare | None = None  # of the time for solving; None: no limit
         self.samples: Bucket | None = None  # solved one by one; None: no limit
-        self._cpu, self._heard = cpu, heard
+        self.on_solved: Callable[[Request, Solved, float], None] | None = None
+        """Called on the solving thread with a solution and the time of its sample (seconds); may raise PoseError."""
+        self._cpu = cpu
         self.merged = 0  # samples left out in favour of a newer one, the budget being spent
         self._solver, self._thread, self._clock = solver, thread, clock
         self._solutions: deque[tuple[int | None, SolutionFuture]] = deque()  # by frame_id, oldest first
@@ -143,8 +144,8 @@ class PoseQueue:
             if request.fault:
                 raise PoseError(request.fault)
             result = self._solver.solve(request, arrived)
-            if self._heard is not None:
-                self._heard(request, result, arrived)
+            if self.on_solved is not None:
+                self.on_solved(request, result, arrived)
         except BaseException as error:  # else the client's queue would stop for good
             solution.set_exception(error)
         else:

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.gl.software import is_software
@@ -30,27 +30,28 @@ from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.session import Session
 
-if TYPE_CHECKING:
-    from glsplat.net.rooms.member import Member
-
 __all__ = ["ClientStream", "RenderLoop"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _SICK = 3  # pictures in a row that failed before /healthz says so
-_BACK, _LONGEST_BACK = 9.0, 1.0  # of the time that a picture took, and seconds: the pause after it for others
+_YIELD_FACTOR = 9.0  # pause after a picture while others need the processor, in times of what it took
+_MAX_YIELD_S = 1.0
 _STUCK = 10.0  # seconds a picture may take before /healthz says so
 
 
 class RenderLoop(ABC):
     """The turns of the clients, and what is said with each picture. What draws is the subclass's."""
 
+    restart: None = None  # there are no workers to restart
+    codecs: tuple[str, ...] = ()  # of video
+
     def __init__(self, clock: Callable[[], float] = time.perf_counter, rate: float | None = None) -> None:
         self.driver: str = ""
         self.stages: StageTimes = StageTimes()
         self.failures: int = 0  # in a row
         self.rebuilds: int = 0  # contexts lost and made anew
-        self.stands_back: Callable[[], bool] = lambda: False  # while others need the processor that draws
+        self.should_yield: Callable[[], bool] = lambda: False  # whether others need the processor that draws
         self._clock = clock
         self._adaptive_quality = AdaptiveQuality(rate)
         self._drawing: ClientStream | None = None
@@ -79,6 +80,10 @@ class RenderLoop(ABC):
     @abstractmethod
     async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
         """Draw, and have it encoded meanwhile. Calls ``_job`` and ``_note``; raises what a renderer raises."""
+
+    def workers(self) -> list[dict[str, Any]] | None:
+        """Return ``workers`` of /stats."""
+        return None
 
     @property
     def drawing_for(self) -> float:
@@ -130,15 +135,10 @@ class RenderLoop(ABC):
         solver: PoseSolver | None = None,
         address: str = "",
         shown: AvatarInfo = ANYTHING,
-        member: Member | None = None,
     ) -> ClientStream:
-        """A client who is ``shown`` that, or a ``member`` of a room as that, with what solves its tracking.
-
-        It takes part once it is added.
-        """
-        heard = None if member is None else member.solved
-        solving = None if solver is None else PoseQueue(solver, self._solve_thread, self._clock, heard=heard)
-        return ClientStream(number, session, solving, address, shown, member)
+        """Return a client that is ``shown`` an avatar, with what solves its tracking; ``add`` lets it take part."""
+        solving = None if solver is None else PoseQueue(solver, self._solve_thread, self._clock)
+        return ClientStream(number, session, solving, address, shown)
 
     def add(self, channel: ClientStream) -> None:
         """Let a client take part."""
@@ -226,14 +226,14 @@ class RenderLoop(ABC):
             finally:
                 self._drawing = self._drawing_since = None
             now = self._clock()
-            own = None if channel.member is None else channel.member.room.evened(now - start)
+            own = None if channel.member is None else channel.member.fair_cost(now - start)
             self._turns.charge(channel.address, channel, now - start, now, own)
             if (then := self._leaving.get(channel.number)) is not None:
                 self._turns.remove(channel.address, channel)
                 del self._leaving[channel.number]
                 then()
-            if self.stands_back() and is_software(self.driver):
-                await asyncio.sleep(min(_LONGEST_BACK, _BACK * (now - start)))
+            if self.should_yield() and is_software(self.driver):
+                await asyncio.sleep(min(_MAX_YIELD_S, _YIELD_FACTOR * (now - start)))
 
     def _ready(self, now: float, rests: list[float], channel: ClientStream) -> bool:
         """Whether a client's picture can be drawn, and its link would take it."""
@@ -393,7 +393,7 @@ class RenderLoop(ABC):
         }
         frame.depth = tuple(grid.scaled(scale) for grid in rendered.depth)
         if frame.channel.member is not None:
-            frame.channel.member.room.posed(rendered.posed)
+            frame.channel.member.posed(rendered.posed)
         frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
 
     def _end_threads(self) -> None:

@@ -11,105 +11,90 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiohttp import web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import AvatarInfo, Backend
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.catalogue import Catalogue
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.conversation import Conversation, cut_off, make_socket
-from glsplat.net.datagrams.start import datagram_listener
-from glsplat.net.datagrams.way import SecondWay
+from glsplat.net.feature import Feature
 from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
+from glsplat.net.internal_client import InternalClient
 from glsplat.net.labels import driven_by
-from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
-from glsplat.net.options import NOT_ALLOWED, ServerConfig, client_options
+from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_options
 from glsplat.net.pace.fitting import Fitted
-from glsplat.net.pages.catalogue import Catalogue
 from glsplat.net.pages.clients import client_fields
 from glsplat.net.pages.headers import set_headers
-from glsplat.net.pages.history import History
-from glsplat.net.pages.lead import Lead
-from glsplat.net.pages.previews import Drawer, Previews
-from glsplat.net.pages.routes import Pages
-from glsplat.net.poses.answers import Answers
-from glsplat.net.poses.splat_files import SplatFiles
+from glsplat.net.poses.responder import PoseResponder
+from glsplat.net.render_loop import RenderLoop
 from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import User
-    from glsplat.net.rooms.rooms import Rooms
-    from glsplat.net.uploads.routes import Uploads
     from glsplat.net.workers.pool import WorkerPool
 
 __all__ = ["Server"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
+F = TypeVar("F", bound=Feature)
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
-_HOPELESS = 2.0  # seconds after which a picture is not waited for when the server stops
+DRAIN_GIVE_UP_S = 2.0  # a picture that takes longer is not waited for when the server stops
 
 
 class Server:
-    """Streams what ``backend`` draws: the first of ``offered``, or the one that a client names in its address.
+    """Streams the avatars of ``catalogue`` as ``drawer`` draws them: its first, or the one that a client names.
 
-    A pool has workers draw, and SIGHUP starts them anew one after the other; anything else draws on one thread.
-    ``uploads`` lets clients add to those; ``backend`` then has to draw what lies in its folder, too. ``lead`` has a
-    word in what each client is shown. ``later`` gives what is offered once clients can connect, in a thread.
+    ``features`` add addresses and options, and observe clients. ``later`` returns more avatars to offer once clients
+    can connect; it runs in a thread. A drawer that has workers restarts them one by one on SIGHUP.
     """
 
     def __init__(
         self,
-        backend: Backend | WorkerPool,
+        catalogue: Catalogue,
+        drawer: RenderLoop | WorkerPool,
         config: ServerConfig | None = None,
-        offered: Sequence[AvatarInfo] = (AvatarInfo(name="default"),),
-        uploads: Uploads | None = None,
-        lead: Lead | None = None,
+        features: Sequence[Feature] = (),
         later: Callable[[], Iterable[AvatarInfo]] = tuple,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
-        how = clock, self.config.fps, self.config.video
-        self.render_loop = LocalLoop(backend, *how) if isinstance(backend, Backend) else backend
+        self.catalogue: Catalogue = catalogue
+        self.drawer: RenderLoop | WorkerPool = drawer
+        self.features: tuple[Feature, ...] = tuple(features)
+        self.clients: dict[int, ClientStream] = {}
+        self.clock: Callable[[], float] = clock
         self.port: int = self.config.port
         limits = self.config.limits
-        if uploads is not None:
-            limits = replace(limits, head=max(limits.head, limits.body))
-        unseen = "" if lead is None else lead.unseen
-        rights = Rights(self.config.access.accounts, self.config.consent, self.config.private, unseen)
+        for feature in self.features:
+            limits = feature.limits(limits)
+        refusal = next(filter(None, (feature.refusal for feature in self.features)), "")
+        rights = Rights(self.config.access.accounts, self.config.consent, self.config.private, refusal)
         self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, rights)
-        self._work = CpuBudget(limits.work, clock(), limits.work_alone, lambda: self.render_loop.stages.lately())
-        self._offers = Catalogue(offered)
-        self._uploads, self._lead, self._history = uploads, lead, History(self.stats)
-        self._splat_files = SplatFiles(self._offers, rights, self._worn)
-        self._answers = Answers(self._splat_files.sha256, self._splat_files.why, clock)
-        self._channels: dict[int, ClientStream] = {}
-        self._drawer = Drawer(self.render_loop, self.config.wire, self.config.session, clock)
-        shown = self._drawer, self._offers, rights, self._channels
-        self._previews = Previews(*shown, self.stats, self.offer, self._history.fields)
+        self.gate.is_trusted = lambda request: any(feature.is_trusted(request) for feature in self.features)
+        self.internal_client: InternalClient = InternalClient(drawer, self.config.wire, self.config.session, clock)
         self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
         self.fitting: asyncio.Task[None] | None = None  # finds it
-        self._later, self.all_offered = later, asyncio.Event()
+        self.all_offered: asyncio.Event = asyncio.Event()
+        self._work = CpuBudget(limits.work, clock(), limits.work_alone, drawer.stages.lately)
+        self._responder = PoseResponder(self._file_digest, rights.withheld, clock)
+        self._running: list[Feature] = []  # those that have started
+        self._later = later
         self._adder: asyncio.Task[None] | None = None
         self._talks: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
         self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, clock()
         self._runner: web.AppRunner | None = None
-        self._datagrams = datagram_listener(clock) if self.config.webtransport else None
-
-    @cached_property
-    def _rooms(self) -> Rooms:
-        from glsplat.net.rooms.rooms import Rooms  # here: most servers have none
-
-        return Rooms(self.config.rooms, self.config.furnished)
 
     @property
     def url(self) -> str:
@@ -122,30 +107,18 @@ class Server:
         tls = server_tls(*self.config.tls) if self.config.tls else None
         listening = bind(self.config.access.host, self.config.port)
         self.port = listening.getsockname()[1]
-        packing = asyncio.create_task(self._splat_files.prepare())  # meanwhile
         try:
-            if self._datagrams is not None:
-                await self._datagrams.open(self.config.access.host, self.port)
-            await self.render_loop.start()
-            await packing
+            await self._start_all()
         except BaseException:
-            packing.cancel()
-            if self._datagrams is not None:
-                await self._datagrams.close()
             listening.close()
             raise
-        guards = [self.gate.guard] + ([] if self._lead is None else [self._lead.guard])
+        guards = [self.gate.guard, *(feature.guard for feature in self.features)]
         app = web.Application(middlewares=guards, client_max_size=MAX_BYTES)
-        pages = Pages(self.stats, self.offer, self._healthy, tls is not None, self._history, self.config.access.host)
-        own = (*self._splat_files.routes(), *pages.routes(), *self._previews.routes())
-        app.add_routes([web.get("/ws", self._websocket), *own])
-        if (uploads := self._uploads) is not None:
-            app.add_routes(uploads.open(self.gate, self._offers.add, self._withdraw))
-            if isinstance(self.render_loop, LocalLoop) and self.config.access.local:  # one's own
-                self.render_loop.stands_back = lambda: uploads.works
-        if self._lead is not None:
-            app.add_routes(self._lead.open(self._end, [self._offers[name] for name in self._offers.names]))
-            self.gate.knows = self._lead.knows
+        app.add_routes([web.get("/ws", self._websocket)])
+        for feature in self.features:
+            app.add_routes(feature.routes())
+        if self.config.access.local:  # the features' work is this machine's own user's
+            self.drawer.should_yield = lambda: any(feature.needs_cpu() for feature in self.features)
         app.on_response_prepare.append(set_headers)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=self.config.drain_timeout)
         await self._runner.setup()
@@ -157,6 +130,32 @@ class Server:
             self.fitting = asyncio.create_task(self._fit())
         self._adder = asyncio.create_task(self._add_later())
 
+    async def _start_all(self) -> None:
+        """Start the render loop and the features beside each other; stop them again where one fails."""
+
+        async def start(feature: Feature) -> None:
+            await feature.start(self)
+            self._running.append(feature)
+
+        starting = [asyncio.create_task(start(feature)) for feature in self.features]
+        drawing = False
+        try:
+            await self.drawer.start()
+            drawing = True
+            await asyncio.gather(*starting)
+        except BaseException:
+            for task in starting:
+                task.cancel()
+            await asyncio.gather(*starting, return_exceptions=True)
+            await self._stop_features()
+            if drawing:
+                await self.drawer.stop()
+            raise
+
+    async def _stop_features(self) -> None:
+        while self._running:
+            await self._running.pop().stop()
+
     async def stop(self) -> None:
         """Take no more requests, send the pictures under way, close the clients (1001), end the threads."""
         self._draining = True
@@ -164,22 +163,17 @@ class Server:
             task.cancel()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self.config.drain_timeout):
-                channels = self._channels.values()
-                while self.render_loop.drawing_for < _HOPELESS and any(
-                    c.session.status()["under_way"] for c in channels
+                while self.drawer.drawing_for < DRAIN_GIVE_UP_S and any(
+                    client.session.status()["under_way"] for client in self.clients.values()
                 ):
                     await asyncio.sleep(0.01)
         closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.gate.close()
-        if self._datagrams is not None:
-            await self._datagrams.close()
-        for part in (self._history, self._uploads, self._lead):
-            if part is not None:
-                await part.stop()
+        await self._stop_features()
         if self._runner is not None:
             await self._runner.cleanup()
-        await self.render_loop.stop()
+        await self.drawer.stop()
 
     async def run(self, started: Callable[[], None] | None = None) -> None:
         """Serve until SIGINT or SIGTERM, then stop in order; a second signal ends the process at once.
@@ -198,13 +192,13 @@ class Server:
         for number in (signal.SIGINT, signal.SIGTERM):
             with contextlib.suppress(NotImplementedError, ValueError):  # not on Windows, not off the main thread
                 loop.add_signal_handler(number, on_signal)
-        if not isinstance(self.render_loop, LocalLoop) and hasattr(signal, "SIGHUP"):
-            loop.add_signal_handler(signal.SIGHUP, self.render_loop.restart)
+        if self.drawer.restart is not None and hasattr(signal, "SIGHUP"):
+            loop.add_signal_handler(signal.SIGHUP, self.drawer.restart)
         await self.start()
         try:
             if started is not None:
                 started()
-            ends = [asyncio.create_task(done.wait()), asyncio.create_task(self.render_loop.ended())]
+            ends = [asyncio.create_task(done.wait()), asyncio.create_task(self.drawer.ended())]
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             await self.stop()
@@ -214,42 +208,44 @@ class Server:
     def stats(self, user: User | None = None) -> dict[str, Any]:
         """The numbers of /stats, and of others what the account may see."""
         rights, clients, totals = self.gate.rights, [], asdict(self._totals)
-        for number, channel in self._channels.items():
+        for number, channel in self.clients.items():
             status, owner = channel.session.status(), channel.account
             for name in totals:
                 totals[name] += status[name]
             if rights.sees(user, "client", owner):
-                picture = self._previews.shows(user, number)
-                clients.append(client_fields(number, channel, status, rights.sees(user, "identity", owner), picture))
-        return {
-            "scene": self.config.scene if rights.sees(user, "avatar", self._offers.names[0]) else None,
-            "driver": self.render_loop.driver,
-            "healthy": self.render_loop.healthy,
+                fields = client_fields(number, channel, status, rights.sees(user, "identity", owner))
+                clients.append(fields | merged(feature.client_stats(user, channel) for feature in self.features))
+        stats = {
+            "scene": self.config.scene if rights.sees(user, "avatar", self.catalogue.names[0]) else None,
+            "driver": self.drawer.driver,
+            "healthy": self.drawer.healthy,
             "uptime": round(clock() - self._started, 1),
-            "fps": round(self.render_loop.stages.fps(), 2),
+            "fps": round(self.drawer.stages.fps(), 2),
             "max_clients": self.config.max_clients,
             "token": self.config.access.guarded,
             **self.gate.status(),
-            "rebuilds": self.render_loop.rebuilds,
-            "workers": None if isinstance(self.render_loop, LocalLoop) else self.render_loop.workers(),
-            "uploads": None if self._uploads is None else self._uploads.counts(),
-            "datagrams": None if self._datagrams is None else self._datagrams.status(),
+            "rebuilds": self.drawer.rebuilds,
+            "workers": self.drawer.workers(),
+            "uploads": None,
+            "datagrams": None,
             "totals": totals,
-            "stages": self.render_loop.stages.summary(),
-            "rooms": self._rooms.status(clock(), partial(rights.sees, user)) if self.config.rooms else [],
-            "connected": len(self._channels),
+            "stages": self.drawer.stages.summary(),
+            "rooms": [],
+            "connected": len(self.clients),
             "clients": clients,
         }
+        return stats | merged(feature.stats(user) for feature in self.features)
 
-    def offer(self, user: User | None = None) -> dict[str, Any]:
+    def session(self, user: User | None = None) -> dict[str, Any]:
         """What /session says to an account of the scene and of the server: all to choose from before connecting."""
         most, wire = self.config.max_clients, self._wire
-        return {
-            "avatars": self._offers.fields(
-                self.gate.rights.drivable(user, self._offers.names), self._splat_files.fields
-            ),
-            "rooms": self._rooms.offer(clock(), self._enterable(user)) if self.config.rooms else [],
-            "upload": None if self._uploads is None else self._uploads.offer(),
+        avatars = self.catalogue.fields(self.gate.rights.drivable(user, self.catalogue.names))
+        session = {
+            "avatars": [
+                one | merged(feature.avatar_fields(one["name"]) for feature in self.features) for one in avatars
+            ],
+            "rooms": [],
+            "upload": None,
             "max_side": wire.max_side,
             "size": wire.size,
             "rate": None if self.fitted is None else round(self.fitted.rate, 1),
@@ -257,12 +253,13 @@ class Server:
             "quality": wire.quality,
             "light": None if wire.light is None else wire.light.to_json(),
             "window": self.config.session.window,
-            "video": self.render_loop.codecs,
-            "clients": len(self._channels),
+            "video": self.drawer.codecs,
+            "clients": len(self.clients),
             "max_clients": most,
-            "full": len(self._channels) >= most,
-            "driver": self.render_loop.driver,
+            "full": len(self.clients) >= most,
+            "driver": self.drawer.driver,
         }
+        return session | merged(feature.session(user) for feature in self.features)
 
     @property
     def _wire(self) -> WireOptions:
@@ -270,27 +267,29 @@ class Server:
         wire = self.config.wire
         return wire if self.fitted is None else replace(wire, size=(self.fitted.side, self.fitted.side))
 
-    def _healthy(self) -> bool:
-        return self.render_loop.healthy and not self._draining
+    def is_healthy(self) -> bool:
+        """Return whether pictures are drawn, and new clients may come."""
+        return self.drawer.healthy and not self._draining
 
     async def _fit(self) -> None:
-        self.fitted = await self._drawer.fitted(self._offers[self._offers.names[0]], self.config.wire.max_side)
+        self.fitted = await self.internal_client.fit(self.catalogue[self.catalogue.names[0]], self.config.wire.max_side)
 
     async def _add_later(self) -> None:
         if self.fitting is not None:
             await asyncio.wait([self.fitting])
-        more = (one for one in self._later() if one.name not in self._offers.names)
+        more = (one for one in self._later() if one.name not in self.catalogue.names)
         try:
             while (one := await asyncio.to_thread(next, more, None)) is not None:
-                self._offers.add(one)
-            await self._splat_files.prepare()
+                self.catalogue.add(one)
+            for feature in self.features:
+                await feature.avatars_added()
         except Exception:  # what is offered by now is shown all the same
             log.exception("not everybody can be offered")
         finally:
             self.all_offered.set()
 
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
-        if self._draining or len(self._channels) >= self.config.max_clients:
+        if self._draining or len(self.clients) >= self.config.max_clients:
             self.gate.refused += 1
             text = f"the server is full ({self.config.max_clients} clients); try again later\n"
             return web.Response(status=503, text=text, headers={"Retry-After": "5"})
@@ -306,7 +305,7 @@ class Server:
                 status=403 if error.code == NOT_ALLOWED else getattr(error, "status", 400), text=f"{error}\n"
             )
         talk = Conversation(
-            *(channel, ws, request, self.render_loop, self.gate, self._answers),
+            *(channel, ws, request, self.drawer, self.gate, self._responder),
             deaf=lambda: self._draining,
             write_timeout=self.config.write_timeout,
         )
@@ -326,51 +325,62 @@ class Server:
     def _open_channel(self, request: web.Request, quota: ClientQuota) -> ClientStream:
         """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
         user, rights = user_of(request), self.gate.rights
-        query = request.query if self._lead is None else self._lead.query(request.query)
-        asked = client_options(query, self._wire, self.config.session, self._offers.names, rights, user)
-        one = self._offers[asked.avatar]
+        query: Mapping[str, str] = request.query
+        for feature in self.features:
+            query = feature.query(query)
+        asked = client_options(query, self._wire, self.config.session, self.catalogue.names, rights, user)
+        one = self.catalogue[asked.avatar]
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
-        solver = solver if self._lead is None else self._lead.solver(solver)
+        for feature in self.features:
+            solver = feature.solver(solver)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
         notice = partial(rights.label, user, asked.avatar)
-        member = None
-        if asked.room is not None:
-            again = partial(self._end, number, "connected anew elsewhere")
-            member = self._rooms.join(asked, one, number, clock(), again, notice())
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
-        channel = self.render_loop.open(number, session, solver, address, one, member)
+        channel = self.drawer.open(number, session, solver, address, one)
         channel.account = "" if user is None else user.name
-        channel.driver = asked.name if member is None else member.person.name
+        channel.driver = asked.name
         channel.label, channel.notice = driven_by(asked.name) if asked.label else "", notice
-        channel.tap = None if self._lead is None else self._lead.tap(number)
         channel.share = self._work.open(clock(), channel.address)
-        if self._datagrams is not None:
-            channel.way = SecondWay(self._datagrams, session, address, clock, partial(self.render_loop.wake, channel))
         if channel.solving is not None:
             channel.solving.share, channel.solving.samples = channel.share, quota.samples
-        self._channels[channel.number] = channel
+        self.clients[channel.number] = channel
+        try:
+            for feature in self.features:
+                feature.client_opened(channel, asked)
+            if asked.room is not None and channel.member is None:
+                raise RoomError("there is no such room here", 404)
+        except ProtocolError:
+            self._close_channel(channel, goodbye=False)
+            raise
         return channel
 
-    async def _withdraw(self, name: str) -> bool:
+    async def withdraw(self, name: str) -> bool:
         """Offer an avatar no more and end the connections that show it; False where it was not offered."""
-        there = self._offers.remove(name)
-        self._splat_files.forget(name)
-        self._previews.forget(name)
+        there = self.catalogue.remove(name)
+        for feature in self.features:
+            feature.avatar_withdrawn(name)
         shown = [talk for talk in self._talks.values() if talk.channel.shown.name == name]
         closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
         await asyncio.gather(*closing, return_exceptions=True)
         return there
 
-    def _worn(self, user: User | None) -> set[str]:
-        """By those whom an account may meet."""
-        return self._rooms.worn(self._enterable(user)) if self.config.rooms else set()
+    def _file_digest(self, name: str) -> bytes | None:
+        return next(filter(None, (feature.file_digest(name) for feature in self.features)), None)
 
-    def _enterable(self, user: User | None) -> tuple[str, ...]:
-        return self.gate.rights.enterable(user, self._rooms.names)
+    def wake(self, client: ClientStream) -> None:
+        """Say that a picture may be drawn that waited."""
+        self.drawer.wake(client)
 
-    def _end(self, number: int, reason: str) -> None:
+    def feature(self, kind: type[F]) -> F:
+        """Return the feature of that class. Raises LookupError."""
+        for feature in self.features:
+            if isinstance(feature, kind):
+                return feature
+        raise LookupError(f"this server has no {kind.__name__}")
+
+    def close_client(self, number: int, reason: str) -> None:
         """Close the connection of a client that did nothing wrong."""
         talk = self._talks.get(number)
         if talk is not None:
@@ -379,15 +389,17 @@ class Server:
             task.add_done_callback(self._closing.discard)
 
     def _close_channel(self, channel: ClientStream, goodbye: bool) -> None:
-        self.render_loop.remove(channel)
-        if channel.member is not None:
-            channel.member.end(goodbye)
+        self.drawer.remove(channel)
         if channel.share is not None:
             self._work.close(channel.share)
-        if self._lead is not None:
-            self._lead.left(channel.number)
+        for feature in self.features:
+            feature.client_closed(channel, goodbye)
         self._talks.pop(channel.number, None)
-        self._previews.left(channel.number)
-        del self._channels[channel.number]
+        del self.clients[channel.number]
         for name, value in asdict(channel.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
+
+
+def merged(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return one object with the fields of all ``parts``."""
+    return {name: value for part in parts for name, value in part.items()}

@@ -15,6 +15,7 @@ from glsplat.errors import ProtocolError
 from glsplat.net.backend import RenderJob
 from glsplat.net.client import Client
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.conftest import FakeBackend, eyes, serving
 from tests.net.workers.fakes import GUARD, until
 
@@ -40,7 +41,7 @@ def gated(fail: Callable[[RenderJob], Exception | None] = lambda request: None):
 
 async def accepted(server: Server, count: int) -> None:
     """Until the renderer has the first of so many requests, and the newest waits in the mailbox."""
-    assert await until(lambda: server.stats()["totals"]["accepted"] == count and server.render_loop.drawing_for)
+    assert await until(lambda: server.stats()["totals"]["accepted"] == count and server.drawer.drawing_for)
 
 
 # ------------------------------------------------------------------------------------------------------- again
@@ -192,7 +193,7 @@ def test_a_server_that_goes_away_wakes_all_who_wait():
     backend, free = gated()
 
     async def main():
-        server = Server(backend, ServerConfig(port=0, drain_timeout=0.05))
+        server = server_of(backend, ServerConfig(port=0, drain_timeout=0.05))
         await server.start()
         client = Client(server.url, timeout=GUARD)
         await client.connect()

@@ -15,12 +15,13 @@ from typing import Any, Self
 
 from glsplat.net.backend import Backend
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 
 __all__ = ["Quiet", "Served", "hosted"]
 
 
 class Served:
-    """``with Served(backend) as served``; ``make(config)`` stands for ``Server(backend, config)`` where more is wanted.
+    """``with Served(backend) as served``; ``make(config)`` replaces ``server_of(backend, config)``.
 
     ``port`` stays the same over ``stop()`` and ``start()``.
     """
@@ -34,7 +35,7 @@ class Served:
     ) -> None:
         assert (backend is None) != (make is None)
         self._config = config or ServerConfig(port=0)
-        self._make = make or (lambda config: Server(backend, config, *([] if offered is None else [offered])))  # type: ignore[arg-type]
+        self._make = make or (lambda config: server_of(backend, config, *([] if offered is None else [offered])))  # type: ignore[arg-type]
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self.server: Server | None = None

@@ -13,6 +13,7 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from tests.browser.conftest import OpenPage
@@ -47,12 +48,8 @@ def taking(serve: Any, tmp_path: Path) -> Any:
         folder.mkdir(exist_ok=True)
 
         def server(config: ServerConfig) -> Server:
-            return Server(
-                StoredPairs(),
-                config,
-                OFFERED,
-                Uploads(UploadConfig(folder=folder, make=make, nice=0, **options), described),
-            )
+            uploads = Uploads(UploadConfig(folder=folder, make=make, nice=0, **options), described)
+            return server_of(StoredPairs(), config, OFFERED, [uploads])
 
         served = serve(make=server)
         served.folder = folder
@@ -132,7 +129,7 @@ def test_what_is_wrong_is_said_and_it_is_made_anyway(open_page: OpenPage, taking
     page.until("!document.querySelector('#photo-anyway').hidden")
     found = page.page.locator("#photo-findings li").all_text_contents()
     assert found and said(page) == "The picture may not do:" and page.page.is_visible("#photo-again")
-    queue = served.server._uploads._queue
+    queue = served.server.feature(Uploads)._queue
     other = queue.book("elsewhere")
     page.page.click("#photo-anyway")
     page.until("document.querySelector('#photo-said').textContent.includes('try again in a minute')")

@@ -9,6 +9,7 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -82,11 +83,11 @@ def test_a_page_keeps_its_name_whatever_becomes_of_its_connection(open_page: Ope
     """A connection that breaks, and a page that is loaded again; no other tab has it meanwhile."""
     page = visit(open_page, served, {"room": "lab", "name": "Ann"})
     page.until("window.glsplat.stats().shown > 0")
-    guest = served.server._rooms._rooms["lab"]._guests["Ann"]
+    guest = served.server.feature(Rooms)._rooms["lab"]._guests["Ann"]
     seat, token = guest.person.seat, guest.person.resume
     cut_off(served)
     page.until("window.glsplat.stats().reconnects === 1 && window.glsplat.stats().shown > 0")
-    again = served.server._rooms._rooms["lab"]._guests["Ann"]
+    again = served.server.feature(Rooms)._rooms["lab"]._guests["Ann"]
     assert again is not guest and again.person.seat is seat and again.person.resume == token
     second = visit(open_page, served, {"room": "lab", "name": "Ann"}, allow=["Unexpected response code: 409"])
     second.until("document.querySelector('#status').textContent.includes('omebody called \"Ann\"')")
@@ -144,6 +145,6 @@ def test_in_vr_the_room_is_around_its_user(open_page: OpenPage, served: Any) -> 
     seen = see(page)
     for side in ("left", "right"):
         assert np.linalg.norm(centroid(seen[side], "red") - project(seen["eyes"][side], expected)) < 3
-    requests = served.server.render_loop._backend.requests
+    requests = served.server.drawer._backend.requests
     request = requests[max(requests)]
     assert request.options.hide == ("head",) and request.room is not None and request.room.room == "lab"

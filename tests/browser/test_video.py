@@ -89,7 +89,7 @@ def test_what_is_shown_is_what_was_coded(open_page: OpenPage, serve: Any, coded:
     page = visit(open_page, served)
     page.until("window.glsplat.stats().shown > 12")
     assert matching(page, 1)
-    (channel,) = served.server._channels.values()
+    (channel,) = served.server.clients.values()
     before = len(coded)
     channel.video._number += 1  # the page misses one: a key frame mends it
     page.meanwhile(lambda: any(one["key"] for one in coded[before:]))

@@ -17,6 +17,7 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.clocks import Ahead, Stopped, given_to_servers
 from tests.net.wire import HANG
 
@@ -85,7 +86,7 @@ Serve = Callable[..., AbstractAsyncContextManager[Server]]
 
 @asynccontextmanager
 async def serving(backend: Any = None, config: ServerConfig | None = None, **options: Any) -> AsyncIterator[Server]:
-    server = Server(backend or FakeBackend(), config or ServerConfig(port=0), **options)
+    server = server_of(backend or FakeBackend(), config or ServerConfig(port=0), **options)
     await server.start()
     try:
         yield server

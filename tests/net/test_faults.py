@@ -13,8 +13,9 @@ import pytest
 from glsplat.errors import ContextError, ContextLostError, FormatError, ProtocolError
 from glsplat.net import local_loop
 from glsplat.net.client import Client, request_message
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.net.standard_server import server_of
 from tests.net.conftest import FakeBackend
 from tests.net.wire import EYE, HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
 
@@ -117,7 +118,7 @@ async def test_an_error_while_drawing_reaches_only_its_client(serve, fake_backen
                 await good.render(cameras)
                 assert json.loads((await bad.receive(timeout=HANG)).data)["error"] == told | {"frame_id": i}
             await bad.send_str(native(3))
-            assert (await bad.receive(timeout=HANG)).data[:2] == b"VR" and server.render_loop.healthy
+            assert (await bad.receive(timeout=HANG)).data[:2] == b"VR" and server.drawer.healthy
     assert "GL_OUT_OF_MEMORY" in caplog.text  # in the server's log, not on the wire
 
 
@@ -140,10 +141,10 @@ async def test_a_renderer_that_hangs_is_not_healthy(serve, fake_backend, cameras
         healthy = []
         for seconds in (0.0, 9.9, 0.2):
             stopped.now += seconds
-            healthy.append(server.render_loop.healthy)
+            healthy.append(server.drawer.healthy)
         backend.gate.set()
         await client.receive()
-        assert (*healthy, server.render_loop.healthy) == (True, True, False, True)
+        assert (*healthy, server.drawer.healthy) == (True, True, False, True)
 
 
 async def test_the_client_reports_a_server_that_goes_away(cameras):
@@ -183,7 +184,7 @@ async def test_a_lost_context_is_made_anew_under_the_clients_feet(serve, cameras
 
 async def test_without_a_new_context_the_server_stops_with_a_message(cameras, monkeypatch, caplog):
     backend = losing(monkeypatch, 1)
-    server, ready = Server(backend, ServerConfig(port=0)), asyncio.Event()
+    server, ready = server_of(backend, ServerConfig(port=0)), asyncio.Event()
     running = asyncio.create_task(server.run(ready.set))
     await ready.wait()
     async with Client(server.url) as client:

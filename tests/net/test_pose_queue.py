@@ -69,7 +69,8 @@ def test_a_solution_that_cannot_be_passed_on_costs_its_own_answer(thread):
         if request.frame_id == 1:
             raise PoseError("nobody can stand there")
 
-    solving = PoseQueue(Solver(), thread, time.perf_counter, heard=heard)
+    solving = PoseQueue(Solver(), thread, time.perf_counter)
+    solving.on_solved = heard
     solving.add(request(1))
     with pytest.raises(PoseError, match="nobody can stand there"):
         solving.take(1).result(HANG)

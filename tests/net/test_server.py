@@ -19,7 +19,8 @@ from glsplat.net import render_loop
 from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
+from glsplat.net.standard_server import server_of
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 from tests.net.accounts.test_accounts import WS
@@ -64,13 +65,13 @@ async def test_encoding_overlaps_the_next_drawing(serve, fake_backend, cameras, 
     backend, second = fake_backend(), threading.Event()
     backend.fail = lambda request: second.set() if request.frame_id == 2 else None
     async with serve(backend) as server:
-        encode = server.render_loop._encoder.encode
+        encode = server.drawer._encoder.encode
 
         def waiting(*args):
             assert second.wait(HANG)  # the first picture is ready when the second one has been drawn
             return encode(*args)
 
-        monkeypatch.setattr(server.render_loop._encoder, "encode", waiting)
+        monkeypatch.setattr(server.drawer._encoder, "encode", waiting)
         async with Client(server.url, timeout=HANG) as client:
             await client.send(cameras)
             await until(lambda: backend.drawn)
@@ -113,7 +114,7 @@ async def test_status_pages(serve, cameras):
 async def test_the_last_pictures_are_sent_before_the_server_stops(fake_backend, cameras):
     backend = fake_backend()
     backend.gate.clear()
-    server = Server(backend, ServerConfig(port=0))
+    server = server_of(backend, ServerConfig(port=0))
     await server.start()
     async with Client(server.url) as client:
         await client.send(cameras)
@@ -181,12 +182,12 @@ async def test_errors_before_the_start_are_one_line(serve, fake_backend):
 
     async with serve() as first:
         with pytest.raises(GlsplatError, match=f"^port {first.port} is in use; choose another with --port$"):
-            await Server(fake_backend(), ServerConfig(port=first.port)).start()
+            await server_of(fake_backend(), ServerConfig(port=first.port)).start()
     with pytest.raises(ContextError, match="no EGL here"):
-        await Server(Broken(), ServerConfig(port=0)).start()
+        await server_of(Broken(), ServerConfig(port=0)).start()
     with pytest.raises(GlsplatError, match=r"cannot listen on 192\.0\.2\.1 port 0"):
         access = Access(host="192.0.2.1", insecure=True)
-        await Server(fake_backend(), ServerConfig(access=access, port=0)).start()
+        await server_of(fake_backend(), ServerConfig(access=access, port=0)).start()
 
 
 @pytest.mark.parametrize(
@@ -217,7 +218,7 @@ async def test_options_of_the_address_are_checked(serve):
 @pytest.mark.parametrize("names", [(), ("ann", "ben", "ann")])
 def test_what_is_offered_has_names_of_its_own(names, fake_backend):
     with pytest.raises(GlsplatError, match="of different names"):
-        Server(fake_backend(), offered=[AvatarInfo(name=name) for name in names])
+        server_of(fake_backend(), offered=[AvatarInfo(name=name) for name in names])
 
 
 async def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
@@ -242,7 +243,7 @@ class Named(FakeBackend):
 
 async def seconds(driver: str, needed: bool, pictures: int = 3) -> float:
     async with serving(Named(TOOK, driver=driver)) as server, Client(server.url) as client:
-        server.render_loop.stands_back = lambda: needed
+        server.drawer.should_yield = lambda: needed
         await client.render(eyes())
         began = time.monotonic()
         for _ in range(pictures):
@@ -258,8 +259,8 @@ async def test_a_software_driver_stands_back() -> None:
 @pytest.mark.check
 @pytest.mark.parametrize(("driver", "needed"), [("NVIDIA H100/PCIe/SSE2", True), ("llvmpipe", False)])
 async def test_others_go_on(monkeypatch: pytest.MonkeyPatch, driver: str, needed: bool) -> None:
-    monkeypatch.setattr(render_loop, "_BACK", 1e9)
-    monkeypatch.setattr(render_loop, "_LONGEST_BACK", 1e9)  # it would never end
+    monkeypatch.setattr(render_loop, "_YIELD_FACTOR", 1e9)
+    monkeypatch.setattr(render_loop, "_MAX_YIELD_S", 1e9)  # it would never end
     assert await seconds(driver, needed) < 60
 
 

@@ -38,7 +38,7 @@ args = parser.parse_args([])
 server = make_server(open_scene(args), serve.server_config(args))
 head = {"head": [0, 1.5, 0, 0, 0, 0, 1]}
 request = Decoder().decode(json.dumps({"v": 1, "frame_id": 1, "t": 0.0, "tracking": head}))
-server._offers["default"].solver(1.7, None).solve(request, 0.0)
+server.catalogue["default"].solver(1.7, None).solve(request, 0.0)
 images = np.zeros((2, 64, 256, 4), np.uint8)
 images[:, 20:40, 100:120] = 200
 encoder = Encoder()

@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
+from glsplat.net.standard_server import server_of
 from glsplat.study.design import read_study
 from glsplat.study.plan import checked_plan
 from glsplat.study.serving.lead import StudyLead
@@ -25,7 +26,7 @@ def main(study_path: str, data: str, participant: str, port: str) -> None:
     lead = StudyLead(live, {one.name: "default" for one in study.conditions})
     offered = (AvatarInfo(name="default", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
     backend = StoredPairs(paint=lambda images, job: _mark(images) if "head" in job.options.hide else None)
-    server = Server(backend, ServerConfig(port=int(port)), offered, None, lead)
+    server = server_of(backend, ServerConfig(port=int(port)), offered, [lead])
 
     def started() -> None:
         print(json.dumps({"port": server.port, **lead.secrets}), flush=True)

@@ -24,8 +24,8 @@ import numpy as np
 from apps.replay.link import Link, link
 from glsplat.net.options import ServerConfig
 from glsplat.net.reply import parse_reply
-from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
+from glsplat.net.standard_server import server_of
 from tests.net.datagrams.client import open_path
 from tools.net.lossy_relay import relay, roomy
 
@@ -56,7 +56,7 @@ def serving(pairs: Any, port: Any, stop: Any, webtransport: bool) -> None:
 
     async def run() -> None:
         config = ServerConfig(port=0, session=SessionConfig(adapt=True), webtransport=webtransport)
-        server = Server(Drawn(pairs), config)
+        server = server_of(Drawn(pairs), config)
         await server.start()
         port.send(server.port)
         loop, cpu = asyncio.get_running_loop(), time.process_time()

@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 import glsplat
 from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
 from glsplat.net.client_stream import ClientStream
+from glsplat.net.codec import body
 from glsplat.net.gl_server import offered
 from glsplat.net.messages import Decoder, Request
 from glsplat.net.pose_queue import PoseQueue
-from glsplat.net.poses import body
-from glsplat.net.poses.answers import Answers
+from glsplat.net.poses.responder import PoseResponder
 from glsplat.net.rooms.member import Member
 from glsplat.net.rooms.person import Moved
 from glsplat.net.rooms.room import Room
@@ -155,7 +155,7 @@ def without_sockets(count: int, seconds: float, rate: float) -> None:
     one = offered("ann", glsplat.default_avatar(), idle=True)
     assert one.solver is not None
     hall, now, spent, solved = Room("lab", count), 1000.0, 0.0, 0.0
-    answers = Answers(lambda name: bytes(32), lambda name: "", lambda: now)
+    answers = PoseResponder(lambda name: bytes(32), lambda name: "", lambda: now)
     samples = [{k: v for k, v in sample.to_json().items() if k != "t"} for sample in embedded_recording()]
     channels = []
 
@@ -173,7 +173,8 @@ def without_sockets(count: int, seconds: float, rate: float) -> None:
     for i in range(count):
         member = Member(hall, hall.join(f"P{i}", "ann", now), glsplat.Pose.zero(55))
         session = Session(Decoder(skeleton=one.skeleton), SessionConfig(window=8, rate=1e9, burst=10**9), now)
-        solver = PoseQueue(Timed(one.solver(1.75, None)), Inline(), lambda: now, heard=member.solved)
+        solver = PoseQueue(Timed(one.solver(1.75, None)), Inline(), lambda: now)
+        solver.on_solved = member.solved
         channels.append(ClientStream(i, session, solver, shown=one, member=member))
     turns, size = round(seconds * rate), 0
 
@@ -220,7 +221,7 @@ def listeners(count: int, seconds: float, rate: float) -> None:
     import glsplat.net.rooms.person as rooms_person
 
     rooms_person.pack_body = counted  # type: ignore[attr-defined]
-    answers = Answers(lambda name: bytes(32) if name == "ann" else None, lambda name: "", lambda: now)
+    answers = PoseResponder(lambda name: bytes(32) if name == "ann" else None, lambda name: "", lambda: now)
     rng = np.random.default_rng(2)
     channels = []
     for i in range(count):

@@ -30,8 +30,8 @@ from glsplat.net.codec.encode import covered_box
 from glsplat.net.options import ServerConfig
 from glsplat.net.pace.ladder import SCALES
 from glsplat.net.pace.stages import median_p95
-from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
+from glsplat.net.standard_server import server_of
 from glsplat.renderer import Renderer
 from tools.net.simulated_link import draw_time
 
@@ -83,7 +83,7 @@ def drawn() -> Drawn:
 async def run(backend: Drawn, simulated: Link | None, seconds: float, adapt: bool) -> Result:
     """One stream."""
     drive, _ = load_drive("wave-and-turn")
-    server = Server(backend, ServerConfig(port=0, session=SessionConfig(adapt=adapt)))
+    server = server_of(backend, ServerConfig(port=0, session=SessionConfig(adapt=adapt)))
     await server.start()
     try:
         async with over(simulated, server.url) as url, Client(url, adapt=True) as client:

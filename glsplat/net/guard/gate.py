@@ -54,7 +54,7 @@ class Gate:
         self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
         self.rights: Rights = rights
         self.refused = 0  # requests
-        self.knows: Callable[[web.Request], bool] = lambda request: False  # who costs no more than a file of the page
+        self.is_trusted: Callable[[web.Request], bool] = lambda request: False  # counts like a file of the page
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
         self._proxies, self._unnamed = TrustedProxies(access.proxies), False
@@ -215,7 +215,7 @@ class Gate:
         if not health and (seconds := addresses.held_off(key, now)) > 0:
             return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
         public = _is_page(request)
-        if not addresses.visit(key, now, self.limits.file if public or self.knows(request) else 1.0):
+        if not addresses.visit(key, now, self.limits.file if public or self.is_trusted(request) else 1.0):
             return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
         if health:
             return None

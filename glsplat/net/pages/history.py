@@ -20,16 +20,15 @@ _LENGTH = 150  # values: five minutes
 
 
 class History:
-    """``stats`` gives the numbers of /stats; a task takes three of them every STEP seconds while it runs."""
+    """Three numbers of /stats, taken every STEP seconds."""
 
-    def __init__(self, stats: Callable[[], Mapping[str, Any]]) -> None:
-        self._stats = stats
+    def __init__(self) -> None:
         self._values: deque[tuple[float, float, float]] = deque(maxlen=_LENGTH)
         self._task: asyncio.Task[None] | None = None
 
-    def start(self) -> None:
-        """From now on."""
-        self._task = asyncio.create_task(self._run(), name="history")
+    def start(self, stats: Callable[[], Mapping[str, Any]]) -> None:
+        """Take the numbers of ``stats`` from now on."""
+        self._task = asyncio.create_task(self._run(stats), name="history")
 
     async def stop(self) -> None:
         """What was taken stays."""
@@ -48,11 +47,11 @@ class History:
         fps, age, load = (list(column) for column in zip(*self._values, strict=True)) if self._values else ([], [], [])
         return {"step": STEP, "most": _LENGTH, "fps": fps, "age": age, "load": load}
 
-    async def _run(self) -> None:
+    async def _run(self, stats: Callable[[], Mapping[str, Any]]) -> None:
         failing = False
         while True:
             try:
-                self.add(self._stats(), machine_load())
+                self.add(stats(), machine_load())
                 failing = False
             except Exception:  # a curve with a hole is better than none from here on
                 if not failing:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
 from base64 import b64encode
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from hashlib import sha256
 from importlib import resources
@@ -21,105 +20,57 @@ from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.encode import Encoded
-from glsplat.net.messages import Decoder, Request, WireOptions
-from glsplat.net.pace.fitting import Fitted, fit
-from glsplat.net.pages.catalogue import Catalogue
-from glsplat.net.rights import Rights, user_of
-from glsplat.net.session import Session, SessionConfig
+from glsplat.net.feature import Feature, ServerView
+from glsplat.net.pages.history import History
+from glsplat.net.rights import user_of
 
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import User
 
-__all__ = ["Drawer", "Previews", "flattened", "pair"]
+__all__ = ["Previews", "flattened"]
 
 SIDE = 192
 """Pixels of an avatar's picture."""
 
-log: logging.Logger = logging.getLogger("glsplat.net")
-
 _SMALL = 240  # pixels that the larger side of a client's last picture has at most
 _GROUND = np.array([205, 210, 216], np.float32)  # behind whom alpha cuts out, sRGB
-_PATIENCE = 20.0  # seconds for a picture
 _QUALITY = 85
 _UNKEPT = {"Cache-Control": "no-store"}  # people's faces
 
 
-class Drawer:
-    """Has single pictures drawn beside those of the clients, in the same fair turns: nobody's, small and few.
+class Previews(Feature):
+    """GET /thumbnails/NAME, /pictures/NUMBER and /status.json, which has the curves of ``history``."""
 
-    ``loop`` is a RenderLoop or a WorkerPool. Watermarks of ``session`` are in these pictures, too.
-    """
-
-    def __init__(self, loop: object, wire: WireOptions, session: SessionConfig, clock: Callable[[], float]) -> None:
-        self._loop, self._wire, self._config, self._clock = loop, wire, session, clock
-        self._one_at_a_time = asyncio.Lock()
-
-    async def draw(
-        self, one: AvatarInfo, request: Mapping[str, object], notice: Callable[[], str] = str
-    ) -> tuple[Encoded, Mapping[str, float]]:
-        """The picture of a native request and its times in ms. Raises GlsplatError where there is none."""
-        loop: Any = self._loop
-        async with self._one_at_a_time:  # all go by number 0
-            session = Session(Decoder(self._wire, one.skeleton, one.parts), self._config, self._clock())
-            taken = session.receive(json.dumps({"v": 1, "frame_id": 1, **request}), self._clock())
-            if not isinstance(taken, Request):
-                raise GlsplatError("the server's own request is not understood")
-            channel: ClientStream = loop.open(0, session, None, "the server's own pages", one)
-            channel.notice = notice
-            loop.add(channel)
-            loop.received(channel, taken)
-            try:
-                frame = await asyncio.wait_for(channel.frames.get(), _PATIENCE)
-                if frame.encoded is None:
-                    raise GlsplatError(f"it could not be drawn ({frame.error[0]})")
-                return await frame.encoded, frame.times
-            except TimeoutError:
-                raise GlsplatError(f"it was not drawn within {_PATIENCE:g} s") from None
-            finally:
-                loop.remove(channel)
-
-    async def fitted(self, one: AvatarInfo, most: int) -> Fitted | None:
-        """How large pictures of it may be, up to ``most``, for ENOUGH of them a second; None: nobody knows."""
-
-        async def draw(side: int) -> float:
-            _, times = await self.draw(one, pair(one, side))
-            return times["render"] / 1e3
-
-        try:
-            return await fit(draw, most)
-        except GlsplatError:
-            return None
-        except Exception:  # the server goes on with the size that it was told
-            log.exception("no size of pictures could be found")
-            return None
-
-
-class Previews:
-    """GET /thumbnails/NAME, /pictures/NUMBER and /status.json."""
-
-    def __init__(
-        self,
-        drawer: Drawer,
-        offers: Catalogue,
-        rights: Rights,
-        channels: Mapping[int, ClientStream],
-        stats: Callable[[User | None], Mapping[str, Any]],
-        offer: Callable[[User | None], Mapping[str, Any]],
-        curves: Callable[[], Mapping[str, Any]],
-    ) -> None:
-        self._drawer, self._offers, self._rights, self._channels = drawer, offers, rights, channels
-        self._stats, self._offer, self._curves = stats, offer, curves  # of the last minutes, for the status page
+    def __init__(self, history: History) -> None:
+        self._history = history
         self._kept: dict[tuple[str, str], tuple[bytes, str]] = {}  # with what changes with it
         self._small: dict[int, tuple[Encoded, asyncio.Task[bytes]]] = {}  # by client, of what it was sent last
         self._drawing = asyncio.Lock()
 
+    async def start(self, server: ServerView) -> None:
+        """Nothing is drawn before it is asked for."""
+        self._server, self._offers = server, server.catalogue
+        self._rights, self._channels = server.gate.rights, server.clients
+
     def routes(self) -> list[web.RouteDef]:
-        """Behind the gate, like /session."""
+        """Return the three addresses."""
         return [
             web.get("/thumbnails/{name}", self._thumbnail),
             web.get("/pictures/{number:[0-9]{1,9}}", self._picture),
             web.get("/status.json", self._status),
         ]
+
+    def client_stats(self, user: User | None, client: ClientStream) -> Mapping[str, Any]:
+        """Return whether /pictures has something of the client for the account."""
+        return {"picture": self.shows(user, client.number)}
+
+    def client_closed(self, client: ClientStream, goodbye: bool) -> None:
+        """Forget what the client saw."""
+        self._small.pop(client.number, None)
+
+    def avatar_withdrawn(self, name: str) -> None:
+        """Forget its picture."""
+        self._kept = {key: data for key, data in self._kept.items() if key[0] != name}
 
     def shows(self, user: User | None, number: int) -> bool:
         """Whether /pictures has something of that client for the account."""
@@ -141,14 +92,6 @@ class Previews:
             self._small = {key: one for key, one in self._small.items() if key in self._channels}
             made = self._small[number] = encoded, asyncio.create_task(asyncio.to_thread(_small, encoded))
         return await asyncio.shield(made[1])
-
-    def left(self, number: int) -> None:
-        """A client is gone, and what it saw with it."""
-        self._small.pop(number, None)
-
-    def forget(self, name: str) -> None:
-        """Another avatar may have that name from now on."""
-        self._kept = {key: data for key, data in self._kept.items() if key[0] != name}
 
     async def _thumbnail(self, request: web.Request) -> web.Response:
         name, user = request.match_info["name"], user_of(request)
@@ -175,7 +118,7 @@ class Previews:
             found = self._kept.get(key)
             if found is None and name in self._offers.names:
                 one = self._offers[name]
-                encoded, _ = await self._drawer.draw(one, _portrait(one), lambda: key[1])
+                encoded, _ = await self._server.internal_client.draw(one, _portrait(one), lambda: key[1])
                 data = await asyncio.to_thread(_thumbnail_of, encoded)
                 found = data, sha256(data).hexdigest()[:16]
                 if name in self._offers.names and self._offers[name] is one:  # another may have the name meanwhile
@@ -191,7 +134,7 @@ class Previews:
     async def _status(self, request: web.Request) -> web.Response:
         """All that the status page shows, in one answer; of avatars what tells whether their pictures are new."""
         user = user_of(request)
-        offer, stats = self._offer(user), self._stats(user)
+        offer, stats = self._server.session(user), self._server.stats(user)
         shown = [one["id"] for one in stats["clients"] if one["picture"]]
         pictures = {
             number: b64encode(await self.small(number)).decode() for number in shown if self.shows(user, number)
@@ -199,7 +142,7 @@ class Previews:
         avatars = [{name: one[name] for name in ("name", "title")} for one in offer["avatars"]]
         for one in avatars:
             one["tag"] = self.tag(one["name"], user)
-        told = {"stats": stats, "history": self._curves(), "avatars": avatars, "pictures": pictures}
+        told = {"stats": stats, "history": self._history.fields(), "avatars": avatars, "pictures": pictures}
         return web.json_response(told, headers=_UNKEPT)
 
 
@@ -228,17 +171,6 @@ def _small(encoded: Encoded) -> bytes:
         image = blocks.mean((1, 3)).astype(np.uint8)
     data: bytes = simplejpeg.encode_jpeg(np.ascontiguousarray(image), _QUALITY, "RGB")
     return data
-
-
-def pair(one: AvatarInfo, side: int) -> dict[str, object]:
-    """A request for both eyes of somebody who stands before the avatar: what a client of a headset asks for."""
-    height = one.height or 1.7
-    focal = side * 2.2 / (1.15 * height)  # the avatar fills the picture
-    K = [focal, focal, side / 2, side / 2]
-    eyes = [
-        {"viewmat": [1, 0, 0, -x, 0, -1, 0, 0.5 * height, 0, 0, -1, 2.2, 0, 0, 0, 1], "K": K} for x in (-0.032, 0.032)
-    ]
-    return {"eyes": eyes, "size": [side, side], "crop": True, "alpha": "straight"}
 
 
 def _portrait(one: AvatarInfo) -> dict[str, object]:

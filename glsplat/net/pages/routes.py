@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Any, TypeAlias
 from urllib.parse import quote
 
 from aiohttp import web
 
 from glsplat.motion.loading import embedded_motions
+from glsplat.net.feature import Feature, ServerView
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.machine import machine_names, reachable_at
 from glsplat.net.pages.history import History
@@ -22,13 +22,7 @@ from glsplat.net.rights import user_of
 from glsplat.shaders.web import programs_json
 from glsplat.speech.table import table_json
 
-if TYPE_CHECKING:
-    from glsplat.net.accounts.users import User
-
 __all__ = ["Pages"]
-
-Numbers: TypeAlias = "Callable[[User | None], Mapping[str, Any]]"
-Offer: TypeAlias = "Callable[[User | None], Mapping[str, Any]]"
 
 _RECORDING = "recording.jsonl"
 _TABLES: dict[str, Callable[[], bytes]] = {
@@ -37,28 +31,24 @@ _TABLES: dict[str, Callable[[], bytes]] = {
 }  # made, not read, for the page
 
 
-class Pages:
-    """``stats`` gives the numbers of /stats, ``offer`` what /session says, each to whom; ``healthy`` is for /healthz.
+class Pages(Feature):
+    """The page, its files, and the server's numbers as JSON and text; keeps ``history`` while it runs."""
 
-    ``host`` is what the server listens on.
-    """
-
-    def __init__(
-        self,
-        stats: Numbers,
-        offer: Offer,
-        healthy: Callable[[], bool],
-        tls: bool,
-        history: History,
-        host: str = "127.0.0.1",
-    ) -> None:
-        self._stats, self._offer, self._healthy, self._tls, self._host = stats, offer, healthy, tls, host
-        self._codes = QrCodes()
+    def __init__(self, history: History) -> None:
         self.history = history
+        self._codes = QrCodes()
+
+    async def start(self, server: ServerView) -> None:
+        """Begin the curves of the status page."""
+        self._server, self._host, self._tls = server, server.config.access.host, server.config.tls is not None
+        self.history.start(lambda: server.stats(None))
+
+    async def stop(self) -> None:
+        """End them."""
+        await self.history.stop()
 
     def routes(self) -> list[web.RouteDef]:
-        """What the application is made of. From now on numbers are kept for the curves."""
-        self.history.start()
+        """Return all addresses but the WebSocket's."""
         return [
             web.get("/", self._status),
             web.get("/healthz", self._healthz),
@@ -73,15 +63,15 @@ class Pages:
         ]
 
     async def _healthz(self, request: web.Request) -> web.Response:
-        healthy = self._healthy()
+        healthy = self._server.is_healthy()
         return web.Response(status=200 if healthy else 503, text="ok\n" if healthy else "not ready\n")
 
     async def _numbers(self, request: web.Request) -> web.Response:
-        return web.json_response(self._stats(user_of(request)))
+        return web.json_response(self._server.stats(user_of(request)))
 
     async def _metrics(self, request: web.Request) -> web.Response:
         return web.Response(
-            text=metrics_text(self._stats(user_of(request))), content_type="text/plain", charset="utf-8"
+            text=metrics_text(self._server.stats(user_of(request))), content_type="text/plain", charset="utf-8"
         )
 
     async def _status(self, request: web.Request) -> web.Response:
@@ -91,7 +81,7 @@ class Pages:
             viewer = "" if is_loopback(self._host) else self._outward(request)
         code = await self._codes.svg(viewer) if viewer else ""
         headers = {"Content-Security-Policy": STATUS_POLICY}
-        text = page_html(self._stats(user_of(request)), url, viewer, code)
+        text = page_html(self._server.stats(user_of(request)), url, viewer, code)
         return web.Response(text=text, content_type="text/html", headers=headers)
 
     async def _history(self, request: web.Request) -> web.Response:
@@ -103,7 +93,7 @@ class Pages:
         page = self._outward(request)
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
         # the gate has checked it, where the server has tokens at all
-        token = token.strip() if kind.lower() == "bearer" and self._stats(user_of(request))["token"] else ""
+        token = token.strip() if kind.lower() == "bearer" and self._server.stats(user_of(request))["token"] else ""
         if local:
             code = ""
         elif token:
@@ -123,7 +113,7 @@ class Pages:
 
     async def _session(self, request: web.Request) -> web.Response:
         embedded = {"motions": embedded_motions(), "recording": True}
-        return web.json_response({"v": 1, **self._offer(user_of(request)), **embedded})
+        return web.json_response({"v": 1, **self._server.session(user_of(request)), **embedded})
 
     async def _motion(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import web
 
 from glsplat.errors import GlsplatError
-from glsplat.net.pages.catalogue import Catalogue
-from glsplat.net.rights import Rights, user_of
+from glsplat.net.catalogue import Catalogue
+from glsplat.net.feature import Feature, ServerView
+from glsplat.net.rights import user_of
 
 if TYPE_CHECKING:
     from glsplat.net.accounts.users import User
@@ -33,45 +34,45 @@ class _File:
     first: int  # bytes until the coarsest level can be drawn
 
 
-class SplatFiles:
-    """Of those ``offers`` whose consent lets their splats be given away. Files are made once and kept.
+class SplatFiles(Feature):
+    """The files of the avatars whose consent lets their splats be given away. Each is made once and kept."""
 
-    ``worn`` says which of the avatars stand in rooms that an account may enter: who sees them there may draw them.
-    """
-
-    def __init__(self, offers: Catalogue, rights: Rights, worn: Callable[[User | None], Iterable[str]]) -> None:
-        self._offers, self._rights, self._worn = offers, rights, worn
+    def __init__(self) -> None:
+        self.worn: Callable[[User | None], Iterable[str]] = lambda user: ()
+        """Returns the avatars in rooms that an account may enter: an account that sees them there may draw them."""
         self._files: dict[str, _File | None] = {}  # by name; None: cannot be made
         self._making = asyncio.Lock()
 
-    async def prepare(self) -> None:
-        """Make the files that are missing, in a thread. What cannot be made is logged, and not handed out."""
+    async def start(self, server: ServerView) -> None:
+        """Make the files."""
+        self._offers, self._rights = server.catalogue, server.gate.rights
+        await self.avatars_added()
+
+    async def avatars_added(self) -> None:
+        """Make the missing files in a thread. A file that cannot be made is logged and not handed out."""
         async with self._making:
             for name in self._offers.names:
                 if name in self._files or self._offers[name].file is None or self._rights.withheld(name):
                     continue
                 self._files[name] = await asyncio.to_thread(_made, self._offers, name)
 
-    def forget(self, name: str) -> None:
-        """It is offered no more."""
+    def avatar_withdrawn(self, name: str) -> None:
+        """Forget its file."""
         self._files.pop(name, None)
 
-    def sha256(self, name: str) -> bytes | None:
-        """The hash of an avatar's file; None where it is not handed out now."""
+    def file_digest(self, name: str) -> bytes | None:
+        """Return the SHA-256 of an avatar's file; None where it is not handed out now."""
         file = self._files.get(name)
         return None if file is None or self._rights.withheld(name) else file.sha256
 
-    def why(self, name: str) -> str:
-        """Why ``sha256`` is None, in one sentence."""
-        return self._rights.withheld(name) or f'"{name}" is nothing that a browser could draw: ask for pictures'
-
-    def fields(self, name: str) -> dict[str, Any] | None:
-        """``hand_out`` of an avatar in /session."""
+    def avatar_fields(self, name: str) -> Mapping[str, Any]:
+        """Return ``hand_out`` of an avatar in /session: null where its file is not handed out."""
         file = self._files.get(name)
         if file is None or self._rights.withheld(name):
-            return None
+            return {"hand_out": None}
         digest = file.sha256.hex()
-        return {"sha256": digest, "bytes": len(file.data), "first": file.first, "url": f"splats/{digest}"}
+        url = f"splats/{digest}"
+        return {"hand_out": {"sha256": digest, "bytes": len(file.data), "first": file.first, "url": url}}
 
     def routes(self) -> list[web.RouteDef]:
         """/splats/SHA256."""
@@ -80,7 +81,7 @@ class SplatFiles:
     async def _file(self, request: web.Request) -> web.Response:
         """One file for all names that have it: it is given to who may have it under any of them."""
         asked, user = request.match_info["sha256"], user_of(request)
-        worn, sees = set(self._worn(user)), self._rights.sees
+        worn, sees = set(self.worn(user)), self._rights.sees
         here = [name for name, file in self._files.items() if file is not None and file.sha256.hex() == asked]
         names = [name for name in here if name in worn or sees(user, "avatar", name)]
         if not names:

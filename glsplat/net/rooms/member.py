@@ -27,6 +27,11 @@ class Member:
     person: Person
     rest: Pose
 
+    @property
+    def resume(self) -> str:
+        """The token by which the person comes back on another connection."""
+        return self.person.resume
+
     def solved(self, request: Request, solved: Solved, at: float) -> None:
         """Tracking that came ``at`` seconds was solved. Raises PoseError for what the others cannot be shown."""
         self.room.moved(self.person, self._moved(request, solved, at))
@@ -65,6 +70,14 @@ class Member:
     def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
         """How everybody stands of whom the client has not been told so yet, by its ``history``."""
         return self.room.poses(self.person, history, sha256, now)
+
+    def posed(self, count: int) -> None:
+        """Count people who were skinned anew for a picture."""
+        self.room.posed(count)
+
+    def fair_cost(self, seconds: float) -> float:
+        """Return the seconds that a picture counts for its viewer: those of a mean picture of this room."""
+        return self.room.fair_cost(seconds)
 
     def end(self, goodbye: bool) -> None:
         """The connection is over; ``goodbye``: as the client wanted it."""

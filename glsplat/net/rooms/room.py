@@ -18,28 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.errors import ProtocolError
 from glsplat.net.codec.body import MOST, PoseHistory, Poses, yours
 from glsplat.net.fields import Place
 from glsplat.net.labels import driven_by
+from glsplat.net.options import RoomError
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.rooms.person import Moved, Person, people_fields
 from glsplat.net.rooms.seats import free_seat, seat
 
-__all__ = ["Room", "RoomError"]
+__all__ = ["Room"]
 
 
 _TOKEN_BYTES = 16  # of randomness in the token that brings a person back
 _SWEEP = 0.03  # seconds
 _LEARN = 0.1  # how far each picture moves what one is expected to take
-
-
-class RoomError(ProtocolError):
-    """Somebody cannot come in. ``status`` is the HTTP status that says so."""
-
-    def __init__(self, message: str, status: int) -> None:
-        super().__init__(message, "bad_request")
-        self.status = status
 
 
 @dataclass(slots=True, eq=False)
@@ -202,10 +194,10 @@ class Room:
         with self._lock:
             self._posed += count
 
-    def evened(self, seconds: float) -> float:
-        """What a picture that took so long counts for its viewer: as much as any other of this room.
+    def fair_cost(self, seconds: float) -> float:
+        """Return the seconds that a picture counts for its viewer: those of a mean picture of this room.
 
-        Who looks at more people than the others is to see them no less often.
+        So a viewer who sees more people than the others does not get fewer pictures.
         """
         with self._lock:
             self._seconds += (seconds - self._seconds) * (_LEARN if self._seconds else 1.0)

@@ -3,25 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.options import RequestedOptions
+from glsplat.net.client_stream import ClientStream
+from glsplat.net.feature import Feature, ServerView
+from glsplat.net.options import RequestedOptions, RoomError
 from glsplat.net.rights import Thing
 from glsplat.net.rooms.member import Member
-from glsplat.net.rooms.room import Room, RoomError
+from glsplat.net.rooms.room import Room
 from glsplat.net.rooms.seats import place_at
 from glsplat.skinning.pose import Pose
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import User
 
 __all__ = ["Rooms"]
 
 
-class Rooms:
-    """``seats`` by the names of the rooms. Clients enter these and no others; in ``furnished`` ones are things, too."""
+class Rooms(Feature):
+    """``seats`` by the names of the rooms, the only ones; those in ``furnished`` hold more than people."""
 
     def __init__(self, seats: Mapping[str, int] | None = None, furnished: Collection[str] = ()) -> None:
         self._rooms = {name: Room(name, count) for name, count in (seats or {}).items()}
         self._furnished = frozenset(furnished)
+
+    async def start(self, server: ServerView) -> None:
+        """Use the server's clock and rights."""
+        self._server = server
+
+    def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
+        """Let a client that asks for a room enter it. Raises RoomError."""
+        if asked.room is None:
+            return
+        end = partial(self._server.close_client, client.number, "connected anew elsewhere")
+        member = self.join(asked, client.shown, client.number, self._server.clock(), end, client.notice())
+        client.member, client.room, client.driver = member, asked.room, member.person.name
+        if client.solving is not None:
+            client.solving.on_solved = member.solved
+
+    def client_closed(self, client: ClientStream, goodbye: bool) -> None:
+        """Let the client's person go, at once or after a while."""
+        if isinstance(client.member, Member):
+            client.member.end(goodbye)
+
+    def stats(self, user: User | None) -> Mapping[str, Any]:
+        """Return ``rooms`` of /stats."""
+        return {"rooms": self.status(self._server.clock(), partial(self._server.gate.rights.sees, user))}
+
+    def session(self, user: User | None) -> Mapping[str, Any]:
+        """Return ``rooms`` of /session."""
+        return {"rooms": self.offer(self._server.clock(), self._enterable(user))}
+
+    def worn_for(self, user: User | None) -> set[str]:
+        """Return the avatars of the people in the rooms that an account may enter."""
+        return self.worn(self._enterable(user))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -66,3 +103,6 @@ class Rooms:
         """What /stats says of those that whoever asks ``sees``; ``people`` is null where their names are not seen."""
         seen = [room for name, room in self._rooms.items() if sees("room", name)]
         return [room.status(now) | ({} if sees("people", room.name) else {"people": None}) for room in seen]
+
+    def _enterable(self, user: User | None) -> tuple[str, ...]:
+        return self._server.gate.rights.enterable(user, self.names)

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.guard.gate import Gate, connection_of
+from glsplat.net.feature import Feature, ServerView
+from glsplat.net.guard.gate import connection_of
+from glsplat.net.guard.limits import Limits
 from glsplat.net.rights import user_of
 from glsplat.net.uploads.form import RefusedError, check_head, discard, read_order
 from glsplat.net.uploads.job import VIEWS, Job, UploadConfig
 from glsplat.net.uploads.job_queue import JobQueue
 from glsplat.net.uploads.upload_store import NoRoomError, UploadStore
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import User
 
 __all__ = ["Uploads"]
 
@@ -25,7 +31,7 @@ _NO_AVATAR = "there is no such avatar of yours\n"
 _SLACK = 2**20  # bytes of a body beyond its pictures: fields, boundaries, and what is discarded before an answer
 
 
-class Uploads:
+class Uploads(Feature):
     """``describe(name, avatar)`` says what clients may ask of an avatar; raises GlsplatError if it cannot be shown."""
 
     def __init__(self, config: UploadConfig, describe: Callable[[str, Avatar], AvatarInfo]) -> None:
@@ -33,13 +39,18 @@ class Uploads:
         self.store: UploadStore = UploadStore(config.folder, config.most_files, config.folder_bytes)
         self._describe = describe
 
-    def open(
-        self, gate: Gate, offer: Callable[[AvatarInfo], None], withdraw: Callable[[str], Awaitable[bool]]
-    ) -> list[web.RouteDef]:
-        """The addresses, and work from now on. ``offer`` and ``withdraw`` add to and take from what clients choose."""
-        self._gate, self._withdraw = gate, withdraw
+    def limits(self, limits: Limits) -> Limits:
+        """Let requests with pictures begin before they are judged."""
+        return replace(limits, head=max(limits.head, limits.body))
+
+    async def start(self, server: ServerView) -> None:
+        """Begin to make avatars, which join the server's catalogue."""
+        self._gate, self._withdraw, offer = server.gate, server.withdraw, server.catalogue.add
         self._queue = JobQueue(self.config, self.store, lambda name, avatar: offer(self._describe(name, avatar)))
         self._queue.start()
+
+    def routes(self) -> list[web.RouteDef]:
+        """Return the four addresses."""
         return [
             web.post("/avatars", self._post),
             web.get("/avatars/{name}", self._get),
@@ -48,22 +59,21 @@ class Uploads:
         ]
 
     async def stop(self) -> None:
-        """Give up what is being made."""
+        """Cancel the job in work."""
         await self._queue.stop()
 
-    @property
-    def works(self) -> bool:
-        """Whether an avatar is being made."""
+    def needs_cpu(self) -> bool:
+        """Return whether an avatar is being made."""
         return self._queue.works
 
-    def counts(self) -> Mapping[str, int]:
-        """For /stats."""
-        return self._queue.counts()
+    def stats(self, user: User | None) -> Mapping[str, Any]:
+        """Return the counts of jobs."""
+        return {"uploads": self._queue.counts()}
 
-    def offer(self) -> dict[str, Any]:
-        """For /session: that avatars can be made here, and of what."""
+    def session(self, user: User | None) -> Mapping[str, Any]:
+        """Return which photographs avatars are made of, and how large they may be."""
         config = self.config
-        return {"views": VIEWS, "picture_bytes": config.picture_bytes, "body_bytes": config.body_bytes}
+        return {"upload": {"views": VIEWS, "picture_bytes": config.picture_bytes, "body_bytes": config.body_bytes}}
 
     async def _post(self, request: web.Request) -> web.Response:
         connection = connection_of(request)

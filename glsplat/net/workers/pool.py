@@ -20,7 +20,6 @@ from glsplat.net.client_stream import ANYTHING, ClientStream, Frame
 from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.pace.stages import StageTimes
-from glsplat.net.rooms.member import Member
 from glsplat.net.session import Session
 from glsplat.net.workers.launcher import WorkerLauncher
 from glsplat.net.workers.placement import PlacedClient, better, choose
@@ -57,6 +56,7 @@ class WorkerPool:
         if not launchers:
             raise GlsplatError("a pool needs a worker at least")
         self.stages: StageTimes = StageTimes()
+        self.should_yield: Callable[[], bool] = lambda: False  # ignored: workers have processors of their own
         self._clock, self._patience, self._close = clock, patience, close
         self._blame = FaultTracker()
         self._render_loops = [
@@ -126,10 +126,9 @@ class WorkerPool:
         solver: PoseSolver | None = None,
         address: str = "",
         shown: AvatarInfo = ANYTHING,
-        member: Member | None = None,
     ) -> ClientStream:
-        """A client who is ``shown`` that, or a ``member`` of a room as that; it takes part once it is added."""
-        return self._render_loops[0].open(number, session, solver, address, shown, member)
+        """Return a client that is ``shown`` an avatar; ``add`` lets it take part."""
+        return self._render_loops[0].open(number, session, solver, address, shown)
 
     def add(self, channel: ClientStream) -> None:
         """Let a client take part, on the worker that suits it."""

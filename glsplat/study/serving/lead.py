@@ -13,7 +13,7 @@ import json
 import logging
 import math
 import secrets
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,11 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError, GlsplatError, ProtocolError
 from glsplat.io.files import open_regular, replace_file
 from glsplat.io.secret_files import warn_if_exposed
-from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
+from glsplat.net.backend import PoseSolver, Solved
+from glsplat.net.client_stream import ClientStream
+from glsplat.net.feature import Feature, ServerView
 from glsplat.net.messages import Request
-from glsplat.net.options import NOT_ALLOWED
+from glsplat.net.options import NOT_ALLOWED, RequestedOptions
 from glsplat.net.reply import parse_reply
 from glsplat.study.serving.light import FULL, dim
 from glsplat.study.serving.live import Live, wrong_page
@@ -88,10 +90,10 @@ def secrets_of(folder: Path) -> dict[str, str]:
     return made
 
 
-class StudyLead:
-    """A ``Lead`` (glsplat.net.pages.lead). ``avatars``: the name under which each condition's is offered."""
+class StudyLead(Feature):
+    """The study as a feature of its server. ``avatars``: the name under which each condition's is offered."""
 
-    unseen = "nothing can be shown just now; tell the experimenter"
+    refusal = "nothing can be shown just now; tell the experimenter"
 
     def __init__(self, live: Live, avatars: Mapping[str, str]) -> None:
         self.live, self.secrets = live, secrets_of(live.store.folder)
@@ -104,14 +106,15 @@ class StudyLead:
         self._reported = -math.inf  # when the page's figures were written down last, by ``live.t``
         self._end: Callable[[int, str], None] = lambda number, reason: None
 
-    # what the server asks
-
-    def open(self, end: Callable[[int, str], None], offered: Collection[AvatarInfo]) -> Sequence[web.RouteDef]:
-        """The addresses; the session begins, or goes on, once somebody asks."""
-        self._end = end
-        self._heads = all("head" in one.parts for one in offered)
+    async def start(self, server: ServerView) -> None:
+        """Begin the session, or go on with it."""
+        self._end = server.close_client
+        self._heads = all("head" in server.catalogue[name].parts for name in server.catalogue.names)
         self.live.changed = self._changed
         self._opening = asyncio.ensure_future(self.live.open())
+
+    def routes(self) -> Sequence[web.RouteDef]:
+        """Return the addresses of both pages."""
         return [
             web.post("/study/state", self._for("participant", self._state)),
             web.post("/study/do", self._for("participant", self._do)),
@@ -134,7 +137,7 @@ class StudyLead:
             return await handler(request)
         return web.Response(status=403, text=f"{_PRIVATE}\n")
 
-    def knows(self, request: web.Request) -> bool:
+    def is_trusted(self, request: web.Request) -> bool:
         """Each answer is a message and the news of it for both pages: an experimenter has to be heard all the same."""
         return any(_proves(request, secret) for secret in self.secrets.values())
 
@@ -160,15 +163,15 @@ class StudyLead:
         condition = self.live.condition
         return _HeadOnly(solver) if solver is not None and condition is not None and not condition.hands else solver
 
-    def tap(self, number: int) -> _Tap:
-        """Records the client's tracking, keeps its last picture."""
+    def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
+        """Record the client's tracking and keep its last picture."""
         condition = self.live.condition
-        self._clients[number] = (self.live.page, "" if condition is None else condition.name)
-        return _Tap(self, FULL if condition is None else condition.light)
+        self._clients[client.number] = (self.live.page, "" if condition is None else condition.name)
+        client.observers += (_StudyObserver(self, FULL if condition is None else condition.light),)
 
-    def left(self, number: int) -> None:
-        """The client is gone."""
-        self._clients.pop(number, None)
+    def client_closed(self, client: ClientStream, goodbye: bool) -> None:
+        """Forget the client."""
+        self._clients.pop(client.number, None)
 
     def heard(self, request: Request) -> None:
         """A request of the participant's page."""
@@ -292,20 +295,20 @@ class StudyLead:
         return self.live.page
 
 
-class _Tap:
-    """Hears one client, whom its condition gives so much light."""
+class _StudyObserver:
+    """Observes one client and dims its pictures by the ``light`` (RGB factors) of its condition."""
 
     def __init__(self, lead: StudyLead, light: tuple[float, float, float]) -> None:
         self._lead, self._light = lead, light
 
-    def asked(self, request: Request) -> None:
+    def request_received(self, request: Request) -> None:
         self._lead.heard(request)
 
-    def drawn(self, images: NDArray[np.uint8]) -> None:
+    def picture_drawn(self, images: NDArray[np.uint8]) -> None:
         if self._light != FULL:
             dim(images, self._light)
 
-    def sent(self, messages: Sequence[bytes]) -> None:
+    def reply_sent(self, messages: Sequence[bytes]) -> None:
         self._lead.shown(messages[-1])
 
 

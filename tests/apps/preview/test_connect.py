@@ -27,7 +27,9 @@ from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
 from glsplat.net.rooms.person import Person
+from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -97,7 +99,7 @@ def shade(feed: Feed) -> float:
 def test_the_newest_wish_is_answered_and_a_quiet_feed_asks_for_nothing() -> None:
     backend, woken, token = Grey(), [], "0123456789abcdef"
     options = ServerConfig(port=0, wire=WireOptions(size=(32, 32), max_side=40), access=Access(token=token))
-    with serving(lambda: Server(backend, options)) as url:
+    with serving(lambda: server_of(backend, options)) as url:
         with pytest.raises(GlsplatError, match="wants a token"):
             Feed(url).start()
         with feeding(url, quality=100, token=token) as feed:
@@ -123,11 +125,11 @@ def test_in_a_room_it_comes_back_as_the_same_person() -> None:
 
     def make() -> Server:
         offered = (AvatarInfo(name="default", skeleton=rig),)
-        made.append(Server(Grey(), ServerConfig(port=0, rooms={"lab": 2}), offered))
+        made.append(server_of(Grey(), ServerConfig(port=0, rooms={"lab": 2}), offered))
         return made[0]
 
     def person() -> Person:
-        return made[0]._rooms._rooms["lab"]._guests["Ann"].person
+        return made[0].feature(Rooms)._rooms["lab"]._guests["Ann"].person
 
     with serving(make) as url, feeding(f"{url}?room=lab&name=Ann") as feed:
         feed.ask(at(0.5))
@@ -236,7 +238,7 @@ def test_the_window_is_redrawn_for_new_pictures_only(
 def test_a_recording_goes_as_tracking(context: Context) -> None:
     motion, backend = read_tracked(None), Grey()
     assert len(motion) > 72 and all("head" in sample for sample in motion.samples)
-    with serving(lambda: Server(backend, ServerConfig(port=0))) as url, feeding(url) as feed, context.ctx:
+    with serving(lambda: server_of(backend, ServerConfig(port=0))) as url, feeding(url) as feed, context.ctx:
         viewer = Viewer(default_avatar(), context, (32, 32), VIEW, "server", Watched(feed, context.ctx))
         try:
             assert viewer.player is not None

@@ -23,6 +23,7 @@ from glsplat.gl.context import Context, create_context
 from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from glsplat.tracking.recording import replay
 from glsplat.xr.cameras import camera_of
 from glsplat.xr.openxr.runtime import OpenXrRuntime
@@ -208,7 +209,7 @@ def tracking(backend: Seen) -> Server:
 
     parts = frozenset({"head"})
     info = AvatarInfo(name="default", skeleton=skeleton, solver=solver, parts=parts)
-    return Server(backend, ServerConfig(port=0, wire=WireOptions(max_side=64)), [info])  # type: ignore[arg-type]
+    return server_of(backend, ServerConfig(port=0, wire=WireOptions(max_side=64)), [info])  # type: ignore[arg-type]
 
 
 def test_pictures_are_shown_for_the_eyes_that_they_were_asked_for(context: Context) -> None:

@@ -13,7 +13,8 @@ from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import Client
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.apps.serve.viewers import parameters
 
 
@@ -31,7 +32,7 @@ def test_an_opengl_error_costs_that_picture_only(backend, caplog):
     wide = stereo_cameras(head_matrix((0, 1, 2), (0, 0, 0, 1)), size=(80, 64))
 
     async def main():
-        server = Server(backend, ServerConfig(port=0))
+        server = server_of(backend, ServerConfig(port=0))
         await server.start()
         prepare, gl = backend._pool.get().renderer.prepare, ctypes.CDLL("libGL.so.1")
 
@@ -72,12 +73,12 @@ def test_a_lost_context_is_made_anew(backend, caplog):
     eyes, pose = next(iter(parameters(64)))
 
     async def main():
-        server = Server(backend, ServerConfig(port=0))
+        server = server_of(backend, ServerConfig(port=0))
         await server.start()
         try:
             async with Client(server.url) as client:
                 before = await client.render(eyes, pose=pose)
-                await asyncio.get_running_loop().run_in_executor(server.render_loop._render_thread, lose_context)
+                await asyncio.get_running_loop().run_in_executor(server.drawer._render_thread, lose_context)
                 with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
                     await client.render(eyes, pose=pose)
                 after = await client.render(eyes, pose=pose)  # on the same connection

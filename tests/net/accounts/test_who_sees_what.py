@@ -21,8 +21,11 @@ from glsplat.net.accounts.users import Accounts, new_user, write_users
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
+from glsplat.net.pages.previews import Previews
+from glsplat.net.poses.splat_files import SplatFiles
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.net.standard_server import server_of
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from glsplat.study.serving.lead import StudyLead
@@ -198,7 +201,8 @@ async def running(config: ServerConfig, folder: Path, uploads: bool = True, lead
     made = Uploads(UploadConfig(folder=folder / "avatars", make=make), described) if uploads else None
     if made is not None:
         made.store.open()
-    server = Server(FakeBackend(), config, offers(), made, lead)
+    features = [feature for feature in (made, lead) if feature is not None]
+    server = server_of(FakeBackend(), config, offers(), features)
     await server.start()
     try:
         await server.all_offered.wait()
@@ -222,18 +226,18 @@ async def world(folder: Path, **changes: Any) -> AsyncIterator[World]:
             url = f"http://127.0.0.1:{server.port}/history"
             async with http.get(url, headers={"Authorization": f"Bearer {tokens[name]}"}) as answer:
                 assert answer.status == 200
-        assert server._uploads is not None
-        job = server._uploads._queue.book("127.0.0.9", "meg")
+        assert server.feature(Uploads) is not None
+        job = server.feature(Uploads)._queue.book("127.0.0.9", "meg")
         ann = Client(f"{server.url}?room=ann-room&avatar=ann-avatar", tokens["ann"])
         async with ann, Client(f"{server.url}?room=bob-room&avatar=bob-avatar", tokens["bob"]) as bob:
             await ann.render(eyes(64))
             for _ in range(2):  # the newest picture is another one
                 await bob.render(eyes(64))
-            marks = [channel.session.status()["mark"] for channel in server._channels.values()]
-            pictures = [await server._previews.small(number) for number in (1, 2)]
+            marks = [channel.session.status()["mark"] for channel in server.clients.values()]
+            pictures = [await server.feature(Previews).small(number) for number in (1, 2)]
             assert pictures[0] != pictures[1]
-            digest = server._splat_files.sha256("ann-avatar")
-            held = server._splat_files._files["ann-avatar"]
+            digest = server.feature(SplatFiles).file_digest("ann-avatar")
+            held = server.feature(SplatFiles)._files["ann-avatar"]
             assert digest is not None and held is not None
             facts = {
                 "scene": b'"scene-avatar"', "scene-file": b"scene-file.glb", "made": MADE.encode(),
@@ -320,8 +324,8 @@ async def test_who_has_the_token_sees_all_but_of_a_private_server(tmp_path: Path
     async with running(config, tmp_path) as server, aiohttp.ClientSession() as http:
         async with Client(f"{server.url}?room=ann-room&avatar=ann-avatar&name=zoe", TOKEN) as ann:
             await ann.render(eyes(64))
-            (channel,) = server._channels.values()
-            mark, picture = channel.session.status()["mark"].encode(), await server._previews.small(1)
+            (channel,) = server.clients.values()
+            mark, picture = channel.session.status()["mark"].encode(), await server.feature(Previews).small(1)
             bodies, statuses = {}, {}
             for path in ("/", "/stats", "/status.json", "/metrics", "/history", "/session", "/pictures/1"):
                 url = f"http://127.0.0.1:{server.port}{path}"
@@ -358,6 +362,6 @@ async def test_a_websocket_tells_of_others_in_the_same_room_alone(tmp_path: Path
 async def test_nobody_is_everybody_only_where_there_are_no_accounts(tmp_path: Path) -> None:
     """An address that forgets to ask whose it is tells nothing."""
     async with world(tmp_path) as here:
-        stats, offer = here.server.stats(), here.server.offer()
+        stats, offer = here.server.stats(), here.server.session()
         assert stats["clients"] == stats["rooms"] == offer["avatars"] == offer["rooms"] == []
         assert stats["connected"] == 2 and stats["scene"] is None

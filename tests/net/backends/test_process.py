@@ -148,11 +148,11 @@ async def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
         async with Client(server.url) as client:
             client._connection.flow.newest = 68
             await client.send(request().cameras)  # 69: never comes back
-            await until(lambda: server.render_loop.drawing_for)
+            await until(lambda: server.drawer.drawing_for)
             async with aiohttp.ClientSession() as http:
                 async with http.get(server.url.replace("ws:", "http:").replace("/ws", "/stats")) as answer:
                     status = answer.status
-            os.kill(int(server.render_loop.driver.split()[1]), signal.SIGKILL)
+            os.kill(int(server.drawer.driver.split()[1]), signal.SIGKILL)
             with pytest.raises(ProtocolError, match="could not be drawn"):
                 await client.receive()
             assert status == 200

@@ -100,7 +100,7 @@ def test_a_head_is_hidden_in_a_scene_of_several_things_that_move() -> None:
 @pytest.mark.gl
 @pytest.mark.parametrize("scene", [limb(50).splats, Scene([Item(PERSON), Item(PERSON)]), limb(50)])
 def test_what_has_no_head_cannot_hide_it(scene) -> None:
-    (one,) = make_server(scene, ServerConfig(port=0), own_process=False).offer()["avatars"]
+    (one,) = make_server(scene, ServerConfig(port=0), own_process=False).session()["avatars"]
     assert not one["head"]
     with opened(RendererBackend(scene, SIZE)) as backend:
         with pytest.raises(GlsplatError, match=r"scene has none or several|no joint"):
@@ -195,7 +195,7 @@ async def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     splats = replace(PERSON.splats, means=PERSON.splats.means * 0.5, scales=PERSON.splats.scales * 0.5)
     child = replace(PERSON, skeleton=half, splats=splats)
     server = make_server(PERSON, ServerConfig(port=0), own_process=False, avatars={"child": child, "rod": limb(50)})
-    first, second, rod = server.offer()["avatars"]
+    first, second, rod = server.session()["avatars"]
     assert first["height"] == pytest.approx(2 * second["height"], rel=1e-3) and second["tracking"]
     nothing = {"title": "", "height": None, "hand_out": None} | dict.fromkeys(("tracking", "head", "made"), False)
     assert rod == nothing | {"name": "rod"}

@@ -57,11 +57,11 @@ def test_poses_parts_and_boxes(own_process: bool) -> None:
 
 
 def test_what_may_be_served() -> None:
-    (one,) = make_server(PERSON, ServerConfig(port=0), own_process=False).offer()["avatars"]
+    (one,) = make_server(PERSON, ServerConfig(port=0), own_process=False).session()["avatars"]
     assert one["head"] and one["tracking"]
-    (room,) = make_server(ROOM, ServerConfig(port=0), own_process=False).offer()["avatars"]
+    (room,) = make_server(ROOM, ServerConfig(port=0), own_process=False).session()["avatars"]
     assert not room["head"] and not room["tracking"]
-    both = make_server(limb(50), ServerConfig(port=0), own_process=False, avatars={"mesh": PERSON}).offer()["avatars"]
+    both = make_server(limb(50), ServerConfig(port=0), own_process=False, avatars={"mesh": PERSON}).session()["avatars"]
     assert [entry["name"] for entry in both] == ["default", "mesh"]
     make_server(PERSON, rendering=RenderConfig(cull_hidden=True), avatars={"mesh": PERSON})  # nothing to cull
     with pytest.raises(GlsplatError, match='"room": clients choose avatars, not RiggedMesh without joints to move'):

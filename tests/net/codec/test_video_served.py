@@ -14,7 +14,8 @@ from glsplat.net.codec.video import VideoStream
 from glsplat.net.local_loop import _CODED
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.wire import EYE, HANG, until
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
@@ -62,7 +63,7 @@ async def test_others_get_the_same_bytes_as_ever(serve, fake_backend):
     async with serve(fake_backend()) as server:
         found = [await replies(server, 4), await replies(server, 4, video={"codecs": ["vp9"]})]
     async with serve(fake_backend(), WATCHES) as server:
-        assert list(server.offer()["video"]) == ["vp9", "h264"]
+        assert list(server.session()["video"]) == ["vp9", "h264"]
         found = [*found, await replies(server, 4), await replies(server, 4, video={"codecs": ["av9"]})]
     assert all("video" not in reply.info for some in found for reply in some)
     pictures = [[reply.pictures for reply in some] for some in found]
@@ -77,7 +78,7 @@ async def test_what_was_sent_last_is_no_old_jpeg(serve, fake_backend):
             for number, more in ((1, {}), (2, {"video": {"codecs": ["vp9"]}})):
                 await ws.send_str(asking(number, ack=number - 1, **more))
                 await ws.receive(timeout=HANG)
-                out += [one.newest is not None for one in server._channels.values()]
+                out += [one.newest is not None for one in server.clients.values()]
             assert out == [True, False]
 
 
@@ -129,4 +130,4 @@ async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeyp
 def test_a_server_that_cannot_does_not_begin(monkeypatch, fake_backend):
     monkeypatch.setitem(__import__("sys").modules, "av", None)
     with pytest.raises(GlsplatError, match="PyAV"):
-        Server(fake_backend(), WATCHES)
+        server_of(fake_backend(), WATCHES)

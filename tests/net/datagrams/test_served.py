@@ -16,7 +16,8 @@ from glsplat.net.datagrams import path as paths
 from glsplat.net.datagrams import udp, way
 from glsplat.net.datagrams.congestion import PictureWindow
 from glsplat.net.datagrams.packets import PICTURE
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.conftest import FakeBackend
 from tests.net.datagrams.client import open_path
 from tests.net.datagrams.viewer import CONFIG, viewing, ways
@@ -195,7 +196,7 @@ async def test_who_leaves_takes_it_along_and_the_server_stops_in_order(serve: An
 def test_without_what_it_needs_a_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "glsplat.net.datagrams.listener", None)
     with pytest.raises(GlsplatError, match=r"pip install 'glsplat\[webtransport\]'"):
-        Server(FakeBackend(), CONFIG)
+        server_of(FakeBackend(), CONFIG)
 
 
 def test_a_port_in_use_is_told_in_a_line() -> None:

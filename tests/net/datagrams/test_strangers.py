@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
 from glsplat.net.datagrams import path as paths
+from glsplat.net.datagrams.feature import Datagrams
 from glsplat.net.datagrams.listener import DatagramListener
 from glsplat.net.datagrams.offers import Offers
 from glsplat.net.datagrams.packets import HEAD, REQUEST
@@ -56,7 +57,7 @@ async def test_half_open_connections_are_few_and_end(serve: Any, monkeypatch: py
     monkeypatch.setattr(paths, "_HANDSHAKE", 0.5)
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         await until(lambda: viewer.offers)
-        listener = server._datagrams
+        listener = server.feature(Datagrams).listener
         assert listener is not None and listener._server is not None
         inside = listener._server
         opened = [asyncio.create_task(open_quic(server.url)) for _ in range(20)]

@@ -20,8 +20,9 @@ from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import Decoder
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session
+from glsplat.net.standard_server import server_of
 from tests.net.attacks.pictures import costly
 from tests.net.backends.fakes import Boxed
 from tests.net.wire import HANG, native, still_serves, until
@@ -67,7 +68,7 @@ async def test_bad_pictures_end_their_client_and_hold_off_its_address(serve, fak
             assert response.status in (429, 503)
         async with other.ws_connect(server.url) as ws:
             assert [await ask(ws, 1), await ask(ws, 101, ack=0)] == [code, b"VR"]
-        assert await ask(good, 101) == b"VR" and server.render_loop.healthy
+        assert await ask(good, 101) == b"VR" and server.drawer.healthy
 
 
 async def test_no_number_of_lost_contexts_ends_the_server(serve, fake_backend, cameras):
@@ -77,7 +78,7 @@ async def test_no_number_of_lost_contexts_ends_the_server(serve, fake_backend, c
             async with visitor(f"127.0.0.{i + 10}") as http, http.ws_connect(server.url) as ws:
                 assert await ask(ws, 1) == "render"
         async with visitor("127.0.0.9") as http, http.ws_connect(server.url) as ws:
-            assert (await ask(ws, 100), server.render_loop.rebuilds, server.render_loop.healthy) == (b"VR", 10, True)
+            assert (await ask(ws, 100), server.drawer.rebuilds, server.drawer.healthy) == (b"VR", 10, True)
 
 
 async def test_a_request_the_driver_cannot_serve_is_not_a_lost_context(serve, fake_backend, cameras):
@@ -85,7 +86,7 @@ async def test_a_request_the_driver_cannot_serve_is_not_a_lost_context(serve, fa
     backend = fake_backend(fail=lambda request: refusal if request.frame_id < 100 else None)
     async with serve(backend) as server, aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
         answers = [await ask(ws, i) for i in range(1, 7)]
-        assert (answers, await ask(ws, 100), server.render_loop.rebuilds) == (["render"] * 6, b"VR", 0)
+        assert (answers, await ask(ws, 100), server.drawer.rebuilds) == (["render"] * 6, b"VR", 0)
 
 
 async def test_a_real_picture_that_costs_too_much(serve):
@@ -98,7 +99,7 @@ async def test_a_real_picture_that_costs_too_much(serve):
                 await ws.send_str(costly(i, 0).decode())
                 assert json.loads((await ws.receive(timeout=HANG)).data)["error"]["code"] == "too_costly"
                 assert await ask(ws, i + 1, ack=None) == b"VR"
-        assert server.render_loop.rebuilds == 0
+        assert server.drawer.rebuilds == 0
 
 
 async def test_a_picture_nobody_waits_for_is_given_up(serve, cameras):
@@ -106,23 +107,23 @@ async def test_a_picture_nobody_waits_for_is_given_up(serve, cameras):
     async with serve(backend) as server:
         async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
             await ws.send_str(native(71))
-            await until(lambda: server.render_loop.drawing_for)
+            await until(lambda: server.drawer.drawing_for)
         try:
-            assert await still_serves(server, cameras) and server.render_loop.rebuilds == 0
+            assert await still_serves(server, cameras) and server.drawer.rebuilds == 0
         finally:
             backend.kill()
 
 
 @pytest.mark.check
 async def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch):
-    monkeypatch.setattr("glsplat.net.server._HOPELESS", 0.1)
+    monkeypatch.setattr("glsplat.net.server.DRAIN_GIVE_UP_S", 0.1)
     backend = ProcessBackend(Boxed, 64, seconds=1e6)
-    server = Server(backend, ServerConfig(port=0))
+    server = server_of(backend, ServerConfig(port=0))
 
     async def hang():
         async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
             await ws.send_str(native(70))
-            await until(lambda: server.render_loop.drawing_for)
+            await until(lambda: server.drawer.drawing_for)
             os.kill(os.getpid(), signal.SIGTERM)
             await ws.receive()
 

@@ -22,6 +22,7 @@ from glsplat.net.guard.connection import GuardedConnection
 from glsplat.net.guard.limits import Limits
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.net.standard_server import server_of
 from tests.net.wire import HANG, UPGRADE, all_of, ask, frame, get, native, raw, status, still_serves, until
 
 TOKEN = "0123456789abcdef-token"
@@ -83,9 +84,8 @@ async def test_clients_of_one_address(serve, cameras):
 @pytest.mark.parametrize(("host", "expected"), [("127.0.0.1", 8), ("0.0.0.0", 4)])
 def test_the_part_of_one_address_by_default(fake_backend, host, expected):
     """Beyond loopback half of the clients; on loopback, all there may come through a proxy, all of them."""
-    from glsplat.net.server import Server
 
-    server = Server(fake_backend(), ServerConfig(port=0, access=Access(host=host, insecure=True)))
+    server = server_of(fake_backend(), ServerConfig(port=0, access=Access(host=host, insecure=True)))
     assert server.gate.addresses.per_address == expected
 
 
@@ -197,13 +197,14 @@ import asyncio, logging, resource, sys
 sys.path.insert(0, sys.argv[1])
 resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
 from glsplat.net.guard.limits import Limits
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.options import ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.conftest import FakeBackend
 logging.basicConfig(format="LOG %(message)s")
 if sys.argv[2] == "no room kept":
     import glsplat.net.guard.listener as listener
     listener._descriptors_left = lambda: None
-server = Server(FakeBackend(noise=True), ServerConfig(port=0, limits=Limits(visits_burst=1e9)))
+server = server_of(FakeBackend(noise=True), ServerConfig(port=0, limits=Limits(visits_burst=1e9)))
 asyncio.run(server.run(lambda: print(server.port, flush=True)))
 """
 

@@ -132,7 +132,7 @@ async def test_photographs_of_one_client_do_not_use_up_anothers(serve: Serve, st
         return text.replace("\r\n\r\n", "\r\nContent-Type: text/html\r\nContent-Length: 1\r\n\r\nx")
 
     uploads = Uploads(UploadConfig(folder=tmp_path, make=make), lambda name, avatar: AvatarInfo(name=name))
-    async with serve(config=config(), uploads=uploads) as server:
+    async with serve(config=config(), features=[uploads]) as server:
         assert [status(await ask(server.port, post(who))) for who in [EVE] * 7 + [ANN]] == [415] * 6 + [429, 415]
 
 
@@ -145,8 +145,8 @@ async def test_an_address_has_half_of_the_places(serve: Serve) -> None:
             socket_of(server.port, ANN) as (four, *_),
         ):
             assert [one, two, three, four] == ["101", "101", "429", "101"]
-            assert sorted(channel.address for channel in server._channels.values()) == [ANN, EVE, EVE]
-        await until(lambda: not server._channels)
+            assert sorted(channel.address for channel in server.clients.values()) == [ANN, EVE, EVE]
+        await until(lambda: not server.clients)
         async with socket_of(server.port, EVE) as (again, *_):
             assert again == "101"
 

@@ -106,7 +106,7 @@ async def test_clients_that_leave_and_take_nothing_are_counted_again(serve: Serv
             transports.append(transport)
             await until(lambda: transports[-1].get_write_buffer_size() > 0)
             await loop.sock_sendall(peer, frame(0x8, b"\x03\xe8"))  # it is going away
-            await until(lambda: not server._channels)
+            await until(lambda: not server.clients)
         await asyncio.sleep(0)
         assert 1 <= server.gate.status()["waiting"] <= 4 and open_ones(transports) <= 4
         assert await still_serves(server, cameras)

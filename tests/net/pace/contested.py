@@ -12,6 +12,7 @@ import numpy as np
 
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.clocks import Stopped
 from tests.net.conftest import FakeBackend
 from tests.net.wire import HANG
@@ -50,14 +51,14 @@ class Contested(FakeBackend):
 
     def _waiting(self) -> int:
         assert self.server is not None
-        return sum(channel.session.newest is not None for channel in list(self.server._channels.values()))
+        return sum(channel.session.newest is not None for channel in list(self.server.clients.values()))
 
 
 def contest(backend: Contested, clients: list[Callable[[Server], Awaitable[None]]]) -> None:
     """All clients at once on a server with that backend; each asks until it is over."""
 
     async def main() -> None:
-        server = backend.server = Server(backend, ServerConfig(port=0))
+        server = backend.server = server_of(backend, ServerConfig(port=0))
         backend.others = len(clients) - 1
         await server.start()
         try:

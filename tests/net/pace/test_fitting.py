@@ -33,10 +33,10 @@ def test_the_largest_that_is_fast_enough_counts(seconds, expected):
 def test_a_server_says_what_it_found(serve):
     async def main(fitting):
         async with serve(FakeBackend(delay=0.0), config=ServerConfig(port=0, fit=fitting)) as server:
-            before = server.offer()
+            before = server.session()
             if server.fitting is not None:
                 await server.fitting
-            return before, server.fitted, server.offer(), server.stats()["totals"]["sent"]
+            return before, server.fitted, server.session(), server.stats()["totals"]["sent"]
 
     before, fitted, offer, sent = asyncio.run(main(True))
     assert before["size"] == (1024, 1024)  # whoever comes at once is not kept waiting

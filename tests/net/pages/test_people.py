@@ -18,6 +18,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import WithPeople
 from glsplat.net.gl_server import make_server, offered
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.conftest import FakeBackend
 
 
@@ -43,14 +44,14 @@ async def test_what_is_loaded_later_keeps_nobody_waiting():
         go_on.wait(60)
         yield AvatarInfo(name="late", height=1.7)
 
-    async with started(Server(FakeBackend(), ServerConfig(port=0), later=later)) as server:
+    async with started(server_of(FakeBackend(), ServerConfig(port=0), later=later)) as server:
         told = await session(server)
         assert told["loading"] and [(one["name"], one["height"]) for one in told["avatars"]] == [("default", None)]
         go_on.set()
         await asyncio.wait_for(server.all_offered.wait(), 60)
         told = await session(server)
         assert not told["loading"] and [one["name"] for one in told["avatars"]] == ["default", "late"]
-    async with started(Server(FakeBackend(), ServerConfig(port=0), later=lambda: [AvatarInfo(name="x")])):
+    async with started(server_of(FakeBackend(), ServerConfig(port=0), later=lambda: [AvatarInfo(name="x")])):
         pass  # stopped while it loads
 
 
@@ -59,7 +60,7 @@ async def test_a_fault_in_loading_ends_the_wait(caplog):
         yield AvatarInfo(name="one")
         raise RuntimeError("a fault")
 
-    async with started(Server(FakeBackend(), ServerConfig(port=0), later=later)) as server:
+    async with started(server_of(FakeBackend(), ServerConfig(port=0), later=later)) as server:
         await asyncio.wait_for(server.all_offered.wait(), 60)
         found = await session(server)
     assert [one["name"] for one in found["avatars"]] == ["default", "one"]
@@ -69,7 +70,7 @@ async def test_a_fault_in_loading_ends_the_wait(caplog):
 def test_each_person_is_offered_but_the_one_who_is_shown_anyway():
     async def main(scene, policy):
         server = make_server(scene, ServerConfig(port=0), own_process=False, people=PEOPLE, consent=policy)
-        server.render_loop._backend = FakeBackend()
+        server.drawer._backend = FakeBackend()
         async with started(server):
             await asyncio.wait_for(server.all_offered.wait(), 120)
             return await session(server)

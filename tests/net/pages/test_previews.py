@@ -18,7 +18,7 @@ from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.access import Access
 from glsplat.net.pages import previews
 from glsplat.net.pages.history import History
-from glsplat.net.pages.previews import SIDE, flattened
+from glsplat.net.pages.previews import SIDE, Previews, flattened
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import FakeBackend, eyes
 
@@ -90,7 +90,7 @@ def test_alpha_cuts_out_on_a_light_ground():
 
 
 def test_the_curves_go_back_five_minutes():
-    history = History(dict)
+    history = History()
     for i in range(400):
         history.add({"fps": float(i), "stages": {"total": {"median": 5.0}}}, 0.25)
     told = history.fields()
@@ -98,7 +98,7 @@ def test_the_curves_go_back_five_minutes():
     assert told["fps"][-1] == 399 and told["fps"] == sorted(told["fps"]) and set(told["load"]) == {0.25}
     history.add({"fps": 0.0, "stages": {"total": {"median": 5.0}}}, 0.0)
     assert history.fields()["age"][-2:] == [5.0, 0.0]  # nothing was sent: nothing has an age
-    assert History(dict).fields()["fps"] == []
+    assert History().fields()["fps"] == []
 
 
 def test_another_device_is_told_where_to_go(serve):
@@ -118,7 +118,7 @@ def test_another_device_is_told_where_to_go(serve):
 async def test_who_asks_at_once_waits_for_one_drawing(serve):
     backend = FakeBackend(delay=0.05)
     async with serve(backend, config=PLAIN) as server, aiohttp.ClientSession() as http:
-        url = f"http://127.0.0.1:{server.port}/thumbnails/{server.offer()['avatars'][0]['name']}"
+        url = f"http://127.0.0.1:{server.port}/thumbnails/{server.session()['avatars'][0]['name']}"
         answers = await asyncio.gather(*(http.get(url) for _ in range(6)))
         assert [(one.status, one.headers["Cache-Control"]) for one in answers] == [(200, "no-store")] * 6
     assert len(backend.drawn) == 1
@@ -126,13 +126,13 @@ async def test_who_asks_at_once_waits_for_one_drawing(serve):
 
 async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serve):
     async with serve(FakeBackend(), config=PLAIN) as server, aiohttp.ClientSession() as http:
-        name = server.offer()["avatars"][0]["name"]
+        name = server.session()["avatars"][0]["name"]
         address = f"http://127.0.0.1:{server.port}/thumbnails/{name}"
-        async with server._previews._drawing:  # another's is drawn
+        async with server.feature(Previews)._drawing:  # another's is drawn
             waiting = asyncio.create_task(http.get(address))
-            while not server._previews._drawing._waiters:
+            while not server.feature(Previews)._drawing._waiters:
                 await asyncio.sleep(0.01)
-            server._offers.remove(name)
+            server.catalogue.remove(name)
         assert (await waiting).status == 204 and (await http.get(address)).status == 404
 
 
@@ -147,8 +147,8 @@ async def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatc
             raise RuntimeError("a fault")
         return {"fps": float(count), "stages": {}}
 
-    history = History(stats)
-    history.start()
+    history = History()
+    history.start(stats)
     while count < 6:
         await asyncio.sleep(0.005)
     await history.stop()

@@ -14,6 +14,7 @@ from glsplat.errors import ProtocolError
 from glsplat.formats.web.read import decode_avatar
 from glsplat.net.client import Client
 from glsplat.net.reply import parse_reply
+from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.server import Server
 from glsplat.rotations import turn_between
 from tests.net.conftest import FakeBackend, Serve, eyes
@@ -102,7 +103,7 @@ async def test_who_is_not_handed_out_is_drawn_here(serve: Serve) -> None:
     async with serve(FakeBackend(), offered=OFFERS) as server, alone(server) as client:  # without consent files
         with pytest.raises(ProtocolError, match="hands out no splats"):
             await client.poses()
-        assert all(one["hand_out"] is None for one in server.offer()["avatars"])
+        assert all(one["hand_out"] is None for one in server.session()["avatars"])
 
 
 async def test_in_a_room_each_is_told_what_is_news_to_them(serve: Serve) -> None:
@@ -127,7 +128,7 @@ async def test_in_a_room_each_is_told_what_is_news_to_them(serve: Serve) -> None
             seen = stands[keys["Cat"]]
             assert not seen.you and abs(seen.pose.trans[0] - 0.3) < 1e-6
             assert abs(stands[keys["Ann"]].pose.trans[0] - 0.4) < 1e-6
-            person = server._channels[2].member.person  # type: ignore[union-attr]
+            person = server.clients[2].member.person  # type: ignore[union-attr]
             seat = person.place(person.newest)[1]  # type: ignore[arg-type]
             assert np.allclose(seen.place, seat, atol=1e-6)
             (own,) = (await ann.poses(tracking=head(0.5))).bodies  # nobody else has moved
@@ -145,18 +146,18 @@ async def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
                 counts.append(len((await ann.poses(tracking=head())).bodies))
             assert counts == [2, 1, 1]
             await cat.poses(tracking=head(0.3))
-            person = server._channels[2].member.person  # type: ignore[union-attr]
+            person = server.clients[2].member.person  # type: ignore[union-attr]
             person._heard -= 2.25
             await asyncio.sleep(0.04)  # a room looks now and then who is silent
             bodies = {body.you: body for body in (await ann.poses(tracking=head())).bodies}
             assert 0.3 < bodies[False].opacity < 0.6
-        await until(lambda: len(server._channels) == 1)
+        await until(lambda: len(server.clients) == 1)
         reply = await ann.poses(tracking=head())
         assert [one["name"] for one in reply.info["room"]["people"]] == ["Ann"]
         assert [body.you for body in reply.bodies] == [True]
-        room = server._rooms._rooms["lab"]
+        room = server.feature(Rooms)._rooms["lab"]
         await ann.close()
-        await until(lambda: not server._channels)
+        await until(lambda: not server.clients)
         assert not room._guests and not room._news
 
 

@@ -13,6 +13,7 @@ import aiohttp
 from glsplat.net.accounts.users import Accounts, new_user, write_users
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
+from glsplat.net.poses.splat_files import SplatFiles
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server
 from tests.net.conftest import FakeBackend, Serve
@@ -30,7 +31,7 @@ async def status(server: Server, digest: str, token: str | None = None) -> int:
 
 
 def digest_of(server: Server, name: str = "ann") -> str:
-    digest = server._splat_files.sha256(name)
+    digest = server.feature(SplatFiles).file_digest(name)
     assert digest is not None
     return digest.hex()
 
@@ -59,7 +60,7 @@ def test_accounts_get_whom_they_drive_or_meet(serve: Serve, tmp_path: Path) -> N
                 async with seen as other:
                     reply = await other.poses(tracking=head())
                     assert [body.sha256 for body in reply.bodies] == [digest]  # bob is nothing a browser draws
-            await until(lambda: not server._channels)
+            await until(lambda: not server.clients)
             assert await all_of_them() == {"ann": 200, "bob": 404, "eve": 404}
 
     asyncio.run(talk())
@@ -74,7 +75,7 @@ async def test_the_window_holds_poses_too(serve: Serve) -> None:
                 await ws.send_str(json.dumps(request | {"tracking": head(number), "t": number * 14.0}))
                 if number <= 2:
                     assert parse_reply((await ws.receive(timeout=HANG)).data).frame_id == number
-            (channel,) = server._channels.values()
+            (channel,) = server.clients.values()
             await until(lambda: channel.session.counts.accepted == 20)
             assert channel.session.counts.sent == 2 and channel.frames.empty()
             await ws.send_str(json.dumps({"v": 1, "ack": 2}))

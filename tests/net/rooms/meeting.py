@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
+from types import SimpleNamespace
 from typing import Any
 
 from glsplat.net.backend import AvatarInfo, RenderJob
@@ -13,8 +14,9 @@ from glsplat.net.codec.encode import Encoded
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import client_options
-from glsplat.net.poses.answers import Answers
+from glsplat.net.poses.responder import PoseResponder
 from glsplat.net.reply import Reply, pack_reply, parse_reply
+from glsplat.net.rights import Rights
 from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.session import Close, Session, SessionConfig, Warn
 from tests.net.conftest import FakeBackend
@@ -43,31 +45,31 @@ class Meeting:
         self.now = 100.0
         self.rooms = Rooms({"lab": 6})
         self.ended: list[int] = []  # numbers of clients whose connection the room has ended
+        gate = SimpleNamespace(rights=Rights())
+        close = lambda number, reason: self.ended.append(number)  # noqa: E731
+        self.rooms._server = SimpleNamespace(clock=lambda: self.now, gate=gate, close_client=close)  # type: ignore[assignment]
         self._offers, self._draw, self._numbers = offers, draw, 0
         self._loop = LocalLoop(FakeBackend(), clock=lambda: self.now)
         self._loop._solve_thread = _Here()  # type: ignore[assignment]
-        self._answers = Answers(lambda name: name.encode().ljust(32), lambda name: "", clock=lambda: self.now)
+        self._answers = PoseResponder(lambda name: name.encode().ljust(32), lambda name: "", clock=lambda: self.now)
 
     def enter(self, query: Mapping[str, str]) -> ClientStream:
         """As Server does. Raises ProtocolError."""
         asked = client_options(query, WireOptions(size=(16, 16)), SessionConfig(), list(self._offers))
         one = self._offers[asked.avatar]
         self._numbers += 1
-        number = self._numbers
-        member = self.rooms.join(asked, one, number, self.now, lambda: self.ended.append(number))
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, self.now)
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
-        channel = self._loop.open(number, session, solver, "", one, member)
-        channel.driver = member.person.name
+        channel = self._loop.open(self._numbers, session, solver, "", one)
+        self.rooms.client_opened(channel, asked)
         if channel.solving is not None:
             channel.solving._cpu = lambda: self.now
         return channel
 
     def leave(self, channel: ClientStream, goodbye: bool) -> None:
         """Its connection ends, with a close or without."""
-        assert channel.member is not None
         self._loop.remove(channel)
-        channel.member.end(goodbye)
+        self.rooms.client_closed(channel, goodbye)
 
     def ask(self, channel: ClientStream, message: Mapping[str, Any]) -> Reply | None:
         """What comes back of a message; None for an acknowledgement. Raises RefusedError, PoseError, and for faults."""

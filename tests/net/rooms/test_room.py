@@ -277,11 +277,11 @@ def test_a_camera_is_placed_whatever_rounding_it_came_with() -> None:
     [
         lambda room, ann: room.status(1.0),
         lambda room, ann: room.count(1.0),
-        lambda room, ann: room.evened(1.0),
+        lambda room, ann: room.fair_cost(1.0),
         lambda room, ann: room.join("Bob", "a", 1.0),
         lambda room, ann: room.look(ann, (EYE,), moved(1.0), 1.0),
     ],
-    ids=["status", "count", "evened", "join", "look"],
+    ids=["status", "count", "fair_cost", "join", "look"],
 )
 def test_each_call_waits_until_another_thread_is_done(call: Callable[[Room, Person], object]) -> None:
     room = Room("lab")

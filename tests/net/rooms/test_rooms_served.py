@@ -72,7 +72,7 @@ async def test_each_sees_the_others_and_is_named(serve: Serve) -> None:
             assert bobs.pose is not None and bobs.pose.trans[0] == 0.25 and bobs.label == "driven by Bob, synthetic"
             assert np.allclose(np.linalg.det(bobs.transform[:3, :3]), 8)  # twice his avatar's size
             # his own eyes, from his own place
-            assert np.allclose(drawn.cameras[0].viewmat @ server._channels[2].member.person.seat, EYES[0].viewmat)  # type: ignore[union-attr]
+            assert np.allclose(drawn.cameras[0].viewmat @ server.clients[2].member.person.seat, EYES[0].viewmat)  # type: ignore[union-attr]
 
 
 async def test_the_way_in(serve: Serve) -> None:
@@ -90,11 +90,11 @@ async def test_the_way_in(serve: Serve) -> None:
             for query, status in refused.items():
                 with pytest.raises(ProtocolError, match=rf"\({status}\)"):
                     await Client(f"{server.url}?{query}").connect()
-            assert server.offer()["rooms"] == [
+            assert server.session()["rooms"] == [
                 {"name": "lab", "people": 1, "seats": 4, "scene": False},
                 {"name": "small", "people": 1, "seats": 1, "scene": False},
             ]
-            assert len(server._channels) == 2
+            assert len(server.clients) == 2
         # without a name one is given, with a goodbye one goes at once
         async with Client(f"{server.url}?room=small") as guest:
             await guest.render(EYES, pose=POSE)
@@ -105,13 +105,13 @@ async def test_the_way_in(serve: Serve) -> None:
 
 async def test_a_lost_connection_fades_and_may_come_back(serve: Serve, stopped: Stopped) -> None:
     async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
-        server.render_loop._clock = stopped  # type: ignore[union-attr]
+        server.drawer._clock = stopped  # type: ignore[union-attr]
         bob = member(server, "Bob")
         for silence, opacity in ((0.0, 1.0), (SILENT + FADE / 4, 0.75), (SILENT + FADE, None)):
             await bob.connect()  # under the same name
             await bob.render(EYES, pose=POSE)
             bob._connection._ws._writer.transport.abort()  # type: ignore[union-attr]
-            assert await until(lambda: len(server._channels) == 1)
+            assert await until(lambda: len(server.clients) == 1)
             await bob.close()
             stopped.now += silence
             people = {p["name"]: p["opacity"] for p in (await ann.render(EYES, pose=POSE)).info["room"]["people"]}
@@ -130,12 +130,12 @@ async def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -
                 now = (await again.render(EYES, pose=POSE)).info["room"]
                 assert [one["name"] for one in now["people"] if one["you"]] == [own["name"]]
                 assert now["resume"] == room["resume"]
-                seats = [channel.member.person.seat for channel in server._channels.values() if channel.member]
+                seats = [channel.member.person.seat for channel in server.clients.values() if channel.member]
                 assert np.allclose(seats[-1][:3, 3], (1, 0, 2))
                 with pytest.raises(ProtocolError, match="1001"):
                     while True:
                         await first.render(EYES, pose=POSE)
-                assert await until(lambda: len(server._channels) == 2)
+                assert await until(lambda: len(server.clients) == 2)
                 await again.render(EYES, pose=POSE)  # the end of the old connection is not that of the new one
         assert await until(lambda: server.stats()["rooms"][0]["people"] == [])
         async with Client(f"{url}&resume={room['resume']}") as late:  # a token of somebody who is gone
@@ -146,7 +146,7 @@ async def test_pictures_say_nothing_of_rooms_to_who_is_in_none(serve: Serve) -> 
     async with serve(FakeBackend(), config(), offered=OFFERS) as server, Client(server.url) as client:
         assert "room" not in (await client.render(EYES, pose=POSE)).info
     async with serve(FakeBackend(), ServerConfig(port=0), offered=OFFERS) as server:
-        assert server.offer()["rooms"] == [] and server.stats()["rooms"] == []
+        assert server.session()["rooms"] == [] and server.stats()["rooms"] == []
         with pytest.raises(ProtocolError, match="no such room"):
             await member(server, "Ann").connect()
 
@@ -195,7 +195,7 @@ async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
         member(server, "eve") as eve,
         member(server, "ann") as ann,
     ):
-        server.render_loop._clock = stopped  # type: ignore[union-attr]
+        server.drawer._clock = stopped  # type: ignore[union-attr]
         assert await asks(eve, 1) == [""]
         backend.drawn.clear()
         answers = []
@@ -242,10 +242,10 @@ async def test_a_worker_that_does_not_survive_another_person_is_no_viewers_fault
     async with serve(pool(makes=[Fragile, Fragile]), config(), offered=OFFERS) as server:
         async with member(server, "eve") as eve, member(server, "ann") as ann:
             await eve.render([camera(1)], pose=POSE)
-            assert sorted(one["clients"] for one in server.render_loop.workers()) == [0, 2]
+            assert sorted(one["clients"] for one in server.drawer.workers()) == [0, 2]
             frames = [(await ann.render([camera(2)], pose=POSE)).frame_id for _ in range(6)]
             await eve.render([camera(1)], pose=POSE)
-            assert frames == [1, 2, 3, 4, 5, 6] and server.render_loop.rebuilds == 1
+            assert frames == [1, 2, 3, 4, 5, 6] and server.drawer.rebuilds == 1
 
 
 def test_others_are_suspected_for_longer_each_time() -> None:

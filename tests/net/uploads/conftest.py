@@ -18,6 +18,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
+from glsplat.net.standard_server import server_of
 from glsplat.net.uploads.job import UploadConfig
 from glsplat.net.uploads.routes import Uploads
 from tests.net.conftest import FakeBackend
@@ -119,7 +120,7 @@ def takes(tmp_path: Path) -> Takes:
         config = ServerConfig(port=0, access=Access(token=token), limits=limits, session=UNLIMITED_SESSION)
         # what makes need not give way to others: on a slow machine it would never end
         uploads = Uploads(UploadConfig(folder=folder, make=make, **{"nice": 0} | options), described)
-        server = Server(FakeBackend(), config, uploads=uploads)
+        server = server_of(FakeBackend(), config, features=[uploads])
         await server.start()
         try:
             async with aiohttp.ClientSession() as http:

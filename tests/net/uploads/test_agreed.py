@@ -41,7 +41,7 @@ async def test_whoever_had_it_made_drives_and_deletes_it_alone(serve, made, stat
     uploads, policy, config, tokens = made
     uploads.folder.mkdir()
     async with (
-        serve(config=replace(config, consent=policy), uploads=Uploads(uploads, described)) as server,
+        serve(config=replace(config, consent=policy), features=[Uploads(uploads, described)]) as server,
         aiohttp.ClientSession() as http,
     ):
 
@@ -76,9 +76,9 @@ def test_what_lies_there_without_a_record_is_left_out_with_a_line(tmp_path, made
     save(limb(20), uploads.folder / "old.glb")
     (uploads.folder / "new.glb").write_bytes(uploads.signed("new", (uploads.folder / "old.glb").read_bytes(), ""))
     server = make_server(limb(20), config, uploads=uploads, consent=policy)
-    assert server._offers.names == ("default", "new")
+    assert server.catalogue.names == ("default", "new")
     assert [("old.glb: left out" in line, line.count("\n")) for line in caplog.messages[:1]] == [(True, 0)]
     assert not any("consent" in line for line in caplog.messages[1:])
     shown = ConsentPolicy(without=True)
     server = make_server(limb(20), config, uploads=uploads, consent=shown)
-    assert set(server._offers.names) == {"default", "new", "old"} and shown.label("old") == "no consent on file"
+    assert set(server.catalogue.names) == {"default", "new", "old"} and shown.label("old") == "no consent on file"

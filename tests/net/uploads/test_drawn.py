@@ -64,7 +64,7 @@ async def test_an_avatar_is_drawn_as_soon_as_it_is_made_and_after_the_next_start
         made = await picture(server, name)
     assert headless.max() > 60 and np.abs(headless - default).max() > 30
     async with started(folder) as server:
-        offered = [(one["name"], one["made"]) for one in server.offer()["avatars"]]
+        offered = [(one["name"], one["made"]) for one in server.session()["avatars"]]
         assert offered == [("default", False), (name, True)]
         assert np.abs(made - await picture(server, name)).max() <= 2
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -76,7 +76,7 @@ def test_what_lies_in_the_folder_is_offered_and_what_is_no_avatar_left_out(tmp_p
     (tmp_path / "photo-abcdefgh.glb").write_bytes(b"glTF, but not really")
     (tmp_path / "notes.txt").write_text("of somebody")
     (tmp_path / " x.glb").write_bytes(b"")
-    offered = server_of(tmp_path, own_process=False).offer()["avatars"]
+    offered = server_of(tmp_path, own_process=False).session()["avatars"]
     assert [(one["name"], one["made"]) for one in offered] == [("default", False), ("mine", False)]
     assert len(caplog.records) == 3 and all("left out" in record.message for record in caplog.records)
 

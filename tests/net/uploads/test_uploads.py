@@ -183,28 +183,28 @@ async def test_a_server_that_is_busy_says_when_to_ask_again(takes):
         told = await client.job(b"doubt known", "failed")
         name = told["name"]
         assert told["goes_on"]
-        others = [client.server._uploads._queue.book(address) for address in "ab"]  # whose pictures still come
+        others = [client.server.feature(Uploads)._queue.book(address) for address in "ab"]  # whose pictures still come
         for path, data in ((f"/avatars/{name}/anyway", b""), ("/avatars?consent=yes", PICTURE)):
             address = f"{client.origin}{path}"
             async with client.http.post(address, data=data, headers=HEADERS | {"Content-Type": "image/jpeg"}) as no:
                 assert no.status == 503 and int(no.headers["Retry-After"]) > 0
                 assert "2 avatars are being made or wait" in await no.text()
         assert (await client.ask("GET", f"/avatars/{name}"))[1]["goes_on"]
-        client.server._uploads._queue.cancel(others[0])
+        client.server.feature(Uploads)._queue.cancel(others[0])
         assert (await client.ask("POST", f"/avatars/{name}/anyway"))[0] == 202
 
 
 async def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes, tmp_path):
     async with takes() as client:
-        loop = client.server.render_loop
-        assert not loop.stands_back()
+        loop = client.server.drawer
+        assert not loop.should_yield()
         told = await client.job(f"hold {tmp_path / 'go on'}".encode(), "making")
-        assert loop.stands_back()
+        assert loop.should_yield()
         (tmp_path / "go on").touch()
         await client.until(told["name"], "done")
-        assert not loop.stands_back()
+        assert not loop.should_yield()
         await client.job(b"doubt known", "failed")
-        assert not loop.stands_back()  # what waits for a word needs no machine
+        assert not loop.should_yield()  # what waits for a word needs no machine
 
 
 async def test_a_refused_job_is_dropped_for_another_on_request_or_after_a_while(takes):
@@ -226,10 +226,10 @@ async def test_a_refused_job_is_dropped_for_another_on_request_or_after_a_while(
 )
 async def test_where_others_look_on_drawing_goes_first(serve, tmp_path, access):
     uploads = Uploads(UploadConfig(folder=tmp_path, make=make), described)
-    async with serve(config=ServerConfig(port=0, access=access), uploads=uploads) as server:
+    async with serve(config=ServerConfig(port=0, access=access), features=[uploads]) as server:
         url = f"http://127.0.0.1:{server.port}/avatars?consent=yes"
         async with aiohttp.ClientSession() as http:
             async with http.post(url, data=b"wait", headers={"Content-Type": "image/jpeg"}) as answer:
                 assert answer.status == 202
-        await until(lambda: uploads.works)
-        assert not server.render_loop.stands_back()
+        await until(uploads.needs_cpu)
+        assert not server.drawer.should_yield()

@@ -120,6 +120,6 @@ def held(server: Server) -> asyncio.Event:
 
         return when_free
 
-    for render_loop in server.render_loop._render_loops:
+    for render_loop in server.drawer._render_loops:
         render_loop.launcher.start = hold(render_loop.launcher.start)
     return free

@@ -27,11 +27,12 @@ pytestmark = pytest.mark.check
 ROOT = Path(__file__).resolve().parents[3]
 GATEWAY = """
 import asyncio, json
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.options import ServerConfig
+from glsplat.net.standard_server import server_of
 from tests.net.workers.fakes import pool
 if __name__ == "__main__":
-    server = Server(pool(2), ServerConfig(port=0))
-    asyncio.run(server.run(lambda: print(json.dumps(server.render_loop.workers()), flush=True)))
+    server = server_of(pool(2), ServerConfig(port=0))
+    asyncio.run(server.run(lambda: print(json.dumps(server.drawer.workers()), flush=True)))
 """
 
 

@@ -16,6 +16,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from glsplat.net.workers import remote_loop as pump_module
 from glsplat.net.workers.pool import WorkerPool
 from tests.net.guard.test_fault_tracker import visitor
@@ -27,15 +28,15 @@ pytestmark = pytest.mark.check
 
 
 def pids(server: Server) -> list[int]:
-    return [int(one["driver"].split()[1]) for one in server.render_loop.workers()]
+    return [int(one["driver"].split()[1]) for one in server.drawer.workers()]
 
 
 def all_alive(server: Server) -> bool:
-    return all(one["alive"] for one in server.render_loop.workers())
+    return all(one["alive"] for one in server.drawer.workers())
 
 
 def lives(server: Server, index: int) -> bool:
-    return server.render_loop.workers()[index]["alive"]
+    return server.drawer.workers()[index]["alive"]
 
 
 async def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
@@ -50,7 +51,7 @@ async def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
     async with serve(pool(3), ServerConfig(port=0)) as server, aiohttp.ClientSession() as http:
         async with watching(server.url, range(1, 7)) as clients:
             assert await until_more(clients)
-            spread = [one["clients"] for one in server.render_loop.workers()]
+            spread = [one["clients"] for one in server.drawer.workers()]
             seen = []
             for fault in (signal.SIGKILL, signal.SIGSTOP, signal.SIGSTOP):
                 before, free = pids(server), held(server)
@@ -63,12 +64,12 @@ async def test_one_fault_after_the_other(serve, monkeypatch, equal, silences):
                 assert await until(lambda: all_alive(server))
                 assert pids(server)[0] != before[0] and pids(server)[1:] == before[1:]
                 assert await until_more(clients)
-            again = [one["clients"] for one in server.render_loop.workers()]
-            before, restarting = pids(server), server.render_loop.restart()
+            again = [one["clients"] for one in server.drawer.workers()]
+            before, restarting = pids(server), server.drawer.restart()
             assert await until_more(clients)
             await restarting
             assert not set(pids(server)) & set(before) and await until_more(clients)
-        lost = server.render_loop.rebuilds
+        lost = server.drawer.rebuilds
     assert spread == [2, 2, 2] and sorted(again) == [2, 2, 2] and seen == [200] * 3 and lost == 3
     assert all(one.errors == [] and one.wrong == [] for one in clients)
     assert begun[:3] == [0.0] * 3  # the time until the old one was given up is nobody's debt
@@ -82,7 +83,7 @@ async def test_a_picture_that_kills_does_not_kill_them_all(serve):
         async with watching(server.url, [5]) as seen:
             assert await until_more(seen)
             before, free = pids(server), held(server)
-            mine = next(i for i, one in enumerate(server.render_loop.workers()) if one["clients"])
+            mine = next(i for i, one in enumerate(server.drawer.workers()) if one["clients"])
             answers = []
             eye = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [1, 50, 90, 32]}
             async with http.ws_connect(server.url) as ws:
@@ -107,7 +108,7 @@ async def test_a_picture_that_kills_does_not_kill_them_all(serve):
             # who leaves while a picture is drawn leaves nothing behind
             async with Client(server.url, timeout=GUARD) as client:
                 await client.send([camera(1, 71)])
-                left = max(server._channels)
+                left = max(server.clients)
                 assert await until(lambda: left in drawing(server))
             assert await until(lambda: left not in drawing(server)) and await until_more(seen)
     assert answers == ["render", 1008] and status == 429
@@ -118,9 +119,7 @@ async def test_a_picture_that_kills_does_not_kill_them_all(serve):
 def drawing(server: Server) -> list[int]:
     """The clients whose pictures are in hand."""
     return [
-        render_loop._drawing.number
-        for render_loop in server.render_loop._render_loops
-        if render_loop._drawing is not None
+        render_loop._drawing.number for render_loop in server.drawer._render_loops if render_loop._drawing is not None
     ]
 
 
@@ -144,9 +143,9 @@ async def test_an_avatar_that_is_not_on_every_worker(serve):
                 await ann.render([camera(1)])
             free.set()
             assert await until(lambda: all_alive(server))
-            server.render_loop._render_loops[0]._refuses.clear()  # as after a minute
+            server.drawer._render_loops[0]._refuses.clear()  # as after a minute
             again = (await ann.render([camera(1)])).info["driver"]
-            assert again == f"sleeper {pids(server)[1]}" and server.render_loop.rebuilds == 1
+            assert again == f"sleeper {pids(server)[1]}" and server.drawer.rebuilds == 1
 
 
 async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
@@ -157,22 +156,22 @@ async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
     broken.touch()
     makes = [partial(Sleeper, fails=str(broken)), Sleeper]
     with pytest.raises(ContextError, match="no EGL device here"):
-        await Server(pool(1, fails=str(broken)), ServerConfig(port=0)).start()
+        await server_of(pool(1, fails=str(broken)), ServerConfig(port=0)).start()
     async with (
         serve(pool(makes=makes), ServerConfig(port=0)) as server,
         Client(server.url, timeout=GUARD) as client,
     ):
-        alive = [one["alive"] for one in server.render_loop.workers()]
+        alive = [one["alive"] for one in server.drawer.workers()]
         assert (await client.render([camera(1)])).frame_id == 1
         broken.unlink()
         assert await until(lambda: all_alive(server))
         broken.touch()
-        server.render_loop._render_loops[1].launcher._make = makes[0]
+        server.drawer._render_loops[1].launcher._make = makes[0]
         for pid in pids(server):
             os.kill(pid, signal.SIGKILL)
         with pytest.raises(ContextError, match="no worker lives, and none can be started: no EGL device here"):
-            await asyncio.wait_for(server.render_loop.ended(), 2 * GUARD)
-        assert alive == [False, True] and not server.render_loop.healthy
+            await asyncio.wait_for(server.drawer.ended(), 2 * GUARD)
+        assert alive == [False, True] and not server.drawer.healthy
 
 
 def test_nothing_is_left_behind(serve):

@@ -66,22 +66,22 @@ async def test_machines_that_are_lost(serve, machines, equal):
     async with serve(pool, ServerConfig(port=0)) as server:
         async with watching(server.url, range(1, 7)) as clients:
             assert await until_more(clients)
-            spread = [one["clients"] for one in server.render_loop.workers()]
+            spread = [one["clients"] for one in server.drawer.workers()]
             lose = partial(asyncio.to_thread, machines.remove_node, allow_graceful=False)
             await lose(machines.nodes[1])
             assert await until(lambda: living(server) == 2) and await until_more(clients)
             await lose(machines.head_node)
             assert await until_more(clients, 20)
-            workers = server.render_loop.workers()
+            workers = server.drawer.workers()
             alive = [pid for pid, one in zip(pids(server), workers, strict=True) if one["alive"]]
             os.kill(alive[0], signal.SIGKILL)  # now nobody can start another one
             assert await until(lambda: living(server) == 1) and await until_more(clients)
             async with Client(server.url, timeout=GUARD) as client:
                 last = (await client.render([camera(1)])).info["driver"]
-        last, healthy = last == f"sleeper {alive[1]}", server.render_loop.healthy
+        last, healthy = last == f"sleeper {alive[1]}", server.drawer.healthy
     assert spread == [2, 2, 2] and last and healthy
     assert all(one.errors == [] and one.wrong == [] for one in clients)
 
 
 def living(server: Server) -> int:
-    return sum(one["alive"] for one in server.render_loop.workers())
+    return sum(one["alive"] for one in server.drawer.workers())

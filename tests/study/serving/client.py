@@ -17,6 +17,7 @@ from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Request
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.standard_server import server_of
 from glsplat.skinning.pose import Pose
 from glsplat.study.serving.lead import HEADER, StudyLead
 from glsplat.study.serving.live import Live
@@ -119,7 +120,7 @@ async def serving(
     lead, solver = StudyLead(live, {"fast": "avatar-fast", "slow": "avatar-slow"}), Solver()
     offered = [AvatarInfo(name=name, solver=lambda height, span: solver) for name in ("avatar-fast", "avatar-slow")]
     config = ServerConfig(port=0, access=Access(token=TOKEN), limits=limits, **more)
-    server = Server(FakeBackend(), config, offered, lead=lead)
+    server = server_of(FakeBackend(), config, offered, [lead])
     await server.start()
     try:
         async with aiohttp.ClientSession() as http:

@@ -78,11 +78,11 @@ async def test_strangers_hear_nothing_whatever_goes_on(client: Client) -> None:
     assert len({body for (method, *_), (_, _, body) in before.items() if method != "HEAD"}) == 1
     await to_the_task(client)
     ws = await a_picture(client)
-    assert len(client.server._channels) == 1
+    assert len(client.server.clients) == 1
     assert await everything() == before
     await client.post("command", {"do": "abort", "text": "the end"}, "experimenter")
     await ws.receive(20)
-    await until(lambda: not client.server._channels)
+    await until(lambda: not client.server.clients)
     assert await everything() == before
 
 
@@ -178,10 +178,10 @@ def test_errors_name_no_avatar_either(tmp_path: Path, monkeypatch: pytest.Monkey
         for query in ("avatar=nobody", "avatar=avatar-slow&room=x&name=.&at=y&label=z"):
             url = f"{client.server.url}?study={PAGE}&{query}"
             async with client.http.ws_connect(url, headers=AUTHORIZED):
-                (channel,) = client.server._channels.values()
+                (channel,) = client.server.clients.values()
                 assert channel.shown.name == client.lead._avatars[client.live.condition.name]
                 assert channel.member is None
-            await until(lambda: not client.server._channels)
+            await until(lambda: not client.server.clients)
         wrong = await ask(client, "GET", f"/ws?study={PAGE}&height=tall", **WS)
         ws = await a_picture(client)
         policy.over = True

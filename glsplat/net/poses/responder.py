@@ -21,7 +21,7 @@ from glsplat.net.codec.body import HERE, Place, Poses, pack_body
 from glsplat.net.reply import pack_poses
 from glsplat.skinning.pose import Pose
 
-__all__ = ["NO_POSE", "Answers"]
+__all__ = ["NO_POSE", "PoseResponder"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -29,16 +29,19 @@ NO_POSE = "no_pose"
 """The code of the error for a client that cannot draw whom it is shown."""
 
 
-class Answers:
-    """``sha256`` gives the hash of an avatar's file, or None where it is not handed out (now); ``why`` says why."""
+class PoseResponder:
+    """``sha256`` returns the hash of an avatar's file, or None where it is not handed out now.
+
+    ``withheld`` returns why consent keeps it back; "" where it does not.
+    """
 
     def __init__(
         self,
         sha256: Callable[[str], bytes | None],
-        why: Callable[[str], str],
+        withheld: Callable[[str], str],
         clock: Callable[[], float] = time.perf_counter,  # seconds; the render loop's
     ) -> None:
-        self._sha256, self._why, self._clock = sha256, why, clock
+        self._sha256, self._withheld, self._clock = sha256, withheld, clock
 
     def due(self, channel: ClientStream) -> bool:
         """Answer what this client asked to be told in poses, if that can be done now. Was there something?"""
@@ -104,7 +107,9 @@ class Answers:
             return
         sha256 = self._sha256(channel.shown.name)
         if sha256 is None:
-            frame.error = (NO_POSE, self._why(channel.shown.name))
+            name = channel.shown.name
+            undrawable = f'"{name}" is nothing that a browser could draw: ask for pictures'
+            frame.error = (NO_POSE, self._withheld(name) or undrawable)
             return
         skeleton = channel.shown.skeleton
         pose = request.pose or Pose.zero(55 if skeleton is None else len(skeleton))

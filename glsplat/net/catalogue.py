@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from glsplat.errors import GlsplatError
@@ -35,8 +35,8 @@ class Catalogue:
         """Offer it no more; False where it was not offered."""
         return self._offered.pop(name, None) is not None
 
-    def fields(self, names: Collection[str], hand_out: Callable[[str], dict[str, Any] | None]) -> list[dict[str, Any]]:
-        """What /session says of each of ``names``."""
+    def fields(self, names: Collection[str]) -> list[dict[str, Any]]:
+        """Return the entries of ``names`` in /session."""
         return [
             {
                 "name": one.name,
@@ -45,7 +45,6 @@ class Catalogue:
                 "tracking": one.solver is not None,
                 "head": "head" in one.parts,
                 "made": one.made,
-                "hand_out": hand_out(one.name),
             }
             for one in self._offered.values()
             if one.name in names

@@ -1,0 +1,142 @@
+"""Feature: a part of the server that can be left out, such as uploads, datagrams or a study.
+
+The server calls its hooks on the event loop. A hook does nothing unless a feature overrides it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+from aiohttp import web
+
+from glsplat.net.backend import PoseSolver
+from glsplat.net.catalogue import Catalogue
+from glsplat.net.client_stream import ClientStream
+from glsplat.net.guard.gate import Gate
+from glsplat.net.guard.limits import Limits
+from glsplat.net.internal_client import InternalClient
+from glsplat.net.options import RequestedOptions, ServerConfig
+
+if TYPE_CHECKING:
+    from glsplat.net.accounts.users import User
+
+__all__ = ["Feature", "Handler", "ServerView"]
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class ServerView(Protocol):
+    """What a feature may use of its server."""
+
+    config: ServerConfig
+    port: int
+    clock: Callable[[], float]  # seconds; the render loop's clock
+    gate: Gate
+    catalogue: Catalogue
+    clients: dict[int, ClientStream]  # connected now, by number
+    internal_client: InternalClient
+
+    def stats(self, user: User | None = None) -> dict[str, Any]:
+        """Return the object of /stats for an account."""
+        ...
+
+    def session(self, user: User | None = None) -> dict[str, Any]:
+        """Return the object of /session for an account."""
+        ...
+
+    def is_healthy(self) -> bool:
+        """Return whether pictures are drawn, and new clients may come."""
+        ...
+
+    def close_client(self, number: int, reason: str) -> None:
+        """End the connection of a client that did nothing wrong."""
+        ...
+
+    async def withdraw(self, name: str) -> bool:
+        """Take an avatar out of the catalogue and end its clients' connections; False where it was not in there."""
+        ...
+
+    def wake(self, client: ClientStream) -> None:
+        """Say that a picture may be drawn that waited."""
+        ...
+
+
+class Feature:
+    """Base class of the server's features."""
+
+    refusal: str = ""
+    """Replaces the reason why an avatar may not be shown, where the reason would name the avatar."""
+
+    def limits(self, limits: Limits) -> Limits:
+        """Return the limits that the server needs with this feature."""
+        return limits
+
+    async def start(self, server: ServerView) -> None:
+        """Start, before clients can connect. Raises GlsplatError."""
+
+    async def stop(self) -> None:
+        """Stop. Called where ``start`` succeeded."""
+
+    def routes(self) -> Sequence[web.RouteDef]:
+        """Return the addresses of this feature, all behind the gate. Called after ``start``."""
+        return ()
+
+    @web.middleware
+    async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse a request to any address, or return what ``handler`` answers. Runs behind the gate."""
+        return await handler(request)
+
+    def is_trusted(self, request: web.Request) -> bool:
+        """Return whether a request carries a secret of this feature: it then counts less against the visit rate."""
+        return False
+
+    def needs_cpu(self) -> bool:
+        """Return whether drawing in software should leave the processor to this feature now."""
+        return False
+
+    # -------------------------------------------------------------------------------------------------------- clients
+
+    def query(self, query: Mapping[str, str]) -> Mapping[str, str]:
+        """Return the options of a client that connects, given those of its address. Raises ProtocolError."""
+        return query
+
+    def solver(self, solver: PoseSolver | None) -> PoseSolver | None:
+        """Return the tracking solver of the client whose ``query`` was read last."""
+        return solver
+
+    def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
+        """A client connects; may set its fields. Raises ProtocolError to refuse it."""
+
+    def client_closed(self, client: ClientStream, goodbye: bool) -> None:
+        """A client has left, or was refused; ``goodbye``: it closed its connection in order."""
+
+    # -------------------------------------------------------------------------------------------------------- avatars
+
+    async def avatars_added(self) -> None:
+        """The catalogue has new avatars."""
+
+    def avatar_withdrawn(self, name: str) -> None:
+        """The catalogue lost an avatar; another may get its name."""
+
+    def file_digest(self, name: str) -> bytes | None:
+        """Return the SHA-256 of the file from which clients draw an avatar themselves; None where there is none."""
+        return None
+
+    # ---------------------------------------------------------------------------------------------------------- pages
+
+    def stats(self, user: User | None) -> Mapping[str, Any]:
+        """Return what this feature adds to /stats for an account."""
+        return {}
+
+    def client_stats(self, user: User | None, client: ClientStream) -> Mapping[str, Any]:
+        """Return what this feature adds to one client of /stats, which the account may see."""
+        return {}
+
+    def session(self, user: User | None) -> Mapping[str, Any]:
+        """Return what this feature adds to /session for an account."""
+        return {}
+
+    def avatar_fields(self, name: str) -> Mapping[str, Any]:
+        """Return what this feature adds to one avatar of /session."""
+        return {}

@@ -1,0 +1,81 @@
+"""InternalClient: single pictures that the server wants for itself, drawn in turn with those of its clients."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from glsplat.errors import GlsplatError
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.client_stream import ClientStream
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.messages import Decoder, Request, WireOptions
+from glsplat.net.pace.fitting import Fitted, fit
+from glsplat.net.session import Session, SessionConfig
+
+__all__ = ["InternalClient", "pair"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+_TIMEOUT_S = 20.0  # of a picture
+
+
+class InternalClient:
+    """A client of ``loop`` (a RenderLoop or a WorkerPool) with the number 0. Its pictures are watermarked, too."""
+
+    def __init__(self, loop: object, wire: WireOptions, session: SessionConfig, clock: Callable[[], float]) -> None:
+        self._loop, self._wire, self._config, self._clock = loop, wire, session, clock
+        self._one_at_a_time = asyncio.Lock()
+
+    async def draw(
+        self, avatar: AvatarInfo, request: Mapping[str, object], notice: Callable[[], str] = str
+    ) -> tuple[Encoded, Mapping[str, float]]:
+        """Return the picture of a native request, and its times in ms. Raises GlsplatError where there is none."""
+        loop: Any = self._loop
+        async with self._one_at_a_time:  # all have the number 0
+            session = Session(Decoder(self._wire, avatar.skeleton, avatar.parts), self._config, self._clock())
+            taken = session.receive(json.dumps({"v": 1, "frame_id": 1, **request}), self._clock())
+            if not isinstance(taken, Request):
+                raise GlsplatError("the server's own request is not understood")
+            client: ClientStream = loop.open(0, session, None, "the server's own pages", avatar)
+            client.notice = notice
+            loop.add(client)
+            loop.received(client, taken)
+            try:
+                frame = await asyncio.wait_for(client.frames.get(), _TIMEOUT_S)
+                if frame.encoded is None:
+                    raise GlsplatError(f"it could not be drawn ({frame.error[0]})")
+                return await frame.encoded, frame.times
+            except TimeoutError:
+                raise GlsplatError(f"it was not drawn within {_TIMEOUT_S:g} s") from None
+            finally:
+                loop.remove(client)
+
+    async def fit(self, avatar: AvatarInfo, max_side: int) -> Fitted | None:
+        """Return how large pictures of ``avatar`` may be for enough of them a second; None where that is not known."""
+
+        async def draw(side: int) -> float:
+            _, times = await self.draw(avatar, pair(avatar, side))
+            return times["render"] / 1e3
+
+        try:
+            return await fit(draw, max_side)
+        except GlsplatError:
+            return None
+        except Exception:  # the server goes on with the configured size
+            log.exception("no size of pictures could be found")
+            return None
+
+
+def pair(avatar: AvatarInfo, side: int) -> dict[str, object]:
+    """Return a request for both eyes of a person 2.2 m in front of ``avatar``, which fills the picture."""
+    height = avatar.height or 1.7
+    focal = side * 2.2 / (1.15 * height)
+    K = [focal, focal, side / 2, side / 2]
+    eyes = [
+        {"viewmat": [1, 0, 0, -x, 0, -1, 0, 0.5 * height, 0, 0, -1, 2.2, 0, 0, 0, 1], "K": K} for x in (-0.032, 0.032)
+    ]
+    return {"eyes": eyes, "size": [side, side], "crop": True, "alpha": "straight"}
