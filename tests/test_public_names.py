@@ -55,11 +55,10 @@ def test_docs_import_public_names_alone() -> None:
 def test_public_names_exist_and_have_docstrings(module: str) -> None:
     package = importlib.import_module(module)
     for name in public_of(module):
-        assert f"{module}.{name}" not in FILES or name not in getattr(package, "_HOME", ()), f"{name} hides a module"
         thing = getattr(package, name, None) or importlib.import_module(f"{module}.{name}")
         assert not callable(thing) or inspect.getdoc(thing), f"{module}.{name}"
 
 
 def test_a_name_that_is_not_there() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+    with pytest.raises(AttributeError, match="No glsplat attribute nonsense"):
         glsplat.nonsense  # noqa: B018

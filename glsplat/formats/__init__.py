@@ -16,57 +16,6 @@ a person or body (.npz)     yes     no      rigged meshes
 ==========================  ======  ======  ============================================================
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from typing import TYPE_CHECKING
-
-from glsplat import on_demand
-
-if TYPE_CHECKING:
-    from glsplat.formats.format import Format
-    from glsplat.formats.gltf.splats import load_gltf, save_gltf
-    from glsplat.formats.ply import load_ply, save_ply
-    from glsplat.formats.registry import FORMATS, load, load_splats, losses, recognise, save, suffixes
-    from glsplat.formats.sog.sog import load_sog, save_sog
-    from glsplat.formats.splat import load_splat, save_splat
-
-__all__ = [
-    "FORMATS",
-    "Format",
-    "load",
-    "load_gltf",
-    "load_ply",
-    "load_sog",
-    "load_splat",
-    "load_splats",
-    "losses",
-    "recognise",
-    "save",
-    "save_gltf",
-    "save_ply",
-    "save_sog",
-    "save_splat",
-    "suffixes",
-]
-
-_HOME = {
-    "FORMATS": "registry",
-    "Format": "format",
-    "load": "registry",
-    "load_gltf": "gltf.splats",
-    "load_ply": "ply",
-    "load_sog": "sog.sog",
-    "load_splat": "splat",
-    "load_splats": "registry",
-    "losses": "registry",
-    "recognise": "registry",
-    "save": "registry",
-    "save_gltf": "gltf.splats",
-    "save_ply": "ply",
-    "save_sog": "sog.sog",
-    "save_splat": "splat",
-    "suffixes": "registry",
-}
-
-
-__getattr__ = on_demand(__name__, _HOME)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

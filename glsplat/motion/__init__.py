@@ -1,17 +1,5 @@
 """Motion: recorded movement of a skeleton, its readers, and the embedded library."""
 
-from __future__ import annotations
+import lazy_loader
 
-from typing import TYPE_CHECKING
-
-from glsplat import on_demand
-
-if TYPE_CHECKING:
-    from glsplat.motion.loading import embedded_motions, load_motion
-    from glsplat.motion.motion import Motion
-
-__all__ = ["Motion", "embedded_motions", "load_motion"]
-
-_HOME = {"Motion": "motion", "embedded_motions": "loading", "load_motion": "loading"}
-
-__getattr__ = on_demand(__name__, _HOME)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

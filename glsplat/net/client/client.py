@@ -27,7 +27,7 @@ from glsplat.skinning.pose import Pose
 if TYPE_CHECKING:
     from glsplat.net.codec.video_reader import VideoReader
 
-__all__ = ["Client"]
+__all__ = ["Client", "ReceivedReply"]
 
 _MAX_REPLY = 64 * 1024 * 1024
 

@@ -17,13 +17,16 @@ def public_modules() -> Iterator[tuple[str, Path]]:
         inner = path.relative_to(ROOT).with_suffix("").parts
         if path.name != "__init__.py" and len(inner) > 2:
             continue
-        if listed(ast.parse(path.read_text(encoding="utf-8"))):
+        if listed(path):
             yield ".".join(inner[:-1] if path.name == "__init__.py" else inner), path
 
 
-def listed(tree: ast.Module) -> list[str]:
-    """The names of ``__all__``; none where there is none."""
-    for node in tree.body:
+def listed(path: Path) -> list[str]:
+    """Return the names of a file's ``__all__``, or of its stub; none where it has neither."""
+    if (stub := path.with_suffix(".pyi")).exists():
+        body = ast.parse(stub.read_text(encoding="utf-8")).body
+        return sorted(alias.name for node in body if isinstance(node, ast.ImportFrom) for alias in node.names)
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
             return list(ast.literal_eval(node.value))
     return []
@@ -31,14 +34,15 @@ def listed(tree: ast.Module) -> list[str]:
 
 def homes(module: str, path: Path) -> dict[str, str]:
     """Where each public name of a module is defined: ``{"Avatar": "glsplat.avatar.Avatar"}``."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    source = stub if (stub := path.with_suffix(".pyi")).exists() else path
+    tree = ast.parse(source.read_text(encoding="utf-8"))
     found = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             base = module.split(".")[: len(module.split(".")) - node.level + (path.name == "__init__.py")]
             start = ".".join([*base, node.module]) if node.level else node.module
             found |= {alias.asname or alias.name: f"{start}.{alias.name}" for alias in node.names}
-    return {name: found.get(name, f"{module}.{name}") for name in listed(tree)}
+    return {name: found.get(name, f"{module}.{name}") for name in listed(path)}
 
 
 def api_page(module: str, path: Path, elsewhere: dict[str, str]) -> str:
@@ -47,7 +51,7 @@ def api_page(module: str, path: Path, elsewhere: dict[str, str]) -> str:
     ``elsewhere`` has the page of each name that is explained already: a name is explained once, and linked from then
     on. What is explained here is added to it.
     """
-    example = f"    import {module}\n" if module == "glsplat" else f"    from {module} import {listed_in(path)[0]}\n"
+    example = f"    import {module}\n" if module == "glsplat" else f"    from {module} import {listed(path)[0]}\n"
     lines = [f"# {module}", "", example, f"::: {module}", "    options:", "      members: []"]
     lines += ["      show_root_heading: false", "      show_root_toc_entry: false", ""]
     for name, home in homes(module, path).items():
@@ -57,11 +61,6 @@ def api_page(module: str, path: Path, elsewhere: dict[str, str]) -> str:
             lines += [f"::: {home}", ""]
             elsewhere[home] = module
     return "\n".join(lines)
-
-
-def listed_in(path: Path) -> list[str]:
-    """The names of a file's ``__all__``."""
-    return listed(ast.parse(path.read_text(encoding="utf-8")))
 
 
 def api_pages() -> dict[str, str]:

@@ -1,0 +1,16 @@
+from .format import Format as Format
+from .gltf.splats import load_gltf as load_gltf
+from .gltf.splats import save_gltf as save_gltf
+from .ply import load_ply as load_ply
+from .ply import save_ply as save_ply
+from .registry import FORMATS as FORMATS
+from .registry import load as load
+from .registry import load_splats as load_splats
+from .registry import losses as losses
+from .registry import recognise as recognise
+from .registry import save as save
+from .registry import suffixes as suffixes
+from .sog.sog import load_sog as load_sog
+from .sog.sog import save_sog as save_sog
+from .splat import load_splat as load_splat
+from .splat import save_splat as save_splat

@@ -1,0 +1,2 @@
+from .light import Light as Light
+from .surface import Surface as Surface

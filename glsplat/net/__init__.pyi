@@ -1,0 +1,15 @@
+from .backend import AvatarInfo as AvatarInfo
+from .backend import Backend as Backend
+from .backend import PoseSolver as PoseSolver
+from .backend import Rendered as Rendered
+from .backend import RenderJob as RenderJob
+from .backend import Solved as Solved
+from .client.client import Client as Client
+from .feature import Feature as Feature
+from .fields import PictureOptions as PictureOptions
+from .gl_server import make_server as make_server
+from .messages import Request as Request
+from .options import ServerConfig as ServerConfig
+from .reply import Reply as Reply
+from .server import Server as Server
+from .standard_server import server_of as server_of

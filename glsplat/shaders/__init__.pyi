@@ -1,0 +1,10 @@
+from .programs import Programs as Programs
+from .programs import link as link
+from .source import Source as Source
+from .source import flatten as flatten
+from .variant import MeshVariant as MeshVariant
+from .variant import ResolveVariant as ResolveVariant
+from .variant import SkinVariant as SkinVariant
+from .variant import Variant as Variant
+from .variant import record_layout as record_layout
+from .variant import variant_for as variant_for

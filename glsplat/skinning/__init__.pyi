@@ -1,0 +1,1 @@
+from .smplx import JOINT_NAMES as JOINT_NAMES

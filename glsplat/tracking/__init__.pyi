@@ -1,0 +1,13 @@
+from .calibration import Calibration as Calibration
+from .calibration import calibrate as calibrate
+from .config import TrackerConfig as TrackerConfig
+from .recording import embedded_recording as embedded_recording
+from .recording import record as record
+from .recording import replay as replay
+from .sample import Sample as Sample
+from .solve.body import Body as Body
+from .solve.solution import Solution as Solution
+from .solve.solution import Solver as Solver
+from .solve.solution import Targets as Targets
+from .solve.solver import AnalyticSolver as AnalyticSolver
+from .tracker import Tracker as Tracker

@@ -1,0 +1,2 @@
+from . import detect as detect
+from .mark import Watermark as Watermark
