@@ -125,7 +125,6 @@ NEEDS = {
     "setpriv": Need("setpriv", ("util-linux",), "extra", programs=("setpriv",)),
     "caddy": Need("Caddy", ("caddy",), "extra", programs=("caddy",)),
     "docker": Need("docker", ("docker.io",), "extra", programs=("docker",)),
-    "pyright": Need("pyright", ("pyright",), "extra", programs=("pyright",)),
     "ffprobe": Need("ffprobe", ("ffmpeg",), "extra", programs=("ffprobe",)),
 }
 
