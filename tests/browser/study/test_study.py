@@ -64,7 +64,7 @@ def test_from_plan_to_tables(open_page: OpenPage, study: Path) -> None:
     Each condition has the view that the server says; pictures of the second one are shown later by its latency.
     """
     cells, views = (("self", "ours"), ("other", "video")), ("facing", "mirror", "mirror")
-    study = wire(study.parent, participants=2, seconds=1.0, cells=cells, views=views)
+    study = wire(study.parent, participants=2, seconds=2.0, cells=cells, views=views)
     data = study.parent / "shorter"
     write_plan(data, make_plan(read_study(study)))
     minds = {number: Mind(number) for number in (1, 2)}
