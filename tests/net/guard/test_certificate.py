@@ -6,7 +6,6 @@ import ssl
 import stat
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from glsplat.net.client import Client
 from glsplat.net.guard import certificate
 from glsplat.net.guard.access import Access, certificate_names, server_tls
 from glsplat.net.guard.certificate import CERTIFICATE, KEY, kept_certificate
-from glsplat.net.guard.kept import kept_token, state_folder
+from glsplat.net.guard.kept import state_folder
 from glsplat.net.server import ServerConfig
 
 pytestmark = pytest.mark.check
@@ -159,12 +158,22 @@ def test_a_full_disk_leaves_what_was_there(folder):
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_servers_that_start_at_once_share_one(folder):
-    def start(_):
-        return kept_certificate(folder, []).fingerprint, kept_token(folder)
-
-    with ThreadPoolExecutor(4) as pool:
-        assert len(set(pool.map(start, range(4)))) == 1
+def test_servers_that_start_at_once_share_one(state):
+    script = (
+        "import sys\nfrom glsplat.net.guard.certificate import kept_certificate\n"
+        "from glsplat.net.guard.kept import kept_token, state_folder\n"
+        "print('ready', flush=True)\nsys.stdin.readline()\n"
+        "folder = state_folder()\nprint(kept_certificate(folder, []).fingerprint, kept_token(folder))\n"
+    )
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    servers = [subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, **pipes) for _ in range(3)]
+    for server in servers:
+        assert server.stdout.readline() == "ready\n"
+    for server in servers:
+        server.stdin.write("\n")
+        server.stdin.flush()
+    said = [server.communicate(timeout=60)[0] for server in servers]
+    assert len(set(said)) == 1 and len(said[0]) > 100
 
 
 def test_a_key_with_a_passphrase_is_refused(folder, tmp_path):
