@@ -58,7 +58,7 @@ class ServerView(Protocol):
         ...
 
     def wake(self, client: ClientStream) -> None:
-        """Say that a picture may be drawn that waited."""
+        """Wake the drawer: a picture of the client may be drawn now."""
         ...
 
 

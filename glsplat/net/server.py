@@ -299,11 +299,12 @@ class Server:
             return entered
         try:
             channel = self._open_channel(request, entered)
-        except ProtocolError as error:
+        except BaseException as error:
             self.gate.leave(request, entered)
-            return web.Response(
-                status=403 if error.code == NOT_ALLOWED else getattr(error, "status", 400), text=f"{error}\n"
-            )
+            if not isinstance(error, ProtocolError):
+                raise
+            status = 403 if error.code == NOT_ALLOWED else getattr(error, "status", 400)
+            return web.Response(status=status, text=f"{error}\n")
         talk = Conversation(
             *(channel, ws, request, self.drawer, self.gate, self._responder),
             deaf=lambda: self._draining,
@@ -351,7 +352,7 @@ class Server:
                 feature.client_opened(channel, asked)
             if asked.room is not None and channel.member is None:
                 raise RoomError("there is no such room here", 404)
-        except ProtocolError:
+        except BaseException:  # also a fault of a feature
             self._close_channel(channel, goodbye=False)
             raise
         return channel
@@ -370,7 +371,7 @@ class Server:
         return next(filter(None, (feature.file_digest(name) for feature in self.features)), None)
 
     def wake(self, client: ClientStream) -> None:
-        """Say that a picture may be drawn that waited."""
+        """Wake the drawer: a picture of the client may be drawn now."""
         self.drawer.wake(client)
 
     def feature(self, kind: type[F]) -> F:
@@ -392,12 +393,15 @@ class Server:
         self.drawer.remove(channel)
         if channel.share is not None:
             self._work.close(channel.share)
-        for feature in self.features:
-            feature.client_closed(channel, goodbye)
         self._talks.pop(channel.number, None)
         del self.clients[channel.number]
         for name, value in asdict(channel.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
+        for feature in self.features:
+            try:
+                feature.client_closed(channel, goodbye)
+            except Exception:  # the other features hear of it all the same
+                log.exception("%s failed as client %d left", type(feature).__name__, channel.number)
 
 
 def merged(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

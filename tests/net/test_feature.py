@@ -77,6 +77,17 @@ class Counting(Feature):
         return {"counted": name}
 
 
+class Faulty(Feature):
+    """Fails by faults of its own for clients that are called eve, and as any client leaves."""
+
+    def client_opened(self, client, asked):
+        if asked.name == "eve":
+            raise RuntimeError("a fault")
+
+    def client_closed(self, client, goodbye):
+        raise RuntimeError("another fault")
+
+
 class Failing(Feature):
     async def start(self, server):
         await asyncio.sleep(0.01)  # the others have started
@@ -163,3 +174,22 @@ def test_a_room_that_no_feature_has_is_refused(fake_backend):
             await server.stop()
 
     assert asyncio.run(main()) == (404, 0)
+
+
+async def test_a_fault_of_a_feature_costs_its_own_client_alone(fake_backend, cameras, caplog):
+    counting = Counting()
+    server = server_of(fake_backend(), ServerConfig(port=0, max_clients=1), features=[Faulty(), counting])
+    await server.start()
+    try:
+        async with aiohttp.ClientSession(f"http://127.0.0.1:{server.port}") as http:
+            for _ in range(3):
+                with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                    await http.ws_connect("/ws?name=eve")
+                assert refused.value.status == 500 and not server.clients
+            async with Client(server.url) as client:
+                assert (await client.render(cameras)).images()[0].any()
+            await until(lambda: counting.calls["closed"])
+            assert not server.clients and counting.calls["lost"] == 3
+    finally:
+        await server.stop()
+    assert caplog.text.count("Faulty failed as client") == 4
