@@ -1,4 +1,4 @@
-"""A user's program under strict types. tests/api/test_examples.py runs mypy --strict on it."""
+"""A user's program under strict types: `make types` reads it."""
 
 from __future__ import annotations
 
