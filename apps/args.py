@@ -24,8 +24,8 @@ from glsplat.motion.kinds import KINDS, split_choice
 from glsplat.scene import Content, Rigged, Scene, is_rigged
 from glsplat.scenes.loading import load
 from glsplat.scenes.scene_file import UPS, SceneFile, load_scene, upright
+from glsplat.skinning.driven import why_not_tracked
 from glsplat.skinning.expression import checked_expression
-from glsplat.skinning.rigs.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
@@ -152,7 +152,7 @@ def _say_doubts(file: SceneFile, name: str) -> None:
     """What looks wrong in the motions of a scene file, on stderr; of each once."""
     if not file.motions:
         return
-    from glsplat.motion.doubts import doubt  # here: most scenes stand still
+    from glsplat.extras.motions.doubts import doubt  # here: most scenes stand still
 
     said = set()
     for place, (item, motion) in file.motions.items():
@@ -205,7 +205,7 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
 
     Raises UsageError where there is neither.
     """
-    from glsplat.motion.doubts import doubt  # here: a server needs none of it
+    from glsplat.extras.motions.doubts import doubt  # here: a server needs none of it
     from glsplat.motion.loading import embedded_motions, load_motion
 
     if not split_choice(name)[0].exists() and name not in embedded_motions():

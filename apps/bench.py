@@ -11,17 +11,17 @@ from tqdm import tqdm
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
-from glsplat.evaluate.frames import WARM_UP, Bench
-from glsplat.evaluate.machine import machine
-from glsplat.evaluate.speed.budget import search
-from glsplat.evaluate.speed.profile import profile
+from glsplat.extras.evaluate.frames import WARM_UP, Bench
+from glsplat.extras.evaluate.machine import machine
+from glsplat.extras.evaluate.speed.budget import search
+from glsplat.extras.evaluate.speed.profile import profile
 from glsplat.gl.context import Context, create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
+from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.rigs.driven import why_not_driven
 
 from .args import add_detail, add_scene, detail_of, motion_of, open_scene, positive, single, size
 from .usage import UsageError

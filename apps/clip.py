@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.speech.mp4 import add_sound
-from glsplat.speech.sound import Sound
+from glsplat.extras.speech.mp4 import add_sound
+from glsplat.extras.speech.sound import Sound
 
 from .output import Image, eight_bit
 

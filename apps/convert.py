@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.extras.formats.fidelity import read_back
 from glsplat.formats import save, suffixes
-from glsplat.formats.fidelity import read_back
 from glsplat.formats.transform import transformed
 from glsplat.light import Light
 from glsplat.meshes import RiggedMesh

@@ -34,7 +34,7 @@ def on_ray(work: Callable[[Any], Any], pieces: Sequence[Any], address: str) -> I
     Each has a process of its own, as ``work`` may change that for good. Raises what ``work`` raises, and GlsplatError
     without Ray. What is left when the caller stops is ended.
     """
-    from glsplat.net.workers.cluster import require_ray  # slow to import, and most commands are not shared out
+    from glsplat.extras.workers.cluster import require_ray  # slow to import, and most commands are not shared out
 
     require_ray()
     import ray

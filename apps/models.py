@@ -6,8 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
-from glsplat.models import catalogue, store
-from glsplat.models.catalogue import Source
+from glsplat.extras.authoring.models import catalogue, store
+from glsplat.extras.authoring.models.catalogue import Source
 
 from .usage import UsageError
 

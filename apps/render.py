@@ -19,6 +19,8 @@ from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
+from glsplat.extras.speech.sound import Sound, read_wav
+from glsplat.extras.speech.speaking import Speaking
 from glsplat.gl.context import create_context
 from glsplat.motion.kinds import KINDS
 from glsplat.motion.motion import Motion
@@ -26,8 +28,6 @@ from glsplat.renderer import Renderer
 from glsplat.scenes.camera_file import read_cameras
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose, load_pose
-from glsplat.speech.sound import Sound, read_wav
-from glsplat.speech.speaking import Speaking
 from glsplat.views import orbited, view_of, viewing_point
 
 from .args import (

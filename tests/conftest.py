@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import inspect
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -14,7 +16,7 @@ if TYPE_CHECKING:  # a folder whose tests need neither OpenGL nor NumPy starts w
     import numpy as np
 
     from glsplat.avatar import Avatar
-    from glsplat.evaluate.probe import Probe
+    from glsplat.extras.evaluate.probe import Probe
     from glsplat.gl.context import Context
     from glsplat.splats import Splats
 
@@ -80,6 +82,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if collection_path.name == "browser" and config.option.markexpr == "not check" else None
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run an ``async def`` test on an event loop of its own."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = pyfuncitem._fixtureinfo.argnames
+    asyncio.run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
+    return True
+
+
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """One line a reason for what was skipped, with how many tests; the reason says what to install."""
     reasons = Counter(
@@ -116,7 +128,7 @@ def gl(context: Context) -> Iterator[Context]:
 def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     """Makes renderers on the shared context and releases them after the test."""
     from glsplat.config import RenderConfig
-    from glsplat.evaluate.probe import Probe
+    from glsplat.extras.evaluate.probe import Probe
 
     made: list[Probe] = []
 

@@ -22,7 +22,8 @@ def floors() -> list[list[str]]:
     for module in FILES:
         if module != "glsplat":
             rooms = {room_of(other) for other in imports_of(module) if other in FILES and other != "glsplat"}
-            below.setdefault(room_of(module), set()).update(rooms - {room_of(module)})
+            above = {"extras"} if room_of(module) != "apps" else set()
+            below.setdefault(room_of(module), set()).update(rooms - above - {room_of(module)})
 
     @cache
     def level(room: str) -> int:

@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 REFUSING = """
 import importlib.abc, sys
 
-HIDDEN = ("authoring", "evaluate", "consent", "watermark", "net.workers", "net.rooms", "net.uploads", "net.accounts",
-          "tracking.training")
+HIDDEN = ("extras.authoring", "extras.evaluate", "extras.watermark", "extras.rooms", "extras.uploads",
+          "extras.study", "extras.openxr", "extras.statistics")
 
 class Refusing(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):

@@ -26,7 +26,7 @@ import pytest
 import glsplat
 from apps import cli
 from glsplat.data import person
-from glsplat.speech.sound import Sound, wav_bytes
+from glsplat.extras.speech.sound import Sound, wav_bytes
 
 pytestmark = pytest.mark.check
 

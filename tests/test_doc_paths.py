@@ -20,7 +20,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#([\w-]+))?\)")
 # patterns of names, files of users, groups of entry points
 FOREIGN = {
     *("server.toml", "study.toml", "mine.toml", "noun.glsl", "name.stage.glsl", "LICENSE.md", "results.md"),
-    *("glsplat.methods", "glsplat.reconstructors"),
+    *("glsplat.methods", "glsplat.reconstructors", "glsplat.consent"),
 }
 NO_MODULE = ("service", "v1", "md", "org", "css", "js", "json", "py")  # endings of names that only look like one
 

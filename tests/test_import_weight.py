@@ -23,7 +23,7 @@ ROWS = [  # statement, libraries, modules of glsplat at most
     ("import glsplat.net.messages", "", 30),
     ("from glsplat import default_avatar; default_avatar()", "", ANY),
     ("from glsplat import Renderer", "moderngl", ANY),
-    ("from glsplat.net.client import Client", "aiohttp simplejpeg", 37),
+    ("from glsplat.net.client import Client", "aiohttp simplejpeg", 38),
     ("import apps.render", "moderngl cv2", ANY),  # cv2 writes PNG and clips
 ]
 EXTRAS = [
@@ -36,10 +36,14 @@ EXTRAS = [
     ),
     ("import glsplat.tracking.tracker", "", ANY),
     ("import glsplat.scenes.scene_file", "", ANY),
-    ("import glsplat.authoring.posed", "", ANY),
-    ("import glsplat.authoring.cones", "cv2 scipy", ANY),
-    ("import glsplat.authoring.reconstruct.photos", "cv2 scipy simplejpeg", ANY),
-    ("import glsplat.authoring.reconstruct.builtin", "PIL cv2 scipy trimesh", ANY),  # no numba: it loads in a thread
+    ("import glsplat.extras.authoring.posed", "", ANY),
+    ("import glsplat.extras.authoring.cones", "cv2 scipy", ANY),
+    ("import glsplat.extras.authoring.reconstruct.photos", "cv2 scipy simplejpeg", ANY),
+    (
+        "import glsplat.extras.authoring.reconstruct.builtin",
+        "PIL cv2 scipy trimesh",
+        ANY,
+    ),  # no numba: it loads in a thread
     ("import apps.args, apps.convert, apps.inspect", "", ANY),
 ]
 
@@ -70,7 +74,7 @@ def test_an_import_loads_what_it_needs(statement: str, libraries: str, most: int
 def test_a_photograph_is_checked_before_the_imports_that_make_an_avatar() -> None:
     modules = loaded("import apps.cli\napps.cli.parsed('avatar', ['photo', 'me.jpg', '-o', 'me.glb'])")
     assert not {"trimesh", "numba", "moderngl", "scipy.optimize"} & modules
-    assert not {"glsplat.authoring.fit.fit", "glsplat.tracking.solvers"} & modules
+    assert not {"glsplat.extras.authoring.fit.fit", "glsplat.tracking.solvers"} & modules
 
 
 @pytest.mark.check

@@ -22,7 +22,9 @@ def test_the_wheel_renders_from_elsewhere(tmp_path: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert not [n for n in names if n.startswith(("apps/", "tests/"))]
     assert "glsplat/py.typed" in names and "glsplat/data/people/ben.glb" in names
-    tables = {f"glsplat/authoring/fit/{name}.json" for name in ("landmark_offsets", "hand_offsets", "face_places")}
+    tables = {
+        f"glsplat/extras/authoring/fit/{name}.json" for name in ("landmark_offsets", "hand_offsets", "face_places")
+    }
     assert "glsplat/data/open_body.npz" in names and tables <= set(names)
     shaders = {p.name for p in (ROOT / "glsplat").rglob("*.glsl")}
     assert shaders == {Path(n).name for n in names if n.endswith(".glsl")}

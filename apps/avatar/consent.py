@@ -9,9 +9,9 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
-from glsplat.consent.document import ANYBODY
-from glsplat.consent.file import OnFile, sign_file
-from glsplat.consent.keys import new_key, private_key, public_path
+from glsplat.extras.consent.document import ANYBODY
+from glsplat.extras.consent.file import OnFile, sign_file
+from glsplat.extras.consent.keys import new_key, private_key, public_path
 
 from ..usage import UsageError
 

@@ -7,12 +7,12 @@ import json
 import time
 from pathlib import Path
 
-from glsplat.authoring.detail.fitted import FittedConfig
-from glsplat.authoring.detail.make import with_levels
-from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.avatar import splats_of
 from glsplat.data import embedded_file
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.detail.fitted import FittedConfig
+from glsplat.extras.authoring.detail.make import with_levels
+from glsplat.extras.authoring.detail.measure import MeasureConfig
 from glsplat.formats import load_splats, save, suffixes
 
 from ..args import natural

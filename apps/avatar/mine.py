@@ -6,8 +6,8 @@ import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from glsplat.consent.document import ANYBODY
-from glsplat.consent.file import sign_data
+from glsplat.extras.consent.document import ANYBODY
+from glsplat.extras.consent.file import sign_data
 from glsplat.io.files import replace_file
 from glsplat.net.guard.kept import kept_key, state_folder
 

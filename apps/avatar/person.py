@@ -13,13 +13,13 @@ from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.meshes.reader import read_gltf_person
-from glsplat.formats.gltf.meshes.rig_map import read_rig_map
-from glsplat.formats.person import read_person
+from glsplat.extras.formats.person import read_person
+from glsplat.extras.rigs.meshes.reader import read_gltf_person
+from glsplat.extras.rigs.meshes.rig_map import read_rig_map
 from glsplat.meshes import RiggedMesh
 from glsplat.scenes.scene_file import upright
+from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from glsplat.authoring.optimize.compiled import MISSING, available
-from glsplat.authoring.reconstruct.photos import (
+from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.optimize.compiled import MISSING, available
+from glsplat.extras.authoring.reconstruct.photos import (
     CheckedPhoto,
     MeshReconstruction,
     Reconstruction,
@@ -20,10 +21,9 @@ from glsplat.authoring.reconstruct.photos import (
     reconstruct_mesh,
     refuse,
 )
-from glsplat.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
-from glsplat.authoring.reconstruct.registry import named, names
-from glsplat.authoring.threads import aside, one_heap
-from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
+from glsplat.extras.authoring.reconstruct.registry import named, names
+from glsplat.extras.authoring.threads import aside, one_heap
 
 from ..args import natural, positive
 from ..farming import add_ray
@@ -157,7 +157,9 @@ def _one(args: argparse.Namespace) -> int:
         else:
             avatar = done.avatar
             if args.cones:
-                from glsplat.authoring.cones import with_cones  # and OpenGL with it, which nothing else here needs
+                from glsplat.extras.authoring.cones import (
+                    with_cones,  # and OpenGL with it, which nothing else here needs
+                )
 
                 avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))

@@ -7,12 +7,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from glsplat.authoring.detail.fitted import FittedConfig, reduced
-from glsplat.authoring.optimize.compiled import MISSING, available
-from glsplat.authoring.surface import FEWEST
 from glsplat.avatar import Avatar
 from glsplat.data import embedded_file
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.detail.fitted import FittedConfig, reduced
+from glsplat.extras.authoring.optimize.compiled import MISSING, available
+from glsplat.extras.authoring.surface import FEWEST
 from glsplat.formats import load_splats
 
 from ..args import natural

@@ -17,14 +17,14 @@ from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
-from glsplat.evaluate.avatar_poses import SCORE_POSES
-from glsplat.evaluate.avatar_score import AvatarScore, score
+from glsplat.extras.evaluate.avatar_poses import SCORE_POSES
+from glsplat.extras.evaluate.avatar_score import AvatarScore, score
+from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
 from glsplat.formats import load_splats
 from glsplat.io.files import replace_file
-from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
-from glsplat.skinning.rigs.driven import why_not_driven
+from glsplat.skinning.driven import why_not_driven
 
 from ..args import add_detail, detail_of
 from ..output import eight_bit, label, save_png, stack

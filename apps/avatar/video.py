@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from glsplat.authoring.optimize.compiled import MISSING, available
-from glsplat.authoring.reconstruct.reconstructor import Options, Progress
-from glsplat.authoring.reconstruct.video import FORMS, FRAMES, VideoResult, from_video
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.optimize.compiled import MISSING, available
+from glsplat.extras.authoring.reconstruct.reconstructor import Options, Progress
+from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, VideoResult, from_video
 
 from ..args import natural, positive
 from ..usage import UsageError

@@ -16,8 +16,8 @@ from tqdm import tqdm
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
+from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import FORMATS, save, suffixes
-from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -16,12 +16,12 @@ from tqdm import tqdm
 
 from glsplat.data import default_avatar, participants_folder
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.evaluate.comparison.method import OWN, MadeElsewhere, method_of
-from glsplat.evaluate.comparison.participant import Participant, participants_in
-from glsplat.evaluate.comparison.performance import TASKS
-from glsplat.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
-from glsplat.evaluate.comparison.work import Result, Task, alone, finished
-from glsplat.evaluate.comparison.workers import run_tasks
+from glsplat.extras.evaluate.comparison.method import OWN, MadeElsewhere, method_of
+from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
+from glsplat.extras.evaluate.comparison.performance import TASKS
+from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
+from glsplat.extras.evaluate.comparison.work import Result, Task, alone, finished
+from glsplat.extras.evaluate.comparison.workers import run_tasks
 from glsplat.io.files import locked, replace_file
 from glsplat.io.machine import cores
 from glsplat.motion.kinds import split_choice

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from glsplat.evaluate.comparison import tables
-from glsplat.evaluate.comparison.control import CONTROLS
-from glsplat.evaluate.comparison.measure import MEASURES, OVERLAP
-from glsplat.evaluate.comparison.participant import Participant
-from glsplat.evaluate.comparison.protocol import Protocol
-from glsplat.evaluate.comparison.work import Result
-from glsplat.evaluate.machine import machine
+from glsplat.extras.evaluate.comparison import tables
+from glsplat.extras.evaluate.comparison.control import CONTROLS
+from glsplat.extras.evaluate.comparison.measure import MEASURES, OVERLAP
+from glsplat.extras.evaluate.comparison.participant import Participant
+from glsplat.extras.evaluate.comparison.protocol import Protocol
+from glsplat.extras.evaluate.comparison.work import Result
+from glsplat.extras.evaluate.machine import machine
 
 __all__ = ["LOWER", "NAMES", "outcome", "plots", "table_lines"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from glsplat.evaluate.statistics import Values, summarise
+from glsplat.extras.evaluate.statistics import Values, summarise
 
 from ..figures import png_of
 

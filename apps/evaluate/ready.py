@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from glsplat.errors import GlsplatError
-from glsplat.evaluate.comparison.protocol import Protocol
-from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.models.catalogue import PHOTO
-from glsplat.models.store import state_of
+from glsplat.extras.authoring.models.catalogue import PHOTO
+from glsplat.extras.authoring.models.store import state_of
+from glsplat.extras.evaluate.comparison.protocol import Protocol
+from glsplat.extras.evaluate.metrics.lpips import Lpips
 
 __all__ = ["check_ready"]
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from glsplat.evaluate.comparison.control import true_poses
-from glsplat.evaluate.comparison.participant import Participant
-from glsplat.evaluate.comparison.performance import perform
-from glsplat.evaluate.comparison.protocol import Protocol
-from glsplat.evaluate.comparison.stage import Stage
-from glsplat.evaluate.comparison.work import Result
-from glsplat.evaluate.frames import WARM_UP
-from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.evaluate.sections.costs import SIZES, costs
+from glsplat.extras.evaluate.comparison.control import true_poses
+from glsplat.extras.evaluate.comparison.participant import Participant
+from glsplat.extras.evaluate.comparison.performance import perform
+from glsplat.extras.evaluate.comparison.protocol import Protocol
+from glsplat.extras.evaluate.comparison.stage import Stage
+from glsplat.extras.evaluate.comparison.work import Result
+from glsplat.extras.evaluate.frames import WARM_UP
+from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.sections.costs import SIZES, costs
 from glsplat.gl.context import create_context
 from glsplat.scene import Rigged, is_rigged
 from glsplat.scenes.loading import load

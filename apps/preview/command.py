@@ -17,8 +17,8 @@ from glsplat.motion.motion import Motion
 from glsplat.net.guard.access import read_token
 from glsplat.scene import skeleton_of
 from glsplat.scenes.scene_file import SceneFile
+from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose, load_pose
-from glsplat.skinning.rigs.driven import why_not_driven
 
 from ..args import add_detail, add_light, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
 from ..output import save_png

@@ -19,8 +19,8 @@ from glsplat.motion.loading import embedded_motions
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, SceneLike
 from glsplat.scenes.scene_file import SceneFile, load_scene
+from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose, load_pose
-from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.recording import replay
 from glsplat.tracking.tracker import Tracker

@@ -16,6 +16,13 @@ import numpy as np
 
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.extras.openxr.local import LocalShow
+from glsplat.extras.openxr.openxr.graphics import EGL_ENABLE
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime, offered
+from glsplat.extras.openxr.placing import VIEWS
+from glsplat.extras.openxr.runtime import Runtime
+from glsplat.extras.openxr.session import Session
+from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context, create_context
 from glsplat.net.guard.access import read_token
 from glsplat.scenes.scene_file import SceneFile
@@ -23,13 +30,6 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import record
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solvers import SOLVERS
-from glsplat.xr.local import LocalShow
-from glsplat.xr.openxr.graphics import EGL_ENABLE
-from glsplat.xr.openxr.runtime import OpenXrRuntime, offered
-from glsplat.xr.placing import VIEWS
-from glsplat.xr.runtime import Runtime
-from glsplat.xr.session import Session
-from glsplat.xr.wearer import Wearer
 
 from ..args import add_solver, detail_of, driven
 from ..output import Image, save_png

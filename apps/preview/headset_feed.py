@@ -15,17 +15,17 @@ import moderngl
 import numpy as np
 
 from glsplat.camera import Camera
+from glsplat.extras.openxr.cameras import camera_of, sighted
+from glsplat.extras.openxr.eyes import Surroundings
+from glsplat.extras.openxr.placing import Place
+from glsplat.extras.openxr.room import surroundings
+from glsplat.extras.openxr.runtime import FrameTiming, Projection, Runtime, ViewPose
+from glsplat.extras.openxr.session import Shown
+from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
+from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context
-from glsplat.passes.eyes import Surroundings
 from glsplat.passes.target import Target
 from glsplat.rotations import FLIP_X
-from glsplat.xr.cameras import camera_of, sighted
-from glsplat.xr.placing import Place
-from glsplat.xr.room import surroundings
-from glsplat.xr.runtime import FrameTiming, Projection, Runtime, ViewPose
-from glsplat.xr.session import Shown
-from glsplat.xr.swapchains import EyeSwapchains, fitting
-from glsplat.xr.wearer import Wearer
 
 from .feed import Feed, Picture, Wish
 

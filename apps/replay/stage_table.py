@@ -6,7 +6,7 @@ import platform
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from glsplat.evaluate.machine import machine
+from glsplat.extras.evaluate.machine import machine
 from glsplat.gl.software import is_software
 from glsplat.net.pace.stages import median_p95
 

@@ -18,23 +18,23 @@ from tqdm import tqdm
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.evaluate.difference import require_extra
-from glsplat.evaluate.frames import WARM_UP
-from glsplat.evaluate.knobs import Setting, base_config, error_frames, settings_of
-from glsplat.evaluate.machine import machine
-from glsplat.evaluate.sections.batching import batching
-from glsplat.evaluate.sections.growth import Grid, grid_of, growth, growth_cost
-from glsplat.evaluate.sections.hidden import Search, hidden, hidden_cost, with_hidden
-from glsplat.evaluate.sections.left_out import features_of, left_out, unmoved
-from glsplat.evaluate.sections.measure import agreement, agreement_cost, frame_cost, measure, measure_cost
-from glsplat.evaluate.stability.frame import frame_cases, judge
-from glsplat.evaluate.stability.skin import skin_cases
-from glsplat.evaluate.stability.tracking import tracking_cases
-from glsplat.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
+from glsplat.extras.evaluate.difference import require_extra
+from glsplat.extras.evaluate.frames import WARM_UP
+from glsplat.extras.evaluate.knobs import Setting, base_config, error_frames, settings_of
+from glsplat.extras.evaluate.machine import machine
+from glsplat.extras.evaluate.sections.batching import batching
+from glsplat.extras.evaluate.sections.growth import Grid, grid_of, growth, growth_cost
+from glsplat.extras.evaluate.sections.hidden import Search, hidden, hidden_cost, with_hidden
+from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
+from glsplat.extras.evaluate.sections.measure import agreement, agreement_cost, frame_cost, measure, measure_cost
+from glsplat.extras.evaluate.stability.frame import frame_cases, judge
+from glsplat.extras.evaluate.stability.skin import skin_cases
+from glsplat.extras.evaluate.stability.tracking import tracking_cases
+from glsplat.extras.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from glsplat.formats import suffixes
 from glsplat.gl.context import Context, create_context
 from glsplat.io.files import replace_file
-from glsplat.skinning.rigs.driven import why_not_driven
+from glsplat.skinning.driven import why_not_driven
 
 from ..usage import UsageError
 from . import latency as report_latency

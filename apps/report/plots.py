@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from glsplat.evaluate.difference import PSNR_CAP
+from glsplat.extras.evaluate.difference import PSNR_CAP
 
 from ..figures import png_of
 

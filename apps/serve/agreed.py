@@ -10,14 +10,14 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from glsplat.consent.document import ANYBODY
-from glsplat.consent.file import OnFile, on_file, on_file_data, sign_data
-from glsplat.consent.keys import PrivateKey, public_key
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import GlsplatError
+from glsplat.extras.consent.document import ANYBODY
+from glsplat.extras.consent.file import OnFile, on_file, on_file_data, sign_data
+from glsplat.extras.consent.keys import PrivateKey, public_key
+from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.extras.uploads.job import UploadConfig
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.kept import kept_key, known_key, state_folder
-from glsplat.net.uploads.job import UploadConfig
 from glsplat.scene import is_rigged
 from glsplat.scenes.scene_file import SceneFile
 

@@ -14,9 +14,10 @@ from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.config import RenderConfig
 from glsplat.data import DEFAULT, PEOPLE, embedded_file
 from glsplat.errors import GlsplatError
+from glsplat.extras.speech.face.feed import FaceFeed
+from glsplat.extras.speech.face.listener import FaceListener
+from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.net.backends.gl import MAX_TIME
-from glsplat.net.face.feed import FaceFeed
-from glsplat.net.face.listener import FaceListener
 from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.forwarded import Network, proxy_network
@@ -27,7 +28,6 @@ from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from glsplat.scene import Rigged
 from glsplat.tracking.calibration import Calibration
-from glsplat.watermark.mark import WatermarkKey
 
 from ..args import add_detail, add_light, add_scene, add_solver, detail_of, load_avatar, open_scene, size
 from ..logs import add_log_format, start_logging

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from glsplat.errors import GlsplatError
-from glsplat.net.accounts.users import Accounts
+from glsplat.extras.accounts.users import Accounts
+from glsplat.extras.watermark.keys import read_watermark
+from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.net.guard.access import is_loopback, read_token
 from glsplat.net.guard.kept import TOKEN, kept_token, kept_watermark, state_folder
 from glsplat.net.guard.machine import machine_names, reachable_at
-from glsplat.watermark.keys import read_watermark
-from glsplat.watermark.mark import WatermarkKey
 
 from ..usage import UsageError
 
@@ -69,7 +69,7 @@ def keys_of(args: argparse.Namespace) -> Keys:
             None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file, accounts=accounts
         )
 
-    from glsplat.net.guard.certificate import holds, kept_certificate  # here: it loads what others do not need
+    from glsplat.extras.operations.certificate import holds, kept_certificate  # here: it loads what others do not need
 
     folder = state_folder()
     names = (*args.allow_host, *filter(holds, machine_names()), *reachable_at(args.host))

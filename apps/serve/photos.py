@@ -10,10 +10,10 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.models.catalogue import PHOTO
-from glsplat.models.store import path_of
+from glsplat.extras.authoring.models.catalogue import PHOTO
+from glsplat.extras.authoring.models.store import path_of
+from glsplat.extras.uploads.job import LowConfidenceError, Order, Progress, UploadConfig
 from glsplat.net.guard.access import is_loopback
-from glsplat.net.uploads.job import LowConfidenceError, Order, Progress, UploadConfig
 
 from ..usage import UsageError
 
@@ -49,10 +49,10 @@ def upload_config(args: argparse.Namespace) -> UploadConfig | None:
 def make_avatar(order: Order, progress: Progress) -> Avatar:
     """An avatar of the order's pictures. Raises LowConfidenceError for what the capture check finds, GlsplatError."""
     # here, in the process that does the work: the server itself needs none of this
-    from glsplat.authoring.photo.photo_file import Photo, photo_of
-    from glsplat.authoring.reconstruct.photos import check_photos, reconstruct, refuse
-    from glsplat.authoring.reconstruct.reconstructor import Options
     from glsplat.errors import CaptureError
+    from glsplat.extras.authoring.photo.photo_file import Photo, photo_of
+    from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruct, refuse
+    from glsplat.extras.authoring.reconstruct.reconstructor import Options
 
     def photo(side: str) -> Photo | None:
         if side not in order.pictures:

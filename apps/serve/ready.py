@@ -10,9 +10,9 @@ import webbrowser
 from dataclasses import dataclass, field
 from typing import TextIO
 
+from glsplat.extras.operations import qr
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.machine import machine_names, reachable_at
-from glsplat.net.pages import qr
 
 from .keys import Keys
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from glsplat.study.design import read_study
-from glsplat.study.plan import checked_plan, label
-from glsplat.study.serving.lead import KEYS, StudyLead
-from glsplat.study.serving.light import FULL
-from glsplat.study.serving.live import Live
+from glsplat.extras.study.design import read_study
+from glsplat.extras.study.plan import checked_plan, label
+from glsplat.extras.study.serving.lead import KEYS, StudyLead
+from glsplat.extras.study.serving.light import FULL
+from glsplat.extras.study.serving.live import Live
 
 from ..study.files import DEFAULT, avatar_files, data_of
 from ..usage import UsageError

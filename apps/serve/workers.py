@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from glsplat.net.workers.cluster import require_ray
-from glsplat.net.workers.options import Workers
+from glsplat.extras.workers.cluster import require_ray
+from glsplat.extras.workers.options import Workers
 
 from ..usage import UsageError
 

@@ -14,11 +14,11 @@ from typing import Any
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
+from glsplat.extras.study.analysis.analysis import Analysis, analyse
+from glsplat.extras.study.analysis.codebook import Codebook, Measure, item_answers, read_codebook, wide_items
+from glsplat.extras.study.analysis.reliability import Reliability, reliability
+from glsplat.extras.study.analysis.table import Table, read_rows, read_table
 from glsplat.io.files import replace_file
-from glsplat.study.analysis.analysis import Analysis, analyse
-from glsplat.study.analysis.codebook import Codebook, Measure, item_answers, read_codebook, wide_items
-from glsplat.study.analysis.reliability import Reliability, reliability
-from glsplat.study.analysis.table import Table, read_rows, read_table
 
 from ..args import natural
 from ..usage import UsageError

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from glsplat.study.analysis.analysis import Analysis
+from glsplat.extras.study.analysis.analysis import Analysis
 
 from ..figures import png_of
 

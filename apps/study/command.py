@@ -11,13 +11,13 @@ from pathlib import Path
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
+from glsplat.extras.study.design import Study, read_study
+from glsplat.extras.study.export import export
+from glsplat.extras.study.orders import cycle
+from glsplat.extras.study.plan import PLAN, Plan, checked_plan, label, make_plan, read_plan, write_plan
+from glsplat.extras.study.questionnaires import embedded
+from glsplat.extras.study.store import remove
 from glsplat.io.files import replace_file
-from glsplat.study.design import Study, read_study
-from glsplat.study.export import export
-from glsplat.study.orders import cycle
-from glsplat.study.plan import PLAN, Plan, checked_plan, label, make_plan, read_plan, write_plan
-from glsplat.study.questionnaires import embedded
-from glsplat.study.store import remove
 
 from ..usage import UsageError
 from .files import avatar_files, data_of
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 def new(args: argparse.Namespace) -> int:
     """Copy the example and the instruments."""
     folder: Path = args.folder
-    home = resources.files("glsplat.study")
+    home = resources.files("glsplat.extras.study")
     copies = {"study.toml": home / "examples" / "paper.toml"}
     copies |= {f"instruments/{name}.toml": home / "instruments" / f"{name}.toml" for name in embedded()}
     try:

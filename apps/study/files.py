@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from glsplat.study.design import Study
+from glsplat.extras.study.design import Study
 
 __all__ = ["DEFAULT", "avatar_files", "data_of"]
 

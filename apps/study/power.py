@@ -11,10 +11,10 @@ from typing import Any
 
 from tqdm import tqdm
 
-from glsplat.study.analysis.codebook import read_codebook
-from glsplat.study.analysis.power import Planned, Power, from_pilot, power
-from glsplat.study.analysis.table import read_table
-from glsplat.study.design import read_study
+from glsplat.extras.study.analysis.codebook import read_codebook
+from glsplat.extras.study.analysis.power import Planned, Power, from_pilot, power
+from glsplat.extras.study.analysis.table import read_table
+from glsplat.extras.study.design import read_study
 
 from ..args import natural
 from ..usage import UsageError

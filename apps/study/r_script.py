@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from itertools import combinations
 
-from glsplat.study.analysis.analysis import Analysis
+from glsplat.extras.study.analysis.analysis import Analysis
 
 __all__ = ["r_script"]
 

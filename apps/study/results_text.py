@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from glsplat.study.analysis.analysis import ALPHA, Analysis, EffectRow
-from glsplat.study.analysis.anova import Contrast
-from glsplat.study.analysis.effect_sizes import EffectSize
-from glsplat.study.analysis.plain import Omnibus
-from glsplat.study.analysis.reliability import Reliability
+from glsplat.extras.study.analysis.analysis import ALPHA, Analysis, EffectRow
+from glsplat.extras.study.analysis.anova import Contrast
+from glsplat.extras.study.analysis.effect_sizes import EffectSize
+from glsplat.extras.study.analysis.plain import Omnibus
+from glsplat.extras.study.analysis.reliability import Reliability
 
 __all__ = ["results_text"]
 

@@ -16,8 +16,8 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
-from glsplat.evaluate.tracking_rows import SOLVERS, Row, rows_of
-from glsplat.evaluate.tracking_score import WINDOW, mean_score
+from glsplat.extras.evaluate.tracking_rows import SOLVERS, Row, rows_of
+from glsplat.extras.evaluate.tracking_score import WINDOW, mean_score
 from glsplat.io.files import replace_file
 from glsplat.motion.loading import embedded_motions
 from glsplat.tracking.learned.network import load_network

@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.errors import PoseError
-from glsplat.evaluate.tracking_score import TrackingScore, score
+from glsplat.extras.evaluate.tracking_score import TrackingScore, score
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration, calibrate, found_size
 from glsplat.tracking.derive import (

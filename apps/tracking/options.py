@@ -7,7 +7,7 @@ import re
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.formats.person import read_skeleton
+from glsplat.extras.formats.person import read_skeleton
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording, replay

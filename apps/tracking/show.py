@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.evaluate.baseline import baseline
+from glsplat.extras.evaluate.baseline import baseline
 from glsplat.io.files import open_regular
 from glsplat.io.npz import array_names
 from glsplat.scene import Rigged

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from glsplat.errors import GlsplatError
+from glsplat.extras.accounts.users import ANY, User, new_user, read_users, write_users
 from glsplat.io.files import locked
-from glsplat.net.accounts.users import ANY, User, new_user, read_users, write_users
 
 from ..usage import UsageError
 

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.photo.photo_file import MOST_PIXELS
-from glsplat.authoring.video.film import each_frame, is_video
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.photo.photo_file import MOST_PIXELS
+from glsplat.extras.authoring.video.film import each_frame, is_video
+from glsplat.extras.watermark.detect import WINDOW, detect
+from glsplat.extras.watermark.keys import read_watermark
 from glsplat.io.files import open_regular
 from glsplat.net.guard.kept import WATERMARK, state_folder
-from glsplat.watermark.detect import WINDOW, detect
-from glsplat.watermark.keys import read_watermark
 
 from ..args import natural
 from ..usage import UsageError

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.consent.file import OnFile, on_file
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.web.write import web_file
+from glsplat.extras.browser.web_format.write import web_file
+from glsplat.extras.browser.web_shaders import programs_json
+from glsplat.extras.consent.file import OnFile, on_file
+from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.io.files import replace_file
 from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.motion.motion import Motion
-from glsplat.shaders.web import programs_json
 
 from ..args import load_avatar
 

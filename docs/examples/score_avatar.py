@@ -5,8 +5,8 @@ import sys
 import numpy as np
 
 import glsplat
-from glsplat.evaluate import SCORE_POSES, score
-from glsplat.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate import SCORE_POSES, score
+from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
 
 if len(sys.argv) < 3:
     sys.exit(__doc__)

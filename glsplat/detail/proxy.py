@@ -1,6 +1,6 @@
 """Proxy: a few points that stand for splats, so that how densely a view shows them is known in microseconds.
 
-Levels of detail are chosen by this density and measured at it (``glsplat.authoring.detail``), so that one rule is
+Levels of detail are chosen by this density and measured at it (``extras.authoring.detail``), so that one rule is
 behind both. It is the focal length in pixels over the depth in metres, taken together over what the view shows: each
 point counts by the pixels that it stands for, near ones count more, and what is out of view does not count. Nothing
 jumps: points fade at the picture's rim, and a point is as blurred as the splats around it are spread, so that an eye

@@ -10,7 +10,3 @@ from .registry import losses as losses
 from .registry import recognise as recognise
 from .registry import save as save
 from .registry import suffixes as suffixes
-from .sog.sog import load_sog as load_sog
-from .sog.sog import save_sog as save_sog
-from .splat import load_splat as load_splat
-from .splat import save_splat as save_splat

@@ -11,16 +11,16 @@ import numpy as np
 from glsplat.arrays import instance
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.compressed_ply import COMPRESSED_PLY
+from glsplat.extras.formats.compressed_ply import COMPRESSED_PLY
+from glsplat.extras.formats.ksplat import KSPLAT
+from glsplat.extras.formats.obj import OBJ
+from glsplat.extras.formats.person import PERSON
+from glsplat.extras.formats.sog.sog import SOG
+from glsplat.extras.formats.splat import SPLAT
+from glsplat.extras.formats.spz import SPZ
 from glsplat.formats.format import Format, Opened, opened
 from glsplat.formats.gltf.splats import GLB, GLTF
-from glsplat.formats.ksplat import KSPLAT
-from glsplat.formats.obj import OBJ
-from glsplat.formats.person import PERSON
 from glsplat.formats.ply import PLY
-from glsplat.formats.sog.sog import SOG
-from glsplat.formats.splat import SPLAT
-from glsplat.formats.spz import SPZ
 from glsplat.io.files import Source, name_of, naming, suffixes_of
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content

@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.motion.amass import read_amass
-from glsplat.motion.bvh import parse_acclaim, parse_bvh, skeleton_file
-from glsplat.motion.corrections import HELP, Corrections, split_corrections
-from glsplat.motion.fitted import body_of, fitted
-from glsplat.motion.gltf import read_animation
+from glsplat.extras.motions.amass import read_amass
+from glsplat.extras.motions.bvh import parse_acclaim, parse_bvh, skeleton_file
+from glsplat.extras.motions.corrections import HELP, Corrections, split_corrections
+from glsplat.extras.motions.fitted import body_of, fitted
+from glsplat.extras.motions.gltf import read_animation
+from glsplat.extras.motions.placed import grounded, turned
+from glsplat.extras.motions.retarget import retarget, stretched
 from glsplat.motion.kinds import KINDS, is_bvh, is_gltf, split_choice
 from glsplat.motion.motion import Motion
-from glsplat.motion.placed import grounded, turned
-from glsplat.motion.retarget import retarget, stretched
+from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 

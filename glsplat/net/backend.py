@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.formats.web.write import WebFile
+from glsplat.extras.browser.web_format.write import WebFile
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.fields import DEFAULT, PictureOptions
 from glsplat.net.messages import Request
@@ -18,8 +18,8 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
 if TYPE_CHECKING:
+    from glsplat.extras.watermark.mark import Watermark
     from glsplat.net.room_view import RoomView
-    from glsplat.watermark.mark import Watermark
 
 __all__ = ["AvatarInfo", "Backend", "Interruptible", "Placing", "PoseSolver", "RenderJob", "Rendered", "Solved"]
 

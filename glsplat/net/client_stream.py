@@ -24,7 +24,7 @@ from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.session import Session
 
 if TYPE_CHECKING:
-    from glsplat.net.codec.video import VideoStream
+    from glsplat.extras.far_links.video import VideoStream
     from glsplat.net.room_view import RoomView
 
 __all__ = ["ANYTHING", "ClientStream", "DatagramTransport", "Frame", "FrameObserver", "RoomMember"]

@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
+from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.net.client_stream import ClientStream, DatagramTransport, Frame
 from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Request
-from glsplat.net.poses.responder import PoseResponder
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn
 
 if TYPE_CHECKING:
-    from glsplat.net.workers.pool import WorkerPool
+    from glsplat.extras.workers.pool import WorkerPool
 
 __all__ = ["Conversation", "cut_off", "make_socket"]
 

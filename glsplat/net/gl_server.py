@@ -13,7 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.data import person
 from glsplat.errors import GlsplatError
-from glsplat.formats.web.write import web_file
+from glsplat.extras.browser.web_format.write import web_file
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.avatar_store import AvatarStore, WithPeople
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
@@ -26,18 +26,18 @@ from glsplat.net.server import Server
 from glsplat.net.standard_server import server_of
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
-from glsplat.skinning.rigs.driven import why_not_driven, why_not_tracked
+from glsplat.skinning.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solvers import SOLVERS, SolverName
 
 if TYPE_CHECKING:  # a plain server runs without these rooms: tests/test_alone.py
-    from glsplat.consent.policy import ConsentPolicy
-    from glsplat.net.face.feed import FaceFeed
-    from glsplat.net.uploads.job import UploadConfig
-    from glsplat.net.uploads.routes import Uploads
-    from glsplat.net.workers.options import Workers
-    from glsplat.net.workers.pool import WorkerPool
+    from glsplat.extras.consent.policy import ConsentPolicy
+    from glsplat.extras.speech.face.feed import FaceFeed
+    from glsplat.extras.uploads.job import UploadConfig
+    from glsplat.extras.uploads.routes import Uploads
+    from glsplat.extras.workers.options import Workers
+    from glsplat.extras.workers.pool import WorkerPool
 
 __all__ = ["SEATS", "make_server", "offered"]
 
@@ -146,7 +146,7 @@ def _people(
             log.info("%s", error)
             continue
         if consent is not None:
-            from glsplat.consent.file import OnFile
+            from glsplat.extras.consent.file import OnFile
 
             consent.add(name, [OnFile(nobody=True)])
         yield describe(name, avatar)
@@ -181,7 +181,7 @@ def _uploads(
     face: FaceFeed | None,
 ) -> tuple[Uploads, list[AvatarInfo]]:
     """What makes avatars, and what is offered of its folder; GlsplatError where a name there is ``taken``."""
-    from glsplat.net.uploads.routes import Uploads
+    from glsplat.extras.uploads.routes import Uploads
 
     def describe(one: str, avatar: Rigged) -> AvatarInfo:
         _checked({one: avatar}, "", rendering)
@@ -198,8 +198,8 @@ def _uploads(
 
 def _agreed(name: str, config: UploadConfig, consent: ConsentPolicy | None) -> bool:
     """Whether an avatar of the folder may be offered; what may not is said."""
-    from glsplat.consent.file import on_file
-    from glsplat.net.uploads.upload_store import SUFFIX
+    from glsplat.extras.consent.file import on_file
+    from glsplat.extras.uploads.upload_store import SUFFIX
 
     if consent is not None:
         path = config.folder / f"{name}{SUFFIX}"

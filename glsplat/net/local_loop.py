@@ -21,7 +21,7 @@ from glsplat.net.fields import PictureOptions
 from glsplat.net.render_loop import RenderLoop
 
 if TYPE_CHECKING:
-    from glsplat.net.codec.video import VideoStream
+    from glsplat.extras.far_links.video import VideoStream
 
 __all__ = ["LocalLoop", "encode"]
 
@@ -61,7 +61,7 @@ class LocalLoop(RenderLoop):
         """A client, as elsewhere; here it may have video."""
         channel = super().open(*args, **kwargs)
         if self.codecs:
-            from glsplat.net.codec.video import CODECS, VideoStream  # here: most servers have none
+            from glsplat.extras.far_links.video import CODECS, VideoStream  # here: most servers have none
 
             channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self.codecs})
         return channel
@@ -165,7 +165,7 @@ def encode(encoder: Encoder, rendered: Rendered, options: PictureOptions) -> Enc
 
 
 def _codecs() -> tuple[str, ...]:
-    from glsplat.net.codec.video import available  # here: it needs what most servers have not
+    from glsplat.extras.far_links.video import available  # here: it needs what most servers have not
 
     return available()
 

@@ -20,8 +20,8 @@ from glsplat.net.rights import Rights
 from glsplat.net.session import SessionConfig
 
 if TYPE_CHECKING:
-    from glsplat.consent.policy import ConsentPolicy
-    from glsplat.net.accounts.users import User
+    from glsplat.extras.accounts.users import User
+    from glsplat.extras.consent.policy import ConsentPolicy
 
 __all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "RoomError", "ServerConfig", "client_options"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from aiohttp import web
 
 if TYPE_CHECKING:
-    from glsplat.consent.policy import ConsentPolicy
-    from glsplat.net.accounts.users import Accounts, User
+    from glsplat.extras.accounts.users import Accounts, User
+    from glsplat.extras.consent.policy import ConsentPolicy
 
 __all__ = ["USER", "Rights", "Thing", "user_of"]
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from aiohttp import web
 
 from glsplat.errors import ProtocolError
+from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.client_stream import ClientStream
@@ -35,14 +36,13 @@ from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_opt
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.clients import client_fields
 from glsplat.net.pages.headers import set_headers
-from glsplat.net.poses.responder import PoseResponder
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
-    from glsplat.net.accounts.users import User
-    from glsplat.net.workers.pool import WorkerPool
+    from glsplat.extras.accounts.users import User
+    from glsplat.extras.workers.pool import WorkerPool
 
 __all__ = ["Server"]
 

@@ -13,14 +13,14 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from glsplat.errors import ProtocolError
+from glsplat.extras.far_links.link_control import LinkControl
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Arrival, Decoder, Request, error_text
-from glsplat.net.pace.link_control import LinkControl
 
 if TYPE_CHECKING:
+    from glsplat.extras.watermark.mark import Watermark, WatermarkKey
     from glsplat.net.pace.ladder import Rung
-    from glsplat.watermark.mark import Watermark, WatermarkKey
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 

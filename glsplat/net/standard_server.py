@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from glsplat.extras.browser.poses.splat_files import SplatFiles
+from glsplat.extras.operations.history import History
+from glsplat.extras.operations.previews import Previews
 from glsplat.net import server
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.feature import Feature
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.options import ServerConfig
-from glsplat.net.pages.history import History
-from glsplat.net.pages.previews import Previews
 from glsplat.net.pages.routes import Pages
-from glsplat.net.poses.splat_files import SplatFiles
 
 if TYPE_CHECKING:
-    from glsplat.net.workers.pool import WorkerPool
+    from glsplat.extras.workers.pool import WorkerPool
 
 __all__ = ["server_of"]
 
@@ -41,13 +41,13 @@ def server_of(
     splat_files = SplatFiles()
     standard: list[Feature] = [splat_files, Pages(history), Previews(history)]
     if config.rooms:
-        from glsplat.net.rooms.rooms import Rooms  # here: most servers have none
+        from glsplat.extras.rooms.rooms import Rooms  # here: most servers have none
 
         rooms = Rooms(config.rooms, config.furnished)
         splat_files.worn = rooms.worn_for
         standard.append(rooms)
     if config.webtransport:
-        from glsplat.net.datagrams.feature import Datagrams
+        from glsplat.extras.far_links.datagrams.feature import Datagrams
 
         standard.append(Datagrams(clock))
     return server.Server(Catalogue(offered), drawer, config, (*standard, *features), later)

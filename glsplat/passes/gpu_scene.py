@@ -252,7 +252,7 @@ class GpuScene:
         if self._config.cull_hidden is True and staged and not any(one.has_cones for one in staged):
             raise GlsplatError(
                 "cull_hidden needs splats with visibility cones, this scene has none; "
-                "make them (glsplat avatar cones, glsplat.authoring.cones.with_cones) or leave cull_hidden off"
+                "make them (glsplat avatar cones, glsplat.extras.authoring.cones.with_cones) or leave cull_hidden off"
             )
         buffers = [staged[i].get(level) for i, level in parts]
         self.arenas += 1

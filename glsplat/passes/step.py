@@ -40,7 +40,7 @@ def checked_step(step: ResolveStep | None, boxed: bool) -> ResolveStep | None:
         return None
     if not isinstance(getattr(step, "source", None), str) or not callable(getattr(step, "tile", None)):
         raise GlsplatError(
-            f"a step needs source and tile(), as a glsplat.watermark.mark.Watermark has, not {type(step).__name__}"
+            f"a step needs source and tile(), as glsplat.extras.watermark.Watermark has, not {type(step).__name__}"
         )
     if not boxed:
         raise GlsplatError("a step is drawn into 8-bit pictures; use RenderConfig(output='uint8')")

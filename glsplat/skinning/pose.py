@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import count, instance, own, plain, restored
 from glsplat.errors import PoseError
+from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.expression import checked_expression
-from glsplat.skinning.rigs.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS, SMPLX_NAMES
 

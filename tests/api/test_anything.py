@@ -25,7 +25,7 @@ from glsplat import (
     Skin,
     Splats,
 )
-from glsplat.evaluate.probe import Probe
+from glsplat.extras.evaluate.probe import Probe
 
 pytestmark = [pytest.mark.gl, pytest.mark.timeout(60)]
 

@@ -16,8 +16,8 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.client import Client
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.standard_server import server_of
+from tests.extras.workers.fakes import GUARD, until
 from tests.net.conftest import FakeBackend, eyes, serving
-from tests.net.workers.fakes import GUARD, until
 
 PAIR = eyes()
 

@@ -22,8 +22,8 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.tracking.calibration import Calibration
+from tests.extras.workers.fakes import GUARD
 from tests.net.conftest import FakeBackend, eyes, serving
-from tests.net.workers.fakes import GUARD
 
 PAIR = eyes()
 EYE = {"viewmat": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 2, 0, 0, 0, 1], "K": [50, 60, 31, 33]}

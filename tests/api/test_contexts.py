@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.evaluate.probe import Probe
+from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from tests import needs

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat.camera import Camera, look_at
-from glsplat.evaluate.probe import Probe
+from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import create_context
 from glsplat.passes.arena import Arena
 from glsplat.renderer import Renderer

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from glsplat.consent.keys import new_key, private_key
+from glsplat.extras.consent.keys import new_key, private_key
+from glsplat.extras.operations.certificate import kept_certificate
+from glsplat.extras.study.serving.lead import KEYS, secrets_of
+from glsplat.extras.watermark.keys import new_watermark, read_watermark, text_of
 from glsplat.io.secret_files import exposure
 from glsplat.net.guard.access import read_token, server_tls
-from glsplat.net.guard.certificate import kept_certificate
-from glsplat.study.serving.lead import KEYS, secrets_of
-from glsplat.watermark.keys import new_watermark, read_watermark, text_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="modes are POSIX's")
 

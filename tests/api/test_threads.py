@@ -20,8 +20,8 @@ import pytest
 from glsplat.config import RenderConfig
 from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError, PoseError
+from glsplat.extras.evaluate.mesh import MeshRenderer
 from glsplat.gl.context import create_context
-from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
 from glsplat.scene import Item
 from tests.api.current_context import GL, asked, nothing_current

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
+from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
 from glsplat.gl.context import Context
-from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose

@@ -8,10 +8,10 @@ import pytest
 
 import apps.cli as cli
 from apps.avatar.making import counts_of
-from glsplat.authoring.cones import ConeConfig
-from glsplat.authoring.detail.fitted import FittedConfig
-from glsplat.authoring.detail.measure import MeasureConfig
-from glsplat.authoring.optimize.pictures import ViewConfig
+from glsplat.extras.authoring.cones import ConeConfig
+from glsplat.extras.authoring.detail.fitted import FittedConfig
+from glsplat.extras.authoring.detail.measure import MeasureConfig
+from glsplat.extras.authoring.optimize.pictures import ViewConfig
 from glsplat.formats import FORMATS, load, save
 from tests.formats.scenes import random_avatar
 from tests.scene.people import boxes, save_person

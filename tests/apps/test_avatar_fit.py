@@ -12,18 +12,18 @@ import pytest
 
 import apps.cli as cli
 from apps.avatar import making as made
-from glsplat.authoring.detail import make as making
-from glsplat.authoring.detail.fitted import FittedConfig
-from glsplat.authoring.detail.merge import merged
-from glsplat.authoring.optimize.compiled import MISSING
-from glsplat.authoring.posed import posed_splats
 from glsplat.avatar import Avatar
+from glsplat.extras.authoring.detail import make as making
+from glsplat.extras.authoring.detail.fitted import FittedConfig
+from glsplat.extras.authoring.detail.merge import merged
+from glsplat.extras.authoring.optimize.compiled import MISSING
+from glsplat.extras.authoring.posed import posed_splats
 from glsplat.formats import load, save
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level
-from tests.authoring.gltf.built import FAMILIES, build
-from tests.authoring.optimize.without import without_numba
-from tests.authoring.reconstruct.stubs import small_avatar
+from tests.extras.authoring.gltf.built import FAMILIES, build
+from tests.extras.authoring.optimize.without import without_numba
+from tests.extras.authoring.reconstruct.stubs import small_avatar
 from tests.scenes import cloud
 
 

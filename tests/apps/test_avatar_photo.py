@@ -16,20 +16,20 @@ from apps.avatar import photo as photo_module
 from apps.avatar import photo_folder
 from apps.serve import command as serve
 from apps.serve.agreed import policy_of
-from glsplat.authoring.cones import ConeConfig
-from glsplat.authoring.photo.capture import Finding
-from glsplat.authoring.reconstruct import mesh_from_photos, registry
-from glsplat.consent.file import on_file
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import CaptureError, FormatError, GlsplatError
+from glsplat.extras.authoring.cones import ConeConfig
+from glsplat.extras.authoring.models import store
+from glsplat.extras.authoring.photo.capture import Finding
+from glsplat.extras.authoring.reconstruct import mesh_from_photos, registry
+from glsplat.extras.consent.file import on_file
+from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.formats import load
 from glsplat.meshes import RiggedMesh
-from glsplat.models import store
 from glsplat.net.guard.kept import known_key, state_folder
 from tests.apps.cli import parsed
-from tests.authoring.reconstruct.stubs import Meshed, Plain, replace_check
+from tests.extras.authoring.reconstruct.stubs import Meshed, Plain, replace_check
 
-STUBS = "tests.authoring.reconstruct.stubs"
+STUBS = "tests.extras.authoring.reconstruct.stubs"
 ARMS = Finding("arms", "an arm lies against the body")
 
 
@@ -132,7 +132,7 @@ def test_a_body_that_does_not_fit_leaves_the_whole_sheet(seen, front, tmp_path, 
 
 def test_missing_networks_are_one_line(front, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path / "none"))
-    from glsplat.authoring.networks.network import network
+    from glsplat.extras.authoring.networks.network import network
 
     network.cache_clear()
     assert photo(front, "-o", tmp_path / "me.glb") == 1

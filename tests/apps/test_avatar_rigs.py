@@ -11,12 +11,12 @@ import pytest
 
 from apps.cli import main
 from glsplat.avatar import Avatar
+from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.formats import load
-from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.authoring.gltf.built import FAMILIES, Family, build
+from tests.extras.authoring.gltf.built import FAMILIES, Family, build
 
 pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("quickly_made")]
 

@@ -12,11 +12,11 @@ import pytest
 
 import apps.avatar.video as video
 import apps.cli as cli
-from glsplat.authoring.fit.body import open_body
 from glsplat.data import default_avatar
 from glsplat.errors import CaptureError
+from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.formats import load
-from glsplat.formats.gltf.meshes.reader import read_gltf_person
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS

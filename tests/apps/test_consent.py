@@ -12,10 +12,10 @@ import pytest
 from apps.args import open_scene
 from apps.serve import command as serve
 from apps.serve.agreed import policy_of
-from glsplat.consent.file import on_file
-from glsplat.consent.keys import public_key
 from glsplat.data import embedded_file
 from glsplat.errors import GlsplatError
+from glsplat.extras.consent.file import on_file
+from glsplat.extras.consent.keys import public_key
 from glsplat.formats import save
 from tests.apps.cli import parsed, run
 from tests.scenes import limb

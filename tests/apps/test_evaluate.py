@@ -14,11 +14,11 @@ from apps.evaluate import command, plots, ready
 from glsplat import data
 from glsplat.data import participants_folder
 from glsplat.errors import GlsplatError
-from glsplat.evaluate.comparison import measure
-from glsplat.evaluate.comparison.work import work
-from glsplat.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.comparison import measure
+from glsplat.extras.evaluate.comparison.work import work
+from glsplat.extras.evaluate.metrics.lpips import Lpips
 from tests.apps.cli import mistake
-from tests.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
+from tests.extras.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
 
 QUICK = ["--views", "front", "--poses", "standing", "--size", "64", "--light", "none", "--jobs", "1", "--no-timing"]
 

@@ -14,11 +14,11 @@ import pytest
 from apps import cli
 from apps.avatar import detail
 from glsplat import reference
-from glsplat.authoring.detail.measure import MeasureConfig
 from glsplat.avatar import Avatar
+from glsplat.extras.authoring.detail.measure import MeasureConfig
+from glsplat.extras.rigs.meshes.reader import read_gltf_person
+from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import load, save
-from glsplat.formats.gltf.meshes.reader import read_gltf_person
-from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats

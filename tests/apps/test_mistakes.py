@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from apps import cli
-from glsplat.authoring.reconstruct import registry
+from glsplat.extras.authoring.reconstruct import registry
 from glsplat.formats import save
 from tests.apps.cli import mistake
-from tests.authoring.reconstruct.stubs import replace_check
+from tests.extras.authoring.reconstruct.stubs import replace_check
+from tests.extras.study.designs import SMALL, write
 from tests.formats.scenes import splats_with_levels
 from tests.scene.people import boxes, save_person
 from tests.scenes import camera, cloud, limb
 from tests.skinning.faces import expressive
-from tests.study.designs import SMALL, write
 
-SPOKEN = Path(__file__).parents[1] / "speech" / "data" / "balloon.wav"
+SPOKEN = Path(__file__).parents[1] / "extras" / "speech" / "data" / "balloon.wav"
 LACKS = "no joint for head, left_hip, right_hip, left_knee, right_knee, left_shoulder, right_shoulder, left_elbow, "
 
 # a command line in an empty folder beside "in", and what its one line says
@@ -279,8 +279,8 @@ def here(given: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir(exist_ok=True)
     monkeypatch.chdir(folder)
     monkeypatch.delenv("GLSPLAT_LHM", raising=False)
-    monkeypatch.setitem(registry.OWN, "builtin", "tests.authoring.reconstruct.stubs:Detailed")
-    monkeypatch.setitem(registry.OWN, "other", "tests.authoring.reconstruct.stubs:Plain")
+    monkeypatch.setitem(registry.OWN, "builtin", "tests.extras.authoring.reconstruct.stubs:Detailed")
+    monkeypatch.setitem(registry.OWN, "other", "tests.extras.authoring.reconstruct.stubs:Plain")
     replace_check(monkeypatch)
     return folder
 

@@ -11,7 +11,7 @@ import pytest
 
 import glsplat
 from apps import cli
-from glsplat.formats.web.read import decode_avatar
+from glsplat.extras.browser.web_format.read import decode_avatar
 from tests.scenes import cloud, limb
 
 

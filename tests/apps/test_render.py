@@ -11,9 +11,9 @@ import pytest
 
 from apps.cli import joined, main
 from glsplat import reference
+from glsplat.extras.speech.sound import Sound, read_wav, wav_bytes
 from glsplat.formats import save
 from glsplat.skinning.pose import Pose
-from glsplat.speech.sound import Sound, read_wav, wav_bytes
 from tests.apps.cli import mistake
 from tests.compare import assert_contract
 from tests.scenes import camera, cloud, eyes, limb, one_splat
@@ -105,7 +105,7 @@ def test_a_point_may_begin_with_a_minus(scene: Path, tmp_path: Path, capsys: pyt
     assert joined(["-o", "-1.png", "--json", "--size", "8", "-2"]) == ["-o", "-1.png", "--json", "--size", "8", "-2"]
 
 
-SPOKEN = Path(__file__).parents[1] / "speech" / "data" / "balloon.wav"
+SPOKEN = Path(__file__).parents[1] / "extras" / "speech" / "data" / "balloon.wav"
 
 
 @pytest.fixture

@@ -18,16 +18,16 @@ from apps.replay.streaming import STAGES
 from apps.report import command as report
 from apps.report import latency as report_latency
 from glsplat.errors import GlsplatError
-from glsplat.evaluate import subjects as report_subjects
-from glsplat.evaluate.knobs import settings_of
-from glsplat.evaluate.sections import growth as report_growth
-from glsplat.evaluate.sections.growth import Grid
-from glsplat.evaluate.sections.left_out import features_of, left_out
-from glsplat.evaluate.stability import frame as report_stability
-from glsplat.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case
-from glsplat.evaluate.stability.skin import skin_cases
-from glsplat.evaluate.stability.tracking import tracking_cases
-from glsplat.evaluate.subjects import Subject
+from glsplat.extras.evaluate import subjects as report_subjects
+from glsplat.extras.evaluate.knobs import settings_of
+from glsplat.extras.evaluate.sections import growth as report_growth
+from glsplat.extras.evaluate.sections.growth import Grid
+from glsplat.extras.evaluate.sections.left_out import features_of, left_out
+from glsplat.extras.evaluate.stability import frame as report_stability
+from glsplat.extras.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case
+from glsplat.extras.evaluate.stability.skin import skin_cases
+from glsplat.extras.evaluate.stability.tracking import tracking_cases
+from glsplat.extras.evaluate.subjects import Subject
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from tests.scenes import cloud, limb, one_splat

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from apps.cli import main
-from glsplat.study.plan import label
-from glsplat.study.store import Store
-from tests.study.designs import SMALL, write
-from tests.study.test_session import Walk
+from glsplat.extras.study.plan import label
+from glsplat.extras.study.store import Store
+from tests.extras.study.designs import SMALL, write
+from tests.extras.study.test_session import Walk
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,8 +13,8 @@ import pytest
 from apps import cli
 from apps.tracking.bench import table
 from apps.tracking.show import BONE, NAIVE, TRUE
-from glsplat.evaluate.tracking_rows import Row
-from glsplat.evaluate.tracking_score import TrackingScore
+from glsplat.extras.evaluate.tracking_rows import Row
+from glsplat.extras.evaluate.tracking_score import TrackingScore
 from glsplat.tracking.learned.network import load_network
 
 nan = float("nan")

@@ -16,9 +16,9 @@ from apps.clip import Clip
 from apps.serve import command as serve
 from apps.serve.keys import watermark_of
 from glsplat.errors import GlsplatError
+from glsplat.extras.watermark.keys import text_of
+from glsplat.extras.watermark.mark import Watermark, WatermarkKey, marked
 from glsplat.net.guard.kept import WATERMARK, kept_watermark, state_folder
-from glsplat.watermark.keys import text_of
-from glsplat.watermark.mark import Watermark, WatermarkKey, marked
 from tests.apps.cli import mistake, parsed
 
 OWNER = WatermarkKey(0x1A2B, b"sixteen bytes 01")

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.net.pages.qr import svg
+from glsplat.extras.operations.qr import svg
 from tests.browser.flat_page import flat_page
 
 NAMED = "button, select, input, canvas, summary, a, details, section, aside, form"

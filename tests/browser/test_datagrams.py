@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
-from glsplat.net.datagrams import way
-from glsplat.net.datagrams.path import DatagramPath
-from glsplat.net.datagrams.udp import UdpSocket
+from glsplat.extras.far_links.datagrams import way
+from glsplat.extras.far_links.datagrams.path import DatagramPath
+from glsplat.extras.far_links.datagrams.udp import UdpSocket
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.browser.conftest import OpenPage

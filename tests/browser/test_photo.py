@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 from glsplat.avatar import Avatar
+from glsplat.extras.uploads.job import UploadConfig
+from glsplat.extras.uploads.routes import Uploads
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.standard_server import server_of
-from glsplat.net.uploads.job import UploadConfig
-from glsplat.net.uploads.routes import Uploads
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import as_tracked
 from tests.browser.opened import Opened
 from tests.browser.stored import StoredPairs
 from tests.browser.vr import visit
-from tests.net.uploads.makers import make
+from tests.extras.uploads.makers import make
 
 OFFERED = (AvatarInfo(name="stored", solver=as_tracked, height=1.75, parts=frozenset({"head"})),)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera
+from glsplat.extras.rooms.rooms import Rooms
 from glsplat.net.backend import AvatarInfo, RenderJob
-from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES

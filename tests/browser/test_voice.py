@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.consent.file import OnFile
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import default_avatar
+from glsplat.extras.consent.file import OnFile
+from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.extras.speech.analysis import Analysis
+from glsplat.extras.speech.mouth import Mouth
+from glsplat.extras.speech.sound import Sound, wav_bytes
+from glsplat.extras.speech.table import table, table_json
 from glsplat.net.gl_server import make_server
 from glsplat.net.options import ServerConfig
 from glsplat.skinning.expression import ARKIT
-from glsplat.speech.analysis import Analysis
-from glsplat.speech.mouth import Mouth
-from glsplat.speech.sound import Sound, wav_bytes
-from glsplat.speech.table import table, table_json
 from tests import needs
 from tests.browser.conftest import _FLAGS, OpenPage
 from tests.browser.flat_page import flat_page
 from tests.browser.markers import Markers, offered, samples
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 from tests.browser.vr import enter, settings, visit
-from tests.speech.sounds import vowels
+from tests.extras.speech.sounds import vowels
 
 MAIN = """
 import { ARKIT } from '/vr/draw/crowd.js';

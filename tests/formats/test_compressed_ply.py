@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.morton import morton_order
 from glsplat.formats import load, load_ply, losses, recognise, save
-from glsplat.formats.morton import morton_order
 from glsplat.splats import Splats
 from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats
 from tests.formats.test_contract import refused

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.fidelity import read_back
 from glsplat.formats import FORMATS, Format, load, losses, recognise, save
-from glsplat.formats.fidelity import read_back
 from glsplat.splats import Splats
 from tests.formats.ksplats import ksplat
 from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats

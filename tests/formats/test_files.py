@@ -20,7 +20,8 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load, load_gltf, load_ply, load_splat, save
+from glsplat.extras.formats.splat import load_splat
+from glsplat.formats import load, load_gltf, load_ply, save
 from glsplat.io.files import replace_file
 from glsplat.splats import Splats
 from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
@@ -413,14 +414,14 @@ def test_files_of_two_gigabytes_of_nothing_are_refused_without_reading_them(tmp_
         os.truncate(tmp_path / name, SIZE)
         assert (tmp_path / name).stat().st_blocks * 512 < 16 << 20  # a hole indeed
     script = (
-        "import resource, sys, glsplat, glsplat.formats as formats\n"
+        "import resource, sys, glsplat\nfrom glsplat.extras.formats.splat import load_splat\n"
         "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10\n"
         "def taken(): return int(open('/proc/self/io').readline().split()[1]) >> 20\n"  # by read(2)
         "before = peak()\n"
         "for name in sys.argv[1:]:\n"
         "    start = taken()\n"
         "    for source in (name, open(name, 'rb')):\n"
-        "        for reader in (glsplat.load, *([formats.load_splat] if '.splat' in name else ())):\n"
+        "        for reader in (glsplat.load, *([load_splat] if '.splat' in name else ())):\n"
         "            if not isinstance(source, str): source.seek(0)\n"
         "            try: reader(source); print(name, 'loaded')\n"
         "            except glsplat.GlsplatError as error: assert chr(10) not in str(error)\n"

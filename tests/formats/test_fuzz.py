@@ -19,8 +19,9 @@ from hypothesis import strategies as st
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load, load_gltf, load_ply, load_splat, save
-from glsplat.formats.spz import load_spz
+from glsplat.extras.formats.splat import load_splat
+from glsplat.extras.formats.spz import load_spz
+from glsplat.formats import load, load_gltf, load_ply, save
 from glsplat.splats import Splats
 from tests.formats.ksplats import ksplat
 from tests.formats.scenes import (

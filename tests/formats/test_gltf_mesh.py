@@ -15,10 +15,10 @@ import trimesh
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import participants_folder
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.meshes.reader import read_gltf_person
-from glsplat.formats.gltf.meshes.write import save_gltf_mesh
-from glsplat.formats.person import read_person
-from glsplat.mesh import MeshRenderer
+from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.formats.person import read_person
+from glsplat.extras.rigs.meshes.reader import read_gltf_person
+from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.scenes import load
 from glsplat.skinning.pose import Pose

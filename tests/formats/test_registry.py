@@ -12,9 +12,9 @@ import pytest
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
+from glsplat.extras.formats.fidelity import fidelity, read_back
 from glsplat.formats import Format, load, losses, recognise, save, suffixes
 from glsplat.formats import registry as formats
-from glsplat.formats.fidelity import fidelity, read_back
 from glsplat.formats.format import Opened
 from glsplat.io.files import Source, replace_file
 from glsplat.skinning.skeleton import Skeleton

@@ -21,10 +21,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
-from glsplat.formats import load, load_sog, losses, recognise, save, save_sog
-from glsplat.formats.sog.codebook import codebook
-from glsplat.formats.sog.palette import palette, palette_size
-from glsplat.formats.sog.write import stored_order
+from glsplat.extras.formats.sog.codebook import codebook
+from glsplat.extras.formats.sog.palette import palette, palette_size
+from glsplat.extras.formats.sog.sog import load_sog, save_sog
+from glsplat.extras.formats.sog.write import stored_order
+from glsplat.formats import load, losses, recognise, save
 from glsplat.splats import Splats
 from tests.formats.scenes import SHARED_DATA, assert_equal, awkward_splats, random_avatar, random_splats
 from tests.formats.sog_files import by_hand, pack, webp, zipped

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.spz import load_spz, read_spz, save_spz
+from glsplat.extras.formats.spz_packing import position_bits
 from glsplat.formats import load, load_gltf, losses
-from glsplat.formats.spz import load_spz, read_spz, save_spz
-from glsplat.formats.spz_packing import position_bits
 from glsplat.formats.transform import transformed
 from glsplat.splats import Splats
 from tests.formats import test_contract as contract

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from apps.serve.rooms import lit_rooms
-from glsplat.authoring.visibility import sphere
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.visibility import sphere
 from glsplat.light.light import Light
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.room import RoomRenderer

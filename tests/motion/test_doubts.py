@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from apps.args import motion_of
 from glsplat.errors import PoseError
-from glsplat.motion.corrections import Corrections, split_corrections
-from glsplat.motion.doubts import doubt
+from glsplat.extras.motions.corrections import Corrections, split_corrections
+from glsplat.extras.motions.doubts import doubt
 from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton

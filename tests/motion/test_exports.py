@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from glsplat.motion.bvh import parse_bvh
+from glsplat.extras.motions.bvh import parse_bvh
 from glsplat.motion.loading import load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton

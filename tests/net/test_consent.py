@@ -7,18 +7,18 @@ from dataclasses import replace
 import aiohttp
 import pytest
 
-from glsplat.consent.document import Consent
-from glsplat.consent.file import OnFile
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.errors import ProtocolError
+from glsplat.extras.accounts.users import Accounts, new_user, write_users
+from glsplat.extras.consent.document import Consent
+from glsplat.extras.consent.file import OnFile
+from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.net import rights
-from glsplat.net.accounts.users import Accounts, new_user, write_users
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
-from tests.net.accounts.test_accounts import WS
+from tests.extras.accounts.test_accounts import WS
 from tests.net.wire import until
 from tests.scenes import limb
 

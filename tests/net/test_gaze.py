@@ -11,11 +11,11 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
+from glsplat.extras.rooms.member import Member
+from glsplat.extras.rooms.room import Room
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.fields import MOST_FACES
 from glsplat.net.messages import Decoder, Request, eye_fields
-from glsplat.net.rooms.member import Member
-from glsplat.net.rooms.room import Room
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration

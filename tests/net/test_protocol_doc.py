@@ -11,8 +11,8 @@ import aiohttp
 import numpy as np
 import simplejpeg
 
+from glsplat.extras.uploads.job import Job
 from glsplat.net.messages import Decoder
-from glsplat.net.uploads.job import Job
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS, POSE_KEYS
 from glsplat.tracking.sample import HAND_JOINTS
 from tests.net.wire import HANG

@@ -23,7 +23,7 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.standard_server import server_of
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
-from tests.net.accounts.test_accounts import WS
+from tests.extras.accounts.test_accounts import WS
 from tests.net.conftest import FakeBackend, eyes, serving
 from tests.net.pace.contested import Contested, contest
 from tests.net.wire import HANG, until

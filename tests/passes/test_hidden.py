@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat import reference
-from glsplat.authoring.cones import ConeConfig, hidden, with_cones
-from glsplat.authoring.posed import posed_splats
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.extras.authoring.cones import ConeConfig, hidden, with_cones
+from glsplat.extras.authoring.posed import posed_splats
 from glsplat.gl.context import Context
 from glsplat.passes.present import Layout, Present
 from glsplat.renderer import Renderer

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
+from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
 from glsplat.gl.context import Context
-from glsplat.mesh import MeshConfig, MeshRenderer
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat import reference
-from glsplat.authoring.raster import mesh_picture_and_depth
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
+from glsplat.extras.authoring.raster import mesh_picture_and_depth
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Scene
 from glsplat.skinning.pose import Pose

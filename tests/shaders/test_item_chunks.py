@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from glsplat import reference
-from glsplat.authoring.cones import hidden
 from glsplat.camera import look_at, stereo_cameras
 from glsplat.config import RenderConfig
+from glsplat.extras.authoring.cones import hidden
+from glsplat.extras.watermark.mark import Watermark, marked
+from glsplat.extras.watermark.pattern import TILE
 from glsplat.gl.context import Context
 from glsplat.light import Light, Surface
 from glsplat.passes.block import FrameBlock, frame_dtype
@@ -20,8 +22,6 @@ from glsplat.scene import similarity
 from glsplat.shaders import SkinVariant, Variant
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-from glsplat.watermark.mark import Watermark, marked
-from glsplat.watermark.pattern import TILE
 from tests.glsl import run_chunk
 from tests.skinning.faces import random_shapes
 

@@ -7,10 +7,10 @@ import json
 import pytest
 
 from glsplat.errors import ShaderError
+from glsplat.extras.browser.web_shaders import page_programs, page_variants
 from glsplat.shaders import ResolveVariant, SkinVariant, Variant, flatten
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS, MAX_VIEWS, ROW_BITS, TARGETS
-from glsplat.shaders.web import page_programs, page_variants
 
 
 def put_together(table: dict, name: str, number: int) -> str:

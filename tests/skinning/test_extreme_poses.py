@@ -15,10 +15,10 @@ from glsplat.arrays import restored
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
+from glsplat.extras.rigs.humanoid import upright
+from glsplat.extras.rigs.match import RigMap
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from glsplat.skinning.rigs.humanoid import upright
-from glsplat.skinning.rigs.match import RigMap
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from tests.scenes import camera

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.skinning.rigs.driven import why_not_driven
-from glsplat.skinning.rigs.match import match_rig
-from glsplat.skinning.rigs.words import word_of, words_of
+from glsplat.extras.rigs.match import match_rig
+from glsplat.extras.rigs.words import word_of, words_of
+from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 

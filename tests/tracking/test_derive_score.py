@@ -7,8 +7,8 @@ import pytest
 
 from glsplat.camera import head_matrix
 from glsplat.errors import PoseError
-from glsplat.evaluate.baseline import baseline
-from glsplat.evaluate.tracking_score import mean_score, score
+from glsplat.extras.evaluate.baseline import baseline
+from glsplat.extras.evaluate.tracking_score import mean_score, score
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.derive import Disturbance, TrueMotion, derive, disturb, truth_from_motion

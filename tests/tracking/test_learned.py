@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.evaluate.tracking_score import TrackingScore, mean_score, score
+from glsplat.extras.evaluate.tracking_score import TrackingScore, mean_score, score
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker

@@ -11,6 +11,22 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
+from glsplat.extras.training.disturbed import disturbed
+from glsplat.extras.training.fit import (
+    MADE,
+    Lesson,
+    TrainingConfig,
+    _seen_from,
+    evaluate,
+    features,
+    fit,
+    lessons_of,
+    loss,
+    shares_of,
+)
+from glsplat.extras.training.recurrent import Learner, started
+from glsplat.extras.training.standing import TALL, stances_of, stood
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.batch import forward_all, resample
@@ -25,22 +41,6 @@ from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
-from glsplat.tracking.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
-from glsplat.tracking.training.disturbed import disturbed
-from glsplat.tracking.training.fit import (
-    MADE,
-    Lesson,
-    TrainingConfig,
-    _seen_from,
-    evaluate,
-    features,
-    fit,
-    lessons_of,
-    loss,
-    shares_of,
-)
-from glsplat.tracking.training.recurrent import Learner, started
-from glsplat.tracking.training.standing import TALL, stances_of, stood
 
 F32 = NDArray[np.float32]
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.evaluate.tracking_score import TrackingScore, score
+from glsplat.extras.evaluate.tracking_score import TrackingScore, score
 from glsplat.motion.loading import load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton

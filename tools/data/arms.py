@@ -1,4 +1,4 @@
-"""Makes the mixture of how people hold their arms (glsplat/authoring/fit/arm_mixture.json) from captured motion.
+"""Makes the mixture of how people hold their arms (glsplat/extras/authoring/fit/arm_mixture.json) from captured motion.
 
     python -m tools.data.arms FOLDER OUT.json
 
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.fit.standing.arms import ArmMixture
+from glsplat.extras.authoring.fit.standing.arms import ArmMixture
 from glsplat.rotations import quaternion_matrices
 
 __all__ = ["arms_of", "learned", "with_others", "write_mixture"]

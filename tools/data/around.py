@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.authoring.optimize.fit import FitConfig, fitted
-from glsplat.authoring.optimize.pictures import ViewConfig, pictures_of
-from glsplat.authoring.visibility import HEAD
 from glsplat.avatar import Avatar
+from glsplat.extras.authoring.optimize.fit import FitConfig, fitted
+from glsplat.extras.authoring.optimize.pictures import ViewConfig, pictures_of
+from glsplat.extras.authoring.visibility import HEAD
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 

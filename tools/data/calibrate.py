@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from glsplat.authoring.fit.body import Body
-from glsplat.authoring.fit.face import FacePlaces
-from glsplat.authoring.fit.hands import CARRIERS, HandPlaces
-from glsplat.authoring.fit.kinematics import projected
-from glsplat.authoring.fit.landmarks import LANDMARKS, Landmarks, twin
+from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.fit.face import FacePlaces
+from glsplat.extras.authoring.fit.hands import CARRIERS, HandPlaces
+from glsplat.extras.authoring.fit.kinematics import projected
+from glsplat.extras.authoring.fit.landmarks import LANDMARKS, Landmarks, twin
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = [

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.speech.speaking import Speaking
 from glsplat.skinning.expression import arkit_name
-from glsplat.speech.speaking import Speaking
 from tools.data.spoken import DEVELOPED, SET_ASIDE
 from tools.data.visemes import visemes_of
 from tools.data.voices import Said, espeak, flite

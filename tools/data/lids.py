@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from glsplat.authoring.faces.blinks import BLINKS
+from glsplat.extras.authoring.faces.blinks import BLINKS
 from glsplat.meshes import RiggedMesh
 
 __all__ = ["even_lids", "lid_corners"]

@@ -25,18 +25,18 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from apps.avatar.writing import progress_bar
-from glsplat.authoring.cones import with_cones, worth_cones
-from glsplat.authoring.detail.make import with_levels
-from glsplat.authoring.faces.blinks import BACK, BLINKS
-from glsplat.authoring.faces.carry import carried
-from glsplat.authoring.faces.eyeballs import eye_texture
-from glsplat.authoring.faces.trimmings import GLINT, LASH, STRAND, VEIL, with_strands
-from glsplat.authoring.importers import nearest_on
-from glsplat.authoring.light.surfaces import with_surface
-from glsplat.authoring.posed import posed_splats
-from glsplat.authoring.visibility import EYES
 from glsplat.avatar import Avatar
-from glsplat.formats.person import read_person
+from glsplat.extras.authoring.cones import with_cones, worth_cones
+from glsplat.extras.authoring.detail.make import with_levels
+from glsplat.extras.authoring.faces.blinks import BACK, BLINKS
+from glsplat.extras.authoring.faces.carry import carried
+from glsplat.extras.authoring.faces.eyeballs import eye_texture
+from glsplat.extras.authoring.faces.trimmings import GLINT, LASH, STRAND, VEIL, with_strands
+from glsplat.extras.authoring.importers import nearest_on
+from glsplat.extras.authoring.light.surfaces import with_surface
+from glsplat.extras.authoring.posed import posed_splats
+from glsplat.extras.authoring.visibility import EYES
+from glsplat.extras.formats.person import read_person
 from glsplat.formats.registry import load_splats, save
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose

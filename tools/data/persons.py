@@ -16,21 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from apps.avatar.writing import progress_bar
-from glsplat.authoring.cells import SamplerConfig
-from glsplat.authoring.cones import with_cones, worth_cones
-from glsplat.authoring.detail.make import with_levels
-from glsplat.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
-from glsplat.authoring.faces.eyeballs import eyeballs, with_eyeballs
-from glsplat.authoring.faces.open_face import matched, with_expressions, with_mouth
-from glsplat.authoring.faces.openings import openings
-from glsplat.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
-from glsplat.authoring.light.surfaces import with_surface
-from glsplat.authoring.optimize.mesh import fitted_to_mesh
-from glsplat.authoring.surface import make_avatar
-from glsplat.authoring.visibility import EYES
 from glsplat.avatar import Avatar
+from glsplat.extras.authoring.cells import SamplerConfig
+from glsplat.extras.authoring.cones import with_cones, worth_cones
+from glsplat.extras.authoring.detail.make import with_levels
+from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
+from glsplat.extras.authoring.faces.eyeballs import eyeballs, with_eyeballs
+from glsplat.extras.authoring.faces.open_face import matched, with_expressions, with_mouth
+from glsplat.extras.authoring.faces.openings import openings
+from glsplat.extras.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
+from glsplat.extras.authoring.light.surfaces import with_surface
+from glsplat.extras.authoring.optimize.mesh import fitted_to_mesh
+from glsplat.extras.authoring.surface import make_avatar
+from glsplat.extras.authoring.visibility import EYES
+from glsplat.extras.formats.person import read_person
 from glsplat.formats.gltf.morphs import SHORT
-from glsplat.formats.person import read_person
 from glsplat.formats.registry import save
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.expression import ARKIT

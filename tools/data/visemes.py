@@ -1,4 +1,4 @@
-"""glsplat/speech/visemes.json: how visemes look, chosen by hand, and the network that hears them, learned here.
+"""glsplat/extras/speech/visemes.json: how visemes look, chosen by hand, and the network that hears them, learned here.
 
     python -m tools.data.visemes            # ten minutes; needs espeak-ng and flite
 
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from glsplat.speech.cepstra import Cepstra
-from glsplat.speech.table import Framing
+from glsplat.extras.speech.cepstra import Cepstra
+from glsplat.extras.speech.table import Framing
 from tools.data.spoken import DEVELOPED, LEARNED
 from tools.data.voices import Said, espeak, flite
 
@@ -186,5 +186,5 @@ def table_of(net: list[F32]) -> dict[str, Any]:
 if __name__ == "__main__":
     generator = np.random.default_rng(36)
     made = table_of(learned(*examples(generator), generator))
-    with resources.as_file(resources.files("glsplat.speech") / "visemes.json") as path:
+    with resources.as_file(resources.files("glsplat.extras.speech") / "visemes.json") as path:
         Path(path).write_text(json.dumps(made, separators=(",", ":")) + "\n", encoding="utf-8")

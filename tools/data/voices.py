@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.speech.sound import Sound, read_wav
+from glsplat.extras.speech.sound import Sound, read_wav
 
 __all__ = ["Said", "espeak", "flite"]
 

@@ -21,10 +21,10 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.data import person
-from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose
-from glsplat.evaluate.avatar_score import score
-from glsplat.formats.person import read_person
-from glsplat.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.avatar_poses import SCORE_POSES, score_pose
+from glsplat.extras.evaluate.avatar_score import score
+from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.formats.person import read_person
 from glsplat.meshes import RiggedMesh
 from tools.data.persons import PEOPLE, furnished
 

@@ -132,7 +132,7 @@ def tables(found: Mapping[str, Any]) -> Iterator[Table]:
     yield "sides", about, along(found, "view", "views", ("psnr", "lpips"))
     about = "PSNR and SSIM of the part's own pixels under the true pose."
     yield "parts", about, along(found, "part", "parts", ("psnr", "ssim"))
-    about = "Under the true pose; `glsplat.evaluate.statistics`, Holm's correction."
+    about = "Under the true pose; `glsplat.extras.evaluate.statistics`, Holm's correction."
     yield "pairs", about, pairs(found)
     yield "made", "Making one avatar: medians of one core beside another job.", made(found)
     if found["timing"]:

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.evaluate.comparison.control import true_poses
-from glsplat.evaluate.comparison.participant import participants_in
-from glsplat.evaluate.comparison.performance import perform
-from glsplat.evaluate.comparison.protocol import Protocol
-from glsplat.evaluate.comparison.stage import Stage
+from glsplat.extras.evaluate.comparison.control import true_poses
+from glsplat.extras.evaluate.comparison.participant import participants_in
+from glsplat.extras.evaluate.comparison.performance import perform
+from glsplat.extras.evaluate.comparison.protocol import Protocol
+from glsplat.extras.evaluate.comparison.stage import Stage
 from glsplat.scene import is_rigged
 from glsplat.scenes import load
 

@@ -20,7 +20,7 @@ from glsplat import Item, Renderer, Scene
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import embedded_file
-from glsplat.evaluate.avatar_poses import Rotations, pose_of
+from glsplat.extras.evaluate.avatar_poses import Rotations, pose_of
 from glsplat.formats.registry import load_splats
 from glsplat.light import Light
 from glsplat.skinning.expression import ARKIT

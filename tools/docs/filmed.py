@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.authoring.reconstruct.reconstructor import Options
-from glsplat.authoring.reconstruct.video import VideoResult, from_pictures
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at
-from glsplat.evaluate.avatar_poses import SCORE_POSES, score_pose
-from glsplat.evaluate.turntable import Turntable, turntable
-from glsplat.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.extras.authoring.reconstruct.reconstructor import Options
+from glsplat.extras.authoring.reconstruct.video import VideoResult, from_pictures
+from glsplat.extras.evaluate.avatar_poses import SCORE_POSES, score_pose
+from glsplat.extras.evaluate.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.turntable import Turntable, turntable
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from tests.authoring.captures import Capture, capture
 from tests.conftest import SHARED_DATA
+from tests.extras.authoring.captures import Capture, capture
 
 SIZE = 320  # pixels
 VIEWS = {"front": 0, "left": 90, "back": 180, "right": 270}  # degrees to the person's left

@@ -21,7 +21,7 @@ from pathlib import Path
 from textwrap import fill
 
 from apps.demo import running_server
-from glsplat.evaluate.machine import machine
+from glsplat.extras.evaluate.machine import machine
 from glsplat.io.files import replace_file
 from tests.conftest import SHARED_DATA
 from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
@@ -231,7 +231,7 @@ def codec() -> Iterator[Table]:
         "Pairs of `glsplat replay` (the embedded avatar, 2 x 1024^2, 20 a second, 2.4 s of wave-and-turn), as the\n"
         "server codes them. Bytes without the first pair, which is a key frame. LPIPS (AlexNet) and PSNR in the box\n"
         "of the left eye's avatar against the uncompressed picture, every sixth pair. Cropped JPEGs are those that a\n"
-        "thin link gets. Qualities of video (glsplat/net/codec/video.py) were chosen by this table."
+        "thin link gets. Qualities of video (glsplat/extras/far_links/video.py) were chosen by this table."
     )
     equal = "Bytes as parts of those of the cropped JPEG, at its LPIPS; `-`: finer than any that was tried."
     for name, said, options in (("developed", about, ()), ("set-aside", "The same for walk.", ("--set-aside",))):

@@ -19,21 +19,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from glsplat.authoring.photo.capture import check_capture
-from glsplat.authoring.photo.photo_file import read_photo
-from glsplat.authoring.reconstruct.builtin import Builtin
-from glsplat.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.avatar import Avatar
-from glsplat.evaluate.light import CaptureLight, shade_of
-from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.evaluate.metrics.pixels import l1, psnr
-from glsplat.evaluate.metrics.structure import ssim
+from glsplat.extras.authoring.photo.capture import check_capture
+from glsplat.extras.authoring.photo.photo_file import read_photo
+from glsplat.extras.authoring.reconstruct.builtin import Builtin
+from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
+from glsplat.extras.evaluate.light import CaptureLight, shade_of
+from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.metrics.pixels import l1, psnr
+from glsplat.extras.evaluate.metrics.structure import ssim
 from glsplat.formats import load
-from glsplat.mesh import MeshRenderer
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from tests.authoring.captures import capture
 from tests.conftest import SHARED_DATA
+from tests.extras.authoring.captures import capture
 from tools.docs.filmed import SIZE, VIEWS, views_of
 
 CROP = 0.66  # share of the square's width that the sheets show

@@ -16,19 +16,19 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from glsplat.authoring.photo.capture import check_capture
-from glsplat.authoring.raster import visible_faces
-from glsplat.authoring.reconstruct.builtin import Builtin
-from glsplat.authoring.reconstruct.reconstructor import Options, Picture
-from glsplat.evaluate.light import CaptureLight, shade_of
-from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.evaluate.metrics.pixels import l1, psnr
-from glsplat.evaluate.metrics.structure import ssim
-from glsplat.mesh import MeshRenderer
+from glsplat.extras.authoring.photo.capture import check_capture
+from glsplat.extras.authoring.raster import visible_faces
+from glsplat.extras.authoring.reconstruct.builtin import Builtin
+from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
+from glsplat.extras.evaluate.light import CaptureLight, shade_of
+from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.metrics.pixels import l1, psnr
+from glsplat.extras.evaluate.metrics.structure import ssim
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from tests.authoring.captures import Capture, capture
 from tests.conftest import SHARED_DATA
+from tests.extras.authoring.captures import Capture, capture
 from tools.docs.filmed import SIZE, views_of
 from tools.docs.poses import POSES, standing
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from glsplat.skinning.pose import Pose
-from tests.authoring.captures import Capture
+from tests.extras.authoring.captures import Capture
 
 __all__ = ["POSES", "standing"]
 

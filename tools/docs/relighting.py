@@ -2,7 +2,7 @@
 
     python -m tools.docs.relighting FOLDER p05 p09 --out DIR
 
-FOLDER has participants (docs/evaluation.md). Each is photographed by the captures' own generator (glsplat.evaluate.
+FOLDER has participants (docs/evaluation.md). Each is photographed by the captures' own generator (extras.evaluate.
 turntable) with the lamp on one side, made into an avatar by the photograph alone, drawn from where it was photographed
 and from 30 degrees to both sides, and compared with the mesh lit from the other side: without light, and under it.
 L1 is in levels of 255 where either shows the person, LPIPS (alex) of the whole picture. A sheet of each goes to DIR.
@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 
 from apps.output import save_png
 from glsplat import Camera, Item, Pose, Renderer, Scene
-from glsplat.authoring.photo.photo_file import read_photo
-from glsplat.authoring.reconstruct.builtin import PHONE
-from glsplat.authoring.reconstruct.photos import check_photos, reconstruct
-from glsplat.authoring.reconstruct.reconstructor import Options
-from glsplat.evaluate.comparison.participant import Participant, participants_in
-from glsplat.evaluate.light import CaptureLight, shade_of
-from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.evaluate.turntable import turntable
+from glsplat.extras.authoring.photo.photo_file import read_photo
+from glsplat.extras.authoring.reconstruct.builtin import PHONE
+from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruct
+from glsplat.extras.authoring.reconstruct.reconstructor import Options
+from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
+from glsplat.extras.evaluate.light import CaptureLight, shade_of
+from glsplat.extras.evaluate.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.turntable import turntable
 from glsplat.light import Light
-from glsplat.mesh.renderer import MeshConfig, MeshRenderer
 
 F64 = NDArray[np.float64]
 

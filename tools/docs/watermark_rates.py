@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
+from glsplat.extras.watermark.detect import WINDOW, detect
+from glsplat.extras.watermark.mark import Watermark, marked
 from glsplat.motion.loading import load_motion
 from glsplat.renderer import Renderer
 from glsplat.scenes import load
-from glsplat.watermark.detect import WINDOW, detect
-from glsplat.watermark.mark import Watermark, marked
-from tests.watermark.attacks import ATTACKS
+from tests.extras.watermark.attacks import ATTACKS
 
 KEY = b"a key of measurements"
 SIDE = 512

@@ -1,4 +1,4 @@
-"""What video takes beside JPEG: bytes, sight and time, of pairs that move; the table behind glsplat/net/codec/video.py.
+"""Bytes, quality and time of video beside JPEG, of pairs that move: the table behind extras/far_links/video.py.
 
     python -m tools.net.codec_table [--set-aside]      # some minutes; docs/measured/codec.md holds it
 
@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from apps.replay.streaming import observer
 from glsplat.data import default_avatar
-from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.evaluate.metrics.pixels import psnr
+from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.metrics.pixels import psnr
+from glsplat.extras.far_links.video import CODECS, STEPS, VideoStream
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.codec.encode import Box, Encoder, covered_box
-from glsplat.net.codec.video import CODECS, STEPS, VideoStream
 from glsplat.renderer import Renderer
 
 __all__ = ["DEVELOPED", "SET_ASIDE", "Setting", "markdown", "rows", "sequence"]

@@ -26,7 +26,7 @@ from glsplat.net.options import ServerConfig
 from glsplat.net.reply import parse_reply
 from glsplat.net.session import SessionConfig
 from glsplat.net.standard_server import server_of
-from tests.net.datagrams.client import open_path
+from tests.extras.far_links.datagrams.client import open_path
 from tools.net.lossy_relay import relay, roomy
 
 __all__ = ["Shown", "main"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from statistics import median
 
-from glsplat.net.pace.link_control import LinkControl
+from glsplat.extras.far_links.link_control import LinkControl
 from tools.net.simulated_link import FULL, Fixed, Link, Oracle, Outcome, Policy, play
 
 __all__ = ["alone", "busy", "falling", "shared", "video"]

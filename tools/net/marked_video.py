@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from apps.replay.streaming import observer
 from glsplat.data import PEOPLE, person
+from glsplat.extras.far_links.video import CODECS, STEPS, VideoStream
+from glsplat.extras.far_links.video_reader import VideoReader
+from glsplat.extras.watermark import Watermark
+from glsplat.extras.watermark.detect import detect
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.codec.encode import encode_picture
-from glsplat.net.codec.video import CODECS, STEPS, VideoStream
-from glsplat.net.codec.video_reader import VideoReader
 from glsplat.renderer import Renderer
-from glsplat.watermark import Watermark
-from glsplat.watermark.detect import detect
 
 __all__ = ["markdown"]
 

@@ -28,16 +28,16 @@ import psutil
 from numpy.typing import NDArray
 
 import glsplat
+from glsplat.extras.browser.poses.responder import PoseResponder
+from glsplat.extras.rooms.member import Member
+from glsplat.extras.rooms.person import Moved
+from glsplat.extras.rooms.room import Room
 from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec import body
 from glsplat.net.gl_server import offered
 from glsplat.net.messages import Decoder, Request
 from glsplat.net.pose_queue import PoseQueue
-from glsplat.net.poses.responder import PoseResponder
-from glsplat.net.rooms.member import Member
-from glsplat.net.rooms.person import Moved
-from glsplat.net.rooms.room import Room
 from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording
@@ -218,7 +218,7 @@ def listeners(count: int, seconds: float, rate: float) -> None:
         packed += 1
         return original(*args, **more)
 
-    import glsplat.net.rooms.person as rooms_person
+    import glsplat.extras.rooms.person as rooms_person
 
     rooms_person.pack_body = counted  # type: ignore[attr-defined]
     answers = PoseResponder(lambda name: bytes(32) if name == "ann" else None, lambda name: "", lambda: now)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import head_matrix
 from glsplat.data import PEOPLE, person
-from glsplat.evaluate.metrics.lpips import Lpips
-from glsplat.evaluate.metrics.pixels import psnr
+from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.metrics.pixels import psnr
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.codec import depth as server

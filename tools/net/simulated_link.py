@@ -10,7 +10,7 @@ What is real is the server's control of a link (glsplat/net/pace). The rest is a
   three later ones of its picture arrived, else after two round trips; lost again, after 200 ms and the round trip.
   Whatever lies behind it waits (TCP delivers in order). TCP's own window is not modelled: with loss that would send
   less than the link takes.
-- By datagrams (glsplat/net/datagrams) a picture takes the bytes of its headers and parity more, waits for no other,
+- By datagrams (far_links/datagrams) a picture takes the bytes of its headers and parity more, waits for no other,
   and is there once all but so many of its packets are as it has parity for; else it never comes, which the server hears
   of a round trip later. Answers and requests are not lost in either model.
 - What receives for the client answers pings at once, also those right behind pictures. The client acknowledges at
@@ -26,8 +26,8 @@ from itertools import count
 from random import Random
 from typing import Protocol
 
-from glsplat.net.datagrams.packets import PIECE
-from glsplat.net.datagrams.redundancy import parity_for
+from glsplat.extras.far_links.datagrams.packets import PIECE
+from glsplat.extras.far_links.datagrams.redundancy import parity_for
 from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
 
 __all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "draw_time", "play"]

@@ -24,8 +24,8 @@ import numpy as np
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.data import PEOPLE, default_avatar, embedded_file
+from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import load, save
-from glsplat.formats.gltf.meshes.write import save_gltf_mesh
 from glsplat.formats.gltf.splats import EXTENSION
 from glsplat.skinning.pose import Pose
 from tests.formats.meshes import chain

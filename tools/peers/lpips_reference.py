@@ -1,4 +1,4 @@
-"""Writes tests/evaluate/data/lpips.json: what PyPI's own ``lpips`` package, on torch, says of small picture pairs.
+"""Write tests/extras/evaluate/data/lpips.json: distances of small picture pairs by PyPI's ``lpips`` on torch.
 
     glsplat models get lpips
     python -m venv ENV; ENV/bin/pip install lpips==0.1.4 torch torchvision opencv-python-headless
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.evaluate.metrics.lpips_pairs import DATA, small_pairs
+from tests.extras.evaluate.metrics.lpips_pairs import DATA, small_pairs
 
 F32 = NDArray[np.float32]
 

@@ -27,11 +27,11 @@ from playwright.sync_api import sync_playwright
 
 import glsplat
 from apps.webpage.command import baked
-from glsplat.authoring.posed import posed_splats
-from glsplat.formats.web.write import encode_avatar
+from glsplat.extras.authoring.posed import posed_splats
+from glsplat.extras.browser.web_format.write import encode_avatar
+from glsplat.extras.browser.web_shaders import programs_json
 from glsplat.motion.loading import load_motion
 from glsplat.net.codec.encode import encode_picture
-from glsplat.shaders.web import programs_json
 from glsplat.views import view_of
 from tests import needs
 

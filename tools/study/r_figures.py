@@ -1,8 +1,8 @@
-"""R's figures on the made-up studies of tests/study/analysis/designs.py: python -m tools.study.r_figures [FIRST LAST]
+"""Run R on the made-up studies of tests/extras/study/analysis/designs.py: python -m tools.study.r_figures [FIRST LAST]
 
 Needs R with car, emmeans, jsonlite, lme4 and pbkrtest (Debian: r-base-core and r-cran-NAME). Writes
-tests/study/analysis/data/r_figures.json, which the tests compare with. About a quarter of an hour for 200 on an idle
-core; the file that is there has 136 of them.
+tests/extras/study/analysis/data/r_figures.json, which the tests compare with. About a quarter of an hour for 200 on
+an idle core; the file that is there has 136 of them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from pathlib import Path
 from tqdm import tqdm
 
 from glsplat.io.files import replace_file
-from tests.study.analysis.designs import COUNT, design
+from tests.extras.study.analysis.designs import COUNT, design
 
 HERE = Path(__file__).parent
-TARGET = HERE.parents[1] / "tests" / "study" / "analysis" / "data" / "r_figures.json"
+TARGET = HERE.parents[1] / "tests" / "extras" / "study" / "analysis" / "data" / "r_figures.json"
 BATCH = 4
 
 

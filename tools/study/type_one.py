@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 from tqdm import tqdm
 
-from glsplat.study.analysis.align import ranked, spread_ranks
-from glsplat.study.analysis.effects import effects_of
-from glsplat.study.analysis.mixed import fit, test
-from glsplat.study.analysis.power import Draws, Planned, power
-from glsplat.study.analysis.table import Table
+from glsplat.extras.study.analysis.align import ranked, spread_ranks
+from glsplat.extras.study.analysis.effects import effects_of
+from glsplat.extras.study.analysis.mixed import fit, test
+from glsplat.extras.study.analysis.power import Draws, Planned, power
+from glsplat.extras.study.analysis.table import Table
 
 TYPE, METHOD = {"type": ("self", "other")}, {"method": ("ours", "video", "image")}
 NULLS: dict[str, tuple[Planned, dict[str, tuple[float, ...]]]] = {

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from glsplat.study.design import read_study
-from glsplat.study.export import export
-from glsplat.study.plan import checked_plan, label, make_plan, write_plan
+from glsplat.extras.study.design import read_study
+from glsplat.extras.study.export import export
+from glsplat.extras.study.plan import checked_plan, label, make_plan, write_plan
 from tests import needs
 from tests.browser.conftest import _FLAGS
 from tests.browser.opened import FAKE_XR, WATCH, Opened

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
+from glsplat.extras.formats.spz import spz_splats
 from glsplat.formats.gltf.container import Container, Primitive
 from glsplat.formats.gltf.fallback import write_fallback
 from glsplat.formats.gltf.output import Output
-from glsplat.formats.spz import spz_splats
 from glsplat.light.surface import SHADE_ONE, Surface
 from glsplat.splats import SH_C0, Splats, normalised
 

@@ -80,7 +80,7 @@ def read_gltf(start: Opened) -> Content:
     """What an open file shows: its splats, or where it has none its triangles (meshes/reader.py)."""
     container = read_container(start.file, start.size, start.folder)
     if not _has_splats(container.gltf):
-        from glsplat.formats.gltf.meshes.reader import mesh_of  # here: images need OpenCV
+        from glsplat.extras.rigs.meshes.reader import mesh_of  # here: images need OpenCV
 
         return mesh_of(container, Path(start.name).name)
     scene = _scene(container)
@@ -186,7 +186,7 @@ def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats
 
 
 def _save_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool) -> None:
-    from glsplat.formats.gltf.meshes.write import save_gltf_mesh  # here: images need OpenCV
+    from glsplat.extras.rigs.meshes.write import save_gltf_mesh  # here: images need OpenCV
 
     save_gltf_mesh(mesh, target, embedded=embedded)
 

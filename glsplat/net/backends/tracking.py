@@ -20,7 +20,7 @@ from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
 if TYPE_CHECKING:  # most servers hear of no face
-    from glsplat.net.face.feed import FaceFeed
+    from glsplat.extras.speech.face.feed import FaceFeed
 
 __all__ = ["MOST", "PART", "Ahead", "OneClock", "TrackingSolver"]
 

@@ -25,7 +25,7 @@ from glsplat.net.reply import Reply
 from glsplat.skinning.pose import Pose
 
 if TYPE_CHECKING:
-    from glsplat.net.codec.video_reader import VideoReader
+    from glsplat.extras.far_links.video_reader import VideoReader
 
 __all__ = ["Client", "ReceivedReply"]
 
@@ -81,7 +81,7 @@ class Client:
         self._cafile, self._adapt = cafile, flag(adapt, "adapt", GlsplatError)
         self._reader: Callable[[], VideoReader | None] = lambda: None
         if flag(video, "video", GlsplatError):
-            from glsplat.net.codec.video_reader import VideoReader  # here: it needs what most have not
+            from glsplat.extras.far_links.video_reader import VideoReader  # here: it needs what most have not
 
             VideoReader()  # raises now what would come with the connection
             self._reader = VideoReader

@@ -21,7 +21,7 @@ from glsplat.net.flow import FlowControl, ReceivedReply, server_error
 from glsplat.net.reply import Reply, parse_reply
 
 if TYPE_CHECKING:
-    from glsplat.net.codec.video_reader import VideoReader
+    from glsplat.extras.far_links.video_reader import VideoReader
 
 __all__ = ["ClientConnection"]
 

@@ -8,12 +8,12 @@ import stat
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from glsplat.consent.keys import PrivateKey, new_key, private_key
 from glsplat.errors import GlsplatError
+from glsplat.extras.consent.keys import PrivateKey, new_key, private_key
+from glsplat.extras.watermark.keys import new_watermark, read_watermark, text_of
+from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.io.files import locked, replace_file
 from glsplat.net.guard.access import read_token
-from glsplat.watermark.keys import new_watermark, read_watermark, text_of
-from glsplat.watermark.mark import WatermarkKey
 
 __all__ = ["TOKEN", "WATERMARK", "kept_key", "kept_token", "kept_watermark", "known_key", "lock_of", "state_folder"]
 

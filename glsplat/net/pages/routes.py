@@ -9,18 +9,18 @@ from urllib.parse import quote
 
 from aiohttp import web
 
+from glsplat.extras.browser.web_shaders import programs_json
+from glsplat.extras.operations.history import History
+from glsplat.extras.operations.metrics import metrics_text
+from glsplat.extras.operations.qr import QrCodes
+from glsplat.extras.operations.status import STATUS_POLICY, page_html
+from glsplat.extras.speech.table import table_json
 from glsplat.motion.loading import embedded_motions
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.machine import machine_names, reachable_at
-from glsplat.net.pages.history import History
-from glsplat.net.pages.metrics import metrics_text
-from glsplat.net.pages.qr import QrCodes
 from glsplat.net.pages.site import File, Site
-from glsplat.net.pages.status import STATUS_POLICY, page_html
 from glsplat.net.rights import user_of
-from glsplat.shaders.web import programs_json
-from glsplat.speech.table import table_json
 
 __all__ = ["Pages"]
 

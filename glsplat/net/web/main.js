@@ -134,7 +134,7 @@ function standAround() {
   const found = offer?.rooms?.find(({ name }) => name === room);
   if (room === stood || (room && !found)) return;
   stood = room;
-  const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // as glsplat/net/rooms/seats.py
+  const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // as glsplat/extras/rooms/seats.py
   if (found) orbit.standBack([0, 0.95, radius], radius);
   else orbit.reset();
 }

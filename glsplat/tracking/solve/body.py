@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
-from glsplat.skinning.rigs.driven import why_not_tracked
+from glsplat.skinning.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.quat import Quat, Vec, from_axes, rotate, unit
 

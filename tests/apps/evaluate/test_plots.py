@@ -11,7 +11,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 
 from apps.evaluate import plots
-from glsplat.evaluate.statistics import Values
+from glsplat.extras.evaluate.statistics import Values
 
 VALUES: Values = {
     "photo": {"p01": 1.0, "p02": 2.0, "p03": 4.0},

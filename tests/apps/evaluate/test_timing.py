@@ -12,10 +12,10 @@ from apps.cli import main
 from apps.evaluate import plots, timing
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.evaluate.comparison import measure
-from glsplat.evaluate.comparison.work import work
+from glsplat.extras.evaluate.comparison import measure
+from glsplat.extras.evaluate.comparison.work import work
 from glsplat.formats import save
-from tests.evaluate.comparison.conftest import Pixels
+from tests.extras.evaluate.comparison.conftest import Pixels
 from tests.net.legacy.test_legacy import thinned
 
 pytestmark = [pytest.mark.gl, pytest.mark.check]

@@ -20,14 +20,14 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
+from glsplat.extras.rooms.person import Person
+from glsplat.extras.rooms.rooms import Rooms
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
-from glsplat.net.rooms.person import Person
-from glsplat.net.rooms.rooms import Rooms
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.standard_server import server_of
 from glsplat.renderer import Renderer

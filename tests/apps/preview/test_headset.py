@@ -19,19 +19,19 @@ from apps.preview import command, headset
 from apps.preview.feed import Feed
 from apps.preview.headset_feed import FeedShow
 from glsplat.errors import ContextError
+from glsplat.extras.openxr.cameras import camera_of
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
+from glsplat.extras.openxr.session import Session
+from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context, create_context
 from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.messages import WireOptions
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.standard_server import server_of
 from glsplat.tracking.recording import replay
-from glsplat.xr.cameras import camera_of
-from glsplat.xr.openxr.runtime import OpenXrRuntime
-from glsplat.xr.session import Session
-from glsplat.xr.wearer import Wearer
 from tests.apps.cli import mistake, parsed
 from tests.apps.preview.test_connect import feeding, serving
-from tests.xr.fake import HEAD, FakeRuntime
+from tests.extras.openxr.fake import HEAD, FakeRuntime
 
 pytestmark = pytest.mark.gl
 
@@ -166,7 +166,7 @@ class Pane:
 
 def test_a_window_shows_each_picture_once_and_closing_it_ends_the_session(context: Context) -> None:
     from glsplat.data import default_avatar
-    from glsplat.xr.local import LocalShow
+    from glsplat.extras.openxr.local import LocalShow
 
     runtime, pane = FakeRuntime(context, size=(64, 48)), Pane(context, (80, 48), 3)
     show = LocalShow(default_avatar(), context, Wearer("facing"))

@@ -7,7 +7,7 @@ import sys
 from apps.cli import main as glsplat
 from apps.serve import photos
 from glsplat.avatar import Avatar
-from glsplat.net.uploads.job import Order, Progress
+from glsplat.extras.uploads.job import Order, Progress
 
 __all__ = ["main", "make_avatar"]
 
@@ -16,7 +16,7 @@ _FROM_PHOTO = photos.make_avatar
 
 def make_avatar(order: Order, progress: Progress) -> Avatar:
     """As that of photos.py."""
-    from glsplat.authoring.reconstruct import Options
+    from glsplat.extras.authoring.reconstruct import Options
 
     Options.__init__.__kwdefaults__["steps"] = 12
     return _FROM_PHOTO(order, progress)

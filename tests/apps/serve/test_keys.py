@@ -17,9 +17,9 @@ from apps.serve.ready import Place, announce
 from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
-from glsplat.net.accounts.users import new_user, write_users
+from glsplat.extras.accounts.users import new_user, write_users
+from glsplat.extras.operations import certificate
 from glsplat.net.client import Client
-from glsplat.net.guard import certificate
 from glsplat.net.guard.access import certificate_names, read_token, server_tls
 from tests.apps.cli import mistake, parsed
 

@@ -18,10 +18,10 @@ import pytest
 from apps.serve import command as serve
 from apps.serve.photos import upload_config
 from glsplat.errors import GlsplatError
+from glsplat.extras.authoring.models.catalogue import PHOTO
+from glsplat.extras.authoring.models.store import state_of
+from glsplat.extras.uploads.job import Job
 from glsplat.formats import load
-from glsplat.models.catalogue import PHOTO
-from glsplat.models.store import state_of
-from glsplat.net.uploads.job import Job
 
 ROOT = Path(__file__).parents[3]
 needs_networks = pytest.mark.skipif(

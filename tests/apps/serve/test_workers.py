@@ -12,10 +12,10 @@ import glsplat
 from apps.serve.workers import add_workers, workers_of
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
+from glsplat.extras.workers.options import Workers
 from glsplat.net.client import Client
 from glsplat.net.gl_server import make_server
 from glsplat.net.server import ServerConfig
-from glsplat.net.workers.options import Workers
 
 
 def asked(*words: str) -> Workers | None:
@@ -35,7 +35,7 @@ def test_what_it_takes(monkeypatch):
 
 def test_without_ray(monkeypatch):
     monkeypatch.setattr(
-        "glsplat.net.workers.cluster.find_spec", lambda name: None if name == "ray" else util.find_spec(name)
+        "glsplat.extras.workers.cluster.find_spec", lambda name: None if name == "ray" else util.find_spec(name)
     )
     with pytest.raises(GlsplatError, match=r'^Ray is not installed; pip install "glsplat\[ray\]"'):
         asked("--workers", "ray:2")

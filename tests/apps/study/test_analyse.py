@@ -16,9 +16,9 @@ from apps.study import analyse, power
 from apps.study.r_script import r_script
 from apps.usage import UsageError
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.study.analysis.analysis import analyse as analysed
-from glsplat.study.analysis.anova import ModelName
-from glsplat.study.analysis.power import Planned
+from glsplat.extras.study.analysis.analysis import analyse as analysed
+from glsplat.extras.study.analysis.anova import ModelName
+from glsplat.extras.study.analysis.power import Planned
 from tests.apps.cli import mistake, parsed
 
 TYPES, METHODS = ("self", "other"), ("ours", "video", "image")

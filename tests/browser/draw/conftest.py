@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.shaders.web import page_programs
+from glsplat.extras.browser.web_shaders import page_programs
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests import needs

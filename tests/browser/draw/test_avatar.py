@@ -15,14 +15,14 @@ import glsplat
 from glsplat import Avatar, Item, Pose, Scene
 from glsplat.detail.proxy import Proxy
 from glsplat.detail.selector import chosen
-from glsplat.formats.web.layout import HEAD
-from glsplat.formats.web.read import decode_avatar
-from glsplat.formats.web.write import encode_avatar
+from glsplat.extras.browser.web_format.layout import HEAD
+from glsplat.extras.browser.web_format.read import decode_avatar
+from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.expression import ARKIT
 from tests.browser.draw.conftest import Bench, floats, posed
 from tests.browser.draw.test_parity import eyes, psnr, thing, truth
-from tests.formats.web.test_web import someone, with_face
+from tests.extras.browser.web_format.test_web import someone, with_face
 from tests.light.lit import surfaced
 
 READ = "([name, piece]) => import('/vr/test/page.js').then((m) => m.decoded(name, piece))"

@@ -10,8 +10,8 @@ import pytest
 
 import glsplat
 from glsplat import Avatar, Item, Pose, Scene
-from glsplat.formats.web.read import decode_avatar
-from glsplat.formats.web.write import encode_avatar
+from glsplat.extras.browser.web_format.read import decode_avatar
+from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.light import Light
 from glsplat.light.light import PRESETS
 from tests import scenes

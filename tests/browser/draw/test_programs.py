@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from glsplat.formats.web.write import encode_avatar
+from glsplat.extras.browser.web_format.write import encode_avatar
+from glsplat.extras.browser.web_shaders import page_variants
 from glsplat.light.light import Light
 from glsplat.shaders import flatten
-from glsplat.shaders.web import page_variants
 from tests.browser.draw.conftest import Bench
-from tests.formats.web.test_web import someone, with_face
+from tests.extras.browser.web_format.test_web import someone, with_face
 from tests.light.lit import surfaced
 
 LINK = """async () => {

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import glsplat
-from glsplat.consent.file import OnFile
-from glsplat.consent.policy import ConsentPolicy
+from glsplat.extras.consent.file import OnFile
+from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.net.gl_server import make_server
 from glsplat.net.server import ServerConfig
 from tests.browser.draw.conftest import Bench, shot

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.study.design import read_study
-from glsplat.study.plan import checked_plan
-from glsplat.study.steps import steps_of
+from glsplat.extras.study.design import read_study
+from glsplat.extras.study.plan import checked_plan
+from glsplat.extras.study.steps import steps_of
 from tests.browser.opened import Opened
 from tests.browser.vr import enter, hands, pose, steer
 
@@ -113,7 +113,7 @@ def wire(
 class Service:
     """The server of one participant, which may be killed and started again on its port.
 
-    ``command`` is tests.study.served, which draws nothing, or another one that prints a line of JSON once ready.
+    ``command`` is tests.extras.study.served, which draws nothing, or another one that prints a line of JSON once ready.
     """
 
     study: Path
@@ -134,7 +134,14 @@ class Service:
         return {step.alias: step.name for step in steps_of(study, checked_plan(self.data, study), self.participant)}
 
     def start(self) -> None:
-        own = ["-m", "tests.study.served", str(self.study), str(self.data), str(self.participant), str(self.port)]
+        own = [
+            "-m",
+            "tests.extras.study.served",
+            str(self.study),
+            str(self.data),
+            str(self.participant),
+            str(self.port),
+        ]
         words = [sys.executable, *(own if self.command is None else self.command(self))]
         self.process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None

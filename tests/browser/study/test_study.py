@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from glsplat.study.design import read_study
-from glsplat.study.export import export
-from glsplat.study.plan import checked_plan, label, make_plan, write_plan
-from glsplat.study.store import SESSION, Log
+from glsplat.extras.study.design import read_study
+from glsplat.extras.study.export import export
+from glsplat.extras.study.plan import checked_plan, label, make_plan, write_plan
+from glsplat.extras.study.store import SESSION, Log
 from tests.browser.conftest import OpenPage
 from tests.browser.opened import Opened
 from tests.browser.study.scripted import Scripted, Service, wire

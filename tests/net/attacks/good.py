@@ -107,7 +107,7 @@ class GoodClient:
 
     async def _open(self, talk: _Talk, offer: dict[str, str]) -> None:
         """Take an offer; the server sees a link as long as that of the WebSocket."""
-        from tests.net.datagrams.client import open_path  # here: aioquic may not be installed
+        from tests.extras.far_links.datagrams.client import open_path  # here: aioquic may not be installed
 
         def take(data: bytes) -> None:
             self._arrived(talk, data, by_datagrams=True)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from glsplat.consent.file import sign_file
-from glsplat.consent.keys import new_key
 from glsplat.data import default_avatar
+from glsplat.extras.consent.file import sign_file
+from glsplat.extras.consent.keys import new_key
 from glsplat.formats import save
 from glsplat.skinning.skin import Skin
 

@@ -13,15 +13,15 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import ProtocolError
+from glsplat.extras.rooms.member import Member
+from glsplat.extras.rooms.person import Person
+from glsplat.extras.rooms.room import Room
 from glsplat.light.light import Light
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import request_message
 from glsplat.net.messages import Decoder, PictureOptions, Request
 from glsplat.net.room_view import RoomView, VisiblePerson
-from glsplat.net.rooms.member import Member
-from glsplat.net.rooms.person import Person
-from glsplat.net.rooms.room import Room
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.scenes.scene_file import SceneFile

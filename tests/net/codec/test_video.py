@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import GlsplatError
-from glsplat.net.codec.video import CODECS, STEPS, VideoStream, available
+from glsplat.extras.far_links.video import CODECS, STEPS, VideoStream, available
 from tests.net.clocks import Stopped
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.extras.far_links.video import VideoStream
+from glsplat.extras.far_links.video_reader import VideoReader
 from glsplat.net.client import Client
-from glsplat.net.codec.video import VideoStream
-from glsplat.net.codec.video_reader import VideoReader
 from glsplat.net.server import ServerConfig
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")

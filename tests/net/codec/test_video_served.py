@@ -10,7 +10,7 @@ import aiohttp
 import pytest
 
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.codec.video import VideoStream
+from glsplat.extras.far_links.video import VideoStream
 from glsplat.net.local_loop import _CODED
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply

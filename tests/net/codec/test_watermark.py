@@ -10,13 +10,13 @@ import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
+from glsplat.extras.watermark.detect import detect
+from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.client import Client
 from glsplat.net.gl_server import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.watermark.detect import detect
-from glsplat.watermark.mark import WatermarkKey
 from tests.net.running import running
 
 pytestmark = pytest.mark.check

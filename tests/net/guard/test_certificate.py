@@ -16,10 +16,10 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.extras.operations import certificate
+from glsplat.extras.operations.certificate import CERTIFICATE, KEY, kept_certificate
 from glsplat.net.client import Client
-from glsplat.net.guard import certificate
 from glsplat.net.guard.access import Access, certificate_names, server_tls
-from glsplat.net.guard.certificate import CERTIFICATE, KEY, kept_certificate
 from glsplat.net.guard.kept import state_folder
 from glsplat.net.server import ServerConfig
 
@@ -149,7 +149,7 @@ def test_a_full_disk_leaves_what_was_there(folder):
     kept_certificate(folder, ())
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     script = (
-        "import resource\nfrom glsplat.net.guard.certificate import kept_certificate\n"
+        "import resource\nfrom glsplat.extras.operations.certificate import kept_certificate\n"
         "from glsplat.net.guard.kept import state_folder\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))\nkept_certificate(state_folder(), ['new.example'])\n"
     )
@@ -160,7 +160,7 @@ def test_a_full_disk_leaves_what_was_there(folder):
 
 def test_servers_that_start_at_once_share_one(state):
     script = (
-        "import sys\nfrom glsplat.net.guard.certificate import kept_certificate\n"
+        "import sys\nfrom glsplat.extras.operations.certificate import kept_certificate\n"
         "from glsplat.net.guard.kept import kept_token, state_folder\n"
         "print('ready', flush=True)\nsys.stdin.readline()\n"
         "folder = state_folder()\nprint(kept_certificate(folder, []).fingerprint, kept_token(folder))\n"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from glsplat.extras.uploads.job import UploadConfig
 from glsplat.net.guard import gate
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.limits import Bucket, ClientQuota, Limits, Strikes, address_key
@@ -15,7 +16,6 @@ from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.messages import MAX_BYTES
 from glsplat.net.options import ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.net.uploads.job import UploadConfig
 from tests.net.wire import frame, full_hands
 
 LIMITS = Limits()

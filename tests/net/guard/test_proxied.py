@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
+from glsplat.extras.uploads.job import UploadConfig
+from glsplat.extras.uploads.routes import Uploads
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.forwarded import proxy_network
 from glsplat.net.guard.limits import Limits
 from glsplat.net.options import ServerConfig
-from glsplat.net.uploads.job import UploadConfig
-from glsplat.net.uploads.routes import Uploads
+from tests.extras.uploads.makers import make
 from tests.net.conftest import Serve
-from tests.net.uploads.makers import make
 from tests.net.wire import UPGRADE, all_of, ask, frame, get, native, status, until
 
 TOKEN = "0123456789abcdef-token"

@@ -19,8 +19,8 @@ import pytest
 
 from apps.serve.command import add_arguments, parsed, server_config
 from apps.usage import CommandParser
+from glsplat.extras.operations.certificate import CERTIFICATE, kept_certificate
 from glsplat.net.client import Client
-from glsplat.net.guard.certificate import CERTIFICATE, kept_certificate
 from glsplat.net.options import ServerConfig
 from tests import needs
 from tests.net.conftest import Serve

@@ -7,9 +7,9 @@ from math import inf, nan
 
 import pytest
 
+from glsplat.extras.far_links.link import LinkEstimator
+from glsplat.extras.far_links.link_control import AHEAD, LinkControl
 from glsplat.net.pace.ladder import CALM, SCALES, ladder, visible_loss
-from glsplat.net.pace.link import LinkEstimator
-from glsplat.net.pace.link_control import AHEAD, LinkControl
 from tools.net.simulated_link import DRAW, FULL, Link, Oracle, Outcome, play
 
 SECONDS = 20.0

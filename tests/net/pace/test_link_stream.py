@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ProtocolError
+from glsplat.extras.far_links.link_control import LinkControl
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Ack, Arrival, Decoder, Request
 from glsplat.net.pace.ladder import ladder
-from glsplat.net.pace.link_control import LinkControl
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session, SessionConfig, Warn

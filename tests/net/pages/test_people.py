@@ -12,8 +12,8 @@ from dataclasses import replace
 import aiohttp
 import pytest
 
-from glsplat.consent.policy import ConsentPolicy
 from glsplat.data import PEOPLE, default_avatar, person
+from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import WithPeople
 from glsplat.net.gl_server import make_server, offered

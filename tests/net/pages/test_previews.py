@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import simplejpeg
 
+from glsplat.extras.operations import previews
+from glsplat.extras.operations.history import History
+from glsplat.extras.operations.previews import SIDE, Previews, flattened
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.guard.access import Access
-from glsplat.net.pages import previews
-from glsplat.net.pages.history import History
-from glsplat.net.pages.previews import SIDE, Previews, flattened
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import FakeBackend, eyes
 
@@ -137,7 +137,7 @@ async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serv
 
 
 async def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
-    monkeypatch.setattr("glsplat.net.pages.history.STEP", 0.005)
+    monkeypatch.setattr("glsplat.extras.operations.history.STEP", 0.005)
     count = 0
 
     def stats():

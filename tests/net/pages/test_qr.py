@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from glsplat.extras.operations import qr
 from glsplat.net.guard.access import Access
-from glsplat.net.pages import qr
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import serving
 

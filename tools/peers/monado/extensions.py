@@ -13,11 +13,11 @@ from typing import Any
 
 import xr
 
-from glsplat.passes.eyes import DepthRange
-from glsplat.xr.openxr import devices
-from glsplat.xr.openxr.devices import DeviceReader
-from glsplat.xr.openxr.runtime import DEPTH, OpenXrRuntime
-from glsplat.xr.runtime import Fov, Projection, ViewPose
+from glsplat.extras.openxr.eyes import DepthRange
+from glsplat.extras.openxr.openxr import devices
+from glsplat.extras.openxr.openxr.devices import DeviceReader
+from glsplat.extras.openxr.openxr.runtime import DEPTH, OpenXrRuntime
+from glsplat.extras.openxr.runtime import Fov, Projection, ViewPose
 
 CALLS: list[str] = []
 

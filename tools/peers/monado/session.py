@@ -18,11 +18,11 @@ import numpy as np
 
 import glsplat
 from glsplat.config import RenderConfig
+from glsplat.extras.openxr import LocalShow, OpenXrRuntime, Session, Wearer
+from glsplat.extras.openxr.eyes import EyeImages
+from glsplat.extras.openxr.runtime import State
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.functions import gl_functions
-from glsplat.passes.eyes import EyeImages
-from glsplat.xr import LocalShow, OpenXrRuntime, Session, Wearer
-from glsplat.xr.runtime import State
 from tools.peers.monado.remote import Script, Sender
 
 VALIDATION = "XR_APILAYER_LUNARG_core_validation"

@@ -1,4 +1,4 @@
-// The package's own shaders, put together for WebGL2: docs/webgl.md says what programs.json (glsplat/shaders/web.py) has.
+// The package's own shaders, put together for WebGL2: docs/webgl.md says what programs.json (glsplat/extras/browser/web_shaders.py) has.
 
 // transform feedback wants a fragment shader, too
 const NOTHING = 'void main() {}\n';

@@ -1,6 +1,6 @@
 // Pieces that were lost, from parity pieces: a Reed-Solomon code over GF(256) with a Cauchy matrix.
 //
-// The twin of glsplat/net/datagrams/erasure.py.
+// The twin of glsplat/extras/far_links/datagrams/erasure.py.
 
 const POLYNOMIAL = 0x11d; // x^8 + x^4 + x^3 + x^2 + 1
 const POWER = new Uint8Array(510);

@@ -16,7 +16,7 @@ import { Form } from './form.js';
 import { Link, brought, pause } from './link.js';
 import { Questions } from './questions.js';
 
-const KEY = 'glsplat.study';
+const KEY = 'glsplat.extras.study';
 const NOTHING = { getItem: () => null, setItem: () => {} }; // settings are the study's, none are kept
 const TICK = 100; // ms
 

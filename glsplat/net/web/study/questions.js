@@ -2,7 +2,7 @@
 
 import { pause } from './link.js';
 
-const KEY = 'glsplat.study.unsaved'; // answers that are not on the server's disk, in this tab's storage
+const KEY = 'glsplat.extras.study.unsaved'; // answers that are not on the server's disk, in this tab's storage
 
 /** Events: 'change'. Answers go one after the other; none is forgotten until the server has it or refuses it. */
 export class Questions extends EventTarget {

@@ -5,7 +5,7 @@ import { Link, brought, pause } from './link.js';
 const PICTURE = 1000; // ms between two pictures
 const WORDS = { done: 'finished', declined: 'no consent was given', aborted: 'aborted' };
 
-const link = new Link(brought('glsplat.study.watch'));
+const link = new Link(brought('glsplat.extras.study.watch'));
 const get = (id) => document.getElementById(id);
 let state = null;
 let shown = ''; // address of the picture

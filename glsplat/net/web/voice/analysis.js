@@ -1,4 +1,4 @@
-// Sound to visemes, as glsplat/speech/analysis.py does it: cepstra of short frames and a small network over some of
+// Sound to visemes, as glsplat/extras/speech/analysis.py does it: cepstra of short frames and a small network over some of
 // them, by the same table (voice/visemes.json). Runs in the audio thread, in a page and in node alike.
 
 /** A stream of sound at `rate` samples a second; `table` is visemes.json. Pieces of any length make no difference. */

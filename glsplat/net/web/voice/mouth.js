@@ -1,4 +1,4 @@
-// Visemes to the weights of ARKit's shapes, as glsplat/speech/mouth.py does it.
+// Visemes to the weights of ARKit's shapes, as glsplat/extras/speech/mouth.py does it.
 
 /** One mouth. It is at rest in silence. */
 export class Mouth {

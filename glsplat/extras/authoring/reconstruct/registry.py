@@ -1,0 +1,30 @@
+"""Reconstructors by name: the project's own, and those of other packages (entry points of ``GROUP``)."""
+
+from __future__ import annotations
+
+from .plugins import Plugins
+from .reconstructor import Reconstructor
+
+__all__ = ["GROUP", "OWN", "named", "names"]
+
+GROUP = "glsplat.reconstructors"
+"""An entry point names a class or function that gives a ``Reconstructor`` when it is called without arguments."""
+
+OWN = {
+    "builtin": "glsplat.extras.authoring.reconstruct.builtin:Builtin",
+    "lhm": "glsplat.extras.authoring.reconstruct.lhm:from_environment",
+}
+"""These names cannot be taken by other packages."""
+
+_PLUGINS = Plugins("reconstructor", GROUP, "reconstruct", OWN)
+
+
+def names() -> tuple[str, ...]:
+    """All that ``named`` knows, the project's own first."""
+    return _PLUGINS.names()
+
+
+def named(name: str) -> Reconstructor:
+    """Load and make a reconstructor. Raises GlsplatError, one line, where there is none or it does not load."""
+    made: Reconstructor = _PLUGINS.named(name)
+    return made

@@ -1,0 +1,137 @@
+"""The frames that will do: one person in each, whole, and seen from all around."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.fit.view import apart
+from glsplat.extras.authoring.networks.people import DetectedPerson
+from glsplat.extras.authoring.photo.capture import check_capture
+from glsplat.extras.authoring.photo.photo_file import read_photo
+from glsplat.extras.authoring.photo.sharpness import blur_of
+from glsplat.extras.authoring.video.film import FEWEST, is_video, read_frames
+from glsplat.extras.authoring.video.turns import facing_as, facings
+
+__all__ = ["FEWEST", "Frame", "FramePicture", "FrameSource", "check_frames", "frames_of"]
+
+FrameSource = str | os.PathLike[str]
+"""A video, or one of several picture files."""
+
+_WIDEST = 110.0  # degrees; a larger part of the person that no frame shows is a guess
+_FRONT = 35.0  # degrees from the front that the best front may be
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of somebody who turns."""
+
+    name: str
+    """For messages: the file, or "frame 7"."""
+    picture: NDArray[np.uint8]
+    """RGB uint8 [H, W, 3]."""
+    focal: float | None
+    """Pixels; None where nobody knows."""
+    person: DetectedPerson
+    mask: NDArray[np.bool_]
+    """[H, W] true on the person."""
+    blur: float
+    """0 sharp to 1 nothing but blur."""
+    turn: float = 0.0
+    """Degrees that the person has turned to their own left from facing the camera."""
+
+
+FramePicture = tuple[str, NDArray[np.uint8], float | None]
+"""Name, RGB, focal length."""
+
+
+def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[FramePicture], bool]:
+    """The pictures of one video (at most ``count``) or of all the picture files, and whether they are in order.
+
+    Raises FormatError, one line that names the file.
+    """
+    if not sources:
+        raise FormatError("no frames: give a video, or pictures of the person from all around")
+    if len(sources) == 1 and is_video(sources[0]):
+        return [(f"frame {number}", rgb, None) for number, rgb in enumerate(read_frames(sources[0], count), 1)], True
+    if len(sources) < FEWEST:
+        few = "neither a video nor several pictures" if len(sources) == 1 else f"only {len(sources)} pictures"
+        raise FormatError(
+            f"{sources[0]}: {few}; give a video (.mp4, .mov, .webm, .mkv, .avi), or at least {FEWEST} pictures "
+            "from all around"
+        )
+    pictures: list[FramePicture] = []
+    for source in sources:
+        if is_video(source):
+            raise FormatError(f"{source}: one video alone, or pictures alone, not both")
+        photo = read_photo(source)
+        pictures.append((str(source), photo.picture, photo.focal))
+    return pictures, False
+
+
+def check_frames(
+    pictures: Sequence[FramePicture],
+    *,
+    in_order: bool,
+    anyway: bool = False,
+    progress: Callable[[float], None] = lambda done: None,
+) -> tuple[list[Frame], list[str]]:
+    """The frames that will do, the most frontal first, and a line for each that was left out.
+
+    Raises CaptureError where too few are left, nobody turns, or nobody looks into the camera; ``anyway`` keeps frames
+    in which the check found faults, and goes on with a part of a turn.
+    """
+    frames: list[Frame] = []
+    left_out: list[str] = []
+    for index, (name, picture, focal) in enumerate(pictures):
+        progress(index / len(pictures))
+        seen = check_capture(picture, None)
+        found = [finding for finding in seen.findings if not anyway or finding.code == "nobody"]
+        if seen.person is None or found:
+            left_out.append(f"{name} is left out: {found[0].text if found else 'nobody is found'}")
+            continue
+        frames.append(Frame(name, picture, focal, seen.person, seen.mask, blur_of(picture, seen.mask)))
+    _enough(frames, left_out, len(pictures))
+    turns = facings([frame.person for frame in frames], in_order=in_order)
+    frames = [
+        replace(frame, turn=float(turn), person=facing_as(frame.picture, frame.person, float(turn)))
+        for frame, turn in zip(frames, turns, strict=True)
+    ]
+    if not anyway:
+        _all_around(frames)
+    best = min(range(len(frames)), key=lambda index: _frontal(frames[index]))
+    return [frames[best], *frames[:best], *frames[best + 1 :]], left_out
+
+
+def _enough(frames: Sequence[Frame], left_out: Sequence[str], given: int) -> None:
+    if len(frames) >= FEWEST:
+        return
+    why = f"; {left_out[0]}" if left_out else ""
+    raise CaptureError(f"{len(frames)} of {given} frames will do, {FEWEST} are needed{why}")
+
+
+def _all_around(frames: Sequence[Frame]) -> None:
+    """CaptureError for somebody who does not turn, or whom no frame shows from the front."""
+    turns = np.sort([frame.turn % 360 for frame in frames])
+    gap = float(np.diff(turns, append=turns[0] + 360).max())
+    if gap > 360 - 90:
+        raise CaptureError(
+            f"the person turns by {360 - gap:.0f} degrees only; let them turn on the spot once, all around"
+        )
+    if gap > _WIDEST:
+        raise CaptureError(
+            f"no frame shows {gap:.0f} degrees of the turn; let the person turn on the spot once, evenly"
+        )
+    nearest = min(apart(frame.turn, 0.0) for frame in frames)
+    if nearest > _FRONT:
+        raise CaptureError(f"no frame shows the front: the nearest is turned by {nearest:.0f} degrees")
+
+
+def _frontal(frame: Frame) -> float:
+    """What the best front has least of: turn, and a hidden or blurred face."""
+    return apart(frame.turn, 0.0) / 10 + 3 * (1 - frame.person.face.presence) + 4 * frame.blur

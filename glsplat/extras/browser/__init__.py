@@ -1,0 +1,1 @@
+"""Avatars that the page draws by itself: their file, their shaders, poses over the wire."""

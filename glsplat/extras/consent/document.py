@@ -1,0 +1,160 @@
+"""The record of a consent: what it says, the bytes that are signed, and whether a signature fits. Values, no files.
+
+::
+
+    {"subject": "Ann", "given_by": "Ann", "purpose": "the study of May", "from": "2026-05-01", "until": "2026-05-31",
+     "drivers": ["ann"], "hand_out": true, "splats_sha256": "...", "file_sha256": "...", "key": "...",
+     "signature": "..."}
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from typing import Any
+
+from glsplat.errors import FormatError
+from glsplat.extras.consent.keys import PrivateKey, signature_of, signed_by
+from glsplat.formats.gltf.record import canonical
+
+__all__ = ["ANYBODY", "Consent", "read_record", "signed_record"]
+
+ANYBODY = "*"
+"""Among the drivers: everybody may drive, also who has no account."""
+
+_TEXT = ("subject", "given_by", "purpose")
+_HEX = {"splats_sha256": 64, "file_sha256": 64, "key": 64, "signature": 128}
+_FILE, _HAND_OUT = "file_sha256", "hand_out"
+_OPTIONAL = {_FILE, _HAND_OUT}
+_KEYS = {*_TEXT, "from", "until", "drivers", _HAND_OUT, *_HEX}
+_LONGEST, _MOST_DRIVERS = 1000, 1000
+_DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
+_DAY = timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Consent:
+    """A record whose signature fits. ``begins`` and ``ends`` are seconds since 1970 (UTC); the last day counts."""
+
+    subject: str
+    given_by: str
+    purpose: str
+    begins: float
+    ends: float
+    drivers: frozenset[str]
+    splats_sha256: str
+    file_sha256: str | None
+    key: str  # the public key, 64 hexadecimal digits (RFC 8032, 5.1.5)
+    hand_out: bool = False  # the splats themselves may be given to those who are shown them
+
+    def late(self, now: float) -> str:
+        """Why it does not hold at ``now`` (seconds since 1970); "" while it does."""
+        if now < self.begins:
+            return f"its consent begins on {_day(self.begins)}"
+        return f"its consent ended on {_day(self.ends - 1)}" if now >= self.ends else ""
+
+    def lets(self, driver: str) -> bool:
+        """Whether an account may drive; "" is who has none."""
+        return ANYBODY in self.drivers or (bool(driver) and driver in self.drivers)
+
+
+def signed_record(
+    key: PrivateKey,
+    *,
+    subject: str,
+    given_by: str,
+    purpose: str,
+    start: date,
+    until: date,
+    drivers: list[str],
+    splats_sha256: str,
+    file_sha256: str | None,
+    hand_out: bool = False,
+) -> dict[str, Any]:
+    """A record with its signature (Ed25519, RFC 8032). Raises FormatError naming the field that cannot stand in one.
+
+    Only a record that lets the splats be handed out says so: any other is read by older versions, too.
+    """
+    record: dict[str, Any] = {
+        "subject": subject,
+        "given_by": given_by,
+        "purpose": purpose,
+        "from": start.isoformat(),
+        "until": until.isoformat(),
+        "drivers": drivers,
+        "splats_sha256": splats_sha256,
+        "key": key.public,
+    }
+    if file_sha256 is not None:
+        record[_FILE] = file_sha256
+    if hand_out:
+        record[_HAND_OUT] = True
+    record["signature"] = signature_of(key, canonical(record))
+    read_record(record)
+    return record
+
+
+def read_record(record: Any) -> Consent:
+    """The record of a file. Raises FormatError for one that is damaged, incomplete, or that its key did not sign.
+
+    Keys that are not known are refused: what they restrict must not be overlooked.
+    """
+    if not isinstance(record, dict):
+        raise FormatError("the consent is no record, which is a JSON object")
+    if strange := sorted(set(record) - _KEYS):
+        raise FormatError(f"the consent has {strange[0][:40]!r}, which this version does not know")
+    if missing := sorted(_KEYS - _OPTIONAL - set(record)):
+        raise FormatError(f"the consent lacks {missing[0]!r}")
+    for name in _TEXT:
+        _checked_text(record[name], name)
+    for name, digits in _HEX.items():
+        if name in record and not (
+            isinstance(record[name], str) and re.fullmatch(f"[0-9a-f]{{{digits}}}", record[name])
+        ):
+            raise FormatError(f"the consent's {name} needs {digits} digits of 0-9a-f")
+    begins, last = _date(record["from"], "from"), _date(record["until"], "until")
+    if last < begins:
+        raise FormatError(f"the consent ends ({last}) before it begins ({begins})")
+    drivers = record["drivers"]
+    if not isinstance(drivers, list) or not 0 < len(drivers) <= _MOST_DRIVERS:
+        raise FormatError(f"the consent's drivers need a list of 1 to {_MOST_DRIVERS} names, or of {ANYBODY!r} alone")
+    for name in drivers:
+        _checked_text(name, "drivers")
+    if not isinstance(record.get(_HAND_OUT, False), bool):
+        raise FormatError(f"the consent's {_HAND_OUT} needs true or false, not {record[_HAND_OUT]!r:.40}")
+    unsigned = {name: value for name, value in record.items() if name != "signature"}
+    if not signed_by(record["key"], record["signature"], canonical(unsigned)):
+        raise FormatError("the consent's signature does not fit: the record was changed after it was signed")
+    return Consent(
+        **{name: record[name] for name in _TEXT},
+        begins=_seconds(begins),
+        ends=_seconds(last) + _DAY.total_seconds(),
+        drivers=frozenset(drivers),
+        splats_sha256=record["splats_sha256"],
+        file_sha256=record.get(_FILE),
+        key=record["key"],
+        hand_out=record.get(_HAND_OUT, False),
+    )
+
+
+def _checked_text(value: Any, name: str) -> None:
+    if not (isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable() and value.strip() == value):
+        raise FormatError(f"the consent's {name} needs 1 to {_LONGEST} printable characters, not {value!r:.40}")
+
+
+def _date(value: Any, name: str) -> date:
+    try:
+        if isinstance(value, str) and _DATE.fullmatch(value):
+            return date.fromisoformat(value)
+    except ValueError:  # the 30th of February
+        pass
+    raise FormatError(f"the consent's {name!r} needs a date like 2026-05-31, not {value!r:.40}")
+
+
+def _seconds(day: date) -> float:
+    return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
+
+
+def _day(seconds: float) -> str:
+    return (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)).date().isoformat()

@@ -1,0 +1,184 @@
+"""The record in a file: read and checked against what the file shows, and written without touching anything else."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import date
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from glsplat.errors import FormatError
+from glsplat.extras.consent.digest import level_digest
+from glsplat.extras.consent.document import Consent, read_record, signed_record
+from glsplat.extras.consent.keys import PrivateKey
+from glsplat.formats.gltf.container import JSON_CHUNK, MAGIC, Container, chunks, glb_length, read_container
+from glsplat.formats.gltf.record import CONSENT, file_digest, record_of, without_record
+from glsplat.io.files import naming, open_regular, replace_file
+
+__all__ = ["NONE", "OnFile", "on_file", "on_file_data", "sign_data", "sign_file"]
+
+NONE = "no consent on file"
+"""What is said, also in pictures, where there is none."""
+
+_ONLY_GLB = "a consent is kept in .glb files alone; convert it first (glsplat convert IN OUT.glb)"
+_DAMAGED = "its consent is for something else: the file was changed after it was signed"
+
+
+@dataclass(frozen=True, slots=True)
+class OnFile:
+    """What a file says of consent: a record that holds for what the file shows, or what is wrong."""
+
+    consent: Consent | None = None
+    fault: str = ""  # why there is none that holds; "" where there is, or where nobody is shown
+    nobody: bool = False  # a file that comes with glsplat, of synthetic people: nobody has to agree
+
+    @property
+    def hands_out(self) -> bool:
+        """Whether the splats themselves may be given away: by the record, or because nobody is shown."""
+        return self.nobody or (self.consent is not None and self.consent.hand_out)
+
+
+def on_file(path: str | Path) -> OnFile:
+    """What an avatar's file says. Anything that is wrong with the record is ``fault``.
+
+    Raises FormatError where the file itself cannot be read.
+    """
+    with naming(path), open_regular(path) as (file, _):
+        data = file.read()
+    return OnFile(nobody=True) if _comes_with_glsplat(data) else on_file_data(data)
+
+
+def on_file_data(data: bytes) -> OnFile:
+    """The same of a file in memory, whoever made it."""
+    if not data.startswith(b"glTF"):
+        return OnFile(fault=f"{NONE} ({_ONLY_GLB})")
+    try:
+        glb = _Glb(data)
+        record = record_of(glb.document)
+        if not isinstance(record, dict):
+            return OnFile(fault=NONE)
+        consent = read_record(record)
+        splats, more = level_digest(glb.container())
+        if splats != consent.splats_sha256:
+            return OnFile(fault=_DAMAGED)
+        if consent.file_sha256 is None:
+            unsigned = "levels of detail, textures or things are in the file that its consent does not cover"
+            return OnFile(fault=unsigned) if more else OnFile(consent)
+        return OnFile(consent) if glb.digest() == consent.file_sha256 else OnFile(fault=_DAMAGED)
+    except FormatError as error:
+        return OnFile(fault=str(error))
+
+
+def sign_data(
+    data: bytes,
+    key: PrivateKey,
+    *,
+    subject: str,
+    given_by: str,
+    purpose: str,
+    start: date,
+    until: date,
+    drivers: list[str],
+    hand_out: bool = False,
+) -> bytes:
+    """A .glb with a record in the place of any it had; its binary chunk is the same to the byte, its JSON otherwise.
+
+    Raises FormatError for what is no .glb, needs further files, shows nothing, or for a field that cannot be.
+    """
+    if not data.startswith(b"glTF"):
+        raise FormatError(_ONLY_GLB)
+    glb = _Glb(data)
+    glb.document = without_record(glb.document)
+    record = signed_record(
+        key,
+        subject=subject,
+        given_by=given_by,
+        purpose=purpose,
+        start=start,
+        until=until,
+        drivers=drivers,
+        splats_sha256=level_digest(glb.container())[0],
+        file_sha256=glb.digest(),
+        hand_out=hand_out,
+    )
+    return b"".join(glb.with_record(record))
+
+
+def sign_file(path: Path, out: Path, key: PrivateKey, **fields: Any) -> None:
+    """``sign_data`` of a file, to a file (which may be the same one): whole, or as it was. Raises FormatError."""
+    with naming(path):
+        with open_regular(path) as (file, _):
+            data = file.read()
+        signed = sign_data(data, key, **fields)
+    replace_file(out, [signed])
+
+
+class _Glb:
+    """The chunks of a GLB (glTF 2.0, 4.4). Raises FormatError."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        container = self.container()  # which checks what is said of lengths
+        text, _ = chunks(io.BytesIO(data), len(data))
+        try:
+            document = json.loads(text.part(0, len(text)))
+        except (ValueError, RecursionError):
+            raise FormatError("the glTF JSON is broken") from None
+        self.document: dict[str, Any] = document
+        self._rest = data[text.start + len(text) : glb_length(data)]
+        if any(buffer.uri is not None and not buffer.uri.startswith("data:") for buffer in container.gltf.buffers):
+            raise FormatError(f"its buffers are files of their own; {_ONLY_GLB}")
+        if any(isinstance(one, dict) and not _within(one.get("uri")) for one in container.gltf.images):
+            raise FormatError(
+                "its textures are files of their own; put them into the .glb, so that a consent covers them"
+            )
+
+    def container(self) -> Container:
+        return read_container(io.BytesIO(self._data), len(self._data), None)
+
+    def digest(self) -> str:
+        return file_digest(self.document, self._rest)
+
+    def with_record(self, record: dict[str, Any]) -> Iterable[bytes]:
+        asset = self.document["asset"]
+        extras = asset.setdefault("extras", {})
+        note = extras.setdefault("glsplat", {}) if isinstance(extras, dict) else None
+        if not isinstance(note, dict):
+            raise FormatError("its asset.extras hold something else where a consent is kept; convert it with glsplat")
+        note[CONSENT] = record
+        text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False).encode()
+        text += b" " * (-len(text) % 4)
+        yield struct.pack("<III", MAGIC, 2, 20 + len(text) + len(self._rest))
+        yield struct.pack("<II", len(text), JSON_CHUNK) + text
+        yield self._rest
+
+
+def _within(uri: Any) -> bool:
+    return uri is None or (isinstance(uri, str) and uri.startswith("data:"))
+
+
+def _comes_with_glsplat(data: bytes) -> bool:
+    own = _own_files(len(data))
+    return bool(own) and hashlib.sha256(data).digest() in own
+
+
+@cache
+def _own_files(size: int) -> frozenset[bytes]:
+    """SHA-256 of the avatars and bodies of so many bytes in the package: synthetic people, their licences say so."""
+    found, folders = set(), [resources.files("glsplat.data")]
+    while folders:
+        for one in folders.pop().iterdir():
+            if one.is_dir():
+                folders.append(one)
+            elif one.name.endswith((".glb", ".npz")):
+                data = one.read_bytes()
+                if len(data) == size:
+                    found.add(hashlib.sha256(data).digest())
+    return frozenset(found)

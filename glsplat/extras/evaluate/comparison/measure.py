@@ -1,0 +1,148 @@
+"""What is measured of every picture: the paper's measures over the whole square, over the figure's box, and by part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.extras.evaluate.comparison.control import CONTROLS
+from glsplat.extras.evaluate.comparison.parts import PARTS
+from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, Protocol
+from glsplat.extras.evaluate.comparison.stage import StageTruth
+from glsplat.extras.evaluate.metrics.flip import flip
+from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.metrics.pixels import WHOLE, decibel
+from glsplat.extras.evaluate.metrics.structure import inner_mean, ssim_map
+
+__all__ = ["BOXED", "MEASURES", "PARTED", "Reference", "Scores"]
+
+F64 = NDArray[np.float64]
+
+MEASURES = ("l1", "lpips", "psnr", "ssim")
+"""The paper's, over the whole square."""
+BOXED = ("box_l1", "box_psnr", "box_ssim")
+"""Over the box around the participant, which black around the figure cannot flatter."""
+PARTED = ("l1", "psnr", "ssim")
+"""By body part, over the pixels that are nearest to it."""
+OVERLAP = "overlap"  # of the silhouettes: the smaller coverage over the larger, summed over the picture
+
+_BESIDE = 2  # pixels of the box around the figure, for what blurs outwards
+_FEWEST = 30  # pixels of a part that is worth a figure
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What is worked out once of the truth, for all avatars."""
+
+    truth: StageTruth
+    rgb: NDArray[np.float32]  # [2, H, W, 3] in [0, 1]
+    boxes: tuple[tuple[slice, slice], ...]
+    features: tuple[Mapping[str, Any], ...]  # of each eye, by network
+
+    @classmethod
+    def of(cls, truth: StageTruth, protocol: Protocol) -> Reference:
+        """The truth, ready to be compared with."""
+        rgb, networks = _rgb(truth.pictures), _networks(protocol)
+        features = tuple({name: network.features(one) for name, network in networks.items()} for one in rgb)
+        return cls(truth, rgb, tuple(_box(one) for one in truth.pictures), features)
+
+
+class Scores:
+    """The figures of one avatar: filled picture by picture."""
+
+    def __init__(self, protocol: Protocol, moments: int) -> None:
+        self._extra = tuple(name for name in EXTRA_MEASURES if name in protocol.extra_measures)
+        shape = (moments, len(protocol.views), 2)
+        names = (*MEASURES, *BOXED, OVERLAP, *self._extra)
+        self._networks = _networks(protocol)
+        self._values = {control: {name: np.full(shape, np.nan) for name in names} for control in CONTROLS}
+        self._parts = {
+            control: {part: {name: np.full(shape, np.nan) for name in PARTED} for part in PARTS} for control in CONTROLS
+        }
+
+    def add(self, control: str, moment: int, view: int, reference: Reference, pictures: NDArray[np.uint8]) -> None:
+        """Compare what both eyes [2, H, W, 4] see of the avatar."""
+        values, parts = self._values[control], self._parts[control]
+        for eye, (picture, wanted) in enumerate(zip(_rgb(pictures), reference.rgb, strict=True)):
+            at = moment, view, eye
+            apart = picture.astype(np.float64) - wanted
+            local = ssim_map(picture, wanted)
+            places: dict[str, Any] = {"": WHOLE, "box_": reference.boxes[eye]}
+            for prefix, box in places.items():
+                found = _three(apart[box], inner_mean(local, box))
+                for name in PARTED:
+                    values[prefix + name][at] = found[name]
+            for name, network in self._networks.items():
+                values[name][at] = network.distance(network.features(picture), reference.features[eye][name])
+            if "flip" in self._extra:
+                values["flip"][at] = flip(picture, wanted)
+            values[OVERLAP][at] = _overlap(pictures[eye, ..., 3], reference.truth.pictures[eye, ..., 3])
+            for index, part in enumerate(PARTS):
+                mine = reference.truth.regions[eye] == index
+                if mine.sum() >= _FEWEST:
+                    found = _three(apart[mine], float(local[mine].mean()))
+                    for name in PARTED:
+                        parts[part][name][at] = found[name]
+
+    def to_json(self, digits: int) -> dict[str, Any]:
+        """Values and parts, rounded; what was not seen is null."""
+        values = {
+            control: {name: _listed(array, digits) for name, array in by_name.items()}
+            for control, by_name in self._values.items()
+        }
+        parts = {
+            control: {
+                part: {name: _listed(array, digits) for name, array in by_name.items()}
+                for part, by_name in by_part.items()
+            }
+            for control, by_part in self._parts.items()
+        }
+        return {"values": values, "parts": parts}
+
+
+def _networks(protocol: Protocol) -> dict[str, Lpips]:
+    """Measure -> the network that takes it."""
+    kinds: dict[str, Literal["alex", "vgg"]] = {"lpips": "alex"}
+    if "lpips-vgg" in protocol.extra_measures:
+        kinds["lpips-vgg"] = "vgg"
+    return {name: _network(kind) for name, kind in kinds.items()}
+
+
+@cache
+def _network(kind: Literal["alex", "vgg"]) -> Lpips:
+    """One for all avatars: its weights are read once."""
+    return Lpips(kind)
+
+
+def _three(apart: F64, similar: float) -> dict[str, float]:
+    """The measures of PARTED, of differences [..., 3] and the mean of the map of SSIM."""
+    return {"l1": float(np.abs(apart).mean()), "psnr": decibel(float((apart**2).mean())), "ssim": similar}
+
+
+def _rgb(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.asarray(pictures[..., :3] / np.float32(255), np.float32)
+
+
+def _box(picture: NDArray[np.uint8]) -> tuple[slice, slice]:
+    """Rows and columns of the figure in a picture [H, W, 4]; all of them where there is none."""
+    rows, columns = (np.flatnonzero((picture[..., 3] > 0).any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return WHOLE
+    return (
+        slice(max(0, int(rows[0]) - _BESIDE), int(rows[-1]) + 1 + _BESIDE),
+        slice(max(0, int(columns[0]) - _BESIDE), int(columns[-1]) + 1 + _BESIDE),
+    )
+
+
+def _overlap(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
+    return float(np.minimum(one, other).sum(dtype=np.float64) / max(np.maximum(one, other).sum(dtype=np.float64), 1.0))
+
+
+def _listed(array: F64, digits: int) -> list[Any]:
+    """Nested lists of an array [M, V, 2]; None for NaN."""
+    return [[[None if x != x else round(float(x), digits) for x in eyes] for eyes in views] for views in array]

@@ -1,0 +1,97 @@
+"""The project's own methods: one photograph as splats or as a mesh, a video as a mesh, and the scan itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.extras.authoring.cells import SamplerConfig
+from glsplat.extras.authoring.optimize.compiled import available
+from glsplat.extras.authoring.optimize.mesh import fitted_to_mesh
+from glsplat.extras.authoring.reconstruct.photos import from_photos, mesh_from_photos
+from glsplat.extras.authoring.reconstruct.reconstructor import Options
+from glsplat.extras.authoring.reconstruct.video import FRAMES, from_pictures, from_video
+from glsplat.extras.authoring.surface import make_avatar
+from glsplat.extras.authoring.video.frames import FramePicture
+from glsplat.extras.evaluate.avatar_poses import pose_of
+from glsplat.extras.evaluate.comparison.participant import Participant
+from glsplat.extras.evaluate.turntable import turntable
+from glsplat.meshes import RiggedMesh
+
+__all__ = ["MeshImage", "MeshVideo", "Photo", "Scan"]
+
+
+@dataclass(frozen=True)
+class _Own:
+    """What the project's own methods are told."""
+
+    seed: int = 0
+    quick: bool = False  # a look, not a result
+
+
+@dataclass(frozen=True)
+class Photo(_Own):
+    """The photograph of the front to splats, as ``glsplat avatar photo`` makes them; the height is told."""
+
+    def make(self, participant: Participant) -> Avatar:
+        """Raises CaptureError where the check refuses the photograph."""
+        return from_photos(participant.photo, height=participant.height, seed=self.seed)
+
+
+@dataclass(frozen=True)
+class MeshImage(_Own):
+    """The same photograph to a textured mesh, as ``glsplat avatar photo --as mesh`` makes them."""
+
+    def make(self, participant: Participant) -> RiggedMesh:
+        """Raises CaptureError where the check refuses the photograph."""
+        return mesh_from_photos(participant.photo, height=participant.height)
+
+
+@dataclass(frozen=True)
+class MeshVideo(_Own):
+    """A video of the person turning to a textured mesh, as ``glsplat avatar video --as mesh`` makes them.
+
+    Where there is none it is drawn: the participant in the photograph's pose, camera and light, turning once.
+    """
+
+    def make(self, participant: Participant) -> RiggedMesh:
+        """Raises CaptureError where the check refuses the frames."""
+        count = _QUICK_FRAMES if self.quick else FRAMES
+        options = Options(height=participant.height, seed=self.seed)
+        if participant.video is not None:
+            made = from_video(participant.video, frames=count, options=options)
+        else:
+            made = from_pictures(self._drawn(participant, count), in_order=True, options=options)
+        assert isinstance(made.thing, RiggedMesh)
+        return made.thing
+
+    def _drawn(self, participant: Participant, count: int) -> list[FramePicture]:
+        mesh = participant.mesh
+        camera = participant.camera or Camera(look_at(*_LOOK), pinhole(1024, 1536, _FOV), 1024, 1536)
+        pose = participant.pose or pose_of(_A_POSE, mesh.skeleton)
+        light = participant.light or _LIGHT
+        shots = turntable(mesh, camera, pose, light["direction_to"], light["colour"], frames=count, seed=self.seed)
+        return [(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)]  # as of a video
+
+
+@dataclass(frozen=True)
+class Scan(_Own):
+    """The participant's own mesh to splats, as ``glsplat avatar make`` makes them, with fewer steps of fitting."""
+
+    def make(self, participant: Participant) -> Avatar:
+        """Raises FormatError for a mesh that cannot be read."""
+        mesh = participant.mesh
+        if self.quick:
+            return make_avatar(mesh, 10_000, self.seed, SamplerConfig(probe=256))
+        return fitted_to_mesh(make_avatar(mesh, 40_000, self.seed), mesh, self.seed, _STEPS if available() else _SLOW)
+
+
+_STEPS, _SLOW = 450, 60  # of fitting, with numba and without; the command takes 900 and 450
+_QUICK_FRAMES = 8
+
+# a usual photograph, where nothing is known of the participant's own
+_LOOK = (0.0, 1.3, 3.2), (0.0, 0.88, 0.0)
+_FOV = 40.0  # degrees, vertical
+_A_POSE = {"left_shoulder": (0.0, 0.0, -0.7), "left_hip": (0.0, 0.0, 0.07)}
+_LIGHT = {"direction_to": (0.45, 0.75, 0.75), "colour": (0.62, 0.60, 0.57)}

@@ -1,0 +1,128 @@
+"""What participants do while they are compared: a motion, and the moments of it at which pictures are taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.extras.evaluate.avatar_poses import Rotations, fist, pose_of
+from glsplat.meshes import RiggedMesh
+from glsplat.motion.loading import load_motion
+from glsplat.motion.motion import Motion
+from glsplat.rotations import slerp
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+
+__all__ = ["RATE", "TASKS", "Performance", "perform", "perform_motion"]
+
+F64 = NDArray[np.float64]
+
+RATE = 72.0
+"""Samples of head and hands a second, as a headset's display."""
+
+_STAND, _MOVE, _HOLD = 1.0, 0.8, 0.7  # seconds: at the beginning, to a pose, in it
+_RELAXED = {**fist("left", 0.25), **fist("right", 0.25)}
+_HANGING: Rotations = {"left_shoulder": (0, 0.1, -1.15), "left_elbow": (0, -0.25, 0), **_RELAXED}
+
+TASKS: dict[str, Rotations] = {
+    "standing": _HANGING,
+    "arms sideways": {"left_shoulder": (0, 0, -0.05), "head": (0, -0.35, 0)},
+    "waving": {
+        **_HANGING,
+        "right_shoulder": (0, 0.35, -0.15),
+        "right_elbow": (0, 0.5, -1.55),
+        "right_wrist": (0, 0, 0.2),
+        "head": (0, -0.25, 0.08),
+        "spine2": (0, 0, 0.05),
+    },
+    "hands on hips": {
+        **_RELAXED,
+        "left_shoulder": (1.0, 0.1, -0.85),
+        "left_elbow": (0, -1.5, 0),
+        "left_wrist": (0, 0, -0.3),
+    },
+    "reaching forward": {
+        "left_shoulder": (0, -1.25, -0.15),
+        "left_elbow": (0, -0.25, 0),
+        "spine1": (0.15, 0, 0),
+        "head": (-0.1, 0, 0),
+    },
+    "arms overhead": {"left_collar": (0, 0, 0.2), "left_shoulder": (0, -0.1, 1.0), "left_elbow": (0, -0.2, 0)},
+    "turning": {
+        **_RELAXED,
+        "spine1": (0, 0.2, 0),
+        "spine2": (0, 0.2, 0),
+        "spine3": (0, 0.15, 0),
+        "head": (0, 0.4, 0),
+        "left_shoulder": (0, 0.2, -0.8),
+        "left_elbow": (0, -1.2, 0),
+        "right_shoulder": (0, 0.6, 0.8),
+        "right_elbow": (0, 1.4, 0),
+    },
+    "bending the knees": {
+        **_RELAXED,
+        "left_hip": (-0.75, 0, 0.12),
+        "left_knee": (1.2, 0, 0),
+        "left_ankle": (-0.45, 0, -0.1),
+        "spine1": (0.2, 0, 0),
+        "left_shoulder": (0, -0.6, -0.7),
+        "left_elbow": (0, -0.7, 0),
+        "head": (-0.15, 0, 0),
+    },
+}
+"""Pose -> joint rotations: what people are asked to do before a mirror, feet where they are (paper, section 4.2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Performance:
+    """A motion at RATE of one person's skeleton, soles on y = 0, and where in it pictures are taken."""
+
+    rotations: F64  # [T, J, 3] axis-angle
+    trans: F64  # [T, 3] metres
+    moments: tuple[int, ...]  # frames
+    names: tuple[str, ...]  # of the moments
+
+    def pose(self, moment: int) -> Pose:
+        """The true pose at a moment, by its place in ``moments``."""
+        frame = self.moments[moment]
+        return Pose(self.rotations[frame], self.trans[frame])
+
+
+def perform(mesh: RiggedMesh, names: tuple[str, ...] = tuple(TASKS)) -> Performance:
+    """TASKS one after the other by this person, who begins standing: each is gone to smoothly, and held."""
+    skeleton = mesh.skeleton
+    keys = [pose_of(TASKS[name], skeleton).rotations for name in ("standing", *names)]
+    heights = [_height(mesh, turned) for turned in keys]
+    rotations, heads, moments = [np.repeat(keys[0][None], _frames(_STAND), axis=0)], [], []
+    heads.append(np.full(_frames(_STAND), heights[0]))
+    for index in range(len(names)):
+        part = np.arange(1, _frames(_MOVE) + 1) / _frames(_MOVE)
+        part = part * part * (3 - 2 * part)
+        part = np.concatenate([part, np.ones(_frames(_HOLD))])
+        rotations.append(slerp(keys[index][None], keys[index + 1][None], part[:, None]))
+        heads.append(heights[index] + part * (heights[index + 1] - heights[index]))
+        moments.append(sum(map(len, rotations)) - 1)
+    up = np.concatenate(heads)
+    trans = np.stack([np.zeros_like(up), up, np.zeros_like(up)], axis=1)
+    return Performance(np.concatenate(rotations), trans, tuple(moments), names)
+
+
+def perform_motion(source: str | Path, skeleton: Skeleton, count: int) -> Performance:
+    """A motion file, or an embedded motion, with ``count`` moments evenly in it. Raises PoseError."""
+    motion: Motion = load_motion(source, skeleton, forward=True).resampled(RATE)
+    frames = len(motion)
+    moments = tuple(int((index + 0.5) / count * frames) for index in range(count))
+    names = tuple(f"{frame / RATE:.1f} s" for frame in moments)
+    return Performance(motion.rotations, motion.trans, moments, names)
+
+
+def _frames(seconds: float) -> int:
+    return round(seconds * RATE)
+
+
+def _height(mesh: RiggedMesh, rotations: F64) -> float:
+    """How far the pelvis goes up for the lowest vertex to be on y = 0, metres."""
+    return -float(mesh.posed(Pose(rotations))[np.unique(mesh.faces), 1].min())

@@ -1,0 +1,181 @@
+"""Tables of a comparison, from the results of all participants: means over participants of their own means."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.extras.evaluate.comparison.control import CONTROLS
+from glsplat.extras.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
+from glsplat.extras.evaluate.comparison.parts import PARTS
+from glsplat.extras.evaluate.comparison.work import Result
+from glsplat.extras.evaluate.statistics import compare
+
+__all__ = [
+    "PAPER",
+    "Groups",
+    "by_moment",
+    "by_part",
+    "by_participant",
+    "by_view",
+    "compared",
+    "failures",
+    "grouped",
+    "means",
+    "summary",
+]
+
+F64 = NDArray[np.float64]
+Groups = dict[str, dict[str, dict[str, float]]]
+"""By what the figures are of, then method and participant."""
+
+PAPER: Mapping[str, Mapping[str, float]] = {
+    "mesh-video": {"l1": 0.042, "lpips": 0.099, "psnr": 16.33, "ssim": 0.927},
+    "mesh-image": {"l1": 0.043, "lpips": 0.103, "psnr": 16.74, "ssim": 0.917},
+    "photo": {"l1": 0.033, "lpips": 0.082, "psnr": 17.92, "ssim": 0.934},
+}
+"""Table 1 of the paper, by the method that has the same role here: photographs of 24 people, other crops and poses."""
+
+
+def means(results: Sequence[Result], method: str, control: str, measure: str) -> dict[str, float]:
+    """Participant -> mean over all moments, views and eyes; those that failed are left out."""
+    return {one.participant: float(np.nanmean(_array(one, control, measure))) for one in _good(results, method)}
+
+
+def summary(results: Sequence[Result], methods: Sequence[str], people: int) -> list[dict[str, Any]]:
+    """Table 1: a row a method and control, each measure as mean and standard deviation over ``n`` of ``people``."""
+    rows = []
+    for control in CONTROLS:
+        for method in methods:
+            good = _good(results, method)
+            row: dict[str, Any] = {"method": method, "control": control, "n": len(good), "of": people}
+            for name in _measures(results):
+                row[name] = _spread(list(means(results, method, control, name).values()))
+            if method in PAPER:
+                row["paper"] = dict(PAPER[method])
+            rows.append(row)
+    return rows
+
+
+def compared(results: Sequence[Result], methods: Sequence[str], seed: int) -> list[dict[str, Any]]:
+    """A row a control, measure and pair of methods: statistics.Paired; the pairs of one measure are one family."""
+    rows = []
+    for control in CONTROLS:
+        for measure in _measures(results):
+            values = {method: means(results, method, control, measure) for method in methods}
+            for pair in compare(values, seed):
+                found = {
+                    key: _round(value) if isinstance(value, float) else value for key, value in asdict(pair).items()
+                }
+                rows.append({"control": control, "measure": measure, **found, "missing": list(pair.missing)})
+    return rows
+
+
+def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a participant and method: the paper's measures under both controls, or why there are none."""
+    rows = []
+    order = {method: place for place, method in enumerate(methods)}
+    for one in sorted(results, key=lambda one: (one.participant, order[one.method])):
+        row: dict[str, Any] = {"participant": one.participant, "method": one.method}
+        if one.failed:
+            row["failed"] = one.failed
+        else:
+            row |= {"product": one.data["product"]}
+            row |= {
+                control: {name: _round(np.nanmean(_array(one, control, name))) for name in (*MEASURES, OVERLAP)}
+                for control in CONTROLS
+            }
+        rows.append(row)
+    return rows
+
+
+def by_view(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a method, control and side of the person that is seen."""
+    return _along(results, methods, "view", _measures(results))
+
+
+def by_moment(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a method, control and moment (pose)."""
+    return _along(results, methods, "moment", _measures(results))
+
+
+def by_part(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a method, control and body part; means over the pictures in which it is seen."""
+    return _along(results, methods, "part", PARTED)
+
+
+def grouped(results: Sequence[Result], methods: Sequence[str], control: str, measure: str, key: str) -> Groups:
+    """Figures of one measure by side ("view"), pose ("moment") or body part ("part"), then method and participant."""
+    groups: Groups = {}
+    for method in methods:
+        for one in _good(results, method):
+            for label, array in _pieces(one, control, measure, key):
+                if np.isfinite(array).any():
+                    groups.setdefault(label, {}).setdefault(method, {})[one.participant] = float(np.nanmean(array))
+    return groups
+
+
+def failures(results: Sequence[Result]) -> list[dict[str, str]]:
+    """Participant, method and reason of what failed."""
+    return [{"participant": r.participant, "method": r.method, "why": r.failed} for r in results if r.failed]
+
+
+def _along(
+    results: Sequence[Result], methods: Sequence[str], key: str, measures: Sequence[str]
+) -> list[dict[str, Any]]:
+    rows = []
+    for control in CONTROLS:
+        by_measure = {measure: grouped(results, methods, control, measure, key) for measure in measures}
+        for method in methods:
+            for label, values in next(iter(by_measure.values()), {}).items():
+                if method in values:
+                    row: dict[str, Any] = {"method": method, "control": control, key: label}
+                    for measure, groups in by_measure.items():
+                        row[measure] = _spread(list(groups[label][method].values()))
+                    rows.append(row)
+    return rows
+
+
+def _pieces(one: Result, control: str, measure: str, key: str) -> list[tuple[str, F64]]:
+    """The values of a result by what they are of."""
+    if key == "part":
+        return [(part, _numbers(one.data["parts"][control][part][measure])) for part in PARTS]
+    array = _array(one, control, measure)
+    axis = ("moment", "view").index(key)
+    return [(label, np.asarray(array.take(place, axis=axis))) for place, label in enumerate(one.data[f"{key}s"])]
+
+
+def _measures(results: Sequence[Result]) -> list[str]:
+    """Those that were taken, the paper's first."""
+    taken: Mapping[str, Any] = next((one.data["values"][CONTROLS[0]] for one in results if not one.failed), {})
+    first = [*MEASURES, *BOXED, OVERLAP]
+    return [name for name in (*first, *(name for name in taken if name not in first)) if name in taken]
+
+
+def _good(results: Sequence[Result], method: str) -> list[Result]:
+    return [one for one in results if one.method == method and not one.failed]
+
+
+def _array(one: Result, control: str, measure: str) -> F64:
+    return _numbers(one.data["values"][control][measure])
+
+
+def _numbers(values: Any) -> F64:
+    """[M, V, 2] of nested lists; null is NaN."""
+    return np.array(values, np.float64)
+
+
+def _spread(values: Sequence[float]) -> dict[str, Any] | None:
+    """Mean and standard deviation over participants (of the sample; none of one), and how many they are."""
+    if not values:
+        return None
+    deviation = _round(np.std(values, ddof=1)) if len(values) > 1 else None
+    return {"mean": _round(np.mean(values)), "sd": deviation, "n": len(values)}
+
+
+def _round(value: Any) -> float:
+    return round(float(value), 6)

@@ -1,0 +1,220 @@
+"""The work of a comparison: a participant at a time, each method's avatar made, driven, drawn and measured.
+
+What is done lies in the output folder and is not done again: ``avatars/METHOD/NAME.glb``, ``results/METHOD/NAME.json``,
+``sheets/METHOD/NAME.jpg``. A result is written whole or not at all, and only once everything in it is known.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glsplat.errors import GlsplatError
+from glsplat.extras.authoring.reconstruct.plugins import one_line
+from glsplat.extras.evaluate.comparison.control import CONTROLS, recorded, tracked, true_poses
+from glsplat.extras.evaluate.comparison.measure import Reference, Scores
+from glsplat.extras.evaluate.comparison.method import MadeElsewhere
+from glsplat.extras.evaluate.comparison.participant import Participant
+from glsplat.extras.evaluate.comparison.performance import Performance, perform, perform_motion
+from glsplat.extras.evaluate.comparison.product import Product, key_of, product
+from glsplat.extras.evaluate.comparison.protocol import Protocol
+from glsplat.extras.evaluate.comparison.sheet import Sheet
+from glsplat.extras.evaluate.comparison.stage import Stage
+from glsplat.extras.evaluate.machine import commit
+from glsplat.io.files import replace_file
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.sample import Sample
+
+__all__ = ["Result", "Task", "alone", "finished", "work"]
+
+Tell = Callable[[str, float], None]
+"""Called with a step's name and the share of the task that is done."""
+
+_MAKING = 0.5  # share of a task that is making avatars, about
+_DIGITS = 6
+
+log: logging.Logger = logging.getLogger("glsplat.extras.evaluate")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One participant and the methods that have no result yet."""
+
+    participant: Participant
+    methods: Mapping[str, str | MadeElsewhere]  # name -> what ``product`` makes it by
+    protocol: Protocol
+    out: Path
+    options: Mapping[str, Any] = field(default_factory=dict)  # seed, quick: of the project's own methods
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One method on one participant: ``failed`` is one line, or empty where there are values."""
+
+    participant: str
+    method: str
+    failed: str = ""
+    data: Mapping[str, Any] = field(default_factory=dict)
+    """product (see Product.facts), moments, views, values {control: {measure: [M][V][2]}}, parts {control: {part:
+    {measure: [M][V][2], null where it is not seen}}}."""
+
+
+def finished(task: Task) -> list[Result]:
+    """Results that lie in the folder and hold for this task's protocol, options and files."""
+    found = []
+    for method in task.methods:
+        try:
+            kept = json.loads(_result_file(task, method).read_text(encoding="utf-8"))
+            if kept["key"] == _key(task, method) and _sheet_file(task, method).is_file():
+                found.append(Result(task.participant.name, method, data=kept["data"]))
+        except (GlsplatError, OSError, ValueError, KeyError, TypeError):
+            continue  # it is made anew, and says then what is wrong
+    return found
+
+
+def alone(task: Task) -> list[Result]:
+    """``work`` without anybody who is told how far it is: on another machine."""
+    return work(task, lambda step, done: None)
+
+
+def work(task: Task, tell: Tell) -> list[Result]:
+    """Do a task; a result a method. What fails is a result that says why, and is tried again in the next run."""
+    name = task.participant.name
+    made: dict[str, Product] = {}
+    results = []
+    for index, (method, source) in enumerate(task.methods.items()):
+        tell(f"{name}: {method}", _MAKING * index / len(task.methods))
+        try:
+            folder = task.out / "avatars" / method
+            made[method] = product(method, source, task.participant, folder, task.options)
+        except Exception as error:
+            results.append(Result(name, method, _said(error)))
+    if not made:
+        return results
+    try:
+        drawn = _drawn(task, made, tell)
+    except Exception as error:
+        return results + [Result(name, method, _said(error)) for method in made]
+    for method, (data, sheet) in drawn.items():
+        if isinstance(data, str):
+            results.append(Result(name, method, data))
+            continue
+        try:
+            _write(_sheet_file(task, method), sheet.jpeg())
+            stored = json.dumps({"key": _key(task, method), "data": data}).encode()
+            _write(_result_file(task, method), stored)
+            results.append(Result(name, method, data=json.loads(stored)["data"]))
+        except Exception as error:
+            results.append(Result(name, method, _said(error)))
+    return results
+
+
+def _said(error: Exception) -> str:
+    """One line of an error; of one that nobody raised on purpose, the log has the rest."""
+    if isinstance(error, GlsplatError):
+        return str(error)
+    log.error("a comparison failed", exc_info=error)
+    return one_line(error)
+
+
+def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tuple[dict[str, Any] | str, Sheet]]:
+    """Method -> its values, or why there are none, and its contact sheet."""
+    protocol, mesh = task.protocol, task.participant.mesh
+    performance = perform(mesh, protocol.tasks)
+    if protocol.motion is not None:
+        performance = perform_motion(protocol.motion, mesh.skeleton, protocol.moments)
+    moments = len(performance.moments)
+    samples = recorded(performance, mesh.skeleton)
+    entries: dict[str, _Entry] = {}
+    out: dict[str, tuple[dict[str, Any] | str, Sheet]] = {}
+    with Stage(mesh, performance, protocol, task.participant.light) as stage:
+        for method, one in made.items():
+            try:
+                poses = _poses(one, performance, samples, task)
+                entries[method] = _Entry(stage.add(one.figure), poses, Scores(protocol, moments), Sheet(moments))
+            except Exception as error:
+                out[method] = _said(error), Sheet(moments)
+        for moment, view, share in _moments(moments, protocol) if entries else ():
+            tell(f"{task.participant.name}: pictures", _MAKING + (1 - _MAKING) * share)
+            reference = Reference.of(stage.truth(moment, protocol.views[view]), protocol)
+            for method, entry in list(entries.items()):
+                try:
+                    _compare(entry, stage, reference, moment, view, protocol.views)
+                except Exception as error:  # of this avatar alone
+                    out[method] = _said(error), entry.sheet
+                    del entries[method]
+        for method, entry in entries.items():
+            data = {
+                "product": dict(made[method].facts),
+                "driver": stage.driver,
+                "made_by": f"{version('glsplat')}, commit {commit() or 'unknown'}",
+                "moments": list(performance.names),
+                "views": list(protocol.views),
+                **entry.scores.to_json(_DIGITS),
+            }
+            out[method] = data, entry.sheet
+    return out
+
+
+def _compare(entry: _Entry, stage: Stage, reference: Reference, moment: int, view: int, views: Sequence[str]) -> None:
+    """Draw an avatar under both controls as the truth was drawn, and measure it."""
+    side, shown = views[view], view in (0, len(views) // 2)  # the front and the back, where all four are looked at
+    if shown:
+        entry.sheet.put(f"{side}: participant", moment, reference.truth.pictures[0])
+    for control, poses in entry.poses.items():
+        pictures = stage.draw(entry.figure, reference.truth.cameras, poses[moment])
+        entry.scores.add(control, moment, view, reference, pictures)
+        if shown:
+            entry.sheet.put(f"{side}: by {control}", moment, pictures[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    """One avatar on the stage."""
+
+    figure: int
+    poses: Mapping[str, list[Pose]]  # by control
+    scores: Scores
+    sheet: Sheet
+
+
+def _poses(made: Product, performance: Performance, samples: list[Sample], task: Task) -> dict[str, list[Pose]]:
+    skeleton = made.figure.skeleton
+    by_control = {
+        "tracking": tracked(samples, performance.moments, skeleton),
+        "pose": true_poses(performance, task.participant.mesh.skeleton, skeleton),
+    }
+    return {control: by_control[control] for control in CONTROLS}
+
+
+def _moments(moments: int, protocol: Protocol) -> Iterator[tuple[int, int, float]]:
+    """Moment, place of the view, and the share that is done before it."""
+    total = moments * len(protocol.views)
+    for index, (moment, view) in enumerate(np.ndindex(moments, len(protocol.views))):
+        yield moment, view, index / total
+
+
+def _key(task: Task, method: str) -> dict[str, Any]:
+    """What a result depends on, beside the code. Raises GlsplatError for files that are not there."""
+    source = key_of(task.methods[method], task.participant)
+    return {"protocol": task.protocol.to_json(), "options": dict(task.options), **source}
+
+
+def _sheet_file(task: Task, method: str) -> Path:
+    return task.out / "sheets" / method / f"{task.participant.name}.jpg"
+
+
+def _result_file(task: Task, method: str) -> Path:
+    return task.out / "results" / method / f"{task.participant.name}.json"
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(path, [data])

@@ -1,0 +1,118 @@
+"""How far a picture is from the float64 reference, and which settings no other one beats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat import reference
+from glsplat.avatar import Avatar, splats_of
+from glsplat.camera import Camera
+from glsplat.config import RenderConfig
+from glsplat.errors import GlsplatError
+from glsplat.extras.evaluate.metrics.flip import flip as mean_flip
+from glsplat.extras.evaluate.metrics.pixels import decibel
+from glsplat.skinning.pose import Pose
+from glsplat.splats import Splats
+
+__all__ = ["PSNR_CAP", "Difference", "ReferencePictures", "pareto", "require_extra"]
+
+PSNR_CAP = 160.0
+"""Decibels reported for equal pictures: JSON has no infinity."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Pictures [V, H, W, 4] against what they should be. Not clipped, except for FLIP, which is about displays."""
+
+    psnr: float  # dB over RGB, of 1
+    mean: float  # absolute, over RGB and alpha
+    maximum: float  # absolute, over RGB and alpha
+    beyond: float  # share of pixels with a channel off by more than 1/255
+    flip: float | None  # mean over the first view; None where it was not asked for
+
+    @classmethod
+    def of(cls, image: NDArray[Any], expected: NDArray[np.float64], flip: bool = True) -> Difference:
+        """Raises GlsplatError for pictures of different shapes; what is not finite counts as an error of 1e3."""
+        if image.shape != expected.shape:
+            raise GlsplatError(f"pictures to compare need one shape, not {image.shape} and {expected.shape}")
+        scaled = image / 255.0 if image.dtype == np.uint8 else image.astype(np.float64)
+        error = np.nan_to_num(np.abs(scaled - expected), nan=1e3, posinf=1e3)
+        mse = float((error[..., :3] ** 2).mean())
+        return cls(
+            psnr=round(decibel(mse, most=PSNR_CAP), 3),
+            mean=float(error.mean()),
+            maximum=float(error.max()),
+            beyond=float((error.max(axis=-1) > 1 / 255).mean()),
+            flip=round(mean_flip(_shown(scaled), _shown(expected)), 6) if flip else None,
+        )
+
+    @classmethod
+    def worst(cls, several: Sequence[Difference]) -> Difference:
+        """Each figure at its worst, over several frames."""
+        flips = [d.flip for d in several if d.flip is not None]
+        return cls(
+            psnr=min(d.psnr for d in several),
+            mean=max(d.mean for d in several),
+            maximum=max(d.maximum for d in several),
+            beyond=max(d.beyond for d in several),
+            flip=max(flips) if flips else None,
+        )
+
+    @property
+    def contract(self) -> bool:
+        """Within the gate of a 32F target (docs/conventions.md)."""
+        return self.psnr >= 65 and self.mean <= 1e-4 and self.beyond <= 0.003 and self.maximum <= 0.06
+
+
+class ReferencePictures:
+    """Float64 pictures of one scene, each rendered once."""
+
+    def __init__(self, scene: Splats | Avatar) -> None:
+        self._scene = scene
+        self._kept: dict[tuple[Any, ...], NDArray[np.float64]] = {}
+
+    def of(self, views: Sequence[Camera], pose: Pose | None, order: str) -> NDArray[np.float64]:
+        """[V, H, W, 4] under the pixel contract, all influences, in the ``order`` given (shared or per_view)."""
+        key = (order, *(v.viewmat.tobytes() + v.K.tobytes() + bytes(f"{v.width}x{v.height}", "ascii") for v in views))
+        key += (b"",) if pose is None else (pose.rotations.tobytes() + pose.trans.tobytes(),)
+        if key not in self._kept:
+            config = RenderConfig(order="per_view" if order == "per_view" else "shared")
+            scene = self._scene
+            if isinstance(scene, Avatar):
+                bones = (pose or Pose.zero(len(scene.skeleton))).bones(scene.skeleton)
+                self._kept[key] = reference.render(scene.splats, views, scene.skin, bones, config)
+            else:
+                self._kept[key] = reference.render(splats_of(scene), views, config=config)
+        return self._kept[key]
+
+
+def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Indices of the (cost, quality) points that no other beats: none is as cheap and better, or as good and cheaper.
+
+    In the order of cost.
+    """
+    order = sorted(range(len(points)), key=lambda i: (points[i][0], -points[i][1]))
+    front: list[int] = []
+    for i in order:
+        if not front or points[i][1] > points[front[-1]][1]:
+            front.append(i)
+    return front
+
+
+def require_extra() -> None:
+    """Raises GlsplatError with what to install where the plots or FLIP are missing."""
+    try:
+        import flip_evaluator  # noqa: F401
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise GlsplatError(f"the report needs {error.name}; install it with: pip install 'glsplat[report]'") from None
+
+
+def _shown(views: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The colours of the first view as a display shows them."""
+    return np.clip(np.nan_to_num(views[0, ..., :3]), 0, 1)

@@ -1,0 +1,215 @@
+"""What a frame costs, stage by stage: paired series of renderers that take turns on one context."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.config import RenderConfig
+from glsplat.extras.evaluate.probe import Probe
+from glsplat.gl.context import Context
+from glsplat.meshes import RiggedMesh
+from glsplat.motion.motion import Motion
+from glsplat.renderer import Renderer
+from glsplat.scene import Content, Scene, SceneLike, is_rigged
+from glsplat.skinning.pose import Pose
+from glsplat.views import orbited, view_of, viewing_point
+
+__all__ = ["FOV", "STAGES", "WARM_UP", "Bench", "Binocular", "Series", "triangles_of"]
+
+FOV = 65.0
+WARM_UP = 5
+STAGES = ("pose", "mesh", "frame", "skin", "key", "sort", "project", "draw", "resolve", "read")
+
+
+@dataclass(frozen=True)
+class Series:
+    """Milliseconds of one thing, many times."""
+
+    median: float
+    p95: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Series:
+        """Statistics of the samples."""
+        return cls(round(float(np.median(values)), 3), round(float(np.percentile(values, 95)), 3))
+
+
+def triangles_of(scene: SceneLike) -> int:
+    """Triangles of the visible meshes."""
+    items = (item for item in Scene.of(scene) if item.visible)
+    return sum(len(item.content.faces) for item in items if isinstance(item.content, RiggedMesh))
+
+
+class Binocular:
+    """One thing drawn as a pair in one call, by two renderers that share nothing, and eye by eye by one renderer.
+
+    ``make`` makes a renderer for so many views; release it on the thread that made it.
+    """
+
+    def __init__(self, make: Callable[[int], Renderer]) -> None:
+        with ExitStack() as stack:
+            self.pair, self._shared, self._left, self._right = (
+                stack.enter_context(make(views)) for views in (2, 1, 1, 1)
+            )
+            self._renderers = stack.pop_all()
+
+    def frame(self, eyes: Sequence[Camera], pose: Pose | None) -> tuple[float, float, float]:
+        """Milliseconds of one frame in those three ways, one after the other."""
+        self.pair.render(eyes, pose)
+        alone = in_turn = 0.0
+        for renderer, eye in zip((self._left, self._right), eyes, strict=True):
+            renderer.render([eye], pose)
+            alone += renderer.timings["total"]
+        for eye in eyes:
+            self._shared.render([eye], pose)
+            in_turn += self._shared.timings["total"]
+        return self.pair.timings["total"], alone, in_turn
+
+    def release(self) -> None:
+        """Delete the renderers."""
+        self._renderers.close()
+
+
+class Bench:
+    """Measurements on one context; everything compared is interleaved frame by frame."""
+
+    def __init__(self, context: Context, frames: int, config: RenderConfig | None = None) -> None:
+        self._context, self._frames = context, frames
+        self._config = config or RenderConfig()
+
+    def kinds(self, scene: Content, motion: Motion | None) -> list[tuple[str, Content, list[Pose | None]]]:
+        """(name, scene, poses): static, and an avatar in ``motion`` as well."""
+        frames = self._frames + WARM_UP
+        still = scene.splats if isinstance(scene, Avatar) else scene
+        out: list[tuple[str, Content, list[Pose | None]]] = [("static", still, [None] * frames)]
+        if is_rigged(scene) and motion is not None:
+            out.append(("in motion", scene, [motion.at(i / 30) for i in range(frames)]))
+        return out
+
+    def setting(
+        self,
+        kind: str,
+        scene: SceneLike,
+        poses: list[Pose | None],
+        pixels: tuple[int, int],
+        views: int,
+        pose_at: Callable[[float], None] | None = None,  # plays the motions of the scene, in seconds
+    ) -> dict[str, Any]:
+        """Whole frame, draw floor, stages, and the pair (or the one view) against single renders."""
+        pair, single, staged = (
+            self._renderer(scene, pixels, n, timed) for n, timed in ((views, 0), (1, 0), (views, 1))
+        )
+        whole, floor, gpu, apart, still, still_apart = [], [], [], [], [], []
+        with self._context.entered("Bench"):
+            query = self._context.ctx.query(time=True)
+        stages: dict[str, list[float]] = {}
+        for i, pose in enumerate(poses):
+            eyes = self.eyes(scene, pixels, i)[:views]
+            if pose_at is not None:
+                pose_at(i / 30)
+            pair.render(eyes, pose)
+            total = pair.timings["total"]
+            with self._context, query:
+                lowest = pair.redraw(eyes)
+            two = 0.0
+            for eye in eyes:
+                single.render([eye], pose)
+                two += single.timings["total"]
+            staged.render(eyes, pose)
+            # once more with nothing moved: no skinning, no sorting
+            pair.render(eyes, pose)
+            unmoved, unmoved_apart = pair.timings["total"], self._unmoved(single, eyes, pose)
+            if i < WARM_UP:
+                continue
+            whole.append(total)
+            floor.append(lowest)
+            with self._context.entered("Bench"):
+                gpu.append(query.elapsed / 1e6)
+            apart.append(two)
+            still.append(unmoved)
+            still_apart.append(unmoved_apart)
+            for stage in STAGES:
+                stages.setdefault(stage, []).append(staged.timings.get(stage, 0.0))
+        stats, memory = pair.stats, pair.nbytes()
+        count = stats.splats
+        row = {
+            "kind": kind,
+            "size": list(pixels),
+            "views": views,
+            "splats": count,
+            "drawn": stats.drawn,
+            "triangles": triangles_of(scene),
+            "mesh_bytes": memory["meshes"],
+            "variant": asdict(pair.variant),
+            "float_target": pair.target_dtype,
+            "frame_ms": asdict(Series.of(whole)),
+            "floor_ms": asdict(Series.of(floor)),
+            "gpu_draw_ms": asdict(Series.of(gpu)),  # the driver's own timer around the same draw
+            "frame_to_floor": round(float(np.median(np.array(whole) / floor)), 3),
+            "single_renders_ms": asdict(Series.of(apart)),
+            "batching_gain": round(float(np.median(np.array(apart) / whole)), 3),
+            "unmoved_ms": asdict(Series.of(still)),
+            "unmoved_batching_gain": round(float(np.median(np.array(still_apart) / still)), 3),
+            "stages_ms": {stage: asdict(Series.of(values)) for stage, values in stages.items() if max(values) > 0},
+            "splats_per_second": round(count * 1000 / float(np.median(whole))),
+            "bytes_per_splat": round((memory["splats"] + memory["sh"] + memory["work"]) / max(count, 1), 1),
+            "programs": pair.programs_compiled,
+        }
+        for renderer in (pair, single, staged):
+            renderer.release()
+        return row
+
+    def influences(self, avatar: Avatar, motion: Motion, pixels: tuple[int, int]) -> list[dict[str, Any]]:
+        """The skin stage by joints a splat, interleaved, and the pose upload it needs."""
+        counts = [k for k in (1, 2, 4, 8) if k <= avatar.skin.influences]
+        renderers = {
+            k: Probe(
+                avatar,
+                size=pixels,
+                views=2,
+                context=self._context,
+                timed=True,
+                config=replace(self._config, influences=k),  # type: ignore[arg-type]
+            )
+            for k in counts
+        }
+        samples: dict[int, list[tuple[float, float]]] = {k: [] for k in counts}
+        for i in range(self._frames + WARM_UP):
+            for k, renderer in renderers.items():
+                renderer.render(self.eyes(avatar, pixels, i), motion.at(i / 30))
+                if i >= WARM_UP:
+                    samples[k].append((renderer.timings["skin"], renderer.timings["pose"]))
+        for renderer in renderers.values():
+            renderer.release()
+        return [
+            {
+                "influences": k,
+                "skin_ms": asdict(Series.of([skin for skin, _ in samples[k]])),
+                "pose_and_upload_ms": asdict(Series.of([pose for _, pose in samples[k]])),
+            }
+            for k in counts
+        ]
+
+    def _unmoved(self, renderer: Renderer, eyes: Sequence[Camera], pose: Pose | None) -> float:
+        """Two single renders of an unmoved scene: each eye is drawn twice and its second time counts."""
+        total = 0.0
+        for eye in eyes:
+            renderer.render([eye], pose)
+            renderer.render([eye], pose)
+            total += renderer.timings["total"]
+        return total
+
+    def _renderer(self, scene: SceneLike, pixels: tuple[int, int], views: int, timed: int) -> Probe:
+        return Probe(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
+
+    def eyes(self, scene: SceneLike, pixels: tuple[int, int], frame: int) -> list[Camera]:
+        """The pair of a head that orbits one degree a frame."""
+        eye, target = viewing_point(scene, FOV)
+        return view_of(orbited(eye, target, np.radians(frame)), target, pixels, FOV, ipd=0.055)

@@ -1,0 +1,77 @@
+"""LPIPS v0.1 (Zhang et al. 2018): how unlike two pictures are to a network that was trained to recognize things."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import GlsplatError
+from glsplat.extras.authoring.models.store import path_of
+
+from .onnx import model, output
+from .pixels import checked
+from .weights import BACKBONES, read_weights
+
+__all__ = ["Lpips"]
+
+F32 = NDArray[np.float32]
+
+_SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained
+_SCALE = np.array([0.458, 0.448, 0.450])
+
+
+class Lpips:
+    """The distance by AlexNet (``alex``, quick, the usual one) or VGG16 (``vgg``, some twenty times the work).
+
+    ``path`` is the file of the weights; without it that of the store. Raises GlsplatError where it is not there, with
+    the command that fetches it.
+    """
+
+    def __init__(self, kind: Literal["alex", "vgg"], path: Path | None = None) -> None:
+        if kind not in BACKBONES:
+            raise GlsplatError(f"{kind}: no such network of LPIPS; there are {', '.join(BACKBONES)}")
+        self.kind = kind
+        backbone = BACKBONES[kind]
+        self._least = backbone.least
+        weights = read_weights(path or path_of(backbone.model), backbone)
+        data = np.frombuffer(model(weights, backbone), np.uint8)
+        engine = [cv2.dnn.ENGINE_CLASSIC] if hasattr(cv2.dnn, "ENGINE_CLASSIC") else []  # the one of OpenCV 4
+        self._network = cv2.dnn.readNetFromONNX(data, *engine)
+        self._outputs = [output(index) for index in backbone.seen]
+        self._roots = [np.sqrt(head) for head in weights.heads]
+
+    def features(self, picture: NDArray[np.floating]) -> list[F32]:
+        """What the network sees of a picture [H, W, 3] in [0, 1], [h, w, C] a layer; see ``distance``.
+
+        Of 512 x 512 pixels these are 11 MB (alex) or 128 MB (vgg).
+        """
+        checked(picture, picture)
+        height, width = picture.shape[:2]
+        if min(height, width) < self._least:
+            raise GlsplatError(f"LPIPS ({self.kind}) needs {self._least} pixels each way, not {width} x {height}")
+        values = np.asarray(picture * (2 / _SCALE) - (1 + _SHIFT) / _SCALE, np.float32)
+        self._network.setInput(np.ascontiguousarray(values.transpose(2, 0, 1)[None]))
+        features = []
+        for layer, root in zip(self._network.forward(self._outputs), self._roots, strict=True):
+            length = np.sqrt(np.einsum("ichw,ichw->hw", layer, layer)) + np.float32(1e-10)
+            features.append(np.asarray(layer[0].transpose(1, 2, 0) * (1 / length)[..., None] * root, np.float32))
+        return features
+
+    def distance(self, picture: Sequence[F32], truth: Sequence[F32]) -> float:
+        """LPIPS of two pictures of one size by their features: 0 is equal, 0.5 is another thing.
+
+        Features of one picture can be kept and compared with those of several. Raises GlsplatError for two sizes.
+        """
+        shapes = [[layer.shape for layer in features] for features in (picture, truth)]
+        if shapes[0] != shapes[1]:
+            raise GlsplatError(f"LPIPS compares pictures of one size, not features {shapes[0][0]} and {shapes[1][0]}")
+        total = 0.0
+        for one, other in zip(picture, truth, strict=True):
+            difference = (one - other).ravel()
+            total += float(difference @ difference) / (one.shape[0] * one.shape[1])
+        return total

@@ -1,0 +1,1 @@
+"""Streaming over slow or lossy links: estimation of the link, video, pictures by datagrams."""

@@ -1,0 +1,48 @@
+"""Datagrams: the feature that offers clients WebTransport for their pictures (docs/protocol.md, section 5.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from glsplat.errors import GlsplatError
+from glsplat.extras.far_links.datagrams.way import SecondWay
+from glsplat.net.client_stream import ClientStream
+from glsplat.net.feature import Feature, ServerView
+from glsplat.net.options import RequestedOptions
+
+if TYPE_CHECKING:
+    from glsplat.extras.accounts.users import User
+
+__all__ = ["Datagrams"]
+
+
+class Datagrams(Feature):
+    """Listens to UDP at the number of the server's TCP port. Raises GlsplatError where aioquic is not installed."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        try:
+            from glsplat.extras.far_links.datagrams.listener import DatagramListener  # here: most servers have none
+        except ImportError:
+            raise GlsplatError("--webtransport needs aioquic: pip install 'glsplat[webtransport]'") from None
+        self.listener: DatagramListener = DatagramListener(clock)
+        self._clock = clock
+
+    async def start(self, server: ServerView) -> None:
+        """Listen. Raises GlsplatError where the port is in use."""
+        self._wake = server.wake
+        await self.listener.open(server.config.access.host, server.port)
+
+    async def stop(self) -> None:
+        """Close all connections and the port."""
+        await self.listener.close()
+
+    def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
+        """Offer the client datagrams once its link is worth it."""
+        wake = partial(self._wake, client)
+        client.way = SecondWay(self.listener, client.session, client.address, self._clock, wake)
+
+    def stats(self, user: User | None) -> Mapping[str, Any]:
+        """Return ``datagrams`` of /stats."""
+        return {"datagrams": self.listener.status()}

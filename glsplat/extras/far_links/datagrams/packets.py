@@ -1,0 +1,118 @@
+"""A picture in datagrams and back (docs/protocol.md, section 5.3). No I/O.
+
+Each datagram has a piece: u8 kind, u8 parity pieces of each group, u16 number of the piece, u32 frame_id, u32 bytes of
+the whole; little endian. Pieces lie in groups, every group with parity of its own: piece i in group i mod G.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from glsplat.extras.far_links.datagrams.erasure import MOST, parity_of, restored
+
+__all__ = ["HEAD", "LARGEST", "NONCE", "PICTURE", "PIECE", "PING", "REQUEST", "Assembler", "groups_of", "packets_of"]
+
+PICTURE, PING, REQUEST = 0, 1, 2
+"""Kinds: a piece of a picture; what is to be answered by its own bytes; a piece of a request, of the client's."""
+PIECE = 1124
+"""Bytes of a piece: with all headers below the 1,200 that every path of QUIC takes (RFC 9000, section 14)."""
+LARGEST = 8 * 2**20
+"""Bytes of a picture that is sent so, at most."""
+NONCE = 8
+"""Bytes before a picture, which are sent back once it is there."""
+HEAD: struct.Struct = struct.Struct("<BBHII")
+_GROUP = 160  # pieces of a group at most: what is left of MOST is for parity
+_UNFINISHED = 8  # pictures of which pieces are kept
+
+
+def groups_of(nbytes: int) -> tuple[int, int]:
+    """Pieces and groups of a message of so many bytes."""
+    pieces = -(-nbytes // PIECE)
+    return pieces, -(-pieces // _GROUP)
+
+
+def packets_of(frame_id: int, message: bytes, parity: int, kind: int = PICTURE) -> list[bytes]:
+    """The datagrams of a message with ``parity`` pieces more in each group; those last."""
+    pieces, groups = groups_of(len(message))
+    assert 0 < len(message) <= LARGEST and parity <= MOST - _GROUP
+    padded = np.zeros((pieces, PIECE), np.uint8)
+    padded.ravel()[: len(message)] = np.frombuffer(message, np.uint8)
+    out = [
+        HEAD.pack(kind, parity, i, frame_id, len(message)) + message[i * PIECE : (i + 1) * PIECE] for i in range(pieces)
+    ]
+    more = [parity_of(padded[group::groups], parity) for group in range(groups)] if parity else []
+    for row in range(parity):
+        for group in range(groups):
+            number = pieces + row * groups + group
+            out.append(HEAD.pack(kind, parity, number, frame_id, len(message)) + more[group][row].tobytes())
+    return out
+
+
+class _Unfinished:
+    def __init__(self, nbytes: int, parity: int) -> None:
+        self.nbytes, self.parity = nbytes, parity
+        self.pieces, self.groups = groups_of(nbytes)
+        self.data: dict[int, bytes] = {}
+        self.lacking = [len(range(group, self.pieces, self.groups)) for group in range(self.groups)]
+
+    def add(self, number: int, piece: bytes) -> bool:
+        """Whether it can be put together now."""
+        length = min(PIECE, self.nbytes - number * PIECE) if number < self.pieces else PIECE
+        if number >= self.pieces + self.parity * self.groups or len(piece) != length or number in self.data:
+            return False
+        self.data[number] = piece
+        self.lacking[(number if number < self.pieces else number - self.pieces) % self.groups] -= 1
+        return max(self.lacking) <= 0
+
+    def whole(self) -> bytes:
+        out = np.zeros((self.pieces, PIECE), np.uint8)
+        for number, piece in self.data.items():
+            if number < self.pieces:
+                out[number, : len(piece)] = np.frombuffer(piece, np.uint8)
+        for group in range(self.groups):
+            own = range(group, self.pieces, self.groups)
+            missing = [index for index, number in enumerate(own) if number not in self.data]
+            rows = {
+                row: np.frombuffer(self.data[number], np.uint8)
+                for row in range(self.parity)
+                if (number := self.pieces + row * self.groups + group) in self.data
+            }
+            part = np.ascontiguousarray(out[own.start :: self.groups])
+            restored(part, missing, rows)
+            out[own.start :: self.groups] = part
+        return out.tobytes()[: self.nbytes]
+
+
+class Assembler:
+    """Datagrams to messages: each is given once, and none that is older than the newest that was whole.
+
+    Those that are longer than ``largest``, or have more than ``parity`` pieces of parity in a group, are none.
+    """
+
+    def __init__(self, kind: int = PICTURE, largest: int = LARGEST, parity: int = MOST - _GROUP) -> None:
+        self.newest = -1
+        self._kind, self._largest, self._parity = kind, largest, parity
+        self._unfinished: dict[int, _Unfinished] = {}
+
+    def add(self, datagram: bytes) -> tuple[int, bytes] | None:
+        """frame_id and message, where this datagram was the last that was needed."""
+        if len(datagram) <= HEAD.size:
+            return None
+        kind, parity, number, frame_id, nbytes = HEAD.unpack_from(datagram)
+        if kind != self._kind or frame_id <= self.newest:
+            return None
+        if not 0 < nbytes <= self._largest or parity > self._parity:
+            return None
+        one = self._unfinished.get(frame_id)
+        if one is None:
+            one = self._unfinished[frame_id] = _Unfinished(nbytes, parity)
+            if len(self._unfinished) > _UNFINISHED:
+                del self._unfinished[min(self._unfinished)]
+        if (nbytes, parity) != (one.nbytes, one.parity) or not one.add(number, datagram[HEAD.size :]):
+            return None
+        self.newest = frame_id
+        for old in [old for old in self._unfinished if old <= frame_id]:
+            del self._unfinished[old]
+        return frame_id, one.whole()

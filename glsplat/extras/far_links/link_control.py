@@ -1,0 +1,267 @@
+"""LinkControl: what one client's link lets through, and what its pictures are made of for that. No I/O, no clock.
+
+What may be spent rises and falls as in TCP (additive increase, multiplicative decrease: Chiu and Jain, 1989), below
+what the estimator found: so two clients of one link come to equal parts, which the model of BBR alone does not bring.
+How long a picture may take to draw is AdaptiveQuality's to decide. Of both sizes the smaller is drawn.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from math import inf, isfinite
+from statistics import median
+
+from glsplat.extras.far_links.link import LinkEstimator
+from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
+
+__all__ = ["LinkControl"]
+
+USE = 0.93
+"""Of the link's rate that is spent at most: what is left drains what has piled up."""
+AHEAD = 0.5
+"""Of a picture that may still wait on the way when the next is written: one and a half wait there then."""
+
+_GENTLE, _QUICK = 0.04, 0.7  # of the rate a second by which spending rises: soon after a cut, and later
+_SOON = 3.0  # seconds
+_CUT, _PAUSE = 0.85, 0.4  # what a cut leaves; seconds from one to the next, or two round trips
+_QUEUE, _QUEUED = 0.008, 0.3  # seconds, and parts of a picture's time, that each has to wait where too much is spent
+_BESIDE = 2  # pictures of full quality that are begun whatever the link: as many as where none is looked at
+_SPARE = 1.0  # pictures under way beyond those that the link holds
+_LATE, _TRIPS = 0.02, 1.25  # seconds, and round trips, by which a picture is late that has not just lost a packet
+_AGAIN = 0.05  # seconds after which to look again while one is
+_LEARN = 0.15  # how far a picture moves what is expected of the next
+_EXCESS, _GAIN = 1.05, 1.04  # of the bytes there are: so much too many are changed at once, and so little is not won
+_HOLD, _LONGEST, _EARLY = 1.0, 30.0, 5.0  # seconds before something comes back, at most, and within which it was wrong
+_PINGS, _OFTEN, _RARE = 4, 0.25, 1.0  # the first of them follow each other quickly; seconds
+_LATEST = 60.0  # seconds, of what a client may say
+_PAYLOAD = 8  # random bytes of a ping: its answer shows that the picture before it is there
+_FOLLOWED = 64  # pictures whose pings may still be answered
+
+
+class LinkControl:
+    """Of one connection, whose client says when its pictures arrive. ``cap``: bits a second at most; None: no limit."""
+
+    def __init__(self, cap: float | None = None) -> None:
+        self.link: LinkEstimator = LinkEstimator()
+        self._cap = inf if cap is None else cap
+        self._spend = inf  # bits a second
+        self._cut_at, self._updated = -inf, -inf
+        self._begun: dict[int, float] = {}  # pictures that are made just now: since when
+        self._making = 0.0  # seconds that takes
+        self._interval = 0.0  # seconds between two pictures that the link does not hold back
+        self._last, self._held = -inf, inf  # when a picture was begun, and since when the next is held back
+        self._asked: dict[int, float] = {}  # by number: pixels of the whole picture, times the bits of its rung
+        self._bytes = 0.0  # of a pixel in full quality
+        self._rungs: tuple[Rung, ...] = ()
+        self._index = 0
+        self._least = 0.0  # seconds between two pictures, so that each can be good
+        self._since, self._better, self._hold = -inf, -inf, _HOLD
+        self._pings, self._pinged = 0, -inf
+        self._behind: dict[bytes, int] = {}  # pings behind pictures that are not answered, and which picture that is
+        self._ages: deque[float] = deque(maxlen=32)
+
+    # ----------------------------------------------------------------------------------------------------- what happens
+
+    def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
+        """A picture is begun that was asked for with so many ``pixels``, in that JPEG quality: how to make it."""
+        self._begin(number, now)
+        rungs = ladder(quality, crop)
+        if rungs is not self._rungs:  # another wish: as much less of it as of the one before
+            bits = self._rungs[self._index].bits if self._rungs else 1.0
+            self._rungs = rungs
+            self._index = next((i for i, one in enumerate(rungs) if one.bits <= bits), len(rungs) - 1)
+        self._choose(self._bytes * pixels, now)
+        chosen = self._rungs[self._index]
+        self._asked[number] = pixels * chosen.bits
+        return chosen
+
+    def written(self, number: int, nbytes: int, now: float) -> None:
+        """A reply is given to the socket."""
+        began = self._begun.pop(number, None)
+        if began is not None:
+            self._making = _moved(self._making, now - began)
+        asked = self._asked.pop(number, None)
+        if asked:
+            self._bytes = _moved(self._bytes, nbytes / asked)
+        self.link.written(number, nbytes, now)
+
+    def failed(self, number: int) -> None:
+        """A picture could not be made."""
+        self._begun.pop(number, None)
+        self._asked.pop(number, None)
+
+    def acknowledged(self, number: int, age: float, held: float, now: float) -> None:
+        """A picture arrived, ``age`` seconds after it was asked for; the client said so ``held`` seconds later.
+
+        Of the link that says nothing new where the ping behind the picture was answered before, as it mostly was.
+        """
+        if isfinite(age):
+            self._ages.append(min(max(age, 0.0), _LATEST))
+        self._arrived(number, min(held, _LATEST), now)
+
+    def _arrived(self, number: int, held: float, now: float) -> None:
+        before = self.link.newest
+        self.link.acknowledged(number, held, now)
+        if self.link.known and self.link.newest is not before:
+            self._adjust(now)
+
+    def lost(self, number: int, now: float) -> None:
+        """A picture will never arrive: as a queue does, that says that too much is spent."""
+        self.link.forget(number)
+        self._cut(now)
+
+    def ping(self, now: float) -> bytes | None:
+        """What to send as a ping just before a picture; None: nothing now."""
+        if now - self._pinged < (_OFTEN if self._pings < _PINGS else _RARE):
+            return None
+        self._pings += 1
+        self._pinged = now
+        payload = os.urandom(_PAYLOAD)
+        self.link.pinged(payload, now)
+        return payload
+
+    def follow(self, number: int) -> bytes:
+        """What to send as a ping right behind that picture.
+
+        What receives for the client answers it, a browser's network process: so it tells when the picture arrived,
+        however busy the client itself is. Nobody can answer it earlier who does not know it.
+        """
+        payload = os.urandom(_PAYLOAD)
+        self._behind[payload] = number
+        while len(self._behind) > _FOLLOWED:
+            del self._behind[next(iter(self._behind))]
+        return payload
+
+    def ponged(self, payload: bytes, now: float) -> None:
+        """A ping was answered. One that is not under way says nothing."""
+        number = self._behind.get(payload)
+        if number is None:
+            self.link.ponged(payload, now)
+            return
+        for old in [old for old, of in self._behind.items() if of <= number]:  # RFC 6455, 5.5.3: the newest may do
+            del self._behind[old]
+        self._arrived(number, 0.0, now)
+
+    def rest(self, now: float) -> float:
+        """Seconds for which no picture is to be begun: it would wait on the way behind more than ``AHEAD`` of one."""
+        wait = max(self._rest(now), self._last + self._least - now, 0.0)
+        self._held = min(self._held, now) if wait > 0 else self._held
+        return wait
+
+    # -------------------------------------------------------------------------------------------------- what that means
+
+    @property
+    def age(self) -> float | None:
+        """Seconds: the median of what the client said lately; None: nothing."""
+        return median(self._ages) if self._ages else None
+
+    @property
+    def spend(self) -> float:
+        """Bits a second that may be spent."""
+        return min(self._spend, USE * self.link.rate, self._cap)
+
+    def status(self) -> dict[str, float | None]:
+        """For /stats: Mbit/s that the link takes and that are spent, ms of round trip, queue and age."""
+
+        def known(value: float, digits: int = 2) -> float | None:
+            return round(value, digits) if isfinite(value) else None
+
+        age, rung = self.age, self._rungs[self._index] if self._rungs else None
+        return {
+            "rate": known(self.link.rate / 1e6),
+            "spend": known(self.spend / 1e6),
+            "round_trip": known(self.link.base * 1e3, 1),
+            "queue": known(self.link.standing * 1e3, 1),
+            "age": None if age is None else known(age * 1e3, 1),
+            "scale": None if rung is None else rung.scale,
+            "quality": None if rung is None else rung.quality,
+        }
+
+    def _rest(self, now: float) -> float:
+        """Until the way is free enough."""
+        link = self.link
+        if not link.known or (self._index == 0 and link.on_the_way + len(self._begun) < _BESIDE):
+            return 0.0
+        if link.overdue(now) > _LATE + _TRIPS * link.base:
+            return _AGAIN
+        rate = min(link.rate, self._cap)
+        own = 8 * self._bytes_of_one() / rate
+        pace = max(self._interval, self._least)
+        if pace > 0 and link.on_the_way + len(self._begun) > _SPARE + (link.base + own + self._making) / pace:
+            return _AGAIN  # more than such a link holds: something else is late
+        free = link.clear(now)
+        for began in self._begun.values():
+            free = max(free, began + self._making) + own
+        return max(0.0, free - AHEAD * own - self._making - now)
+
+    def _bytes_of_one(self) -> float:
+        newest = self.link.newest
+        return newest.nbytes if newest is not None else 0.0
+
+    def _begin(self, number: int, now: float) -> None:
+        self._begun[number] = now
+        spent = min(self._held, now) - self._last  # until it could have been begun
+        if isfinite(spent):
+            self._interval = _moved(self._interval, min(spent, _LATEST))
+        self._last, self._held = now, inf
+
+    def _adjust(self, now: float) -> None:
+        """Spend less where every picture has to wait, else more."""
+        link, rate = self.link, self.link.rate
+        newest = link.newest
+        assert newest is not None
+        soon = now - self._cut_at < _SOON
+        passed = min(max(0.0, now - self._updated), 0.5)
+        self._updated = now
+        if link.standing > max(_QUEUE, _QUEUED * 8 * newest.nbytes / rate):
+            self._cut(now)
+        else:
+            self._spend = min(self._spend, USE * rate) + (_GENTLE if soon else _QUICK) * rate * passed
+        self._spend = min(self._spend, USE * rate)
+
+    def _cut(self, now: float) -> None:
+        if self.link.known and now - self._cut_at > max(_PAUSE, 2 * self.link.base):
+            self._spend = _CUT * self.spend
+            self._cut_at = now
+
+    def _choose(self, full: float, now: float) -> None:
+        """The best rung whose bytes there are. What is too much is taken away at once, and comes back after a while."""
+        if full <= 0 or self._interval <= 0 or self.spend == inf:
+            return
+        wanted, self._least = self._fitting(full)
+        bits, budget = self._rungs[self._index].bits, self.spend / 8 * max(self._interval, self._least)
+        if full * bits > _EXCESS * budget:
+            if now - self._better < _EARLY:
+                self._hold = min(2 * self._hold, _LONGEST)
+            self._better = -inf
+        elif now - self._since < self._hold:
+            return
+        if wanted == self._index or (0 < wanted < self._index and self._rungs[wanted].bits < _GAIN * bits):
+            return
+        if wanted < self._index:
+            if now - self._since > _EARLY:
+                self._hold = max(_HOLD, self._hold / 2)
+            self._better = now
+        self._index, self._since = wanted, now
+
+    def _fitting(self, full: float) -> tuple[int, float]:
+        """The best rung for ``full`` bytes a picture, and the seconds from one to the next that it needs."""
+        rungs, calm = self._rungs, max(self._interval, 1 / CALM)
+        needs = [8 * full * one.bits / self.spend for one in rungs]
+        good = [index for index, one in enumerate(rungs) if not index or visible_loss(one) <= GOOD]
+        for index in good:
+            if needs[index] <= self._interval:
+                return index, 0.0
+        worst = good[-1]
+        if needs[worst] <= calm:
+            return worst, needs[worst]
+        for index in range(worst + 1, len(rungs)):
+            if needs[index] <= calm:
+                return index, calm
+        return len(rungs) - 1, needs[-1]
+
+
+def _moved(mean: float, value: float) -> float:
+    """A mean that follows; the first value is all there is of it."""
+    return mean + _LEARN * (value - mean) if mean else value

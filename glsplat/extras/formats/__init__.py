@@ -1,0 +1,1 @@
+"""Splat files of other programs: SOG, SPZ, KSPLAT, .splat, compressed PLY; meshes in OBJ."""

@@ -1,0 +1,97 @@
+"""A SOG as one file or as a folder: there whole, or as it was."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import re
+import zipfile
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from glsplat.errors import FormatError
+from glsplat.extras.formats.sog.package import META
+from glsplat.io.files import Source, replace_file
+
+__all__ = ["write_folder", "write_zip"]
+
+# what a SOG calls its images, here and elsewhere: only these are taken away with a meta.json that named them
+_OURS = re.compile(r"(means_[lu]|scales|quats|sh0|shN_(centroids|labels))(\.[0-9a-f]{12})?\.webp")
+
+Files = Iterable[tuple[str, bytes]]
+
+
+def write_zip(target: Source, files: Files) -> None:
+    """One file, stored: the images are compressed already. The same files give the same bytes."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in files:
+            info = zipfile.ZipInfo(name)  # of 1980, whatever the clock says
+            info.create_system, info.external_attr = 3, 0o644 << 16
+            archive.writestr(info, data)
+    replace_file(target, [packed.getbuffer()])
+
+
+def write_folder(folder: Path, files: Files) -> None:
+    """The files in ``folder``, which is made where it is not there (those above it are not).
+
+    Images get names that no file has, meta.json is replaced last, by a rename: whoever reads, and after any failure,
+    finds either all of the new or all of the old. The images that the old meta.json named go only then.
+    """
+    made: list[Path] = []
+    try:
+        if not folder.is_dir():
+            folder.mkdir()
+            made.append(folder)
+        old = _named_by(folder / META)
+        new: dict[str, str] = {}
+        for name, data in files:
+            if name != META:
+                new[name] = _free(folder, name, data)
+                path = folder / new[name]
+                if not _same(path, data):
+                    fresh = not os.path.lexists(path)  # else what a power cut left of the same
+                    replace_file(path, [data])
+                    if fresh:
+                        made.append(path)
+                continue
+            for standard, chosen in new.items():
+                data = data.replace(b'"%s"' % standard.encode(), b'"%s"' % chosen.encode())
+            replace_file(folder / META, [data])
+    except BaseException as error:
+        for path in reversed(made):
+            with suppress(OSError):
+                (Path.rmdir if path == folder else Path.unlink)(path)
+        if isinstance(error, OSError):
+            raise FormatError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        raise
+    for name in old - set(new.values()):
+        with suppress(OSError):
+            os.unlink(folder / name)
+
+
+def _free(folder: Path, name: str, data: bytes) -> str:
+    """``name`` where nothing is called so, else with a part of the hash of ``data`` in it."""
+    if not os.path.lexists(folder / name) or _same(folder / name, data):
+        return name
+    return f"{Path(name).stem}.{hashlib.sha256(data).hexdigest()[:12]}{Path(name).suffix}"
+
+
+def _same(path: Path, data: bytes) -> bool:
+    return not path.is_symlink() and path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+
+
+def _named_by(path: Path) -> set[str]:
+    """The images that an older meta.json names and a SOG would call so; none where it is not to be read."""
+    try:
+        text = path.read_bytes() if path.stat().st_size < 1 << 20 else b""
+        found = msgspec.json.decode(text, type=dict[str, object]).values()
+    except (OSError, msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
+        return set()
+    lists = [entry.get("files") for entry in found if isinstance(entry, dict)]
+    names = {name for files in lists if isinstance(files, list) for name in files if isinstance(name, str)}
+    return {name for name in names if _OURS.fullmatch(name)}

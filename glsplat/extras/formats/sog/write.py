@@ -1,0 +1,118 @@
+"""SOG version 2 as it is written: splats along a Morton curve, as the pixels of images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.extras.formats.morton import morton_order
+from glsplat.extras.formats.sog.codebook import codebook
+from glsplat.extras.formats.sog.images import encoded
+from glsplat.extras.formats.sog.package import META
+from glsplat.extras.formats.sog.palette import palette, palette_size
+from glsplat.splats import Splats
+
+__all__ = ["SMALLEST", "drawn", "packed", "stored_order"]
+
+SMALLEST = 1e-9
+"""The smallest standard deviation that is written, in metres: a scale of zero has no logarithm."""
+
+_STEPS = 65535
+_ROW = 64  # sets of coefficients in a row of the palette's image
+_KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # of w x y z, by which is the largest
+
+Image = NDArray[np.uint8]
+
+
+def drawn(splats: Splats) -> Splats:
+    """The splats that a SOG can hold: those that are finite and have a rotation. No other is ever drawn."""
+    kept = splats.drawable()
+    return splats if kept.all() else splats.take(kept)
+
+
+def stored_order(splats: Splats) -> NDArray[np.intp]:
+    """Which of the splats a SOG has, in the order it has them in."""
+    kept = np.flatnonzero(splats.drawable())
+    return kept[_along(_steps(splats.means[kept])[2])]
+
+
+def _along(steps: NDArray[np.uint16]) -> NDArray[np.intp]:
+    """By what is stored, so that a file that was read is written as it was."""
+    return morton_order(steps.astype(np.float32))
+
+
+def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
+    """The files by their names, meta.json last; of ``drawn`` splats, at most 16380 squared."""
+    count = len(splats)
+    low, high, steps = _steps(splats.means)
+    order = _along(steps)
+    width = max(4, math.ceil(math.sqrt(count) / 4) * 4)
+    shape = max(4, math.ceil(count / width / 4) * 4), width
+    meta: dict[str, Any] = {"version": 2, "asset": {"generator": "glsplat"}, "count": count}
+    meta["antialias"] = splats.antialias
+    if splats.antialias:  # as splat-transform calls the same since 3.2
+        meta["model"] = "antialiased"
+    meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}
+    yield "means_l.webp", _image((steps & 255)[order], shape)
+    yield "means_u.webp", _image((steps >> 8)[order], shape)
+    book, index = codebook(np.log(np.maximum(np.abs(splats.scales), SMALLEST)))
+    meta["scales"] = {"codebook": book.tolist(), "files": ["scales.webp"]}
+    yield "scales.webp", _image(index[order], shape)
+    meta["quats"] = {"files": ["quats.webp"]}
+    yield "quats.webp", _image(_smallest_three(splats.quats)[order], shape)
+    book, index = codebook(splats.sh[:, 0])
+    opacities = np.rint(np.clip(splats.opacities, 0, 1) * 255).astype(np.uint8)
+    meta["sh0"] = {"codebook": book.tolist(), "files": ["sh0.webp"]}
+    yield "sh0.webp", _image(np.column_stack([index, opacities])[order], shape)
+    if splats.sh_degree and count:
+        rows = splats.sh[order, 1:].reshape(count, -1)
+        sets, labels = palette(rows, palette_size(count))
+        sets, labels = _by_place(sets, labels)
+        book, index = codebook(sets)
+        names = ["shN_centroids.webp", "shN_labels.webp"]
+        meta["shN"] = {"count": len(sets), "bands": splats.sh_degree, "codebook": book.tolist(), "files": names}
+        lines = math.ceil(len(sets) / _ROW)
+        yield names[0], _image(index.reshape(-1, 3), (lines, _ROW * (rows.shape[1] // 3)))
+        yield names[1], _image(np.column_stack([labels & 255, labels >> 8]).astype(np.uint8), shape)
+    yield META, msgspec.json.encode(meta)
+
+
+def _steps(means: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint16]]:
+    """Lowest and highest of sign(x) ln(1 + abs(x)) by axis, and 16 bits between them for each."""
+    if not len(means):
+        return np.zeros(3), np.zeros(3), np.zeros((0, 3), np.uint16)
+    logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    wide = np.where(high > low, high - low, 1)
+    return low, high, np.rint((logs - low) / wide * _STEPS).astype(np.uint16)
+
+
+def _smallest_three(quats: NDArray[np.float32]) -> Image:
+    """[N, 4]: the three smaller components, of the sign that makes the fourth positive, and which that one is."""
+    largest = np.abs(quats).argmax(axis=1)
+    sign = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -1, 1)
+    three = np.take_along_axis(quats, _KEPT[largest], axis=1).astype(np.float64) * sign
+    pixels = np.rint((three * math.sqrt(0.5) + 0.5) * 255)
+    return np.column_stack([np.clip(pixels, 0, 255), 252 + largest]).astype(np.uint8)
+
+
+def _by_place(sets: NDArray[np.float32], labels: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """The same palette in the order in which its sets are met on average: neighbours have near labels."""
+    met = np.bincount(labels, np.arange(len(labels)), len(sets)) / np.bincount(labels, minlength=len(sets))
+    order = np.argsort(met, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    return sets[order], place[labels]
+
+
+def _image(pixels: NDArray[np.integer], shape: tuple[int, int]) -> bytes:
+    """A WebP of [N, 2 to 4] channels; what is left of RGB is 0, of alpha and of pixels opaque black."""
+    image = np.zeros((shape[0] * shape[1], 4), np.uint8)
+    image[:, 3] = 255
+    image[: len(pixels), : pixels.shape[1]] = pixels
+    return encoded(image.reshape(*shape, 4))

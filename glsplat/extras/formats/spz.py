@@ -1,0 +1,272 @@
+"""SPZ: Niantic's packed splats, versions 1 to 4. What an attribute becomes is in spz_packing.py.
+
+A header of 16 bytes and the attributes, as one gzip stream (versions 1 to 3), which some tools leave unpacked; or
+(version 4) a header of 32 bytes, a table of sizes, and each attribute as a zstd stream. Vendors' extensions stand
+behind the attributes, or in version 4 behind the header; the one that names other axes is followed, the rest skipped.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import struct
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from itertools import accumulate
+from types import ModuleType
+from typing import BinaryIO
+
+import numpy as np
+
+from glsplat.avatar import Avatar, splats_of
+from glsplat.errors import FormatError
+from glsplat.extras.formats.spz_packing import HALF_TURN, Bytes, SpzHeader, lost, packed, position_bits, unpacked
+from glsplat.formats.format import Format, Opened, checked, clamped_opacities, opened
+from glsplat.formats.transform import transformed
+from glsplat.io.files import Source, replace_file
+from glsplat.splats import Splats
+
+__all__ = ["SPZ", "load_spz", "read_spz", "save_spz", "spz_splats"]
+
+_MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
+_HEADER = struct.Struct("<4sIIBBBB")
+_ANTIALIAS, _EXTENDED, _TREE = 1, 2, 0x80  # flags
+_EXTENSIONS = 1 << 16  # bytes of all vendors' extensions that are looked at
+_AXES = 0xADBE0003  # the extension SPZ_ADOBE_coordinate_system: one of
+_SYSTEMS = ("RUB", *"LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split())
+_AMBIGUOUS = ("LFD", "RFD", "LBU", "RBU")  # Niantic's library stores them turned half around x from what they say
+_DIRECTIONS = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
+_BLOCK = 1 << 20
+_DEFLATED = 1032  # no deflate stream packs more bytes into one
+_ZSTD_POSITIONS = 1024 / 9  # splats a byte of the file, at most: the bound of Niantic's reader
+_WRITTEN = 3  # version
+
+log: logging.Logger = logging.getLogger("glsplat.formats")
+
+
+def load_spz(source: Source, *, strict: bool = False) -> Splats:
+    """Read an .spz file of version 1 to 4, in the axes that a 3DGS PLY of the same scene has (y down, as it is).
+
+    Spherical harmonics of degree 4 are cut to degree 3, which is logged. Non-finite values, which only version 1 can
+    hold, are kept, or with ``strict`` refused. Raises FormatError: no SPZ, truncated, a count that the file cannot
+    hold, a broken stream, or a level-of-detail tree, whose splats are not meant to be drawn at once.
+    """
+    with opened(source) as start:
+        return checked(read_spz(start.file, start.size), start.name, strict)
+
+
+def read_spz(file: BinaryIO, size: int, *, turn: bool = True) -> Splats:
+    """The splats of an open file of ``size`` bytes; without ``turn`` with y up and z back, as SPZ stores them.
+
+    Nothing is allocated for what the file does not hold, and no more is unpacked than the header's count needs.
+    """
+    head = file.read(32)
+    file.seek(0)
+    if head[:2] == _GZIP:
+        stream = _Inflated(file)
+        header, attributes, extensions = _single(stream.read, size * _DEFLATED)
+        stream.end()
+    elif head[:4] == _MAGIC and head[4:8] == b"\4\0\0\0":
+        header, attributes, extensions = _streams(file, size, head)
+    else:
+        header, attributes, extensions = _single(file.read, size)
+    if header.degree > 3:
+        log.warning("spherical harmonics of degree %d are cut to degree 3 (%d splats)", header.degree, header.count)
+    return _turned(unpacked(header, attributes, turn=turn), extensions)
+
+
+def spz_splats(data: bytes) -> Splats:
+    """The splats of an SPZ file that lies in a bufferView of glTF (KHR_gaussian_splatting_compression_spz_2).
+
+    Axes are left as they are: the accessors' bounds of real files are those of the stored numbers, and CesiumJS and
+    Cesium Native read them so. Raises FormatError.
+    """
+    return read_spz(io.BytesIO(data), len(data), turn=False)
+
+
+def save_spz(splats: Splats, target: Source, *, version: int = _WRITTEN) -> None:
+    """Write an .spz file of version 3, or 2, whose rotations are coarser, for programs from before August 2025.
+
+    Version 3 is what most programs read; version 4 packs the same numbers a little smaller, and few know it yet.
+    Splats are turned half around x, as programs do that make SPZ out of PLY. Raises FormatError when ``target``
+    cannot be written.
+    """
+    if version not in (2, 3):
+        raise FormatError(f"SPZ is written as version 2 or 3, not {version!r:.20}")
+    header = SpzHeader(version, len(splats), splats.sh_degree, position_bits(splats), splats.antialias)
+    replace_file(target, _gzipped(splats, header))
+
+
+def _gzipped(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
+    pack = zlib.compressobj(wbits=31, memLevel=9)  # its header has no time and no name
+    flags = _ANTIALIAS * header.antialias
+    yield pack.compress(_HEADER.pack(_MAGIC, header.version, header.count, header.degree, header.bits, flags, 0))
+    for part in packed(splats, header):
+        yield pack.compress(part)
+    yield pack.flush()
+
+
+class _Inflated:
+    """A gzip stream, unpacked no further than it is read."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._unpack = file, zlib.decompressobj(31)
+
+    def read(self, count: int) -> bytearray:
+        """The next ``count`` bytes, fewer at the end."""
+        out = bytearray()
+        while len(out) < count and not self._unpack.eof:
+            block = self._unpack.unconsumed_tail or self._file.read(_BLOCK)
+            if not block:
+                raise FormatError("truncated: the gzip stream has no end")
+            try:
+                out += self._unpack.decompress(block, count - len(out))
+            except zlib.error as error:
+                raise FormatError(f"the gzip stream is broken ({str(error)[:80]})") from None
+        return out
+
+    def end(self) -> None:
+        """Raises FormatError when something else than padding follows."""
+        if (self._unpack.unused_data + self._file.read(_BLOCK)).strip(b"\0"):
+            raise FormatError("something follows the end of the gzip stream; is this one file?")
+
+
+def _single(read: Callable[[int], Bytes], most: int) -> tuple[SpzHeader, list[Bytes], Bytes]:
+    """Versions 1 to 3: header, attributes and extensions, of a stream that has at most so many bytes."""
+    header, flags = _header(read(_HEADER.size), 3)
+    needed = header.count * sum(header.widths)
+    if needed > most:
+        raise FormatError(f"truncated: {header.count} splats are declared, which take more than the file can hold")
+    data = read(needed)
+    if len(data) < needed:
+        raise FormatError(f"truncated: {header.count} splats take {needed} bytes, {len(data)} are there")
+    rest = read(_EXTENSIONS)
+    if rest and not flags & _EXTENDED:
+        raise FormatError(f"{header.count} splats are declared, but the file holds more")
+    if len(rest) == _EXTENSIONS:
+        raise FormatError(f"the extensions behind the splats need to be smaller than {_EXTENSIONS} bytes")
+    ends = list(accumulate(header.count * width for width in header.widths))
+    view = memoryview(data)
+    return header, [view[start:end] for start, end in zip([0, *ends], ends, strict=False)], rest
+
+
+def _streams(file: BinaryIO, size: int, head: bytes) -> tuple[SpzHeader, list[Bytes], Bytes]:
+    """Version 4: the same, each attribute that takes any bytes as a stream of its own."""
+    if len(head) < 32:
+        raise FormatError(f"truncated: the header of SPZ version 4 has 32 bytes, this file has {len(head)}")
+    header, flags = _header(head[: _HEADER.size], 4)
+    number, table = head[15], int.from_bytes(head[16:20], "little")
+    if header.count > size * _ZSTD_POSITIONS:
+        raise FormatError(f"truncated: {header.count} splats are declared, more than {size} bytes can hold")
+    needed = [header.count * width for width in header.widths]
+    sizes = [count for count in needed if count]
+    if number != len(sizes):
+        raise FormatError(f"the splats need {len(sizes)} streams, the header declares {number}")
+    if not 32 <= table <= size - 16 * number:
+        raise FormatError(f"truncated: the table of streams is declared at byte {table}, the file has {size}")
+    file.seek(32)
+    extensions = file.read(min(table - 32, _EXTENSIONS)) if flags & _EXTENDED else b""
+    file.seek(table)
+    entries = list(struct.iter_unpack("<QQ", file.read(16 * number)))
+    if [unpacked_size for _, unpacked_size in entries] != sizes:
+        raise FormatError(f"the streams of {header.count} splats of this degree need other sizes than are declared")
+    if sum(packed_size for packed_size, _ in entries) != size - table - 16 * number:
+        raise FormatError("truncated, or too long: the streams' sizes do not add up to the file's")
+    streams = iter(entries)
+    return header, [_stream(file, *next(streams)) if count else b"" for count in needed], extensions
+
+
+def _stream(file: BinaryIO, left: int, size: int) -> bytearray:
+    """``size`` bytes out of the next ``left``."""
+    zstd = _zstd()
+    unpack, out = zstd.ZstdDecompressor(), bytearray()
+    while not unpack.eof and len(out) <= size:
+        block = file.read(min(_BLOCK, left)) if unpack.needs_input else b""
+        left -= len(block)
+        if unpack.needs_input and not block:
+            raise FormatError("truncated: a zstd stream has no end")
+        try:
+            out += unpack.decompress(block, size + 1 - len(out))
+        except zstd.ZstdError as error:
+            raise FormatError(f"a zstd stream is broken ({str(error)[:80]})") from None
+    if len(out) != size or left or unpack.unused_data:
+        raise FormatError(f"a zstd stream needs to hold {size} bytes and no more")
+    return out
+
+
+def _zstd() -> ModuleType:
+    try:
+        if sys.version_info >= (3, 14):
+            from compression import zstd
+        else:
+            from backports import zstd
+    except ImportError:
+        raise FormatError("SPZ version 4 needs zstd: pip install backports.zstd; or convert it to version 3") from None
+    return zstd
+
+
+def _header(data: Bytes, newest: int) -> tuple[SpzHeader, int]:
+    """The header and its flags, checked as far as it can be alone."""
+    if len(data) < _HEADER.size or data[:4] != _MAGIC:
+        raise FormatError("no SPZ file: it does not start with a header of 16 bytes that begins with NGSP")
+    _, version, count, degree, bits, flags, _ = _HEADER.unpack(data)
+    if not 1 <= version <= newest:
+        raise FormatError(f"needs SPZ version 1 to 4 (3 within gzip), found {version}")
+    if degree > 4 or bits > 24:
+        raise FormatError(f"needs SH of degree 0 to 4 and 0 to 24 fractional bits, found {degree} and {bits}")
+    if flags & _TREE:
+        raise FormatError("holds a level-of-detail tree (flag 0x80); export the splats without it")
+    return SpzHeader(version, count, degree, bits, bool(flags & _ANTIALIAS)), flags
+
+
+def _turned(splats: Splats, extensions: Bytes) -> Splats:
+    """``splats``, read as if they had the axes of SPZ, from the axes that an extension names."""
+    system, at = "RUB", 0
+    while at + 8 <= len(extensions):
+        kind, length = struct.unpack_from("<II", extensions, at)
+        if kind == _AXES and length == 4 and at + 12 <= len(extensions):
+            code = int.from_bytes(extensions[at + 8 : at + 12], "little")
+            if code >= len(_SYSTEMS):
+                raise FormatError(f"its extension for axes names system {code}, but there are 1 to 16")
+            system = _SYSTEMS[code]
+            if system in _AMBIGUOUS:
+                raise FormatError(f"its extension names the axes {system}, which mean two things; export it as RUB")
+        at += 8 + length
+    if system == "RUB":
+        return splats
+    matrix = np.eye(4)
+    matrix[:3, :3] = HALF_TURN @ np.transpose(
+        [_DIRECTIONS[letter] for letter in system]
+    )  # to x right, y up, z back; it
+    # commutes with the half turn, so that it may come after it
+    return transformed(splats, matrix)
+
+
+def _sniff(start: Opened) -> bool:
+    if start.head[:2] == _GZIP:
+        try:
+            head = zlib.decompressobj(31).decompress(start.head, 8)
+        except zlib.error:
+            return False
+    else:
+        head = start.head
+    # a .splat may begin with a number of these bytes, but hardly with a next one this small
+    return head[:4] == _MAGIC and head[5:8] == b"\0\0\0" and head[4] > 0
+
+
+def _loses(scene: Splats | Avatar) -> Iterator[str]:
+    splats = splats_of(scene)
+    yield from clamped_opacities(scene)
+    yield from lost(splats)
+
+
+SPZ = Format(
+    name="spz",
+    title="SPZ",
+    suffixes=(".spz",),
+    sniff=_sniff,
+    load=lambda start: read_spz(start.file, start.size),
+    save=lambda scene, target: save_spz(splats_of(scene), target),
+    loses=_loses,
+)

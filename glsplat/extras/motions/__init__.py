@@ -1,0 +1,1 @@
+"""Motions of other programs: BVH, AMC, AMASS, glTF and VRM animation, and their retargeting."""

@@ -1,0 +1,172 @@
+"""How the person of a clip stands at rest, and which way is up: files differ, and some say nothing that holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import PoseError
+from glsplat.extras.motions.clip import Clip
+from glsplat.extras.rigs.humanoid import upright
+from glsplat.extras.rigs.match import RigMap, match_rig
+from glsplat.rotations import nearest_rotations, rotation_between, unit_vectors
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["Standing", "flat_soles", "standing"]
+
+F64 = NDArray[np.float64]
+
+_SIDES = ("left", "right")
+_LOOKED_AT = 256  # frames among which one is looked for that stands
+_TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head", "left_collar", "right_collar")
+_ACROSS, _ALONG = 0.3, 0.8  # cosines of the body's axis with what was up at rest, and with what is up as it moves
+# of a leg: where soles may be above the floor, where hips are at least, how far a standing foot moves in a second
+_LOW, _HIGH, _STILL = 0.25, 0.6, 0.3
+_NEAR = 0.1  # of a leg: above the lowest place of a foot
+_LEAST, _FRAMES = 0.05, 3  # seconds and frames that a foot stands at least
+_ALIKE, _TILTED = 0.9, 0.75  # cosines: of a foot's soles with each other, and of their tilt at most
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A clip whose rest pose stands."""
+
+    clip: Clip
+    map: RigMap
+    rest: F64  # [3, 3] turns the rest pose upright: y up, x the person's left
+    world: F64  # [3, 3] the same of the world in which they move
+
+
+def standing(clip: Clip, *, swapped: bool = False) -> Standing:
+    """The clip, with another rest pose where its own is none. Raises PoseError where nobody stands, or joints lack.
+
+    ``swapped``: what it calls left is right.
+    """
+    if swapped:
+        found = _matched(clip)
+        other = {name: found.joints.get(_other_side(name)) for name in JOINT_NAMES}
+        clip = replace(clip, given=other)
+    found = _matched(clip)
+    try:
+        turn = upright(found, clip.rest)
+    except PoseError as error:
+        clip, found, turn = _by_a_frame(clip, found, error)
+        return Standing(clip, found, turn, turn)
+    moves = np.eye(3) if clip.y_up else _up_as_it_moves(clip, found, turn[1], turn[0])
+    return Standing(clip, found, turn, turn @ moves)
+
+
+def _other_side(joint: str) -> str:
+    side, _, part = joint.partition("_")
+    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, joint)
+
+
+def _matched(clip: Clip) -> RigMap:
+    found = match_rig(clip.names, clip.parents, clip.rest, clip.given)
+    missing = [name for name in found.missing if name != "head"]  # a head without a joint stays as it is
+    if missing:
+        names = ", ".join(name[:24] for name in clip.names[:8])
+        raise PoseError(f"no joint for {', '.join(missing[:4])} among {names}, ...")
+    return found
+
+
+def _by_a_frame(clip: Clip, found: RigMap, error: PoseError) -> tuple[Clip, RigMap, F64]:
+    """Of files whose bones at rest all lie along one axis (LaFAN's, Rokoko's): the straightest frame is the rest pose.
+
+    Trunk and head rest as they are on average: in one frame they may look aside.
+    """
+    best, straightest = -1, 0.0
+    for frame in range(0, len(clip), -(-len(clip) // _LOOKED_AT)):
+        straight = _straight(clip.places[frame], found)
+        if straight > straightest:
+            best, straightest = frame, straight
+    if best < 0:
+        raise error
+    clip = replace(clip, rest=clip.places[best])
+    found = _matched(clip)
+    base = clip.turns[best].copy()
+    at = found.joints
+    for name in _TRUNK[1:]:
+        if name in at:
+            above = int(clip.parents[at[name]])
+            if above >= 0:
+                usual = np.einsum("tji,tjk->ik", clip.turns[:, above], clip.turns[:, at[name]])
+                base[at[name]] = base[above] @ nearest_rotations(usual[None])[0]
+    return replace(clip, turns=clip.turns @ base.swapaxes(-1, -2)), found, upright(found, clip.rest)
+
+
+def _straight(points: F64, found: RigMap) -> float:
+    """How straight trunk, legs and arms are, and the trunk and legs upright; 0 for who does not stand."""
+    try:
+        y = upright(found, points)[1]
+    except PoseError:
+        return 0.0
+    if np.abs(y).max() < 1 - 1e-6:  # they lie askew
+        return 0.0
+    at = {name: points[index] for name, index in found.joints.items()}
+    marks = []
+    for side in _SIDES:
+        hip, knee, shoulder, elbow = (at[f"{side}_{part}"] for part in ("hip", "knee", "shoulder", "elbow"))
+        bones = [hip - knee, shoulder - hip] + ([knee - at[f"{side}_ankle"]] if f"{side}_ankle" in at else [])
+        marks += [unit_vectors(bone) @ y for bone in bones]
+        if f"{side}_wrist" in at:
+            marks.append(unit_vectors(elbow - shoulder) @ unit_vectors(at[f"{side}_wrist"] - elbow))
+    return float(np.mean(np.maximum(marks, 0)))
+
+
+def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
+    """[3, 3] turns what is up as they move to what was at rest: some files rest with y up and move with z up.
+
+    Who lies down in a file of one axis is told apart by the floor: along the other axis, soles would not be at 0.
+    """
+    places = {name: clip.places[:, found.joints[name]] for name in found.joints}
+    hips, knees, shoulders = ((places[f"left_{p}"] + places[f"right_{p}"]) / 2 for p in ("hip", "knee", "shoulder"))
+    body = np.mean(unit_vectors(shoulders - hips) + unit_vectors(hips - knees), axis=0) / 2
+    other = np.zeros(3)
+    other[np.abs(body).argmax()] = np.sign(body[np.abs(body).argmax()])
+    if body @ up > _ACROSS or body @ other < _ALONG:
+        return np.eye(3)
+    leg = 2 * float(np.linalg.norm(clip.rest[found.joints["left_hip"]] - clip.rest[found.joints["left_knee"]]))
+    feet = [
+        places[f"{side}_{part}"] @ other for side in _SIDES for part in ("ankle", "foot") if f"{side}_{part}" in places
+    ]
+    above = not feet or abs(float(np.min(feet))) > _LOW * leg or float(np.median(hips @ other)) < _HIGH * leg
+    if above and abs(float(np.median(hips @ up))) < _HIGH * leg:  # nobody lies in the air
+        return np.eye(3)
+    turn = rotation_between(other, up)
+    across = turn @ (places["left_hip"][0] - places["right_hip"][0])
+    about = 2 * np.outer(up, up) - np.eye(3)  # half a turn: that they look ahead at first, as most files have it
+    return turn if across @ left > 0 else about @ turn
+
+
+def flat_soles(
+    stood: Standing,
+    turned: F64,  # [T, 3, 3] of an ankle, upright
+    side: str,
+) -> F64:
+    """[3, 3] turns an ankle about itself so that its sole is flat while the foot stands; none where it is not known.
+
+    Joints do not say how a sole lies at rest: level in most files, tilted with legs that are spread in others (CMU).
+    """
+    clip, at = stood.clip, stood.map.joints
+    leg = 2 * float(np.linalg.norm(clip.rest[at[f"{side}_hip"]] - clip.rest[at[f"{side}_knee"]]))
+    joints = [at[f"{side}_{part}"] for part in ("ankle", "foot") if f"{side}_{part}" in at]
+    if len(clip) < 2 or not joints or leg <= 0:
+        return np.eye(3)
+    speed = np.zeros(len(clip))
+    low = np.ones(len(clip), bool)
+    for joint in joints:
+        steps = np.linalg.norm(np.diff(clip.places[:, joint], axis=0), axis=1) * clip.fps
+        speed = np.maximum(speed, np.append(steps, steps[-1]))
+        height = clip.places[:, joint] @ stood.world[1]
+        low &= height < np.percentile(height, 5) + _NEAR * leg
+    stands = low & (speed < _STILL * leg)
+    if stands.sum() < max(_LEAST * clip.fps, _FRAMES):
+        return np.eye(3)
+    up = turned[stands, 1].mean(axis=0)  # the floor's normal as the foot has it
+    size = float(np.linalg.norm(up))
+    if size < _ALIKE or up[1] < _TILTED * size:
+        return np.eye(3)
+    return rotation_between([0.0, 1.0, 0.0], up)

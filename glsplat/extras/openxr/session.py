@@ -1,0 +1,233 @@
+"""Session: the frame loop and the states as the specification wants them (OpenXR 1.1, 9.3 and 11.5).
+
+No pyopenxr and no OpenGL here: a ``Runtime`` is asked, a ``Show`` draws. A runtime that goes is closed, and a new one
+is asked for, ever less often, until it is there again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Protocol
+
+from glsplat.errors import ContextError, ContextLostError
+from glsplat.extras.openxr.runtime import Blend, FrameTiming, Projection, Runtime, State
+from glsplat.net.flow import Backoff
+
+__all__ = ["Session", "Show", "Shown"]
+
+_IDLE = 0.02  # seconds between looks at a session that does not run
+_PATIENCE = 3.0  # seconds in which a runtime lets us out, before we leave by ourselves
+_MEASURED = 512  # frames
+
+RUNNING = (State.READY, State.SYNCHRONIZED, State.VISIBLE, State.FOCUSED)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a frame came to."""
+
+    projection: Projection | None
+    located: float  # when the views were located: seconds of time.perf_counter
+    drawing: float  # seconds since then that went into the picture itself
+
+
+class Show(Protocol):
+    """Who draws. All calls come from the session's thread; any may raise ContextLostError for the runtime's sake."""
+
+    def attach(self, runtime: Runtime) -> None:
+        """A runtime is there: make what is needed of it."""
+        ...
+
+    def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
+        """Draw for the display time of ``timing``, between begin and end of a frame."""
+        ...
+
+    def recentred(self) -> None:
+        """The user looks another way from now on."""
+        ...
+
+    def detach(self) -> None:
+        """The runtime goes, or is gone: give back what was made of it."""
+        ...
+
+
+class Session:
+    """``while session.step(): ...`` until the runtime ends it, or ``quit()`` was called; then ``close()``."""
+
+    def __init__(
+        self,
+        connect: Callable[[], Runtime],
+        show: Show,
+        blend: Blend = "opaque",
+        say: Callable[[str], None] = lambda _: None,
+        clock: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Connects at once. Raises what ``connect`` raises: ContextError, one line."""
+        self._connect, self._show, self._say = connect, show, say
+        self.blend: Blend = blend
+        self._clock, self._sleep = clock, sleep
+        self.state: State = State.UNKNOWN
+        self.frames = 0  # ended so far, with or without a picture
+        self.rendered = 0  # of them, with one
+        self.losses = 0  # runtimes that went
+        self._running = False  # between xrBeginSession and xrEndSession
+        self._quit: float | None = None  # when we have to be out
+        self._over = False
+        self._recentre: int | None = None  # the display time from which the space is another
+        self._overheads: deque[float] = deque(maxlen=_MEASURED)
+        self._backoff = Backoff()
+        self._again = 0.0
+        self._runtime: Runtime | None = None
+        self._open()
+
+    @property
+    def runtime(self) -> Runtime | None:
+        """The one that is there."""
+        return self._runtime
+
+    @property
+    def focused(self) -> bool:
+        """Whether the user's input is ours."""
+        return self.state is State.FOCUSED
+
+    @property
+    def overhead_ms(self) -> float:
+        """Milliseconds from located views to the frame's end that went into anything but drawing; median of frames."""
+        ordered = sorted(self._overheads)
+        return ordered[len(ordered) // 2] * 1e3 if ordered else 0.0
+
+    def quit(self) -> None:
+        """Ask the runtime to let us go; ``step`` goes on until it has."""
+        if self._quit is not None:
+            return
+        self._quit = self._clock() + _PATIENCE
+        if self._runtime is None or not self._running:
+            self._over = True
+            return
+        try:
+            self._runtime.request_exit()
+        except ContextLostError:
+            self._over = True
+
+    def step(self) -> bool:
+        """One frame, or a look at a session that does not run. False when it is over."""
+        if self._over or (self._quit is not None and self._clock() > self._quit):
+            return False
+        if self._runtime is None:
+            self._reopen()
+            return True
+        try:
+            self._listen(self._runtime)
+            if self._over:
+                return False
+            if self._running:
+                self._frame(self._runtime)
+            else:
+                self._sleep(_IDLE)
+        except ContextLostError as error:
+            self._lose(str(error))
+        return not self._over
+
+    def close(self) -> None:
+        """Give everything back."""
+        self._drop()
+        self._over = True
+
+    # ---------------------------------------------------------------------------------------------------- a frame
+
+    def _frame(self, runtime: Runtime) -> None:
+        timing = runtime.wait_frame()
+        if self._recentre is not None and timing.display_time >= self._recentre:
+            self._recentre = None
+            self._show.recentred()
+        runtime.begin_frame()
+        shown = None
+        try:
+            if timing.should_render:
+                shown = self._show.frame(runtime, timing, self.focused)
+        except BaseException:
+            with suppress(ContextLostError):  # a frame that was begun is ended, whatever happens
+                runtime.end_frame(timing.display_time, None, self._blend(runtime))
+            raise
+        projection = None if shown is None else shown.projection
+        runtime.end_frame(timing.display_time, projection, self._blend(runtime))
+        self.frames += 1
+        if shown is not None and projection is not None:
+            self.rendered += 1
+            self._overheads.append(self._clock() - shown.located - shown.drawing)
+
+    def _blend(self, runtime: Runtime) -> Blend:
+        """As it was asked for, where the runtime has it: one that came back may be another."""
+        return self.blend if self.blend in runtime.blends or not runtime.blends else runtime.blends[0]
+
+    def _listen(self, runtime: Runtime) -> None:
+        while (event := runtime.poll()) is not None:
+            if event.kind == "lost":
+                raise ContextLostError(f"{runtime.name} is going")
+            if event.kind == "recentred":
+                self._recentre = event.time
+                continue
+            self.state = event.state
+            if event.state is State.READY:
+                runtime.begin()
+                self._running = True
+            elif event.state is State.STOPPING:
+                self._running = False
+                runtime.end()
+            elif event.state is State.LOSS_PENDING:
+                raise ContextLostError(f"{runtime.name} ends the session")
+            elif event.state is State.EXITING:
+                self._over = True
+
+    # ------------------------------------------------------------------------------------------- come, go, come back
+
+    def _open(self) -> None:
+        runtime = self._connect()
+        self.state, self._running, self._recentre = State.UNKNOWN, False, None
+        try:
+            self._show.attach(runtime)
+        except BaseException:
+            self._show.detach()
+            runtime.close()
+            raise
+        self._runtime = runtime
+
+    def _reopen(self) -> None:
+        if self._clock() < self._again:
+            self._sleep(_IDLE)
+            return
+        try:
+            self._open()
+        except ContextError as error:  # not there yet
+            self._wait(str(error))
+            return
+        self._backoff.connected()
+        assert self._runtime is not None
+        self._say(f"{self._runtime.name} is back")
+
+    def _lose(self, why: str) -> None:
+        self.losses += 1
+        self._drop()
+        if self._quit is not None:
+            self._over = True
+            return
+        self._wait(why)
+
+    def _wait(self, why: str) -> None:
+        pause = self._backoff.pause()
+        self._again = self._clock() + pause
+        self._say(f"{why}; trying again in {pause:g} s")
+
+    def _drop(self) -> None:
+        runtime, self._runtime = self._runtime, None
+        self._running, self.state = False, State.UNKNOWN
+        if runtime is not None:
+            try:
+                self._show.detach()
+            finally:
+                runtime.close()

@@ -1,0 +1,1 @@
+"""Running a server for others: status page, metrics, previews, history, certificates, QR codes."""

@@ -1,0 +1,284 @@
+"""The 55 joints of SMPL-X for a rig that has others: where they are in the T-pose, and how they lay when it was bound.
+
+The zero pose of SMPL-X is a T-pose; a rig rests in any pose (arms down, fingers bent). Each limb of the rig is turned
+until its bones point where those of the reference body do; trunk and head stay as they are, feet stay on their soles.
+Joints that a rig lacks are put where the reference body has them, in the rig's own proportions, and move what hangs
+from them as they do there. Poses, motions and tracking then mean the same on every rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.errors import PoseError
+from glsplat.extras.rigs.match import RigMap
+from glsplat.rotations import nearest_rotations, rotation_between, rotation_matrices, unit_vectors
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
+
+__all__ = ["Humanoid", "humanoid", "seated", "t_pose_turns", "upright"]
+
+F64 = NDArray[np.float64]
+
+_AT = {name: index for index, name in enumerate(JOINT_NAMES)}
+_SIDES = ("left", "right")
+# limbs from the trunk outwards: each bone points from a joint to the next
+_CHAINS = [
+    [f"{side}_{part}" for part in parts]
+    for side in _SIDES
+    for parts in (
+        ("hip", "knee", "ankle"),
+        ("shoulder", "elbow", "wrist"),
+        *((f"{finger}1", f"{finger}2", f"{finger}3") for finger in ("thumb", "index", "middle", "ring", "pinky")),
+    )
+]
+_PALM = ("index1", "middle1", "ring1", "pinky1")
+_STANDING = 0.5  # cosine between trunk and legs; four-legged animals have less
+_ASTRIDE = 0.25  # of a thigh, how far the middle of the knees is from that of the hips, at least
+_ASKEW = 0.924  # cosine of 22.5 degrees
+_AWAY = 0.5  # of the way from hips to shoulders: a pelvis farther away than that from the hips is none
+_FEW = 3  # knuckles that tell how a hand is turned
+
+
+@dataclass(frozen=True, eq=False)
+class Humanoid:
+    """A rig as SMPL-X has it."""
+
+    joints: F64  # [55, 3] metres, in the T-pose
+    frames: F64  # [55, 4, 4] of the same joints as the rig rests; in the T-pose all are parallel to the world
+    of: NDArray[np.intp]  # [J] which of the 55 each of the rig's joints moves with
+
+
+def upright(rig: RigMap, positions: ArrayLike) -> F64:
+    """[3, 3] the turn that makes y up, x the person's left and z their front: by right angles, as files have axes.
+
+    Somebody who lies askew in the file's axes by more than 22.5 degrees is turned by what it takes.
+    Raises PoseError for a rig whose trunk is not above its legs: an animal on four legs.
+    """
+    points = np.asarray(positions, np.float64)
+    at = {name: points[index] for name, index in rig.joints.items()}
+    hips, shoulders, knees = ((at[f"left_{part}"] + at[f"right_{part}"]) / 2 for part in ("hip", "shoulder", "knee"))
+    trunk, legs = shoulders - hips, hips - knees
+    size = float(np.linalg.norm(trunk) * np.linalg.norm(legs))
+    if size < 1e-12:
+        raise PoseError("the rig has no size: hips, knees and shoulders coincide")
+    thighs = [float(np.linalg.norm(at[f"{side}_hip"] - at[f"{side}_knee"])) for side in _SIDES]
+    if float(np.linalg.norm(legs)) < _ASTRIDE * np.mean(thighs):  # as Bandai-Namco's: what is left of them is rounding
+        raise PoseError("the legs point apart: this is no person who stands")
+    if float(trunk @ legs) / size < _STANDING:
+        raise PoseError("the trunk is not above the legs: this is no person who stands")
+    up = trunk / np.linalg.norm(trunk) + legs / np.linalg.norm(legs)
+    y = _axis(up)
+    across = at["left_hip"] - at["right_hip"] + at["left_shoulder"] - at["right_shoulder"]
+    if float(up @ y) < _ASKEW * float(np.linalg.norm(up)):
+        y = trunk / np.linalg.norm(trunk)  # not the legs: these may be bent
+        x = across - y * (across @ y)
+        x = x / max(float(np.linalg.norm(x)), 1e-12)
+    else:
+        x = _axis(across - y * (across @ y))
+    if abs(float(x @ y)) > 1e-6:
+        raise PoseError("left and right hip are above each other: this is no person who stands")
+    return np.stack([x, y, np.cross(x, y)])
+
+
+def humanoid(
+    rig: RigMap,
+    parents: ArrayLike,  # [J] of the rig, -1 for a root
+    positions: ArrayLike,  # [J, 3] metres at rest, upright
+    reference: ArrayLike,  # [55, 3] joints of a body in the T-pose, metres
+) -> Humanoid:
+    """The 55 joints of a rig that has all of ``match.NEEDED``. Raises PoseError where it lacks one."""
+    if rig.missing:
+        raise PoseError(f"nobody can be driven without {', '.join(rig.missing)}; name them in a rig map")
+    points, body = np.asarray(positions, np.float64), np.asarray(reference, np.float64)
+    rest = {name: points[index] for name, index in rig.joints.items()}
+    rest["pelvis"] = _pelvis(rest, body)
+    turns = t_pose_turns(rest, body)
+    joints = _t_pose(rest, turns, body)
+    frames = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
+    for index, name in enumerate(JOINT_NAMES):
+        frames[index, :3, :3] = turns[name].T
+        parent = int(PARENTS[index])
+        if name in rest:
+            frames[index, :3, 3] = rest[name]
+        else:  # hangs from its parent as it does in the T-pose
+            turn = frames[parent, :3, :3]
+            frames[index, :3, 3] = frames[parent, :3, 3] + turn @ (joints[index] - joints[parent])
+    return Humanoid(joints, frames, _moved_by(rig, np.asarray(parents, np.intp), points))
+
+
+def _pelvis(rest: Mapping[str, F64], body: F64) -> F64:
+    """[3] where the body turns about: the rig's own joint, or between the hips if that one is far from them.
+
+    Some rigs have it on the floor. Pelvis and hips are one piece, so any point of it will do.
+    """
+    hips, shoulders = ((rest[f"left_{part}"] + rest[f"right_{part}"]) / 2 for part in ("hip", "shoulder"))
+    at = rest.get("pelvis", hips)
+    if np.linalg.norm(at - hips) <= _AWAY * np.linalg.norm(shoulders - hips):
+        return np.asarray(at)
+    size = _leg(rest) / _leg({name: body[_AT[name]] for name in JOINT_NAMES})
+    ours = body[0] - (body[_AT["left_hip"]] + body[_AT["right_hip"]]) / 2
+    return np.asarray(hips + size * ours)
+
+
+def seated(
+    rig: RigMap,
+    parents: ArrayLike,  # [J]
+    bound: F64,  # [J, 4, 4] frames in which the skin was bound
+    shown: F64,  # [J, 4, 4] the same frames as a viewer shows them, which says how large they are
+    reference: ArrayLike,  # [55, 3]
+    scale: float = 1.0,
+) -> tuple[F64, Skeleton, NDArray[np.intp]]:
+    """The rig's skeleton as SMPL-X has it; before it [4, 4] upright metres from ``bound``'s space, after it [J] which
+    of the 55 each joint moves with."""
+    nodes = list(rig.joints.values())
+    sizes = [np.cbrt(np.abs(np.linalg.det(frames[nodes, :3, :3]))) for frames in (shown, bound)]
+    turn = np.eye(4)
+    turn[:3, :3] = scale * float(np.median(sizes[0] / sizes[1])) * upright(rig, bound[:, :3, 3])
+    person = humanoid(rig, parents, bound[:, :3, 3] @ turn[:3, :3].T, reference)
+    rest = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
+    rest[:, :3, 3] = person.joints
+    return turn, Skeleton(JOINT_NAMES, PARENTS, rest, np.linalg.inv(person.frames)), person.of
+
+
+def t_pose_turns(
+    rest: Mapping[str, F64],  # SMPL-X joint -> [3] where the rig has it at rest, upright
+    reference: F64,  # [55, 3] joints of a body in the T-pose, any unit
+) -> dict[str, F64]:
+    """Each of the 55 joints -> [3, 3] how its bone turns from the rest pose to the T-pose, in the world."""
+    body = {name: reference[index] for name, index in _AT.items()}
+    across = rest["left_hip"] - rest["right_hip"]
+    whole = rotation_between(across * (1, 0, 1), np.array([1.0, 0.0, 0.0]))
+    turns = {name: whole for name in JOINT_NAMES}
+    for chain in _CHAINS:
+        side = chain[0].split("_")[0]
+        if chain[0].endswith("1"):  # a finger begins as its hand is turned
+            for name in chain:
+                turns[name] = turns[f"{side}_wrist"]
+        for name, toward in pairwise(chain):
+            if name not in rest or toward not in rest:
+                break
+            bone = turns[name] @ (rest[toward] - rest[name])
+            turns[name] = rotation_between(bone, body[toward] - body[name]) @ turns[name]
+            for further in chain[chain.index(name) + 1 :]:
+                turns[further] = turns[name]
+        if chain[0].endswith("_hip"):
+            turns[chain[-1]] = turns[f"{side}_foot"] = _on_its_sole(rest, body, side, whole)
+        if chain[0].endswith("_shoulder"):
+            _turn_hand(turns, rest, body, side)
+    return turns
+
+
+def _on_its_sole(rest: Mapping[str, F64], body: Mapping[str, F64], side: str, whole: F64) -> F64:
+    """[3, 3] of a foot: it points where the body's does and stays as level as it was."""
+    ankle, toe = f"{side}_ankle", f"{side}_foot"
+    if ankle not in rest or toe not in rest:
+        return whole
+    level = np.array([1.0, 0.0, 1.0])
+    return rotation_between(whole @ (rest[toe] - rest[ankle]) * level, (body[toe] - body[ankle]) * level) @ whole
+
+
+def _turn_hand(turns: dict[str, F64], rest: Mapping[str, F64], body: Mapping[str, F64], side: str) -> None:
+    """The palm faces down as the body's does. Half of what it turns about the forearm, the forearm turns too."""
+    wrist, elbow = f"{side}_wrist", f"{side}_elbow"
+    knuckles = [f"{side}_{name}" for name in _PALM if f"{side}_{name}" in rest]
+    if wrist not in rest or len(knuckles) < _FEW:
+        return
+    ours = np.array([body[name] - body[wrist] for name in knuckles])
+    theirs = np.array([rest[name] - rest[wrist] for name in knuckles]) @ turns[elbow].T
+    ours, theirs = unit_vectors(ours), unit_vectors(theirs)
+    # knuckles lie in a plane: its normal is a fourth direction, without which the nearest rotation may mirror
+    ours, theirs = (np.vstack([rows, _normal(rows)]) for rows in (ours, theirs))
+    turn = nearest_rotations((ours.T @ theirs)[None])[0]
+    turns[wrist] = turn @ turns[elbow]
+    along = body[wrist] - body[elbow]
+    turns[elbow] = _half_twist(turn, along / np.linalg.norm(along)) @ turns[elbow]
+
+
+def _t_pose(rest: Mapping[str, F64], turns: Mapping[str, F64], body: F64) -> F64:
+    """[55, 3] positions in the T-pose; parents come before children."""
+    joints = np.zeros((len(JOINT_NAMES), 3))
+    joints[0] = rest["pelvis"]
+    size = _leg(rest) / _leg({name: body[_AT[name]] for name in JOINT_NAMES})
+    last = {"pelvis": "pelvis"}  # joint -> the nearest of the rig's own at or above it
+    for index, name in enumerate(JOINT_NAMES[1:], 1):
+        above = last[JOINT_NAMES[int(PARENTS[index])]]
+        if name in rest:
+            joints[index] = joints[_AT[above]] + turns[above] @ (rest[name] - rest[above])
+            last[name] = name
+            continue
+        last[name] = above
+        below = _below(name, rest)
+        offset = body[index] - body[_AT[above]]
+        if below is None:
+            joints[index] = joints[_AT[above]] + size * offset
+        else:  # between two of the rig's own, as far along as the body's is
+            ours = body[_AT[below]] - body[_AT[above]]
+            theirs = turns[above] @ (rest[below] - rest[above])
+            share = float(offset @ ours) / max(float(ours @ ours), 1e-12)
+            joints[index] = joints[_AT[above]] + share * theirs
+    return joints
+
+
+def _below(name: str, rest: Mapping[str, F64]) -> str | None:
+    """The first of the rig's own joints that hangs from a joint in the middle of the body, or from a collar."""
+    chains = (
+        ("spine1", "spine2", "spine3", "neck", "head"),
+        *((f"{side}_collar", f"{side}_shoulder", f"{side}_elbow") for side in _SIDES),
+    )
+    for chain in chains:
+        if name in chain:
+            return next((further for further in chain[chain.index(name) + 1 :] if further in rest), None)
+    return None
+
+
+def _moved_by(rig: RigMap, parents: NDArray[np.intp], points: F64) -> NDArray[np.intp]:
+    """[J] of the 55, for each of the rig's joints: itself, what it hangs from, what hangs from it, or the nearest."""
+    mine = {index: _AT[name] for name, index in rig.joints.items()}
+    below: dict[int, int] = {}
+    for index in mine:
+        at = int(parents[index])
+        while at >= 0 and at not in mine and at not in below:
+            below[at] = mine[index]
+            at = int(parents[at])
+    known = np.array(list(mine))
+    out = np.empty(len(parents), np.intp)
+    for joint in range(len(parents)):
+        at, steps = joint, 0
+        while at >= 0 and at not in mine and steps <= len(parents):
+            at, steps = int(parents[at]), steps + 1
+        if at in mine:
+            out[joint] = mine[at]
+        elif joint in below:
+            out[joint] = below[joint]
+        else:
+            out[joint] = mine[int(known[np.linalg.norm(points[known] - points[joint], axis=1).argmin()])]
+    return out
+
+
+def _leg(points: Mapping[str, F64]) -> float:
+    return sum(float(np.linalg.norm(points[f"{side}_knee"] - points[f"{side}_hip"])) for side in _SIDES) / 2
+
+
+def _axis(direction: F64) -> F64:
+    out = np.zeros(3)
+    largest = int(np.abs(direction).argmax())
+    out[largest] = np.sign(direction[largest])
+    return out
+
+
+def _normal(rows: F64) -> F64:
+    across = np.cross(rows[0], rows[-1])
+    return np.asarray(across / max(float(np.linalg.norm(across)), 1e-12))
+
+
+def _half_twist(turn: F64, along: F64) -> F64:
+    """[3, 3] half of the rotation about ``along`` that is in ``turn``."""
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    angle = np.arctan2(float(axis @ along), 1.0 + float(np.trace(turn)))  # of the quaternion's twist, half the angle
+    return rotation_matrices(along * angle)

@@ -1,0 +1,51 @@
+"""Visemes to the weights of ARKit's shapes: mixed, the jaw by loudness, lips that close in time and open slowly.
+
+``net/web/voice/mouth.js`` is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import exp
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.extras.speech.table import table
+
+__all__ = ["Mouth"]
+
+
+class Mouth:
+    """One mouth. It is at rest in silence."""
+
+    def __init__(self) -> None:
+        self._table = t = table()
+        self._names = sorted({name for weights in t.visemes.values() for name in weights})
+        self._shapes = np.array([[w.get(name, 0.0) for name in self._names] for w in t.visemes.values()])
+        self._closing = list(t.visemes).index(t.closes)
+        self._jaw = self._names.index("jawOpen")
+        self._nearer = 1 - exp(-t.framing.hop / t.smooth)
+        self.reset()
+
+    def reset(self) -> None:
+        """At rest."""
+        self._mixed = np.zeros(len(self._table.visemes))
+        self._mixed[0] = 1.0
+        self._closed = 0.0
+
+    def add(self, visemes: NDArray[np.float64], level: float) -> Mapping[str, float]:
+        """The weights after one more frame of ``Analysis``, all that the visemes have, 0 to 1."""
+        t = self._table
+        self._mixed = self._mixed + (visemes - self._mixed) * self._nearer
+        begins, full = t.closed
+        now = min(1.0, max(0.0, (float(visemes[self._closing]) - begins) / (full - begins)))
+        self._closed = max(now, self._closed - t.framing.hop / t.opens)
+        others = self._mixed.copy()
+        others[self._closing] = 0.0
+        weights = others @ self._shapes
+        least, silence = t.jaw
+        loud = min(1.0, max(0.0, 1 + level / silence))
+        weights[self._jaw] *= least + (1 - least) * loud
+        weights = weights * (1 - self._closed) + self._shapes[self._closing] * self._closed
+        return dict(zip(self._names, weights.tolist(), strict=True))

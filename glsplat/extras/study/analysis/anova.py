@@ -1,0 +1,174 @@
+"""The aligned rank transform's F tests and contrasts: which model a table allows, and who is left out for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr
+
+from glsplat.errors import FormatError
+from glsplat.extras.statistics.holm import holm
+
+from . import align, mixed, repeated
+from .effects import Effect, effects_of
+from .repeated import FTest
+from .table import Table
+
+__all__ = [
+    "Contrast",
+    "Model",
+    "ModelName",
+    "art",
+    "art_contrasts",
+    "art_spread",
+    "choose",
+    "conditions",
+    "name_of",
+    "stray",
+]
+
+F64 = NDArray[np.float64]
+ModelName = Literal["auto", "rm", "mixed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What is tested how: ``kind`` is rm (repeated-measures ANOVA) or mixed (random intercepts, REML)."""
+
+    table: Table
+    kind: Literal["rm", "mixed"]
+    left_out: tuple[str, ...] = ()
+    """Participants without every condition, where the tests need all (listwise)."""
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """The difference of two conditions of an effect in aligned ranks (ART-C), two-sided t test."""
+
+    effect: str
+    first: str
+    second: str
+    estimate: float
+    se: float
+    df: float
+    t: float
+    p: float
+    p_holm: float
+    """Corrected for all pairs of this effect."""
+
+
+def choose(table: Table, kind: ModelName = "auto") -> Model:
+    """The model of a table. Auto: rm where the design is balanced, else mixed, with all answers that there are.
+
+    A study without within factors, with one answer a participant, is rm whatever its groups' sizes: an ordinary ANOVA.
+    Asked for rm, participants who lack a condition are left out. Raises FormatError where too few are left.
+    """
+    if kind == "auto":
+        single = not table.within and bool((table.answers == 1).all())
+        kind = "rm" if single or table.balanced else "mixed"
+    if kind == "mixed":
+        return Model(table, "mixed")
+    gone = table.incomplete
+    kept = [name for name in table.names if name not in gone]
+    if len(kept) < 2:
+        raise FormatError(
+            f"expected two participants or more with every condition, found {len(kept)} of {len(table.names)}; "
+            "a mixed model takes those with gaps, too"
+        )
+    model = Model(table.of(kept) if gone else table, "rm", gone)
+    if [f.within for f in model.table.factors] != [f.within for f in table.factors]:
+        raise FormatError("with the incomplete participants a within factor is lost; use a mixed model")
+    groups = int(np.prod([model.table.shape[i] for i in model.table.between]))
+    if len(kept) <= groups:
+        raise FormatError(f"expected more participants than groups, found {len(kept)} in {groups}")
+    return model
+
+
+def art(model: Model) -> list[FTest]:
+    """An F test for every main effect and interaction, each on its own aligned ranks."""
+    return [_test(model, effect, align.ranked(model.table, effect)) for effect in effects_of(len(model.table.factors))]
+
+
+def art_spread(model: Model) -> list[FTest] | None:
+    """As :func:`art`, on ranks whose ties are spread; None where the answers are on no coarse scale."""
+    step = align.step_of(model.table.values)
+    if step is None:
+        return None
+    effects = effects_of(len(model.table.factors))
+    return [_test(model, effect, align.spread_ranks(model.table, effect, step)) for effect in effects]
+
+
+def stray(model: Model) -> float:
+    """The largest F that any other effect has on answers aligned for one; 0 where alignment leaves nothing behind.
+
+    ARTool's summary prints it. In unbalanced designs it is above 0, and ART the less exact the larger it is.
+    """
+    table, worst = model.table, 0.0
+    effects = effects_of(len(table.factors))
+    for effect in effects:
+        rows = align.aligned(table, effect)
+        if np.ptp(rows) == 0:
+            continue
+        rows = rows / np.abs(rows).max()  # F knows no unit, floats do
+        fitted = mixed.fit(table, rows) if model.kind == "mixed" else None
+        others = [other for other in effects if other != effect]
+        found = (
+            [mixed.test(table, other, fitted) for other in others]
+            if model.kind == "mixed"
+            else [_test(model, other, rows) for other in others]
+        )
+        worst = max([worst, *(test.f for test in found if np.isfinite(test.f))])
+    return worst if worst > 1e-9 else 0.0
+
+
+def art_contrasts(model: Model, effect: Effect) -> list[Contrast]:
+    """All pairs of the effect's conditions by ART-C, corrected by Holm; none where nothing varies."""
+    table = model.table
+    rows = align.ranked_for_contrasts(table, effect)
+    names = conditions(table, effect)
+    pairs = list(combinations(range(len(names)), 2))
+    weights = np.zeros((len(pairs), len(names)))
+    for row, (first, second) in zip(weights, pairs, strict=True):
+        row[first], row[second] = 1, -1
+    if model.kind == "rm":
+        estimate, se, df = repeated.contrast_rows(table, effect, rows, weights)
+    else:
+        fitted = mixed.fit(table, rows)
+        if fitted is None:
+            return []
+        estimate, se, df = mixed.contrasts(table, effect, fitted, weights)
+    if not (se > 1e-9 * len(rows)).all():
+        return []
+    t = estimate / se
+    p = 2 * stdtr(df, -np.abs(t))
+    name = name_of(table, effect)
+    return [
+        Contrast(
+            name, names[a], names[b], float(estimate[i]), float(se[i]), float(df[i]), float(t[i]), float(p[i]), adjusted
+        )
+        for i, ((a, b), adjusted) in enumerate(zip(pairs, holm(p.tolist()), strict=True))
+    ]
+
+
+def name_of(table: Table, effect: Iterable[int]) -> str:
+    """As R writes it: type:method."""
+    return ":".join(table.factors[i].name for i in effect)
+
+
+def conditions(table: Table, effect: Effect) -> list[str]:
+    """The combinations of the effect's levels, the last factor's the fastest: "self, ours"."""
+    places = np.ndindex(*(table.shape[i] for i in effect))
+    return [", ".join(table.factors[i].levels[k] for i, k in zip(effect, place, strict=True)) for place in places]
+
+
+def _test(model: Model, effect: Effect, rows: F64) -> FTest:
+    if model.kind == "mixed":
+        return mixed.test(model.table, effect, mixed.fit(model.table, rows))
+    f, df1, df2, p, epsilon = repeated.f_tests(model.table, effect, rows)
+    several = np.prod([model.table.shape[i] - 1 for i in effect if i in model.table.within]) > 1
+    return FTest(effect, float(f), df1, df2, float(p), float(epsilon) if several and np.isfinite(epsilon) else None)

@@ -1,0 +1,126 @@
+"""The plain alternative, one factor at a time: Friedman and Wilcoxon, Kruskal-Wallis and Mann-Whitney.
+
+Each participant counts once a level, by the mean over all other factors. What interactions there are is not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+from scipy.stats import mannwhitneyu
+
+from glsplat.extras.statistics.holm import holm
+from glsplat.extras.statistics.ranks import average_ranks, rank_biserial, wilcoxon
+
+from .anova import conditions, name_of
+from .effect_sizes import EffectSize, cliffs_delta
+from .effects import Effect, averages
+from .repeated import split
+from .table import Table
+
+__all__ = ["MOST_CONDITIONS", "Omnibus", "Pair", "friedman", "kruskal_wallis", "plain_tests"]
+
+F64 = NDArray[np.float64]
+
+MOST_CONDITIONS = 24
+"""Of an effect whose pairs are all compared: 276 of them."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two conditions, first less second: Wilcoxon's signed ranks (exact), or Mann-Whitney between participants."""
+
+    effect: str
+    first: str
+    second: str
+    test: str
+    n: int
+    p: float
+    p_holm: float
+    rank_biserial: float | None
+    delta: EffectSize
+    """Cliff's."""
+
+
+@dataclass(frozen=True)
+class Omnibus:
+    """All levels of a factor at once; ``pairs`` are one family for Holm."""
+
+    effect: str
+    test: str
+    n: int
+    statistic: float
+    df: int
+    p: float
+    pairs: tuple[Pair, ...]
+
+
+def plain_tests(table: Table, seed: int = 0) -> list[Omnibus]:
+    """One for every factor, and one for all within conditions where there are several within factors.
+
+    ``table`` has to be complete: every participant has every condition.
+    """
+    parts = split(table, table.values)
+    out = []
+    effects: list[Effect] = [(i,) for i in range(len(table.factors))]
+    if len(table.within) > 1 and np.prod(parts.within_shape) <= MOST_CONDITIONS:
+        effects.append(table.within)
+    for effect in effects:
+        name, labels = name_of(table, effect), conditions(table, effect)
+        if effect[0] in table.within:
+            inside = tuple(table.within.index(i) for i in effect)
+            columns = list((parts.values @ averages(parts.within_shape, inside).T).T)
+            paired = True
+        else:
+            code = np.unravel_index(parts.group, parts.between_shape)[table.between.index(effect[0])]
+            columns = [parts.values[code == i].mean(axis=1) for i in range(len(labels))]
+            paired = False
+        statistic, df, p = friedman(np.stack(columns, 1)) if paired else kruskal_wallis(columns)
+        made = [
+            _pair(name, labels[a], labels[b], columns[a], columns[b], paired, seed)
+            for a, b in combinations(range(len(labels)), 2)
+        ]
+        corrected = holm([pair.p for pair in made])
+        pairs = tuple(replace(pair, p_holm=value) for pair, value in zip(made, corrected, strict=True))
+        test = "Friedman" if paired else "Kruskal-Wallis"
+        out.append(Omnibus(name, test, len(table.names), statistic, df, p, pairs))
+    return out
+
+
+def friedman(answers: F64) -> tuple[float, int, float]:
+    """Statistic, degrees of freedom and p of [N, K], corrected for ties (Conover 1999); 0 and 1 where all are tied."""
+    k = answers.shape[1]
+    ranks = average_ranks(answers) - (k + 1) / 2
+    spread = float((ranks**2).sum())
+    statistic = (k - 1) * float((ranks.sum(axis=0) ** 2).sum()) / spread if spread else 0.0
+    return statistic, k - 1, float(chdtrc(k - 1, statistic))
+
+
+def kruskal_wallis(groups: list[F64]) -> tuple[float, int, float]:
+    """Statistic, degrees of freedom and p, corrected for ties; 0 and 1 where all are tied."""
+    ranks = average_ranks(np.concatenate(groups))
+    ranks -= ranks.mean()
+    ends = np.cumsum([len(group) for group in groups])[:-1]
+    among = sum(float(part.sum()) ** 2 / len(part) for part in np.split(ranks, ends))
+    spread = float((ranks**2).sum())
+    statistic = (len(ranks) - 1) * among / spread if spread else 0.0
+    return statistic, len(groups) - 1, float(chdtrc(len(groups) - 1, statistic))
+
+
+def _pair(effect: str, first: str, second: str, a: F64, b: F64, paired: bool, seed: int) -> Pair:
+    delta = cliffs_delta(a, b, paired=paired, seed=seed)
+    if paired:
+        p = wilcoxon(a - b)
+        return Pair(effect, first, second, "Wilcoxon", len(a), p, p, rank_biserial(a - b), delta)
+    ranks = average_ranks(np.concatenate([a, b]))  # of ranks: what rounding parts stays tied
+    tied = len(np.unique(ranks)) < len(ranks)
+    if np.ptp(ranks) == 0:
+        p = 1.0
+    else:
+        method = "asymptotic" if tied or max(len(a), len(b)) >= 50 else "exact"  # as R's wilcox.test
+        p = float(mannwhitneyu(ranks[: len(a)], ranks[len(a) :], method=method).pvalue)
+    return Pair(effect, first, second, "Mann-Whitney", len(a) + len(b), p, p, None, delta)

@@ -1,0 +1,216 @@
+"""Power by simulation: how often a planned study would find an effect that is there, and one that is not.
+
+>>> plan = Planned({"type": ("self", "other"), "method": ("ours", "video", "image")}, participants=24)
+>>> [round(row.power, 2) for row in power(plan.draws({"type": (0.4,)}), plan.table, runs=1000)]
+[0.88, 0.04, 0.04]
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betaincinv
+
+from glsplat.errors import FormatError
+from glsplat.extras.statistics.bootstrap import LEVEL
+
+from .align import ranked, spread_ranks
+from .anova import choose, name_of
+from .effects import Effect, effects_of, hypothesis
+from .repeated import f_tests, split
+from .table import Table, make_table
+
+__all__ = ["Draws", "Planned", "Power", "from_pilot", "power"]
+
+F64 = NDArray[np.float64]
+Draws = Callable[[np.random.Generator, int], F64]
+"""Answers [runs, N] of so many studies, on the rows of the planned table."""
+
+CHUNK = 100  # studies drawn at once
+MOST_ROWS = 20_000
+
+
+@dataclass(frozen=True)
+class Power:
+    """How many of the simulated studies had p below alpha, and the 95 % interval of that share (Clopper-Pearson)."""
+
+    effect: str
+    runs: int
+    found: int
+    low: float
+    high: float
+
+    @property
+    def power(self) -> float:
+        """The share."""
+        return self.found / self.runs
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A study that is planned: factors with levels, those between participants, and how many take part in all.
+
+    ``correlation``: of two answers of one participant. ``points``: of a rating scale, whose middle is the mean and
+    whose step is 4 / (points - 1) standard deviations; None for answers on a continuous scale. Raises FormatError.
+    """
+
+    factors: Mapping[str, Sequence[str]]
+    participants: int
+    between: frozenset[str] = field(default_factory=frozenset)
+    correlation: float = 0.5
+    points: int | None = None
+
+    def __post_init__(self) -> None:
+        if unknown := self.between - set(self.factors):
+            raise FormatError(f"no factor is called {min(unknown)!r}; there are {', '.join(self.factors)}")
+        if not 0 <= self.correlation < 1:
+            raise FormatError(f"the correlation needs 0 or more and less than 1, not {self.correlation:g}")
+        if self.points is not None and not 2 <= self.points <= 1000:
+            raise FormatError(f"a scale needs 2 to 1000 points, not {self.points}")
+        groups = int(np.prod([len(self.factors[name]) for name in self.between]))
+        if self.participants < max(2 * groups, 2):
+            raise FormatError(
+                f"{groups} groups need {max(2 * groups, 2)} participants or more, not {self.participants}"
+            )
+        conditions = int(np.prod([len(levels) for name, levels in self.factors.items() if name not in self.between]))
+        if (answers := self.participants * conditions) > MOST_ROWS:
+            raise FormatError(f"a simulation takes at most {MOST_ROWS} answers a study, not {answers}")
+
+    @cached_property
+    def table(self) -> Table:
+        """Its rows, with answers of 0; participants go to the groups in turn."""
+        groups = list(itertools.product(*(self.factors[name] for name in self.factors if name in self.between)))
+        rows: list[tuple[str, Sequence[str], float]] = []
+        for number in range(self.participants):
+            own = dict(zip((n for n in self.factors if n in self.between), groups[number % len(groups)], strict=True))
+            levels = [(own[name],) if name in own else tuple(self.factors[name]) for name in self.factors]
+            rows += [(f"P{number + 1:05}", cell, 0.0) for cell in itertools.product(*levels)]
+        return make_table("answer", self.factors, rows)
+
+    def means(self, effects: Mapping[str, Sequence[float]]) -> F64:
+        """The mean of each condition in standard deviations of an answer, [levels of each factor].
+
+        Of each effect ("type", "type:method") one number, the largest difference between its conditions, or one number
+        a condition. One number: levels evenly apart, in an interaction the product of such steps. What is of lower
+        effects is taken out of an interaction's numbers. Raises FormatError.
+        """
+        names = list(self.factors)
+        shape = [len(self.factors[name]) for name in names]
+        total = np.zeros(shape)
+        for text, numbers in effects.items():
+            parts = [part.strip() for part in text.split(":")]
+            if not set(parts) <= set(names) or len(set(parts)) < len(parts):
+                raise FormatError(f"effect {text!r}: expected factors with : between them, of {', '.join(names)}")
+            if not np.isfinite(numbers).all():
+                raise FormatError(f"effect {text!r}: expected finite numbers, in standard deviations")
+            own = [names.index(part) for part in parts]
+            order = tuple(sorted(own))
+            part_shape = [shape[i] for i in own]
+            if len(numbers) == 1:
+                pattern = _steps(part_shape) * numbers[0]
+            elif len(numbers) == np.prod(part_shape):
+                pattern = _pure(np.array(numbers, float).reshape(part_shape))
+            else:
+                raise FormatError(
+                    f"effect {text!r}: expected one number or {np.prod(part_shape)}, one a condition; got "
+                    f"{len(numbers)}"
+                )
+            turned = pattern.transpose([own.index(i) for i in order])
+            total += turned.reshape([n if i in order else 1 for i, n in enumerate(shape)])
+        return total
+
+    def draws(self, effects: Mapping[str, Sequence[float]]) -> Draws:
+        """Normal answers with these effects, rounded to the scale's points where there is one."""
+        table = self.table
+        means = self.means(effects).ravel()[table.cell]
+
+        def drawn(rng: np.random.Generator, runs: int) -> F64:
+            own = rng.standard_normal((runs, len(table.names)))[:, table.participant]
+            noise = rng.standard_normal((runs, len(table.cell)))
+            answers = means + np.sqrt(self.correlation) * own + np.sqrt(1 - self.correlation) * noise
+            if self.points is None:
+                return answers
+            middle, step = (self.points + 1) / 2, (self.points - 1) / 4
+            return np.clip(np.rint(middle + step * answers), 1, self.points)
+
+        return drawn
+
+
+def from_pilot(pilot: Table, participants: int) -> tuple[Draws, Table]:
+    """Studies of so many participants drawn with replacement from the complete ones of a pilot, within its groups.
+
+    Effects are those that the pilot happened to have: of a small pilot, anything. Raises FormatError.
+    """
+    model = choose(pilot, "rm")
+    parts = split(model.table, model.table.values)
+    factors = {factor.name: factor.levels for factor in pilot.factors}
+    between = frozenset(factor.name for factor in pilot.factors if not factor.within)
+    table = Planned(factors, participants, between).table
+    inside = [table.shape[i] for i in table.within]
+    place = np.ravel_multi_index(tuple(table.codes[:, i] for i in table.within), inside) if inside else 0 * table.cell
+    members = [np.flatnonzero(parts.group == group) for group in range(len(parts.sizes))]
+
+    def drawn(rng: np.random.Generator, runs: int) -> F64:
+        chosen = np.empty((runs, participants), np.intp)
+        for group, own in enumerate(members):
+            where = np.flatnonzero(table.group == group)
+            chosen[:, where] = rng.choice(own, (runs, len(where)))
+        return parts.values[chosen[:, table.participant], place]
+
+    return drawn, table
+
+
+def power(
+    draws: Draws,
+    table: Table,
+    *,
+    runs: int = 1000,
+    alpha: float = 0.05,
+    seed: int = 0,
+    step: float | None = None,
+    progress: Callable[[int], object] = lambda done: None,
+) -> list[Power]:
+    """A row for every effect: the aligned rank transform with repeated-measures F tests on ``runs`` studies.
+
+    ``step``: of the scale, where ties shall be spread (:func:`~glsplat.extras.study.analysis.align.spread_ranks`).
+    ``progress`` is told how many more are done. The same seed gives the same rows.
+    """
+    if runs < 1 or not 0 < alpha < 1:
+        raise FormatError(f"power needs a run or more and an alpha between 0 and 1, not {runs} and {alpha:g}")
+    rng = np.random.default_rng(seed)
+    effects = effects_of(len(table.factors))
+    found: dict[Effect, int] = dict.fromkeys(effects, 0)
+    chunk = max(1, min(CHUNK, 2_000_000 // len(table.cell)))
+    for begin in range(0, runs, chunk):
+        answers = draws(rng, min(chunk, runs - begin))
+        for effect in effects:
+            ranks = ranked(table, effect, answers) if step is None else spread_ranks(table, effect, step, answers)
+            p = f_tests(table, effect, ranks)[3]
+            found[effect] += int((p < alpha).sum())  # of NaN, where nothing varies, none
+        progress(len(answers))
+    return [Power(name_of(table, effect), runs, k, *_interval(k, runs)) for effect, k in found.items()]
+
+
+def _interval(found: int, runs: int) -> tuple[float, float]:
+    tail = (1 - LEVEL) / 2
+    low = float(betaincinv(found, runs - found + 1, tail)) if found else 0.0
+    return low, float(betaincinv(found + 1, runs - found, 1 - tail)) if found < runs else 1.0
+
+
+def _steps(shape: Sequence[int]) -> F64:
+    """The product of evenly spaced steps along every axis, scaled so that its largest difference is 1."""
+    out = np.ones(1)
+    for n in shape:
+        out = np.multiply.outer(out, np.linspace(-1, 1, n))
+    return out[0] / np.ptp(out)
+
+
+def _pure(pattern: F64) -> F64:
+    """The part of this effect alone: what means over any of its factors say is gone."""
+    L = hypothesis(pattern.shape, tuple(range(pattern.ndim)))
+    return (L.T @ (L @ pattern.ravel())).reshape(pattern.shape)

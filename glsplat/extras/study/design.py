@@ -1,0 +1,282 @@
+"""``study.toml``: what a study compares, what its participants do, and what they are asked. Immutable values."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any, Literal
+
+from glsplat.errors import FormatError
+from glsplat.extras.study.questionnaires import Questionnaire, questionnaire_of
+from glsplat.extras.study.tables import Table, read_toml
+
+__all__ = ["MOST", "Condition", "Factor", "Order", "Study", "Task", "read_study"]
+
+MOST = 999
+"""Participants of a study: their numbers have three digits."""
+
+View = Literal["mirror", "facing", "own"]
+_VIEWS = ("mirror", "facing", "own")
+_KEYS = ("view", "light", "latency", "hands")
+_WORDS = (
+    "participant",
+    "condition",
+    "position",
+    "measure",
+    "value",
+    "step",
+    "item",
+    "questionnaire",
+    "seconds",
+    "reversed",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """What is varied. ``between``: each participant has one level of it, else everybody has all of them."""
+
+    name: str
+    levels: tuple[str, ...]
+    between: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What a participant sees and drives for a while."""
+
+    name: str
+    levels: Mapping[str, str]  # by within-subject factor
+    avatar: str  # "default", or a file; {participant} stands for sub-007
+    view: View = "mirror"
+    light: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factor on the light that is baked in, linear RGB
+    latency: float = 0.0  # milliseconds added to each picture
+    hands: bool = True  # False: the head alone drives the avatar
+
+    def file(self, participant: str) -> str:
+        """The avatar's file for one participant."""
+        return self.avatar.replace("{participant}", participant)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a participant does for ``seconds``, once they have read or heard ``text``."""
+
+    name: str
+    text: str
+    seconds: float
+    speak: bool = True
+    ready: bool = True  # wait until the participant says so; else for ``reading`` seconds
+    reading: float = 6.0
+    countdown: int = 3  # seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """How conditions are ordered (orders.py). ``block``: a factor whose levels stand together."""
+
+    scheme: Literal["williams", "random", "fixed"] = "williams"
+    block: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A whole design. Equal designs have equal ``digest``s, wherever their file lies."""
+
+    name: str
+    title: str
+    participants: int
+    seed: int
+    consent: str
+    factors: tuple[Factor, ...]
+    order: Order
+    conditions: tuple[Condition, ...]
+    tasks: tuple[Task, ...]
+    before: tuple[str, ...]  # questionnaires, by name
+    each: tuple[str, ...]  # after each condition
+    after: tuple[str, ...]
+    questionnaires: Mapping[str, Questionnaire]
+    rest: float = 0.0  # seconds between two conditions, at least
+    path: Path = field(default=Path("study.toml"), compare=False)
+
+    @property
+    def within(self) -> tuple[Factor, ...]:
+        """The factors of which everybody has all levels."""
+        return tuple(factor for factor in self.factors if not factor.between)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Items whose texts are still to come, as questionnaire.item."""
+        return tuple(f"{name}.{item}" for name, one in self.questionnaires.items() for item in one.untold)
+
+    @property
+    def absent(self) -> tuple[tuple[str, ...], ...]:
+        """Combinations of within levels that no condition has: ART, of full factorial designs, cannot do without."""
+        there = {tuple(one.levels.values()) for one in self.conditions}
+        return tuple(cell for cell in product(*(factor.levels for factor in self.within)) if cell not in there)
+
+    def condition(self, name: str) -> Condition:
+        """A condition by its name."""
+        return next(one for one in self.conditions if one.name == name)
+
+    def to_json(self) -> dict[str, Any]:
+        """All that decides what participants see and are asked, JSON-able."""
+        found: dict[str, Any] = json.loads(json.dumps(_plain(self)))
+        return found
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of ``to_json``."""
+        text = json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_study(path: str | Path) -> Study:
+    """The design in a file. Raises FormatError in one line that names the file and the key."""
+    path = Path(path)
+    table = read_toml(path)
+    table.known(
+        *("name", "title", "participants", "seed", "consent", "factors", "between", "order", "usual", "condition"),
+        *("task", "questionnaires", "text", "rest_s"),
+    )
+    factors = _factors(table)
+    within = tuple(one for one in factors if not one.between)
+    asked = table.table("questionnaires")
+    asked.known("before", "each", "after")
+    questionnaires: dict[str, Questionnaire] = {}
+    stages = tuple(_named(asked, stage, path.parent, questionnaires) for stage in ("before", "each", "after"))
+    texts = table.table("text")
+    texts.known(*questionnaires)
+    for name in texts.keys:
+        questionnaires[name] = questionnaires[name].with_texts(texts.table(name))
+    conditions = _conditions(table, within)
+    tasks = tuple(_task(one) for one in table.tables("task"))
+    _once(table, "task", [task.name for task in tasks])
+    if not tasks and not stages[1]:
+        raise table.error("task", "expected a [[task]], or a questionnaire after each condition; found neither")
+    return Study(
+        name=table.name("name"),
+        title=table.text("title", most=200),
+        participants=table.count("participants", 1, MOST),
+        seed=table.count("seed", 0, 2**31 - 1),
+        consent=table.text("consent"),
+        factors=factors,
+        order=_order(table.table("order"), within),
+        conditions=conditions,
+        tasks=tasks,
+        before=stages[0],
+        each=stages[1],
+        after=stages[2],
+        questionnaires=questionnaires,
+        rest=table.number("rest_s", 0, 3600, 0.0),
+        path=path,
+    )
+
+
+def _factors(table: Table) -> tuple[Factor, ...]:
+    found: list[Factor] = []
+    for key in ("factors", "between"):
+        levels = table.table(key)
+        for name in levels.keys:
+            levels.checked_name(name, name)
+            if name in _WORDS or any(other.name == name for other in found):
+                raise levels.error(name, "this name is taken; choose another one")
+            for level in levels.texts(name, 2, 20):
+                levels.checked_name(name, level)
+            found.append(Factor(name, levels.texts(name, 2, 20), key == "between"))
+    if not any(not one.between for one in found):
+        raise table.error("factors", 'expected a factor with its levels, such as type = ["self", "other"]')
+    return tuple(found)
+
+
+def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ...]:
+    usual = table.table("usual")
+    usual.known(*_KEYS, "avatar")
+    found = []
+    for one in table.tables("condition"):
+        one.known("name", "avatar", *_KEYS, *(factor.name for factor in within))
+        levels = {factor.name: one.choice(factor.name, factor.levels) for factor in within}
+        avatar = one.text("avatar", usual.text("avatar", "default", 300), 300)
+        view: Any = one.choice("view", _VIEWS, usual.choice("view", _VIEWS, "mirror"))
+        found.append(
+            Condition(
+                name=one.name("name"),
+                levels=levels,
+                avatar=avatar,
+                view=view,
+                light=_light(one, _light(usual, (1.0, 1.0, 1.0))),
+                latency=one.number("latency", 0, 2000, usual.number("latency", 0, 2000, 0.0)),
+                hands=one.flag("hands", usual.flag("hands", True)),
+            )
+        )
+    if not 1 <= len(found) <= 20:
+        raise table.error("condition", f"expected 1 to 20 [[condition]], found {len(found)}")
+    _once(table, "condition", [one.name for one in found])
+    cells = [tuple(one.levels.values()) for one in found]
+    twice = next((name for one, name in zip(cells, found, strict=True) if cells.count(one) > 1), None)
+    if twice is not None:
+        raise table.error("condition", f"{twice.name!r} has the same levels as another one; each stands once")
+    return tuple(found)
+
+
+def _light(table: Table, usual: tuple[float, float, float]) -> tuple[float, float, float]:
+    """One number from 0 to 1, or one a colour."""
+    value = table["light"] if "light" in table else list(usual)
+    values = value if isinstance(value, list) else [value] * 3
+    good = all(isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1 for v in values)
+    if len(values) != 3 or not good:
+        raise table.error("light", f"expected a number from 0 to 1, or [red, green, blue], not {value!r:.60}")
+    red, green, blue = map(float, values)
+    return red, green, blue
+
+
+def _task(one: Table) -> Task:
+    one.known("name", "text", "seconds", "speak", "ready", "reading", "countdown")
+    return Task(
+        one.name("name"),
+        one.text("text", most=2000),
+        one.number("seconds", 0.1, 3600),
+        one.flag("speak", True),
+        one.flag("ready", True),
+        one.number("reading", 0, 120, 6.0),
+        one.count("countdown", 0, 60, 3),
+    )
+
+
+def _order(table: Table, within: tuple[Factor, ...]) -> Order:
+    table.known("scheme", "block")
+    scheme: Any = table.choice("scheme", ("williams", "random", "fixed"), "williams")
+    return Order(scheme, table.choice("block", ("", *(factor.name for factor in within)), ""))
+
+
+def _named(table: Table, stage: str, folder: Path, into: dict[str, Questionnaire]) -> tuple[str, ...]:
+    """The names of a stage's questionnaires, which are read on the way."""
+    names = []
+    for entry in table.texts(stage):
+        try:
+            one = questionnaire_of(entry, folder)
+        except FormatError as error:
+            raise table.error(stage, str(error)) from None
+        if into.setdefault(one.name, one) != one:
+            raise table.error(stage, f"there are two questionnaires called {one.name!r}; rename one")
+        names.append(one.name)
+    return tuple(names)
+
+
+def _once(table: Table, key: str, names: list[str]) -> None:
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise table.error(key, f"there are two called {twice[0]!r}; rename one")
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses and mappings as JSON has them, without paths."""
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "path"}
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    return [_plain(one) for one in value] if isinstance(value, tuple | list) else value

@@ -1,0 +1,114 @@
+"""The order of conditions for each participant: balanced Latin squares, blocked, random or fixed.
+
+Williams (1949), Australian Journal of Scientific Research A 2, 149-168: every condition stands once in each row and as
+often in each position, and follows each other one equally often. An even number k takes k rows, an odd one 2k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise, product
+
+import numpy as np
+
+from glsplat.extras.study.design import Study
+
+__all__ = ["carryover", "cycle", "groups_of", "orders_of", "positions", "williams"]
+
+
+def williams(count: int) -> list[list[int]]:
+    """Rows of numbers 0 to count - 1, balanced for position and for the one before.
+
+    >>> glsplat.extras.study.orders.williams(4)
+    [[0, 3, 1, 2], [1, 0, 2, 3], [2, 1, 3, 0], [3, 2, 0, 1]]
+    """
+    first = [0]
+    for step in range(1, count):
+        first.append((first[-1] + step * (-1 if step % 2 else 1)) % count)
+    rows = [[(number + row) % count for number in first] for row in range(count)]
+    return rows if count % 2 == 0 or count == 1 else rows + [row[::-1] for row in rows]
+
+
+def orders_of(study: Study) -> list[tuple[str, ...]]:
+    """For each participant the names of the conditions in their order. The same study gives the same orders.
+
+    Balanced within each group of participants where their number allows it, else over all of them.
+    """
+    rng = np.random.default_rng([study.seed, 1])
+    blocks = _blocks(study)
+    rows = _rows(study, blocks)
+    out: list[tuple[str, ...]] = []
+    names = [_shuffled(rng, block) if study.order.scheme == "williams" else block for block in blocks]
+    groups = [tuple(group.values()) for group in groups_of(study)]
+    apart = study.participants % (len(rows) * len(set(groups))) == 0
+    decks: dict[tuple[str, ...], list[int]] = {}  # rows that a group has not had in this round
+    for group in groups:
+        if study.order.scheme == "random":
+            shown = [names[number] for number in rng.permutation(len(names))]
+            out.append(tuple(name for block in shown for name in _shuffled(rng, block)))
+            continue
+        deck = decks.setdefault(group if apart else (), [])
+        if not deck:
+            deck += rng.permutation(len(rows)).tolist() if study.order.scheme == "williams" else range(len(rows))
+        out.append(tuple(names[block][place] for block, place in rows[deck.pop(0)]))
+    return out
+
+
+def groups_of(study: Study) -> list[dict[str, str]]:
+    """For each participant the levels of the factors between participants: as many of each, in chance order."""
+    factors = [factor for factor in study.factors if factor.between]
+    cells = list(product(*(factor.levels for factor in factors)))
+    rng = np.random.default_rng([study.seed, 2])
+    out: list[dict[str, str]] = []
+    while len(out) < study.participants:
+        for number in rng.permutation(len(cells)):
+            out.append({factor.name: level for factor, level in zip(factors, cells[number], strict=True)})
+    return out[: study.participants]
+
+
+def cycle(study: Study) -> int:
+    """After how many participants the orders are balanced; 1 where chance orders them, or nothing does."""
+    return len(_rows(study, _blocks(study))) if study.order.scheme == "williams" else 1
+
+
+def positions(orders: Sequence[Sequence[str]]) -> dict[str, list[int]]:
+    """How often each condition stands in each position."""
+    names = sorted({name for order in orders for name in order})
+    return {name: [sum(order[at] == name for order in orders) for at in range(len(orders[0]))] for name in names}
+
+
+def carryover(orders: Sequence[Sequence[str]]) -> dict[tuple[str, str], int]:
+    """How often each condition (second) comes right after each other one (first)."""
+    names = sorted({name for order in orders for name in order})
+    counts = {(a, b): 0 for a in names for b in names if a != b}
+    for order in orders:
+        for pair in pairwise(order):
+            counts[pair] += 1
+    return counts
+
+
+def _blocks(study: Study) -> list[list[str]]:
+    """The conditions that stand together."""
+    block = study.order.block
+    if not block:
+        return [[one.name for one in study.conditions]]
+    levels = next(factor.levels for factor in study.factors if factor.name == block)
+    found = [[one.name for one in study.conditions if one.levels[block] == level] for level in levels]
+    return [names for names in found if names]
+
+
+def _rows(study: Study, blocks: list[list[str]]) -> list[list[tuple[int, int]]]:
+    """Orders as (block, number in it). Of several blocks each goes through all of its rows for each order of blocks."""
+    if study.order.scheme != "williams":
+        return [[(block, place) for block, names in enumerate(blocks) for place in range(len(names))]]
+    inner = [williams(len(names)) for names in blocks]
+    turns = int(np.lcm.reduce([len(rows) for rows in inner]))
+    return [
+        [(block, place) for at, block in enumerate(outer) for place in inner[block][(turn + at) % len(inner[block])]]
+        for outer in williams(len(blocks))
+        for turn in range(turns)
+    ]
+
+
+def _shuffled(rng: np.random.Generator, names: Sequence[str]) -> list[str]:
+    return [names[number] for number in rng.permutation(len(names))]

@@ -1,0 +1,91 @@
+"""Tracking and figures of a session as JSON Lines, on a thread of its own: a slow disk holds up no picture.
+
+These lines are not waited for and not chained: seconds of them may be lost where the power fails. They leave room on
+the disk for the session's log, which may not be lost.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+import queue
+import shutil
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+__all__ = ["MAX_BYTES", "MIN_FREE_BYTES", "Recording"]
+
+log: logging.Logger = logging.getLogger("glsplat.extras.study")
+
+MAX_BYTES = 16 << 30
+"""Of one file: 12 hours of both hands with all their joints at 120 Hz."""
+MIN_FREE_BYTES = 64 << 20
+"""Of the disk: as much as a session's log takes of the participant's link."""
+
+_MOST = 4096  # lines that wait: 45 seconds at 90 Hz
+_DIGITS = 5  # of metres and quaternions
+
+
+class Recording:
+    """One file, appended to. A line: t in seconds, step, kind, values."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.lost = 0  # lines that the disk was too slow for, or had no room for
+        self._lines: queue.Queue[bytes | None] = queue.Queue(_MOST)
+        self._thread = threading.Thread(target=self._run, name=f"record {path.name}", daemon=True)
+        self._thread.start()
+
+    def add(self, t: float, step: str, kind: str, values: Mapping[str, Any]) -> None:
+        """Append a line, soon."""
+        fields = {"t": round(t, 3), "step": step, "kind": kind, "values": _rounded(values)}
+        try:
+            self._lines.put_nowait(json.dumps(fields, separators=(",", ":")).encode() + b"\n")
+        except queue.Full:
+            self.lost += 1
+
+    def close(self) -> None:
+        """Wait until all is written."""
+        self._lines.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        said, ended = False, False
+        while not ended:
+            lines = [self._lines.get()]
+            while not self._lines.empty():
+                lines.append(self._lines.get_nowait())
+            ended = lines[-1] is None
+            whole = [line for line in lines if line is not None]
+            try:
+                _append(self.path, b"".join(whole))
+            except OSError as error:
+                self.lost += len(whole)
+                if not said:
+                    log.error("%s: cannot be written (%s); the session goes on without", self.path, error.strerror)
+                said = True
+
+
+def _append(path: Path, data: bytes) -> None:
+    """Append ``data`` whole, or not at all where there is no room for it."""
+    with open(path, "ab", buffering=0) as file:
+        size = file.seek(0, 2)
+        if size + len(data) > MAX_BYTES:
+            raise OSError(errno.EFBIG, f"it has {MAX_BYTES >> 20} MiB, the most that is recorded")
+        if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES + len(data):
+            raise OSError(errno.ENOSPC, f"less than {MIN_FREE_BYTES >> 20} MiB of the disk are free, kept for answers")
+        if data and file.write(data) != len(data):
+            file.truncate(size)
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def _rounded(value: Any) -> Any:
+    """Floats to five decimals, NaN and infinity as null."""
+    if isinstance(value, float):
+        return round(value, _DIGITS) if value == value and abs(value) < 1e300 else None
+    if isinstance(value, Mapping):
+        return {key: _rounded(one) for key, one in value.items()}
+    return [_rounded(one) for one in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,221 @@
+"""A participant's folder: append-only JSON Lines, each line synced to disk before it is acknowledged, and chained.
+
+``session.jsonl`` decides. A line has ``n`` (from 0), ``t``, ``step``, ``kind``, ``values`` and ``sum``: the first 32
+hex digits of SHA-256 over the sum of the line before and this line without its own. A line that was changed, removed
+or inserted breaks the chain. A file of any size is read, line by line. A torn end was never acknowledged: opening the
+file for writing cuts it off and counts it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from glsplat.errors import FormatError
+from glsplat.extras.study.plan import label
+from glsplat.extras.study.session import Event
+from glsplat.io.files import locked, naming, open_regular
+
+__all__ = ["FRAMES", "SESSION", "TRACKING", "Log", "Store", "folders", "lines_of", "remove"]
+
+SESSION, TRACKING, FRAMES = "session.jsonl", "tracking.jsonl", "frames.jsonl"
+_LOCK = ".lock"
+_KEYS = ("n", "t", "step", "kind", "values", "sum")
+MAX_LINE_BYTES = 1 << 20
+"""Of one line, read and written: a consent text of 20,000 characters takes a quarter of that."""
+
+
+class Log:
+    """The events of a session's file, one at a time; none where there is no file.
+
+    Once all are read: how many there were, the last line's ``sum``, the ``whole`` bytes and the ``torn`` ones after
+    them. Iterating raises FormatError naming the line at which the chain breaks.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.sum = ""
+        self.count = self.whole = self.torn = 0
+
+    def __iter__(self) -> Iterator[Event]:
+        self.sum, self.count, self.whole, self.torn = "", 0, 0, 0
+        if not self.path.exists():
+            return
+        with open_regular(self.path) as (file, _):
+            lines = lines_of(file)
+            for line in lines:
+                event, sum_ = _parsed(line, self.count, self.sum)
+                if event is None:
+                    self.torn = self._end(itertools.chain([line], lines))
+                    return
+                self.sum, self.count, self.whole = sum_, self.count + 1, self.whole + len(line)
+                yield event
+
+    def _end(self, rest: Iterator[bytes]) -> int:
+        """Count the bytes of a torn end. Raises FormatError where a whole line is among them."""
+        torn = 0
+        for line in rest:
+            if _is_whole(line):
+                raise FormatError(
+                    f"{self.path}: line {self.count + 1}: it does not follow from the lines before: the file was "
+                    "changed, or the disk lost a part; take a copy back"
+                )
+            torn += len(line)
+        return torn
+
+
+def lines_of(file: BinaryIO) -> Iterator[bytes]:
+    """The lines of a file with their ends; what is longer than MAX_LINE_BYTES comes in pieces."""
+    return iter(lambda: file.readline(MAX_LINE_BYTES), b"")
+
+
+class Store:
+    """The one writer of a participant's folder, which is made. Raises FormatError where another process has it.
+
+    ``replay`` is called with each event that is there already, in order.
+    """
+
+    def __init__(self, data: Path, participant: int, replay: Callable[[Event], object] = lambda event: None) -> None:
+        self.folder = data / label(participant)
+        self._path = self.folder / SESSION
+        self._stack = ExitStack()
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        except OSError as error:
+            raise FormatError(f"{self.folder}: cannot be made ({error.strerror or error})") from None
+        try:
+            self._stack.enter_context(locked(self.folder / _LOCK))
+            log = Log(self._path)
+            with naming(self._path):
+                for event in log:
+                    replay(event)
+            self.torn, self.size = log.torn, log.whole
+            self._sum, self._count, self._dirty = log.sum, log.count, log.torn > 0
+            self._file = _opened(self._path)
+            self._stack.callback(os.close, self._file)
+            self._write(b"")
+            _sync_folder(self.folder)
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def append(self, events: Sequence[Event]) -> None:
+        """Write events and wait for the disk. Raises FormatError: none of them is in the file then."""
+        lines, sum_ = [], self._sum
+        for number, event in enumerate(events, self._count):
+            line, sum_ = _line(event, number, sum_)
+            if len(line) > MAX_LINE_BYTES:
+                raise FormatError(f"{self._path}: a line has at most {MAX_LINE_BYTES} bytes, not {len(line)}")
+            lines.append(line)
+        self._write(b"".join(lines))
+        self._sum, self._count = sum_, self._count + len(events)
+
+    def close(self) -> None:
+        """Let others have the folder."""
+        self._stack.close()
+
+    def _write(self, data: bytes) -> None:
+        """Put ``data`` behind the good bytes, after cutting off what a failure has left there."""
+        try:
+            if self._dirty:
+                self._cut()
+            if data:
+                self._dirty = True
+                _write_all(self._file, data, self.size)
+                os.fsync(self._file)
+                self.size, self._dirty = self.size + len(data), False
+        except OSError as error:
+            with suppress(OSError):  # else it is cut off before the next write, or when the file is opened next
+                self._cut()
+            raise FormatError(f"{self._path}: cannot be written ({error.strerror or error})") from None
+
+    def _cut(self) -> None:
+        os.ftruncate(self._file, self.size)
+        os.fsync(self._file)
+        self._dirty = False
+
+
+def folders(data: Path) -> dict[int, Path]:
+    """The participants' folders by number."""
+    found = {}
+    for path in sorted(data.glob("sub-[0-9][0-9][0-9]")):
+        if path.is_dir():
+            found[int(path.name[4:])] = path
+    return found
+
+
+def remove(data: Path, participant: int) -> int:
+    """Delete all of a participant; returns how many files that were. Raises FormatError while a server writes there."""
+    folder = data / label(participant)
+    if not folder.is_dir():
+        raise FormatError(f"{folder}: there is nothing of this participant")
+    with locked(folder / _LOCK):
+        files = sum(path.is_file() for path in folder.rglob("*")) - 1  # the lock
+        gone = folder.with_name(
+            f".{folder.name}.deleted"
+        )  # gone at once for whoever lists, even if deleting is cut short
+        try:
+            os.replace(folder, gone)
+            shutil.rmtree(gone)
+        except OSError as error:
+            raise FormatError(f"{folder}: cannot be deleted whole ({error.strerror or error})") from None
+        _sync_folder(data)
+    return files
+
+
+def _line(event: Event, number: int, before: str) -> tuple[bytes, str]:
+    fields: dict[str, Any] = {"n": number, "t": round(event.t, 3), "step": event.step, "kind": event.kind}
+    fields["values"] = dict(event.values)
+    text = json.dumps(fields, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
+    chain = hashlib.sha256(f"{before}{text}".encode()).hexdigest()[:32]
+    return f'{text[:-1]},"sum":"{chain}"}}\n'.encode(), chain
+
+
+def _parsed(line: bytes, number: int, before: str) -> tuple[Event | None, str]:
+    """The event of a line and its sum; None where it does not follow."""
+    try:
+        fields = json.loads(line)
+        event = Event(float(fields["t"]), str(fields["step"]), str(fields["kind"]), dict(fields["values"]))
+        again, chain = _line(event, number, before)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None, ""
+    return (event, chain) if again == line else (None, "")
+
+
+def _is_whole(line: bytes) -> bool:
+    """Whether that is a line, as opposed to a piece of one."""
+    try:
+        return line.endswith(b"\n") and tuple(json.loads(line)) == _KEYS
+    except (ValueError, TypeError, RecursionError):
+        return False
+
+
+def _opened(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | getattr(os, "O_BINARY", 0), 0o600)
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def _write_all(file: int, data: bytes, at: int) -> None:
+    os.lseek(file, at, os.SEEK_SET)
+    rest = memoryview(data)
+    while len(rest):
+        rest = rest[os.write(file, rest) :]
+
+
+def _sync_folder(folder: Path) -> None:
+    """So that a file's name is on disk, too. Where the system knows no such thing, it does so by itself."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,205 @@
+"""The fit itself: sequences drawn from a pool of disturbed clips, and a loss of distances. Seeded; numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from math import cos, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.extras.training.clips import TrainingClip, targets_of
+from glsplat.extras.training.disturbed import disturbed
+from glsplat.extras.training.recurrent import Learner, started
+from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, TrackedFrames, inputs_of, slower
+from glsplat.tracking.learned.network import PoseNetwork
+
+__all__ = ["Lesson", "TrainingConfig", "evaluate", "features", "fit", "lessons_of", "loss", "shares_of"]
+
+F32 = NDArray[np.float32]
+
+WEIGHTS = np.array((1.0, 1.0, 1.0, 1.3, 1.3, 1.3, 1.3), np.float32)  # of the points
+AHEAD, AXES, CONTACT, SMOOTH = 0.35, 0.25, 0.04, 1.0  # of the other parts of the loss
+BEGINS = 0.25  # of the sequences that begin with their clip, where nothing is remembered
+WARM, LEAST = 0.1, 0.04  # of the steps in which the rate rises, of its highest from which
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingConfig:
+    """What is fitted, and for how long."""
+
+    width: int = 128  # of the layer in front
+    units: int = 320  # of the recurrent layer
+    steps: int = 3200
+    batch: int = 64
+    length: int = 100  # ticks of a sequence
+    rate: float = 2e-3  # of learning, at its highest
+    seed: int = 0
+
+
+MADE = 0.35  # of the sequences that are of clips made of parts of several
+ALIKE = 0.5  # power of a group's hours by which it is drawn: 1 would draw every hour alike, 0 everybody
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """A clip as a device would see it, and what the network should say of it."""
+
+    clip: TrainingClip
+    heard: F32  # [T, INPUTS]
+    truth: F32  # [T, OUTPUTS]
+    clean: bool  # undisturbed
+
+
+def features(seen: TrackedFrames, unit: float) -> F32:
+    """[T, INPUTS] of moments [T] that begin with their first."""
+    t = len(seen.yaw)
+    back = np.maximum(np.arange(t) - 1, 0)
+    means = np.empty((t, 3, 2), np.float32)
+    now = np.repeat(seen.eye[:1, None, [0, 2]], 3, 1)[0].astype(np.float32)
+    for i in range(t):
+        means[i] = now = slower(now, seen.eye[i])
+    before = TrackedFrames(*[getattr(seen, name)[back] for name in TrackedFrames.__slots__])
+    return inputs_of(seen, before, means, unit)
+
+
+def lessons_of(clips: Iterable[TrainingClip], unit: float, rng: np.random.Generator) -> list[Lesson]:
+    """Every clip disturbed, and those that are neither faster nor slower as they are, too."""
+    out = []
+    for clip in clips:
+        odd, truth = disturbed(clip.seen, rng), targets_of(clip, unit)
+        out.append(Lesson(clip, features(odd, unit), _seen_from(truth, clip.seen, odd, unit), False))
+        if clip.plain or clip.made:
+            out.append(Lesson(clip, features(clip.seen, unit), truth, True))
+    return out
+
+
+def fit(
+    lessons: Sequence[Lesson],
+    config: TrainingConfig,
+    start: PoseNetwork | None = None,
+    progress: Callable[[int, float], None] | None = None,
+    note: str = "",
+) -> PoseNetwork:
+    """The network that has learned the lessons. ``start``: one that goes on learning; its size is the network's."""
+    rng = np.random.default_rng(config.seed)
+    some = np.concatenate([lesson.heard[::7] for lesson in lessons])
+    mean, spread = some.mean(0), np.maximum(some.std(0), 0.05).astype(np.float32)
+    if start is None:
+        weights = started(rng, INPUTS, config.width, config.units, OUTPUTS)
+    else:
+        weights = start.weights()
+        weights["front_bias"] = weights["front_bias"] + weights["front"] @ mean
+        weights["front"] = weights["front"] * spread
+    learner = Learner(weights)
+    share = shares_of([lesson.clip for lesson in lessons])
+    for step in range(config.steps):
+        x = np.zeros((config.length, config.batch, INPUTS), np.float32)
+        y = np.zeros((config.length, config.batch, OUTPUTS), np.float32)
+        known = np.zeros((config.length, config.batch), np.float32)
+        for b, i in enumerate(rng.choice(len(lessons), config.batch, p=share)):
+            lesson = lessons[i]
+            size = min(config.length, len(lesson.heard))
+            first = 0 if rng.random() < BEGINS else int(rng.integers(0, len(lesson.heard) - size + 1))
+            x[:size, b] = (lesson.heard[first : first + size] - mean) / spread
+            y[:size, b] = lesson.truth[first : first + size]
+            known[: size - 1, b] = 1  # what is ahead of the last moment is not known
+        far, off = loss(learner.say(x, rng), y, known)
+        learner.learn(learner.gradient(off), config.rate * _pace(step / config.steps))
+        if progress:
+            progress(step, far)
+    out = learner.weights
+    front = (out["front"] / spread).astype(np.float32)  # normalising goes into the first layer
+    out = out | {"front": front, "front_bias": (out["front_bias"] - front @ mean).astype(np.float32)}
+    return PoseNetwork(**out, note=note)
+
+
+def _pace(done: float) -> float:
+    """Of the highest rate, with this share of the steps done: up linearly, down as a cosine (Smith & Topin 2019)."""
+    return LEAST + (1 - LEAST) * done / WARM if done < WARM else 0.5 + 0.5 * cos(pi * (done - WARM) / (1 - WARM))
+
+
+def shares_of(clips: Sequence[TrainingClip]) -> NDArray[np.float64]:
+    """How often each clip is drawn: by its length, its group's, and whether it is made of several; sum 1."""
+    sizes = np.array([len(clip.points) for clip in clips], np.float64)
+    hours: dict[str, float] = {}
+    for clip, size in zip(clips, sizes.tolist(), strict=True):
+        hours[clip.group] = hours.get(clip.group, 0.0) + size
+    share = sizes * [hours[clip.group] ** (ALIKE - 1) for clip in clips]
+    made = np.array([clip.made for clip in clips])
+    if made.any() and not made.all():
+        share[made] *= MADE / share[made].sum()
+        share[~made] *= (1 - MADE) / share[~made].sum()
+    return np.asarray(share / share.sum())
+
+
+def _seen_from(truth: F32, clean: TrackedFrames, odd: TrackedFrames, unit: float) -> F32:
+    """Targets in the frame of the clean head, in that of the disturbed one: devices are off, bodies are not."""
+    t = len(truth)
+    turn = odd.yaw - clean.yaw
+    shift = (odd.eye - clean.eye) * np.array([1, 0, 1], np.float32)
+    c, s = np.cos(clean.yaw), np.sin(clean.yaw)
+    local = np.stack((shift[:, 0] * c - shift[:, 2] * s, np.zeros(t), shift[:, 0] * s + shift[:, 2] * c), -1) / unit
+    out = truth.copy()
+    points = truth[:, :33].reshape(t, 11, 3) - local[:, None].astype(np.float32)
+    axes = truth[:, 33:45].reshape(t, 2, 3, 2)
+    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    out[:, :33] = np.stack(
+        (points[..., 0] * c - points[..., 2] * s, points[..., 1], points[..., 0] * s + points[..., 2] * c), -1
+    ).reshape(t, 33)
+    c, s = c[..., None], s[..., None]
+    x, z = axes[:, :, 0], axes[:, :, 2]
+    out[:, 33:45] = np.stack((x * c - z * s, axes[:, :, 1], x * s + z * c), 2).reshape(t, 12)
+    return out
+
+
+def loss(said: F32, truth: F32, known: F32) -> tuple[float, F32]:
+    """Of [T, B, OUTPUTS], and its gradient in what was said; ``known`` [T, B]: 1 where the truth is known.
+
+    Distances of the points, of those ahead, of axes and contacts, and of how the points' errors change in a tick.
+    """
+    t, b, _ = said.shape
+    share = known / known.sum()
+    grad = np.zeros_like(said)
+    off = (said - truth)[..., :21].reshape(t, b, 7, 3)
+    far = np.sqrt((off * off).sum(-1) + 1e-6)
+    later = (said - truth)[..., 21:33].reshape(t, b, 4, 3)
+    far_later = np.sqrt((later * later).sum(-1) + 1e-6)
+    axes = (said - truth)[..., 33:45]
+    logit, stands = said[..., 45:], truth[..., 45:]
+    doubt = np.maximum(logit, 0) - logit * stands + np.log1p(np.exp(-np.abs(logit)))
+    whole = (far * WEIGHTS).mean(-1) + AHEAD * far_later.mean(-1) + AXES * np.abs(axes).mean(-1)
+    total = ((whole + CONTACT * doubt.mean(-1)) * share).sum()
+    both = known[1:] * known[:-1]
+    both = both / both.sum()
+    moved = off[1:] - off[:-1]
+    pace = np.sqrt((moved * moved).sum(-1) + 1e-8)
+    total += SMOOTH * (pace.mean(-1) * both).sum()
+    of_moved = moved * (SMOOTH / 7 * both[..., None] / pace)[..., None]
+    of_off = off * (WEIGHTS / 7 * share[..., None] / far)[..., None]
+    of_off[1:] += of_moved
+    of_off[:-1] -= of_moved
+    grad[..., :21] = of_off.reshape(t, b, 21)
+    grad[..., 21:33] = (later * (AHEAD / 4 * share[..., None] / far_later)[..., None]).reshape(t, b, 12)
+    grad[..., 33:45] = np.sign(axes) * (AXES / 12 * share)[..., None]
+    grad[..., 45:] = (0.5 + 0.5 * np.tanh(0.5 * logit) - stands) * (CONTACT / 2 * share)[..., None]
+    return float(total), grad
+
+
+def evaluate(network: PoseNetwork, lessons: Sequence[Lesson], unit: float) -> dict[str, float]:
+    """Mean distances in cm, point by point, by what the network alone says."""
+    learner = Learner(network.weights())
+    errors, right = [], []
+    for lesson in lessons:
+        said = learner.say(lesson.heard[:, None])[:, 0]
+        errors.append(np.linalg.norm((said - lesson.truth)[:, :21].reshape(-1, 7, 3), axis=-1) * unit * 100)
+        right.append((said[:, 45:] > 0) == (lesson.truth[:, 45:] > 0.5))
+    far = np.concatenate(errors).mean(0)
+    return {
+        "pelvis": float(far[0]),
+        "knees": float(far[1:3].mean()),
+        "ankles": float(far[3:5].mean()),
+        "feet": float(far[5:].mean()),
+        "contact": float(np.concatenate(right).mean()),
+    }

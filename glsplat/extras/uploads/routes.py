@@ -1,0 +1,170 @@
+"""/avatars: ask for an avatar, look how far it is, give it up or delete it. All of it behind the server's token."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from aiohttp import web
+
+from glsplat.avatar import Avatar
+from glsplat.errors import GlsplatError
+from glsplat.extras.uploads.form import RefusedError, check_head, discard, read_order
+from glsplat.extras.uploads.job import VIEWS, Job, UploadConfig
+from glsplat.extras.uploads.job_queue import JobQueue
+from glsplat.extras.uploads.upload_store import NoRoomError, UploadStore
+from glsplat.net.backend import AvatarInfo
+from glsplat.net.feature import Feature, ServerView
+from glsplat.net.guard.gate import connection_of
+from glsplat.net.guard.limits import Limits
+from glsplat.net.rights import user_of
+
+if TYPE_CHECKING:
+    from glsplat.extras.accounts.users import User
+
+__all__ = ["Uploads"]
+
+_NO_AVATAR = "there is no such avatar of yours\n"
+_SLACK = 2**20  # bytes of a body beyond its pictures: fields, boundaries, and what is discarded before an answer
+
+
+class Uploads(Feature):
+    """``describe(name, avatar)`` says what clients may ask of an avatar; raises GlsplatError if it cannot be shown."""
+
+    def __init__(self, config: UploadConfig, describe: Callable[[str, Avatar], AvatarInfo]) -> None:
+        self.config = config
+        self.store: UploadStore = UploadStore(config.folder, config.most_files, config.folder_bytes)
+        self._describe = describe
+
+    def limits(self, limits: Limits) -> Limits:
+        """Let requests with pictures begin before they are judged."""
+        return replace(limits, head=max(limits.head, limits.body))
+
+    async def start(self, server: ServerView) -> None:
+        """Begin to make avatars, which join the server's catalogue."""
+        self._gate, self._withdraw, offer = server.gate, server.withdraw, server.catalogue.add
+        self._queue = JobQueue(self.config, self.store, lambda name, avatar: offer(self._describe(name, avatar)))
+        self._queue.start()
+
+    def routes(self) -> list[web.RouteDef]:
+        """Return the four addresses."""
+        return [
+            web.post("/avatars", self._post),
+            web.get("/avatars/{name}", self._get),
+            web.delete("/avatars/{name}", self._delete),
+            web.post("/avatars/{name}/anyway", self._anyway),
+        ]
+
+    async def stop(self) -> None:
+        """Cancel the job in work."""
+        await self._queue.stop()
+
+    def needs_cpu(self) -> bool:
+        """Return whether an avatar is being made."""
+        return self._queue.works
+
+    def stats(self, user: User | None) -> Mapping[str, Any]:
+        """Return the counts of jobs."""
+        return {"uploads": self._queue.counts()}
+
+    def session(self, user: User | None) -> Mapping[str, Any]:
+        """Return which photographs avatars are made of, and how large they may be."""
+        config = self.config
+        return {"upload": {"views": VIEWS, "picture_bytes": config.picture_bytes, "body_bytes": config.body_bytes}}
+
+    async def _post(self, request: web.Request) -> web.Response:
+        connection = connection_of(request)
+        try:
+            wait = self._gate.upload(request)
+            if wait > 0:
+                raise RefusedError(429, f"too many pictures from one address; try again in {wait:.0f} s", round(wait))
+            connection.expect(self.config.body_bytes + _SLACK)
+            check_head(request, self.config)
+            user = user_of(request)
+            job = await self._book(connection.key, "" if user is None else user.name)
+            begun = time.monotonic()
+            try:
+                self._queue.begin(job, await read_order(request, self.config))
+            except BaseException as error:  # also when the client is gone
+                self._queue.cancel(job)
+                if not isinstance(error, RefusedError) or error.status == 408:
+                    self._gate.unfinished_upload(request, time.monotonic() - begun)
+                raise
+        except RefusedError as refusal:
+            return await self._refused(request, refusal)
+        except ConnectionError:
+            return web.Response(status=400)  # which nobody reads
+        return _answer(self._status(job), 202, {"Location": f"avatars/{job.name}"})
+
+    async def _book(self, address: str, account: str) -> Job:
+        try:
+            await asyncio.to_thread(self.store.check)
+        except NoRoomError as full:
+            raise RefusedError(507, str(full)) from None
+        return self._queue.book(address, account)
+
+    async def _get(self, request: web.Request) -> web.Response:
+        job = self._job(request)
+        return _nowhere() if job is None else _answer(self._status(job))
+
+    async def _anyway(self, request: web.Request) -> web.Response:
+        """Go on with what was refused. Who knows the name had it made: it is in no list."""
+        job = self._job(request)
+        if job is None:
+            return _nowhere()
+        try:
+            self._queue.go_on(job)
+        except RefusedError as refusal:
+            return _said(refusal)
+        return _answer(self._status(job), 202)
+
+    async def _delete(self, request: web.Request) -> web.Response:
+        name = request.match_info["name"]
+        if not self.store.made_here(name):
+            return web.Response(status=403, text="only avatars that were made here can be deleted\n")
+        job = self._job(request)
+        # while there is a job, it says whose the avatar is; then the avatar's own record does
+        may = self._queue.find(name) is None and self._gate.rights.may_delete(user_of(request), name)
+        if job is None and not may:
+            return web.Response(status=404, text=_NO_AVATAR)
+        if job is not None:
+            self._queue.cancel(job)
+        offered = await self._withdraw(name)  # nobody is shown it any more, whatever the disk says
+        try:
+            removed = await asyncio.to_thread(self.store.remove, name)
+        except GlsplatError as error:
+            return web.Response(status=500, text=f"{error}\n")
+        if job is None and not offered and not removed:
+            return web.Response(status=404, text=_NO_AVATAR)
+        return web.Response(status=204)
+
+    def _job(self, request: web.Request) -> Job | None:
+        """The job that an address names; None where there is none, or not for whoever asks."""
+        job = self._queue.find(request.match_info["name"])
+        seen = job is not None and self._gate.rights.sees(user_of(request), "job", job.account)
+        return job if seen else None
+
+    async def _refused(self, request: web.Request, refusal: RefusedError) -> web.Response:
+        if refusal.status not in (408, 429):  # it sends too little, or too often
+            await discard(request, self.config)
+        response = _said(refusal)
+        response.force_close()
+        return response
+
+    def _status(self, job: Job) -> dict[str, Any]:
+        return job.status(self._queue.ahead(job))
+
+
+def _nowhere() -> web.Response:
+    return web.Response(status=404, text="there is no such avatar in the making\n")
+
+
+def _answer(fields: Mapping[str, Any], status: int = 200, headers: Mapping[str, str] | None = None) -> web.Response:
+    return web.json_response(fields, status=status, headers=headers)
+
+
+def _said(refusal: RefusedError) -> web.Response:
+    return web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=refusal.headers)

@@ -1,0 +1,43 @@
+"""What a gateway is told of its workers before they start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from glsplat.extras.workers.cluster import RayCluster
+from glsplat.extras.workers.local import ProcessLauncher
+from glsplat.extras.workers.pool import WorkerPool
+from glsplat.net.backend import Backend
+
+__all__ = ["Workers"]
+
+_HEADLESS = 120.0  # seconds that a gateway without workers waits for Ray to come back
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workers:
+    """``count`` processes of this machine, or with ``ray`` as many actors (None: as the cluster has room for)."""
+
+    count: int | None = 1
+    ray: bool = False
+    cpus: float = 1.0  # of its node, that an actor takes
+    gpus: float = 0.0
+    address: str | None = None  # as for ray.init; None: RAY_ADDRESS, a cluster on this machine, or a new one
+
+    def pool(self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float) -> WorkerPool:
+        """Workers that run ``makes`` in turn; Ray's all run the first. ``rate`` and ``seconds`` as for WorkerPool.
+
+        Raises GlsplatError where Ray is not installed or, if it is asked for its room, not there.
+        """
+        if not self.ray:
+            count = self.count or 1
+            launchers = [ProcessLauncher(makes[i % len(makes)], f"worker {i + 1}") for i in range(count)]
+            return WorkerPool(launchers, rate, seconds)
+        cluster = RayCluster(makes[0], self.address, self.cpus, self.gpus)
+        try:
+            count = cluster.room() if self.count is None else self.count
+        except BaseException:
+            cluster.close()
+            raise
+        return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS, close=cluster.close)

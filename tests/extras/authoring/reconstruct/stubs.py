@@ -1,0 +1,117 @@
+"""Reconstructors that need no work: they note what they are given and hand back the embedded avatar, or fail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.fit.fit import fit_body
+from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.paint.dress import dressed_mesh
+from glsplat.extras.authoring.photo.capture import Capture, Finding
+from glsplat.extras.authoring.reconstruct import photos
+from glsplat.extras.authoring.reconstruct.builtin import FittedBody, MadeAvatar
+from glsplat.extras.authoring.texture import baked
+from tests.extras.authoring.paint.scene import photographed
+
+__all__ = ["Detailed", "Meshed", "Plain", "fitting", "misfitting", "replace_check", "small_avatar"]
+
+
+def replace_check(monkeypatch: Any) -> dict[str, tuple[Finding, ...]]:
+    """The check says what stands in the dictionary for each side, and no network is asked."""
+    findings: dict[str, tuple[Finding, ...]] = {}
+
+    def check(picture: Any, view: str = "front", config: Any = None, given: Any = None) -> Capture:
+        mask = np.ones(picture.shape[:2], bool) if given is None else given
+        nobody = any(finding.code == "nobody" for finding in findings.get(view, ()))
+        return Capture(findings.get(view, ()), None if nobody else Nobody(), mask)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(photos, "check_capture", check)
+    monkeypatch.setattr(photos, "find_person", lambda picture: None)
+    return findings
+
+
+def _marks(count: int, columns: int) -> Any:
+    return SimpleNamespace(points=np.linspace(20, 40, count * columns).reshape(count, columns), presence=0.9)
+
+
+class Nobody:
+    """Stands where a person would: landmarks on a line."""
+
+    body = SimpleNamespace(points=np.linspace(20, 40, 66).reshape(33, 2), visible=np.ones(33))
+    face, left_hand, right_hand = _marks(468, 3), _marks(21, 2), _marks(21, 2)
+
+
+def small_avatar(count: int = 200) -> Avatar:
+    """A few splats of the embedded person, without notes."""
+    avatar = default_avatar()
+    keep = np.zeros(len(avatar.splats), bool)
+    keep[:: len(keep) // count] = True
+    splats = replace(avatar.splats.take(keep), cones=None)
+    return replace(avatar, splats=splats, skin=avatar.skin.take(keep), shapes=None, meta={})
+
+
+@dataclass
+class Plain:
+    """Does what the protocol says and no more."""
+
+    result: Any = field(default_factory=small_avatar)
+    calls: list[tuple[Any, Any, Any]] = field(default_factory=list)
+
+    def reconstruct(self, pictures: Any, masks: Any, options: Any) -> Any:
+        self.calls.append((pictures, masks, options))
+        options.progress("standing in", 0.5)
+        if isinstance(self.result, Exception):
+            raise self.result
+        return self.result
+
+
+@dataclass
+class Detailed(Plain):
+    """Tells more, as the built-in one does; with ``fitted`` from a real fit."""
+
+    problem: str = ""
+    fitted: bool = False
+
+    def tell(self, pictures: Any, masks: Any, options: Any) -> MadeAvatar:
+        self.calls.append((pictures, masks, options))
+        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
+        mesh, fit = None, SimpleNamespace(views=[view] * len(pictures), stature=1.7)
+        if self.fitted:
+            views = []
+            for side, picture in pictures.items():
+                body = picture.person.body
+                focal = picture.focal or 1.2 * max(picture.rgb.shape)
+                views.append(View(masks[side], body.points, body.visible, focal, side=side))
+            fit = fit_body(views, options.height)
+            mesh = dressed_mesh(open_body(), fit)
+        return MadeAvatar(avatar=self.result, fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)  # type: ignore[arg-type]
+
+
+@dataclass
+class Meshed(Detailed):
+    """Makes meshes, too: a made-up body in one colour."""
+
+    def mesh(self, pictures: Any, masks: Any, options: Any) -> FittedBody:
+        self.calls.append((pictures, masks, options))
+        person = photographed("front")
+        mesh = baked(person.mesh, lambda points: np.full((len(points.corners), 3), 0.3), options.texture)
+        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
+        fit: Any = SimpleNamespace(views=[view] * len(pictures), stature=1.7)
+        return FittedBody(fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)
+
+
+def fitting() -> Detailed:
+    """One that fits a real body to the pictures, and has a whole avatar."""
+    return Detailed(small_avatar(40_000), fitted=True)
+
+
+def misfitting() -> Detailed:
+    """One whose body is far off."""
+    return Detailed(problem="far off")

@@ -1,0 +1,160 @@
+"""Eyes to cameras: frusta, poses, and where the avatar is shown, against the page's own code."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from math import cos, inf, nan, pi, sin, tan
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from glsplat.camera import Camera
+from glsplat.errors import GlsplatError
+from glsplat.extras.openxr.cameras import camera_of, intrinsics, matrix_of, rigid_inverse
+from glsplat.extras.openxr.placing import VIEWS, heading, placing, standing
+from glsplat.extras.openxr.room import plane_from_pixel, surroundings
+from glsplat.extras.openxr.runtime import Fov, ViewPose
+from glsplat.rotations import FLIP_X
+from tests import needs
+
+WEB = Path(__file__).resolve().parents[3] / "glsplat" / "net" / "web" / "space"
+
+
+def random_pose(rng: np.random.Generator) -> tuple[float, ...]:
+    return (*rng.normal(size=3).tolist(), *rng.normal(size=4).tolist())
+
+
+def random_fov(rng: np.random.Generator) -> Fov:
+    left, down = -rng.uniform(0.2, 1.2, 2)
+    right, up = rng.uniform(-0.1, 1.2, 2)  # also frusta that do not hold the line of sight
+    return Fov(left, right, up, down)
+
+
+def pixel(camera: Camera, point: np.ndarray) -> np.ndarray:
+    x, y, z = (camera.viewmat @ [*point, 1.0])[:3]
+    assert z > 0
+    return (camera.K @ [x / z, y / z, 1.0])[:2]
+
+
+def test_the_sides_of_the_frustum_are_those_of_the_picture(rng: np.random.Generator) -> None:
+    for _ in range(50):
+        pose, fov, size = random_pose(rng), random_fov(rng), (int(rng.integers(1, 900)), int(rng.integers(1, 900)))
+        camera = camera_of(ViewPose(pose, fov), size, np.eye(4))  # type: ignore[arg-type]
+        eye = matrix_of(pose)  # type: ignore[arg-type]
+        for x, column in ((fov.left, 0), (fov.right, size[0])):
+            for y, row in ((fov.up, 0), (fov.down, size[1])):  # rows count from the top
+                point = eye @ [2 * tan(x), 2 * tan(y), -2.0, 1.0]
+                assert np.allclose(pixel(camera, point[:3]), (column, row), atol=1e-6 * max(size))
+        assert np.allclose(camera.position, pose[:3])
+
+
+def test_angles_that_span_nothing_and_a_pose_that_is_none_are_refused() -> None:
+    for fov in (Fov(0, 0, 0, 0), Fov(0.3, -0.3, 0.3, -0.3), Fov(nan, 1, 1, -1), Fov(-1, inf, 1, -1)):
+        with pytest.raises(GlsplatError, match="field of view"):
+            intrinsics(fov, (10, 10))
+    with pytest.raises(GlsplatError, match="within 90 degrees"):
+        intrinsics(Fov(-pi / 2, 0.1, 0.1, -0.1), (10, 10))
+    with pytest.raises(GlsplatError, match="quaternion"):
+        camera_of(ViewPose((0, 0, 0, 0, 0, 0, 0), Fov(-1, 1, 1, -1)), (8, 8), np.eye(4))
+
+
+def test_a_mirror_shows_what_an_eye_behind_the_glass_would_see(rng: np.random.Generator) -> None:
+    head = matrix_of((0.3, 1.7, -0.4, 0.1, 0.5, 0.0, 0.8))
+    view = ViewPose((0.3, 1.7, -0.4, 0.1, 0.5, 0.0, 0.8), Fov(-1.0, 0.8, 0.9, -1.1))
+    place = placing("mirror", head)
+    assert place.glass is not None
+    camera = camera_of(view, (200, 160), place.shown)
+    assert np.linalg.det(camera.viewmat[:3, :3]) == pytest.approx(-1)
+    glass = place.glass
+    assert glass.normal[1] == 0 and glass.normal @ (head[:3, 3] - glass.foot) == pytest.approx(1.2)
+    direct = camera_of(view, (200, 160), np.eye(4))
+    seen = 0
+    for point in head[:3, 3] + rng.normal(size=(30, 3)) * 0.3:
+        image = point - 2 * (glass.normal @ (point - glass.foot)) * glass.normal  # behind the glass
+        if (direct.viewmat @ [*image, 1.0])[2] > 0.1:
+            assert np.allclose(pixel(camera, point), pixel(direct, image))
+            seen += 1
+    assert seen > 10
+    on = glass.foot + [0, 1.2, 0] + 0.2 * glass.right
+    assert np.allclose(pixel(camera, on), pixel(direct, on))  # what is on the glass is where it is
+
+
+def test_facing_is_a_half_turn_and_own_nothing() -> None:
+    head = matrix_of((1.0, 1.6, 2.0, 0.0, sin(0.4), 0.0, cos(0.4)))
+    facing, own = placing("facing", head), placing("own", head)
+    feet = np.array([1.0, 0.0, 2.0, 1.0])
+    there = (facing.shown @ feet)[:3]
+    assert np.allclose(there - feet[:3], 1.8 * heading(head)) and np.linalg.det(facing.shown) == pytest.approx(1)
+    assert np.array_equal(own.shown, np.eye(4))
+    assert placing("facing", head, room=True).view == "own" and placing("mirror", head, room=True).whole
+
+
+def test_the_avatars_metres(rng: np.random.Generator) -> None:
+    """A user 1.1 times as tall whose floor is at -0.2."""
+    view = ViewPose((0.2, 1.5, 0.3, 0.1, 0.2, 0.0, 0.9), Fov(-0.8, 0.9, 0.7, -0.9))
+    place = placing("mirror", matrix_of((0, 1.6, 0, 0, 0, 0, 1)))
+    plain, scaled = (camera_of(view, (64, 64), place.shown, scale=s, floor=f) for s, f in ((1, 0), (1.1, -0.2)))
+    for point in rng.normal(size=(20, 3)):
+        mine, avatar = plain.viewmat @ [*point, 1], scaled.viewmat @ [*((point - [0, -0.2, 0]) / 1.1), 1]
+        assert np.allclose(mine[:3], 1.1 * avatar[:3])
+
+
+def test_planes_are_met_where_rays_meet_them(rng: np.random.Generator) -> None:
+    view = ViewPose((0.2, 1.5, 0.3, 0.1, 0.2, 0.0, 0.9), Fov(-0.8, 0.9, 0.7, -0.9))
+    camera, eye, K = camera_of(view, (64, 48), np.eye(4)), matrix_of(view.pose), intrinsics(view.fov, (64, 48))
+    x, y, z = np.eye(3)
+    ahead = 0
+    for normal, right, up, origin in ((y, x, z, np.zeros(3)), (z, x, y, np.array([0.3, 0.2, -1.0])), (-z, -x, y, x)):
+        matrix = plane_from_pixel(eye, K, origin, right, up, normal)
+        for a, b in rng.normal(size=(20, 2)):
+            point = origin + a * right + b * up
+            depth = (camera.viewmat @ [*point, 1.0])[2]
+            if abs(depth) < 1e-3:
+                continue
+            at = (camera.K @ (camera.viewmat @ [*point, 1.0])[:3] / depth)[:2]
+            found = matrix @ [*at, 1.0]
+            assert np.allclose(found[:2] / found[2], (a, b)) and (found[2] > 0) == (depth > 0)
+            ahead += depth > 0
+    assert ahead > 10
+    nothing, glass = placing("facing", np.eye(4)), placing("mirror", np.eye(4))
+    assert surroundings([view] * 2, (8, 8), nothing, floor=False) is None
+    assert surroundings([view] * 2, (8, 8), glass, floor=False) is not None
+
+
+@pytest.mark.check
+def test_the_page_places_views_likewise(rng: np.random.Generator, tmp_path: Path) -> None:
+    """placing.js by node: the same views for the same heads."""
+    needs.require("node")
+    shutil.copytree(WEB, tmp_path / "space")
+    (tmp_path / "package.json").write_text('{"type": "module"}')  # older ones take .js for no module without it
+    heads = [matrix_of(random_pose(rng)) for _ in range(12)]  # type: ignore[arg-type]
+    heads += [matrix_of((0.1, 1.6, 0, sign * sin(pi / 4), 0, 0, cos(pi / 4))) for sign in (1, -1)]
+    script = f"""
+        import {{ placing, standing, serverEye, VIEWS }} from '{(tmp_path / "space" / "placing.js").as_uri()}';
+        const eye = {json.dumps(heads[0].T.ravel().tolist())};
+        console.log(JSON.stringify([VIEWS, {json.dumps([h.T.ravel().tolist() for h in heads])}.map((head) => [
+            standing(head), ...VIEWS.map((view) => [placing(view, head), serverEye(placing(view, head), eye)])])]));
+    """
+    done = subprocess.run(
+        ["node", "--input-type=module", "-e", script], capture_output=True, text=True, timeout=60, check=True
+    )
+    names, theirs = json.loads(done.stdout)
+    assert tuple(names) == VIEWS
+    for head, (stood, *views) in zip(heads, theirs, strict=True):
+        x, z, sine, cosine = standing(head)
+        assert np.allclose((x, 0, z), stood["place"])
+        assert np.allclose((sine, cosine), (sin(stood["yaw"] / 2), cos(stood["yaw"] / 2)))
+        for name, (there, server) in zip(VIEWS, views, strict=True):
+            here = placing(name, head)
+            assert np.allclose(here.shown.T.ravel(), there["shown"], atol=1e-9)
+            assert (here.glass is not None) == there["mirror"]
+            if here.glass is not None:
+                width = np.array(there["glass"][1]) - there["glass"][0]
+                assert np.allclose(here.glass.right, width / np.linalg.norm(width))
+                assert np.allclose(here.glass.normal, there["normal"])
+            # the eye that a server is asked for, as FeedShow makes it
+            shown = here.shown @ FLIP_X if here.glass is not None else here.shown
+            assert np.allclose(rigid_inverse(rigid_inverse(heads[0]) @ shown).T.ravel(), server, atol=1e-9)
