@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.extras.motions.derive import derive, truth_from_motion, with_expressions
 from glsplat.motion.kinds import KINDS
 from glsplat.motion.loading import embedded_motions
 from glsplat.motion.motion import Motion
@@ -30,7 +31,6 @@ from glsplat.net.guard.access import read_token
 from glsplat.net.reply import Reply
 from glsplat.skinning.pose import EXPRESSION
 from glsplat.skinning.smplx import JOINT_NAMES
-from glsplat.tracking.derive import derive, truth_from_motion, with_expressions
 from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample

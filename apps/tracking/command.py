@@ -14,9 +14,7 @@ from tqdm import tqdm
 
 from glsplat.errors import PoseError
 from glsplat.extras.evaluate.tracking_score import TrackingScore, score
-from glsplat.skinning.pose import Pose
-from glsplat.tracking.calibration import Calibration, calibrate, found_size
-from glsplat.tracking.derive import (
+from glsplat.extras.motions.derive import (
     EXTRAS,
     Disturbance,
     TrueMotion,
@@ -25,6 +23,8 @@ from glsplat.tracking.derive import (
     truth_from_motion,
     with_expressions,
 )
+from glsplat.skinning.pose import Pose
+from glsplat.tracking.calibration import Calibration, calibrate, found_size
 from glsplat.tracking.recording import read_poses, record, replay, write_lines
 from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve.body import Body

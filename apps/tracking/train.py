@@ -13,12 +13,12 @@ import numpy as np
 from tqdm import tqdm
 
 from glsplat.errors import FormatError
+from glsplat.extras.learned.network import load_network, save_network
 from glsplat.extras.training.clips import TrainingClip, clips_of, looks_away, unit_of_skeleton
 from glsplat.extras.training.fit import TrainingConfig, evaluate, fit, lessons_of
 from glsplat.extras.training.standing import Stance, stances_of, stood
 from glsplat.motion.loading import load_motion
 from glsplat.motion.motion import Motion
-from glsplat.tracking.learned.network import load_network, save_network
 
 from ..usage import UsageError
 from .options import add_skeleton, pattern_of, skeleton_of

@@ -13,8 +13,8 @@ from typing import Any
 from glsplat.errors import FormatError, PoseError
 from glsplat.io.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.extra.mounts import MOST, Mean, between, numbers, standing, within
-from glsplat.tracking.finding import SHOULDERS, Finder, with_arms
+from glsplat.tracking.body_size import SHOULDERS, Finder, with_arms
+from glsplat.tracking.mounts import MOST, Mean, between, numbers, standing, within
 from glsplat.tracking.reading import read_pose
 from glsplat.tracking.sample import TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import HEAD_FRAME, Body

@@ -1,44 +1,34 @@
-"""Solvers by name, and the embedded network."""
+"""Solvers by name."""
 
 from __future__ import annotations
 
-from functools import lru_cache
-from importlib import resources
 from typing import Literal
 
 from glsplat.errors import PoseError
-from glsplat.tracking.learned.network import PoseNetwork, load_network
-from glsplat.tracking.learned.solver import LearnedSolver
+from glsplat.optional import extra_module, has_extra
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solution import Solver
 from glsplat.tracking.solve.solver import AnalyticSolver
 
-__all__ = ["SOLVERS", "SolverName", "embedded_network", "solver_of"]
+__all__ = ["SOLVERS", "SolverName", "solver_of"]
 
 SolverName = Literal["analytic", "learned"]
-SOLVERS: tuple[SolverName, ...] = ("learned", "analytic")
 
 
-@lru_cache(maxsize=1)
-def embedded_network() -> PoseNetwork:
-    """The network that comes with the package; docs/tracking.md says what it learned from.
-
-    Raises FormatError where the file is damaged.
-    """
-    with resources.as_file(resources.files("glsplat.data") / "tracking.npz") as path:
-        return load_network(path)
+SOLVERS: tuple[SolverName, ...] = ("learned", "analytic") if has_extra("learned") else ("analytic",)
+"""Solvers that are installed, the default first."""
 
 
 def solver_of(solver: Solver | SolverName | None, body: Body) -> Solver:
-    """A solver by name ("learned" for None), or the one given. Raises PoseError for what is neither."""
-    if solver == "analytic":
+    """Return a solver by name, or the one given; None: the first of ``SOLVERS``. Raises PoseError for neither."""
+    name = SOLVERS[0] if solver is None else solver
+    if isinstance(name, str) and name not in SOLVERS:
+        raise PoseError(f"a solver is one of {', '.join(SOLVERS)}, or an object of your own, not {name!r:.60}")
+    if name == "analytic":
         return AnalyticSolver(body)
-    if solver is None or solver == "learned":
-        return LearnedSolver(body, embedded_network())
-    if isinstance(solver, str):
-        raise PoseError(f"a solver is one of {', '.join(SOLVERS)}, or an object of your own, not {solver!r:.60}")
-    if not all(callable(getattr(solver, name, None)) for name in ("reset", "solve")):
-        raise PoseError(
-            f"a solver needs the methods reset() and solve(targets, dt), which {type(solver).__name__} lacks"
-        )
-    return solver
+    if name == "learned":
+        learned: Solver = extra_module("learned.solver").LearnedSolver(body)
+        return learned
+    if not all(callable(getattr(name, method, None)) for method in ("reset", "solve")):
+        raise PoseError(f"a solver needs the methods reset() and solve(targets, dt), which {type(name).__name__} lacks")
+    return name

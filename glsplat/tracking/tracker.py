@@ -16,24 +16,22 @@ from glsplat.errors import PoseError
 from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.arm_scaling import Stretch
+from glsplat.tracking.body_size import Finder
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, finite, standing, still
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.extra.devices import Extras
-from glsplat.tracking.extra.gaze import EYES, eye_turn
+from glsplat.tracking.devices import Extras
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
-from glsplat.tracking.finding import Finder
 from glsplat.tracking.fingers import Fingers
+from glsplat.tracking.gaze import EYES, eye_turn
 from glsplat.tracking.guard import Guard
-from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.reading import invalid, read_pose
 from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD_FRAME, Body
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, conj, mul, rotation_vector, to_quat
 from glsplat.tracking.solve.solution import Solution, Solver, Targets
-from glsplat.tracking.solve.solver import AnalyticSolver
 from glsplat.tracking.solvers import SolverName, solver_of
-from glsplat.tracking.stretch import Stretch
 
 __all__ = ["Tracker", "TrackerConfig"]
 
@@ -74,7 +72,7 @@ class Tracker:
         self.prediction: float = c.prediction  # seconds; may change from sample to sample
         self.body: Body = Body.of(skeleton)
         self.solver: Solver = solver_of(solver, self.body)
-        self._trusted = type(self.solver) in (AnalyticSolver, LearnedSolver)
+        self._keeps_limits = getattr(type(self.solver), "keeps_limits", False)
         self.head_only: bool = flag(head_only, "head_only", PoseError)
         self._root = self.body.joints[0]
         self._stretch = Stretch(self.body, c.stretch)
@@ -297,8 +295,8 @@ class Tracker:
             solution = self.solver.solve(targets, min(dt, 0.1))
             for _ in range(int(dt / 0.1 - 1e-9)):  # a hole of some tenths of a second: let the body settle
                 solution = self.solver.solve(targets, 0.1)
-            # our own keeps to the limits by itself, to the last bit; that its numbers are finite is asked all the same
-            if self._trusted and finite(solution):
+            # a solver of this package keeps joint limits exactly; checking them again could change the last bit
+            if self._keeps_limits and finite(solution):
                 self.solver_error = ""
                 return solution
             solution = checked(solution)

@@ -15,7 +15,7 @@ from apps.tracking.bench import table
 from apps.tracking.show import BONE, NAIVE, TRUE
 from glsplat.extras.evaluate.tracking_rows import Row
 from glsplat.extras.evaluate.tracking_score import TrackingScore
-from glsplat.tracking.learned.network import load_network
+from glsplat.extras.learned.network import load_network
 
 nan = float("nan")
 SCORE = TrackingScore(600, *[1.0] * 13)

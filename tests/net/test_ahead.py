@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from glsplat.data import default_avatar
+from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.backends.tracking import MOST, PART, Ahead, TrackingSolver
 from glsplat.net.messages import Arrival, Decoder, Request
 from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
-from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter, Trend
 from glsplat.tracking.solve.quat import rotation_angle, yaw_quat
 from tests.net.wire import EYE

@@ -11,8 +11,8 @@ import pytest
 from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, calibrate
+from glsplat.tracking.body_size import POSTURE, Finder
 from glsplat.tracking.calibration import found_size
-from glsplat.tracking.finding import POSTURE, Finder
 from glsplat.tracking.solve.body import FEET, TURNS_AT, WRISTS, Body
 from glsplat.tracking.solve.quat import rotate, sub, to_quat
 from glsplat.tracking.solvers import SolverName

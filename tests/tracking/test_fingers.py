@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from glsplat.extras.motions.batch import forward_all
+from glsplat.extras.motions.derive import TrueMotion, derive
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig
-from glsplat.tracking.batch import forward_all
-from glsplat.tracking.derive import TrueMotion, derive
 from glsplat.tracking.solve.body import Body
 from tests.tracking.moves import Stage
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from glsplat.errors import PoseError
+from glsplat.extras.learned.expected import FARTHEST, ExpectedError
+from glsplat.extras.learned.hints import FootHint
+from glsplat.extras.learned.seat import LONG, Seat
+from glsplat.extras.learned.stance import NETWORK, Stance
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked import checked, standing
-from glsplat.tracking.learned.expected import FARTHEST, ExpectedError
-from glsplat.tracking.learned.hints import FootHint
-from glsplat.tracking.learned.seat import LONG, Seat
-from glsplat.tracking.learned.stance import NETWORK, Stance
 from glsplat.tracking.solve.body import ANKLES, ELBOWS, FEET, HEAD, KNEES, PELVIS, SHOULDERS, WRISTS, Body
 from glsplat.tracking.solve.solution import Targets
 from glsplat.tracking.solve.stepping.foot import Foot

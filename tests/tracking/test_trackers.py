@@ -15,11 +15,11 @@ import pytest
 
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.evaluate.tracking_score import TrackingScore, score
+from glsplat.extras.motions.derive import MOUNTS, Disturbance, TrueMotion, derive, disturb, truth_from_motion
 from glsplat.motion.loading import load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, TrackerConfig, calibrate
-from glsplat.tracking.derive import MOUNTS, Disturbance, TrueMotion, derive, disturb, truth_from_motion
 from glsplat.tracking.sample import BODY_JOINTS, TRACKERS
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, Body
 from glsplat.tracking.solvers import SOLVERS, SolverName

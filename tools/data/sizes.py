@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
 from glsplat.rotations import matrix_quaternions, quaternion_matrices
+from glsplat.tracking.body_size import Finder
 from glsplat.tracking.calibration import EYES_OF_STATURE
-from glsplat.tracking.finding import Finder
 from glsplat.tracking.solve.body import Body
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.motions.derive import TrueMotion
 from glsplat.rotations import unit_vectors
-from glsplat.tracking.derive import TrueMotion
 from glsplat.tracking.solve.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3, Body
 
 __all__ = ["baseline"]

@@ -9,15 +9,14 @@ import numpy as np
 
 from glsplat.extras.evaluate.baseline import baseline
 from glsplat.extras.evaluate.tracking_score import TrackingScore, score, windows
+from glsplat.extras.learned.network import PoseNetwork, embedded_network
+from glsplat.extras.learned.solver import LearnedSolver
+from glsplat.extras.motions.batch import forward_all
+from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.batch import forward_all
-from glsplat.tracking.derive import derive, truth_from_motion
-from glsplat.tracking.learned.network import PoseNetwork
-from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 __all__ = ["SOLVERS", "Row", "rows_of"]

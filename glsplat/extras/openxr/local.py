@@ -19,6 +19,7 @@ from glsplat.extras.openxr.runtime import FrameTiming, Projection, Runtime, View
 from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
 from glsplat.extras.openxr.wearer import Wearer
+from glsplat.extras.speech.idle import IdleFace
 from glsplat.gl.context import Context
 from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
@@ -27,7 +28,6 @@ from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_tracked
 from glsplat.timing import StageTimer
 from glsplat.tracking.calibration import Calibration
-from glsplat.tracking.extra.idle import IdleFace
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.learned.frames import OUTPUTS, RATE, TrackedFrames, level, unit_of, yaw_of
+from glsplat.extras.motions.derive import truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.derive import truth_from_motion
-from glsplat.tracking.learned.frames import OUTPUTS, RATE, TrackedFrames, level, unit_of, yaw_of
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
 
 __all__ = ["TrainingClip", "clips_of", "looks_away", "mirrored"]

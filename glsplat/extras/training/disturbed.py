@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.learned.frames import TICK, TrackedFrames, yaw_of
 from glsplat.rotations import rotation_matrices
-from glsplat.tracking.learned.frames import TICK, TrackedFrames, yaw_of
 
 __all__ = ["disturbed"]
 

@@ -9,11 +9,11 @@ from math import cos, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.learned.frames import INPUTS, OUTPUTS, TrackedFrames, inputs_of, slower
+from glsplat.extras.learned.network import PoseNetwork
 from glsplat.extras.training.clips import TrainingClip, targets_of
 from glsplat.extras.training.disturbed import disturbed
 from glsplat.extras.training.recurrent import Learner, started
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, TrackedFrames, inputs_of, slower
-from glsplat.tracking.learned.network import PoseNetwork
 
 __all__ = ["Lesson", "TrainingConfig", "evaluate", "features", "fit", "lessons_of", "loss", "shares_of"]
 

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.learned.network import ARRAYS
+from glsplat.extras.learned.network import ARRAYS
 
 __all__ = ["Learner", "started"]
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.learned.frames import RATE, yaw_of
+from glsplat.extras.motions.derive import truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.rotations import matrix_quaternions, quaternion_product, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.derive import truth_from_motion
-from glsplat.tracking.learned.frames import RATE, yaw_of
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, SPINE1, SPINE3, Body
 from glsplat.tracking.solve.quat import Quat, Vec, add, inverse_mul, mul, power, rotate
 from glsplat.tracking.solve.stepping.foot import Foot

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from glsplat.camera import Camera
+from glsplat.extras.speech.idle import IdleFace
 from glsplat.net.backend import Solved
 from glsplat.net.messages import Arrival, Request
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
-from glsplat.tracking.extra.idle import IdleFace
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 

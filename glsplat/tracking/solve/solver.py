@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import exp, hypot
+from typing import ClassVar
 
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import NECK, PELVIS, Body
@@ -23,6 +24,8 @@ SLOW = 0.125  # seconds; twice that scores worse on motion capture (docs/trackin
 
 class AnalyticSolver:
     """Head to pelvis through the spine, hands through the arms, feet by balance and gait: closed forms, no training."""
+
+    keeps_limits: ClassVar[bool] = True  # rotations are within the joints' limits
 
     def __init__(self, body: Body) -> None:
         self.body = body

@@ -6,9 +6,9 @@ import numpy as np
 
 from glsplat.errors import PoseError
 from glsplat.extras.evaluate.comparison.performance import RATE, Performance
+from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.derive import derive, truth_from_motion
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.tracker import Tracker, TrackerConfig

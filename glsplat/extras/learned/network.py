@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE
 from glsplat.io.npz import read_arrays
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE
 
-__all__ = ["VERSION", "PoseNetwork", "load_network", "save_network"]
+__all__ = ["VERSION", "PoseNetwork", "embedded_network", "load_network", "save_network"]
 
 F32 = NDArray[np.float32]
 
@@ -84,6 +86,16 @@ def save_network(path: str | PathLike[str], network: PoseNetwork) -> None:
             sha256=np.array(_hash(arrays)),
             **arrays,
         )
+
+
+@lru_cache(maxsize=1)
+def embedded_network() -> PoseNetwork:
+    """Return the network that comes with the package; docs/tracking.md says what it learned from.
+
+    Raises FormatError where the file is damaged.
+    """
+    with resources.as_file(resources.files("glsplat.extras.learned") / "network.npz") as path:
+        return load_network(path)
 
 
 def load_network(path: str | PathLike[str]) -> PoseNetwork:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from math import hypot
 
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.extra.mounts import JOINTS, MOST, Mean, Pose, between, mounted, standing, within
-from glsplat.tracking.extra.places import Places
 from glsplat.tracking.filters import Device, PositionFilter, RotationFilter
+from glsplat.tracking.mounts import JOINTS, MOST, Mean, Pose, between, mounted, standing, within
+from glsplat.tracking.places import Places
 from glsplat.tracking.reading import invalid, read_place, read_pose
 from glsplat.tracking.sample import TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import ANKLES, HIPS, KNEES, PELVIS, Body

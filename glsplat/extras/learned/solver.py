@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from math import acos
+from typing import ClassVar
 
-from glsplat.tracking.learned.expected import ExpectedError
-from glsplat.tracking.learned.feet import Feet, Rest
-from glsplat.tracking.learned.hints import Hint, Hints
-from glsplat.tracking.learned.network import PoseNetwork
-from glsplat.tracking.learned.seat import Seat
-from glsplat.tracking.learned.stance import Stance
-from glsplat.tracking.learned.steady import Steady
-from glsplat.tracking.learned.uncertainty import Uncertainty
+from glsplat.extras.learned.expected import ExpectedError
+from glsplat.extras.learned.feet import Feet, Rest
+from glsplat.extras.learned.hints import Hint, Hints
+from glsplat.extras.learned.network import PoseNetwork, embedded_network
+from glsplat.extras.learned.seat import Seat
+from glsplat.extras.learned.stance import Stance
+from glsplat.extras.learned.steady import Steady
+from glsplat.extras.learned.uncertainty import Uncertainty
 from glsplat.tracking.solve.arms import Arm
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.hands import Hands
@@ -59,7 +60,10 @@ class LearnedSolver:
     Where the network has learned nothing (``Uncertainty``) all of it is the analytic solver's.
     """
 
-    def __init__(self, body: Body, network: PoseNetwork) -> None:
+    keeps_limits: ClassVar[bool] = True  # rotations are within the joints' limits
+
+    def __init__(self, body: Body, network: PoseNetwork | None = None) -> None:
+        network = network or embedded_network()
         self.body = body
         self.ground: HeightLimit = HeightLimit(body.eye_height)
         self.hints: Hints = Hints(body, network)

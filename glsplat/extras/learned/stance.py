@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, hypot
 
-from glsplat.tracking.learned.hints import FootHint
+from glsplat.extras.learned.hints import FootHint
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.quat import Vec, add, clamp, pull, rotate, scale, sub, swing_twist_y, wrap, yaw_quat
 from glsplat.tracking.solve.solution import Targets

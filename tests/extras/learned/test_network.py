@@ -11,6 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.learned import network as module
+from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE, Guess, TrackedFrames
+from glsplat.extras.learned.hints import Hints
+from glsplat.extras.learned.network import ARRAYS, PoseNetwork, embedded_network, load_network, save_network
+from glsplat.extras.learned.steady import Steady
+from glsplat.extras.motions.batch import forward_all, resample
+from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.extras.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
 from glsplat.extras.training.disturbed import disturbed
 from glsplat.extras.training.fit import (
@@ -29,17 +36,9 @@ from glsplat.extras.training.recurrent import Learner, started
 from glsplat.extras.training.standing import TALL, stances_of, stood
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.batch import forward_all, resample
-from glsplat.tracking.derive import derive, truth_from_motion
-from glsplat.tracking.learned import network as module
-from glsplat.tracking.learned.frames import INPUTS, OUTPUTS, RATE, Guess, TrackedFrames
-from glsplat.tracking.learned.hints import Hints
-from glsplat.tracking.learned.network import ARRAYS, PoseNetwork, load_network, save_network
-from glsplat.tracking.learned.steady import Steady
 from glsplat.tracking.solve.body import ANKLES, FEET, PELVIS, SPINE1, SPINE3, WRISTS, Body
 from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.solvers import embedded_network
 from glsplat.tracking.tracker import Tracker, TrackerConfig
 
 F32 = NDArray[np.float32]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, hypot, sqrt
 
-from glsplat.tracking.learned.hints import FootHint
+from glsplat.extras.learned.hints import FootHint
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, length, pull, rotate, scale, sub, wrap, yaw_quat
 from glsplat.tracking.solve.stepping.clearance import Clearance

@@ -9,8 +9,8 @@ from math import cos, degrees, radians, sin
 import numpy as np
 import pytest
 
-from glsplat.tracking.extra.gaze import eye_turn
-from glsplat.tracking.extra.idle import IdleFace
+from glsplat.extras.speech.idle import IdleFace
+from glsplat.tracking.gaze import eye_turn
 from glsplat.tracking.sample import Sample
 
 RATE = 90

@@ -10,16 +10,16 @@ import pytest
 
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.evaluate.tracking_score import TrackingScore, mean_score, score
+from glsplat.extras.learned import network as module
+from glsplat.extras.learned.network import PoseNetwork, embedded_network
+from glsplat.extras.learned.solver import LearnedSolver
+from glsplat.extras.motions.batch import forward_all
+from glsplat.extras.motions.derive import Disturbance, derive, disturb, truth_from_motion
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker
-from glsplat.tracking import solvers as module
-from glsplat.tracking.batch import forward_all
-from glsplat.tracking.derive import Disturbance, derive, disturb, truth_from_motion
-from glsplat.tracking.learned.network import PoseNetwork
-from glsplat.tracking.learned.solver import LearnedSolver
 from glsplat.tracking.solve.body import FEET, HEAD, WRISTS, Body
-from glsplat.tracking.solvers import embedded_network, solver_of
+from glsplat.tracking.solvers import solver_of
 from tests.tracking.moves import DT, Stage, Track, hand_turn, head_turn, seconds
 
 
@@ -101,12 +101,12 @@ def test_solvers_by_name(body: Body, skeleton: Skeleton) -> None:
 def test_a_broken_model_is_a_clear_error_and_the_analytic_solver_stays(
     skeleton: Skeleton, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = (resources.files("glsplat.data") / "tracking.npz").read_bytes()
-    (tmp_path / "tracking.npz").write_bytes(whole[: len(whole) // 2])
+    whole = (resources.files("glsplat.extras.learned") / "network.npz").read_bytes()
+    (tmp_path / "network.npz").write_bytes(whole[: len(whole) // 2])
     monkeypatch.setattr(module.resources, "files", lambda package: tmp_path)
     embedded_network.cache_clear()
     try:
-        with pytest.raises(FormatError, match=r"tracking.npz: a tracking model"):
+        with pytest.raises(FormatError, match=r"network.npz: a tracking model"):
             Tracker(skeleton, solver="learned")
         Tracker(skeleton, solver="analytic")
     finally:

@@ -8,9 +8,9 @@ from math import atan2, exp, hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.learned.frames import TICK, Guess, TrackedFrames, inputs_of, slower, unit_of
+from glsplat.extras.learned.network import PoseNetwork
 from glsplat.rotations import quaternion_matrices
-from glsplat.tracking.learned.frames import TICK, Guess, TrackedFrames, inputs_of, slower, unit_of
-from glsplat.tracking.learned.network import PoseNetwork
 from glsplat.tracking.solve.body import ANKLES, FEET, Body
 from glsplat.tracking.solve.quat import (
     Quat,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from glsplat.tracking.extra.mounts import Pose
+from glsplat.tracking.mounts import Pose
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, PELVIS, SPINE1, Body
 from glsplat.tracking.solve.quat import Quat, Vec, conj, cross, dot, from_axes, length, mul, pull, rotate, sub, unit
 

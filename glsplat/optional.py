@@ -1,0 +1,22 @@
+"""Extras by name: the core looks them up here and never imports one, so that each folder of extras may be absent."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from types import ModuleType
+
+__all__ = ["extra_module", "has_extra"]
+
+
+def has_extra(name: str) -> bool:
+    """Return whether the folder ``glsplat/extras/NAME`` is installed."""
+    try:
+        return find_spec(f"glsplat.extras.{name}") is not None
+    except ModuleNotFoundError:  # no extras at all
+        return False
+
+
+def extra_module(name: str) -> ModuleType:
+    """Return the module ``glsplat.extras.NAME``. Raises ModuleNotFoundError where its folder is not installed."""
+    return import_module(f"glsplat.extras.{name}")
