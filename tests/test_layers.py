@@ -59,9 +59,11 @@ WITHIN = {
 }
 # Modules of the core that still import extras, and from which.
 STILL = {
+    "formats.gltf.container": {"formats"},
     "formats.gltf.primitive": {"formats"},
     "formats.gltf.splats": {"rigs"},
     "formats.registry": {"formats"},
+    "motion.kinds": {"formats"},
     "motion.loading": {"motions"},
     "net.backend": {"browser", "watermark"},
     "net.backends.renderer_pool": {"rooms"},

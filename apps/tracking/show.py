@@ -16,9 +16,9 @@ from tqdm import tqdm
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
 from glsplat.extras.evaluate.baseline import baseline
+from glsplat.extras.formats.npz import array_names
 from glsplat.extras.motions.derive import derive, truth_from_motion, with_expressions
 from glsplat.io.files import open_regular
-from glsplat.io.npz import array_names
 from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.recording import read_poses

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.npz import array_names
 from glsplat.formats.format import Opened
 from glsplat.formats.gltf.container import read_container
 from glsplat.formats.gltf.nodes import only_moves
-from glsplat.io.npz import array_names
 
 __all__ = ["KINDS", "is_bvh", "is_gltf", "is_motion", "split_choice"]
 

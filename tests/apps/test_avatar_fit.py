@@ -21,9 +21,9 @@ from glsplat.extras.authoring.posed import posed_splats
 from glsplat.formats import load, save
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level
-from tests.extras.authoring.gltf.built import FAMILIES, build
 from tests.extras.authoring.optimize.without import without_numba
 from tests.extras.authoring.reconstruct.stubs import small_avatar
+from tests.extras.rigs.gltf.built import FAMILIES, build
 from tests.scenes import cloud
 
 

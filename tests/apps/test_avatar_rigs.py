@@ -16,7 +16,7 @@ from glsplat.formats import load
 from glsplat.motion.loading import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.extras.authoring.gltf.built import FAMILIES, Family, build
+from tests.extras.rigs.gltf.built import FAMILIES, Family, build
 
 pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("quickly_made")]
 

@@ -23,7 +23,7 @@ from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
 from tests.apps.cli import mistake, ok
-from tests.formats.meshes import bends, chain, corners
+from tests.extras.rigs.meshes import bends, chain, corners
 from tests.formats.scenes import (
     avatar_with_levels,
     awkward_splats,

@@ -21,7 +21,7 @@ from glsplat.errors import FormatError
 from glsplat.extras.formats.fidelity import read_back
 from glsplat.formats import FORMATS, Format, load, losses, recognise, save
 from glsplat.splats import Splats
-from tests.formats.ksplats import ksplat
+from tests.extras.formats.ksplats import ksplat
 from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats
 
 SMALL = 8_000_000  # bytes that a reader may allocate for a small file, as in test_fuzz.py: it works in blocks
@@ -42,7 +42,7 @@ PACKED: dict[str, Callable[[Callable[[bytes], bytes], bytes], bytes]] = {
     "spz": lambda change, data: gzip.compress(change(gzip.decompress(data))),
     "sog": _rezipped,
 }
-MESHES = {"obj", "npz"}  # hold no splats: tests/scene/test_loading.py, tests/formats/test_npz.py
+MESHES = {"obj", "npz"}  # hold no splats: tests/scene/test_loading.py, tests/extras/formats/test_npz.py
 every = pytest.mark.parametrize(
     "known", [one for one in FORMATS if one.name not in MESHES], ids=lambda known: known.name
 )

@@ -23,7 +23,7 @@ from glsplat.extras.formats.splat import load_splat
 from glsplat.extras.formats.spz import load_spz
 from glsplat.formats import load, load_gltf, load_ply, save
 from glsplat.splats import Splats
-from tests.formats.ksplats import ksplat
+from tests.extras.formats.ksplats import ksplat
 from tests.formats.scenes import (
     SHARED_DATA,
     avatar_with_levels,

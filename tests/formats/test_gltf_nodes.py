@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.rigs.bound import bound_of
 from glsplat.formats import load_gltf, save_gltf
-from glsplat.formats.gltf.bound import bound_of
 from glsplat.formats.gltf.container import parse
 from glsplat.formats.gltf.nodes import graph_of
 from glsplat.reference import evaluate_sh, quaternion_matrices

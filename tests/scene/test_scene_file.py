@@ -22,7 +22,7 @@ from glsplat.motion.loading import load_embedded_motion
 from glsplat.scene import similarity
 from glsplat.scenes import load_scene, scene_file
 from glsplat.scenes.scene_file import MOST_ITEMS, upright
-from tests.motion.clips import glb, turned
+from tests.extras.motions.clips import glb, turned
 from tests.scenes import cloud, limb
 from tests.skinning.avatars import part
 

@@ -28,7 +28,7 @@ from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import load, save
 from glsplat.formats.gltf.splats import EXTENSION
 from glsplat.skinning.pose import Pose
-from tests.formats.meshes import chain
+from tests.extras.rigs.meshes import chain
 from tests.formats.scenes import edit_glb, random_avatar, random_splats
 
 BENT, BEND = 3, [0.5, 0.5, 0.5, 0.5]  # a joint, and xyzw of its node: a third of a turn about (1, 1, 1)

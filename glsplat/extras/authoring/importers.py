@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
+from glsplat.extras.formats.npz import read_arrays
 from glsplat.io.files import naming, open_regular
-from glsplat.io.npz import read_arrays
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths, matrix_quaternions, nearest_rotations, quaternion_product
 from glsplat.skinning.skeleton import Skeleton

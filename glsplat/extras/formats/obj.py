@@ -76,7 +76,7 @@ def textures_of(source: Path, library: str | None) -> Iterator[tuple[str, NDArra
 
     Raises FormatError for an image that is not beside the file.
     """
-    from glsplat.formats.texture import decode_texture  # here: it needs OpenCV
+    from glsplat.extras.formats.texture import decode_texture  # here: it needs OpenCV
 
     file = None if library is None else _beside(source, library)
     if file is None:

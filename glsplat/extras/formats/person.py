@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
+from glsplat.extras.formats.npz import array_names, read_arrays
 from glsplat.formats.format import Format, Opened, opened
-from glsplat.io.npz import array_names, read_arrays
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.expression import MOST_NAMES
 from glsplat.skinning.skeleton import Skeleton
@@ -62,7 +62,7 @@ def _part(data: Mapping[str, NDArray[Any]], i: int, name: str, path: str) -> Mes
         raise FormatError(f"faces_{i} and faces_uv_{i} need one shape (F, 3) and uv_{i} needs (T, 2)")
     if faces_uv.size and not 0 <= faces_uv.min() <= faces_uv.max() < len(uv):
         raise FormatError(f"faces_uv_{i} names texture coordinate {faces_uv.max()} of {len(uv)}")
-    from glsplat.formats.texture import decode_texture  # here: it needs OpenCV
+    from glsplat.extras.formats.texture import decode_texture  # here: it needs OpenCV
 
     texture = decode_texture(data[f"texture_{i}"], f"{path}: texture_{i}")
     return MeshPart(name, faces.astype(np.int32), uv[faces_uv].astype(np.float64), texture)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.npz import read_arrays
 from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE
-from glsplat.io.npz import read_arrays
 
 __all__ = ["VERSION", "PoseNetwork", "embedded_network", "load_network", "save_network"]
 

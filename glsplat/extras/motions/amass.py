@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.extras.formats.npz import read_arrays
 from glsplat.extras.motions.placed import grounded, turned
-from glsplat.io.npz import read_arrays
 from glsplat.motion.motion import Motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.driven import why_not_driven

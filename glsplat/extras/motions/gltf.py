@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.motions.animation import Animation, Tracks, animations_of, names_of, tracks_of
 from glsplat.extras.motions.clip import Clip, check_size
+from glsplat.extras.rigs.bound import bound_of, joint_names
 from glsplat.extras.rigs.vrm import human_bones
-from glsplat.formats.gltf.bound import bound_of, joint_names
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, graph_of, instances
 from glsplat.io.files import open_regular

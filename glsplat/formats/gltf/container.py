@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.meshopt import unpacked
+from glsplat.extras.formats.meshopt import unpacked
 from glsplat.formats.gltf.schema import (
     Accessor,
     Asset,

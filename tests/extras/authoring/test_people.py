@@ -13,7 +13,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.raster import mesh_picture, mesh_picture_and_depth, visible_faces
 from glsplat.extras.formats.person import read_person
-from glsplat.formats.texture import decode_texture
+from glsplat.extras.formats.texture import decode_texture
 from glsplat.meshes import MeshPart, RiggedMesh
 
 

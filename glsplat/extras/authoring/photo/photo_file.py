@@ -13,8 +13,8 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.png import clean_png
 from glsplat.io.files import open_regular
-from glsplat.io.png import clean_png
 
 from .exif import Exif, read_exif
 from .headers import ImageHeader, read_header

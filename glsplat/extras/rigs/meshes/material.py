@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.texture import decode_texture
 from glsplat.formats.gltf.container import Accessor, Container
-from glsplat.formats.texture import decode_texture
 from glsplat.pictures import to_linear, to_srgb
 
 __all__ = ["Material", "material_of"]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.rigs.bound import inverse_binds
 from glsplat.extras.rigs.meshes.faces import Faces
 from glsplat.extras.rigs.meshes.ground import faces_back, on_the_floor
 from glsplat.extras.rigs.meshes.left_out import TRIANGLES, LeftOut, apart, carried, nearest, refuse_packed, survey
@@ -17,7 +18,6 @@ from glsplat.extras.rigs.meshes.rig import Rig, rig_of
 from glsplat.extras.rigs.meshes.surfaces import Materials, Surface, surface_of
 from glsplat.extras.rigs.vrm import human_bones
 from glsplat.formats.format import A_MOTION, opened
-from glsplat.formats.gltf.bound import inverse_binds
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances, only_moves
 from glsplat.formats.gltf.rig import read_influences, read_skeleton

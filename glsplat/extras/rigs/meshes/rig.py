@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
+from glsplat.extras.rigs.bound import Bound, bound_of, joint_names
 from glsplat.extras.rigs.humanoid import seated
 from glsplat.extras.rigs.match import RigMap, match_rig
 from glsplat.extras.rigs.shape import match_shape
-from glsplat.formats.gltf.bound import Bound, bound_of, joint_names
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
 from glsplat.skinning.skeleton import Skeleton

@@ -17,7 +17,7 @@ from glsplat.formats import load
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.extras.authoring.gltf.built import FAMILIES, Family, build
+from tests.extras.rigs.gltf.built import FAMILIES, Family, build
 from tests.formats.scenes import glb_parts, write_glb
 
 PERSON = replace(FAMILIES["VRM 0.x"], backwards=False, vrm=None, more={})

@@ -26,9 +26,9 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
-from tests.extras.authoring.gltf.built import FAMILIES, build
-from tests.extras.authoring.gltf.test_surfaces import CORNERS, UV, seen, square
 from tests.extras.authoring.test_lam import skin_glb
+from tests.extras.rigs.gltf.built import FAMILIES, build
+from tests.extras.rigs.gltf.test_surfaces import CORNERS, UV, seen, square
 from tests.formats.scenes import glb_parts, random_avatar, write_glb
 
 INF, NAN = np.inf, np.nan

@@ -10,7 +10,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.io.png import clean_png
+from glsplat.extras.formats.png import clean_png
 
 __all__ = ["decode_texture"]
 

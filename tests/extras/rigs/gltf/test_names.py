@@ -9,8 +9,8 @@ from glsplat.extras.rigs.match import NEEDED, match_rig
 from glsplat.extras.rigs.shape import match_shape
 from glsplat.extras.rigs.words import word_of, words_of
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.extras.authoring.gltf.built import FAMILIES
-from tests.extras.authoring.gltf.more_families import NAMED, Named, laid_out
+from tests.extras.rigs.gltf.built import FAMILIES
+from tests.extras.rigs.gltf.more_families import NAMED, Named, laid_out
 
 
 @pytest.mark.parametrize("name", list(NAMED))

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError, GlsplatError, PoseError
+from glsplat.extras.formats import npz
+from glsplat.extras.formats.npz import array_names, read_arrays
 from glsplat.extras.formats.person import read_body
-from glsplat.io import npz
-from glsplat.io.npz import array_names, read_arrays
 from tests.formats.test_contract import peak_of
 
 

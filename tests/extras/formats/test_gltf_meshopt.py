@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.formats.meshopt import unpacked
 from glsplat.formats.gltf.container import Container, parse
-from glsplat.formats.gltf.meshopt import unpacked
-from tests.formats.meshopt_files import packed_triangles, packed_vertices
+from tests.extras.formats.meshopt_files import packed_triangles, packed_vertices
 
 RNG = np.random.default_rng(8)
 WALK = np.cumsum(RNG.integers(-3, 4, (1000, 8)), axis=0).astype(np.uint8)

@@ -11,7 +11,7 @@ import pytest
 from glsplat.errors import FormatError
 from glsplat.formats import load, recognise
 from glsplat.splats import Splats
-from tests.formats.ksplats import C0, RANGE, ksplat
+from tests.extras.formats.ksplats import C0, RANGE, ksplat
 from tests.formats.scenes import random_splats
 from tests.formats.test_contract import refused
 from tests.golden import stored

@@ -21,7 +21,7 @@ from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
-from tests.extras.authoring.gltf.built import FAMILIES, build
+from tests.extras.rigs.gltf.built import FAMILIES, build
 from tests.formats.scenes import glb_parts, write_glb
 from tests.formats.test_fuzz import fuzz, mutated
 

@@ -11,8 +11,8 @@ from glsplat.motion.loading import load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
+from tests.extras.motions.independent import accessor, acclaim_positions, bvh_positions, gltf_positions
 from tests.formats.scenes import glb_parts
-from tests.motion.independent import accessor, acclaim_positions, bvh_positions, gltf_positions
 
 AT = {name: i for i, name in enumerate(JOINT_NAMES)}
 PARTS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")

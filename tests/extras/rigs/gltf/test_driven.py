@@ -17,7 +17,7 @@ from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 from glsplat.tracking.calibration import calibrate
 from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.tracker import Tracker, TrackerConfig
-from tests.extras.authoring.gltf.built import FAMILIES, build
+from tests.extras.rigs.gltf.built import FAMILIES, build
 
 SIDES = ("left", "right")
 LIMBS = [

@@ -16,8 +16,8 @@ from glsplat.motion.loading import load_motion
 from glsplat.scenes import load
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
+from tests.extras.motions.clips import NODES, glb, turned, write
 from tests.formats.scenes import glb_parts
-from tests.motion.clips import NODES, glb, turned, write
 
 AT = {name: i for i, name in enumerate(JOINT_NAMES)}
 QUARTER = Rotation.from_euler("z", 90, degrees=True)  # lifts the left arm

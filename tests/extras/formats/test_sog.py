@@ -27,8 +27,8 @@ from glsplat.extras.formats.sog.sog import load_sog, save_sog
 from glsplat.extras.formats.sog.write import stored_order
 from glsplat.formats import load, losses, recognise, save
 from glsplat.splats import Splats
+from tests.extras.formats.sog_files import by_hand, pack, webp, zipped
 from tests.formats.scenes import SHARED_DATA, assert_equal, awkward_splats, random_avatar, random_splats
-from tests.formats.sog_files import by_hand, pack, webp, zipped
 from tests.formats.test_contract import refused
 from tests.formats.test_fuzz import fuzz, mutated, only_format_errors
 

@@ -22,7 +22,7 @@ from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.scenes import load
 from glsplat.skinning.pose import Pose
-from tests.formats.meshes import bends, chain, coloured, corners
+from tests.extras.rigs.meshes import bends, chain, coloured, corners
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])

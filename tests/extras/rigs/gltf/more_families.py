@@ -9,7 +9,7 @@ import numpy as np
 
 from glsplat.extras.authoring.fit.body import open_body
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
-from tests.extras.authoring.gltf.built import FINGERS, PLAIN, TITLE, biped_fingers, fingers, sided
+from tests.extras.rigs.gltf.built import FINGERS, PLAIN, TITLE, biped_fingers, fingers, sided
 
 __all__ = ["NAMED", "Named", "laid_out"]
 

@@ -14,7 +14,7 @@ from glsplat.motion.loading import load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.motion.exports import AT, SIDES, Z_UP, Export
+from tests.extras.motions.exports import AT, SIDES, Z_UP, Export
 
 BONES = [
     (f"{side}_{a}", f"{side}_{b}")

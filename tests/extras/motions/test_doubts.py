@@ -18,8 +18,8 @@ from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.motion.exports import SIDES, Export, turned
-from tests.motion.test_exports import EXPORTS, posed, worst_angle
+from tests.extras.motions.exports import SIDES, Export, turned
+from tests.extras.motions.test_exports import EXPORTS, posed, worst_angle
 
 Bad = Callable[[Motion, Skeleton], Motion]
 ODD = ("01", "43", "85", "139", "140")  # climbing, swinging on a bar, on their hands
