@@ -16,13 +16,13 @@ from glsplat.config import CULL_PSNR, LEAN, MAX_LEVELS
 from glsplat.data import PEOPLE, default_avatar, embedded_file
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats import suffixes
+from glsplat.formats.registry import load
 from glsplat.formats.transform import transformed
 from glsplat.io.files import naming, open_regular
 from glsplat.light.light import PRESETS, Light
 from glsplat.meshes import RiggedMesh
-from glsplat.motion.kinds import KINDS, split_choice
+from glsplat.motion.loading import KINDS, split_choice
 from glsplat.scene import Content, Rigged, Scene, is_rigged
-from glsplat.scenes.loading import load
 from glsplat.scenes.scene_file import UPS, SceneFile, load_scene, upright
 from glsplat.skinning.driven import why_not_tracked
 from glsplat.skinning.expression import checked_expression

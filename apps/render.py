@@ -22,7 +22,7 @@ from glsplat.errors import FormatError
 from glsplat.extras.speech.sound import Sound, read_wav
 from glsplat.extras.speech.speaking import Speaking
 from glsplat.gl.context import create_context
-from glsplat.motion.kinds import KINDS
+from glsplat.motion.loading import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
 from glsplat.scenes.camera_file import read_cameras

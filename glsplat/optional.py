@@ -6,7 +6,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 
-__all__ = ["extra_module", "has_extra"]
+__all__ = ["extra_module", "has_extra", "missing", "plugin"]
 
 
 def has_extra(name: str) -> bool:
@@ -20,3 +20,21 @@ def has_extra(name: str) -> bool:
 def extra_module(name: str) -> ModuleType:
     """Return the module ``glsplat.extras.NAME``. Raises ModuleNotFoundError where its folder is not installed."""
     return import_module(f"glsplat.extras.{name}")
+
+
+def plugin(name: str) -> ModuleType | None:
+    """Return the module ``glsplat.extras.NAME``; None where it, or another extra that it imports, is not installed.
+
+    Any other error of its import is raised: a package that is not installed, a mistake in the module.
+    """
+    try:
+        return extra_module(name)
+    except ModuleNotFoundError as error:
+        if not f"{error.name}.".startswith("glsplat.extras."):
+            raise
+        return None
+
+
+def missing(extra: str, what: str) -> str:
+    """Return the message for what only an absent extra reads: ``missing("formats", "SPZ")``."""
+    return f"{what} is read by glsplat.extras.{extra}, which is not installed"

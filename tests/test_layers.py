@@ -59,12 +59,6 @@ WITHIN = {
 }
 # Modules of the core that still import extras, and from which.
 STILL = {
-    "formats.gltf.container": {"formats"},
-    "formats.gltf.primitive": {"formats"},
-    "formats.gltf.splats": {"rigs"},
-    "formats.registry": {"formats"},
-    "motion.kinds": {"formats"},
-    "motion.loading": {"motions"},
     "net.backend": {"browser", "watermark"},
     "net.backends.renderer_pool": {"rooms"},
     "net.backends.tracking": {"speech"},
@@ -84,7 +78,6 @@ STILL = {
     "net.server": {"accounts", "browser", "workers"},
     "net.session": {"far_links", "watermark"},
     "net.standard_server": {"browser", "far_links", "operations", "rooms", "workers"},
-    "skinning.driven": {"rigs"},
 }
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 ROOT_OWN = {"on_demand", "__version__"}  # defined by the root itself, below everything

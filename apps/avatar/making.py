@@ -32,7 +32,7 @@ from glsplat.extras.formats.person import read_body
 from glsplat.extras.rigs.meshes.rig_map import read_rig_map
 from glsplat.formats import load_splats, save, suffixes
 from glsplat.formats.transform import transformed
-from glsplat.io.files import naming, open_regular, replace_file
+from glsplat.io.files import naming, replace_file
 from glsplat.motion.loading import embedded_motions, load_embedded_motion
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose, load_pose
@@ -41,7 +41,7 @@ from glsplat.splats import Level
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_and_say
 from ..usage import UsageError
-from .person import add_rig, doubts, read_any_person
+from .person import add_rig, doubts, is_gltf, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
 __all__ = [
@@ -214,7 +214,7 @@ def take(args: argparse.Namespace) -> int:
         return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
     if args.follow is not None:
         raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
-    if args.mesh is None and _is_gltf(args.dump):
+    if args.mesh is None and is_gltf(args.dump):
         scene = load_splats(args.dump)
         if scene.levels:
             print(f"glsplat avatar: {args.dump}: coarser levels of detail are left out", file=sys.stderr)
@@ -238,12 +238,6 @@ def take(args: argparse.Namespace) -> int:
         text = str(error)
         raise FormatError(text if text.startswith(str(args.mesh)) else f"{args.dump}: {text}") from None
     return write(replace(avatar, meta={**avatar.meta, "source": args.dump.name}), args, began)
-
-
-def _is_gltf(path: Path) -> bool:
-    with naming(path), open_regular(path) as (file, _):
-        head = file.read(64)
-    return head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
 
 
 def export(args: argparse.Namespace) -> int:

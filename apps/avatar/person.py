@@ -16,6 +16,8 @@ from glsplat.errors import FormatError
 from glsplat.extras.formats.person import read_person
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.rig_map import read_rig_map
+from glsplat.formats.format import opened
+from glsplat.formats.registry import sniffed
 from glsplat.meshes import RiggedMesh
 from glsplat.scenes.scene_file import upright
 from glsplat.skinning.driven import why_not_driven
@@ -26,7 +28,7 @@ from glsplat.skinning.smplx import JOINT_NAMES
 from ..args import add_up
 from ..usage import UsageError
 
-__all__ = ["add_rig", "doubts", "read_any_person"]
+__all__ = ["add_rig", "doubts", "is_gltf", "read_any_person"]
 
 _SIZES = 0.3, 3.0  # metres; people are not smaller or taller, and few things are that somebody makes splats of
 _FEW = 0.9  # of the splats that were asked for
@@ -49,12 +51,7 @@ def read_any_person(path: Path, args: argparse.Namespace | None = None) -> Rigge
     up = str(getattr(args, "up", "y"))
     if not 1e-6 <= scale <= 1e6:
         raise UsageError(f"--extra-scale needs a number above 0, not {scale:g}")
-    try:
-        with open(path, "rb") as file:
-            head = file.read(64)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
-    if head.startswith(b"glTF") or head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+    if is_gltf(path):
         mesh = read_gltf_person(path, rig_map=None if rig_map is None else read_rig_map(rig_map), scale=scale)
         if mesh.skeleton.names != JOINT_NAMES:
             return _turned(mesh, upright(up)[:3, :3])
@@ -67,6 +64,13 @@ def read_any_person(path: Path, args: argparse.Namespace | None = None) -> Rigge
     if path.suffix.lower() == ".obj":
         raise FormatError(f"{path}: an .obj has no rig; name a rigged body with --body")
     return read_person(path)
+
+
+def is_gltf(path: Path) -> bool:
+    """Return whether a file is glTF or VRM, by content."""
+    with opened(path) as start:
+        known = sniffed(start)
+        return known is not None and known.name in ("glb", "gltf")
 
 
 def _turned(mesh: RiggedMesh, turn: NDArray[np.float64]) -> RiggedMesh:

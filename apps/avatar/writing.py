@@ -17,7 +17,7 @@ from tqdm import tqdm
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
-from glsplat.formats import FORMATS, save, suffixes
+from glsplat.formats import all_formats, save, suffixes
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -58,7 +58,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def check_name(out: Path) -> None:
     """Refuse what could not be written before the work starts. Raises UsageError, FormatError for the place."""
-    if not any(out.suffix.lower() in known.suffixes for known in FORMATS if known.rigs):
+    if not any(out.suffix.lower() in known.suffixes for known in all_formats().values() if known.rigs):
         raise UsageError(f"{out}: an avatar is written as {suffixes(rigs=True)}; change the name")
     if not out.parent.is_dir():
         raise FormatError(f"{out}: there is no folder {out.parent}; create it first")

@@ -24,8 +24,7 @@ from glsplat.extras.evaluate.comparison.work import Result, Task, alone, finishe
 from glsplat.extras.evaluate.comparison.workers import run_tasks
 from glsplat.io.files import locked, replace_file
 from glsplat.io.machine import cores
-from glsplat.motion.kinds import split_choice
-from glsplat.motion.loading import embedded_motions
+from glsplat.motion.loading import embedded_motions, split_choice
 
 from ..args import motion_of
 from ..farming import add_ray, on_ray

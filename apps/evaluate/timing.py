@@ -19,9 +19,9 @@ from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.extras.evaluate.frames import WARM_UP
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.sections.costs import SIZES, costs
+from glsplat.formats.registry import load
 from glsplat.gl.context import create_context
 from glsplat.scene import Rigged, is_rigged
-from glsplat.scenes.loading import load
 
 from ..report import latency
 

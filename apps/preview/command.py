@@ -12,7 +12,7 @@ from pathlib import Path
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
-from glsplat.motion.kinds import KINDS
+from glsplat.motion.loading import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.net.guard.access import read_token
 from glsplat.scene import skeleton_of

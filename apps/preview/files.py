@@ -14,9 +14,12 @@ import numpy as np
 from glsplat.data import embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import opened
-from glsplat.motion.kinds import is_gltf, is_motion
+from glsplat.formats.gltf.container import read_container
+from glsplat.formats.gltf.nodes import only_moves
+from glsplat.formats.registry import sniffed
 from glsplat.motion.loading import embedded_motions
 from glsplat.motion.motion import Motion
+from glsplat.motion.poses import are_poses
 from glsplat.scene import Content, SceneLike
 from glsplat.scenes.scene_file import SceneFile, load_scene
 from glsplat.skinning.driven import why_not_driven
@@ -96,21 +99,22 @@ def read_dropped(name: str, skeleton: Skeleton | None) -> Dropped:
 
 
 def _kind(path: Path) -> str:
-    """scene, motion or pose."""
-    if path.is_dir():
+    """Return "scene", "motion" or "pose"."""
+    if path.is_dir() or path.suffix.lower() == ".jsonl":
         return "motion"
-    try:
-        with opened(path) as start:
-            head = start.head.removeprefix(b"\xef\xbb\xbf").lstrip()
-            moves = (is_gltf(head) or head.startswith(b"PK")) and is_motion(start)
-        if moves or head.startswith((b"HIERARCHY", b"[")) or path.suffix.lower() in (".amc", ".bvh", ".jsonl"):
-            return "motion"
-        if head.startswith(b"{") and path.stat().st_size <= _MAX_JSON:
-            keys = json.loads(path.read_text(encoding="utf-8"))
-            if "asset" not in keys and "items" not in keys:
-                return "motion" if "frames" in keys else "pose"
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: expected JSON, but {error}") from None
-    return "scene"
+    with opened(path) as start:
+        known = sniffed(start)
+        if known is not None and known.name == "scene":
+            return "scene"
+        if are_poses(start) and start.size <= _MAX_JSON:
+            start.file.seek(0)
+            try:
+                data = json.loads(start.file.read())
+            except (ValueError, RecursionError) as error:
+                raise FormatError(f"expected JSON, but {error}") from None
+            return "pose" if isinstance(data, dict) and "frames" not in data else "motion"
+        if known is None:
+            return "scene"  # whose reader says what is expected
+        if known.name in ("glb", "gltf"):
+            return "motion" if only_moves(read_container(start.file, start.size, start.folder).gltf) else "scene"
+        return "motion" if known.load is None else "scene"

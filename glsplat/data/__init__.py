@@ -8,7 +8,8 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.splats import load_gltf
+from glsplat.formats.format import opened
+from glsplat.formats.gltf.splats import read_gltf
 
 __all__ = ["DEFAULT", "PEOPLE", "default_avatar", "embedded_file", "participants_folder", "person"]
 
@@ -31,8 +32,8 @@ def person(name: str) -> Avatar:
     """
     if name not in PEOPLE:
         raise FormatError(f"the embedded people are {', '.join(PEOPLE)}, not {name!r}")
-    with resources.as_file(resources.files("glsplat.data") / "people" / f"{name}.glb") as path:
-        scene = load_gltf(path)
+    with resources.as_file(resources.files("glsplat.data") / "people" / f"{name}.glb") as path, opened(path) as start:
+        scene = read_gltf(start)
     assert isinstance(scene, Avatar)
     return scene
 

@@ -1,10 +1,7 @@
 from .format import Format as Format
-from .gltf.splats import load_gltf as load_gltf
-from .gltf.splats import save_gltf as save_gltf
-from .ply import load_ply as load_ply
-from .ply import save_ply as save_ply
-from .registry import FORMATS as FORMATS
+from .registry import all_formats as all_formats
 from .registry import load as load
+from .registry import load_content as load_content
 from .registry import load_splats as load_splats
 from .registry import losses as losses
 from .registry import recognise as recognise

@@ -1,4 +1,4 @@
-"""What a file format is to the rest of the house. Each format's module has one of these; registry.py lists them."""
+"""File formats as rows of the registry: how each is called, recognised, read and written."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,13 @@ from glsplat.errors import FormatError
 from glsplat.formats.gltf.record import CONSENT
 from glsplat.io.files import Source, folder_of, name_of, naming, open_regular, sampled, suffixes_of
 from glsplat.meshes import RiggedMesh
-from glsplat.scene import Content
+from glsplat.scene import Content, Scene
 from glsplat.splats import Splats
 
-__all__ = ["A_MOTION", "Format", "Opened", "checked", "clamped_opacities", "hidden", "opened", "positive_scales"]
+__all__ = ["A_MOTION", "Format", "Opened", "clamped_opacities", "hidden", "opened", "positive_scales"]
 
 A_MOTION = "a motion, which shows nothing; give it to render, preview or replay as --motion"
-"""What is said where something to show is expected."""
+"""Message where something to show is expected."""
 
 _BOM = b"\xef\xbb\xbf"  # of UTF-8
 _PLACED = 1e-3  # metres, or of an axis
@@ -31,13 +31,14 @@ _PLACED = 1e-3  # metres, or of an axis
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A file that is open: what it is recognised by, and what its reader gets. Every reader begins where it likes."""
+    """An open file, for ``Format.sniff`` and the readers, which seek to where they begin."""
 
     file: BinaryIO
     size: int
     name: str  # for messages: the path, or what an open file is called
     folder: Path | None  # of its other files; None where it has none
-    endings: tuple[str, ...]  # that its name may be said to have (io.files.suffixes_of)
+    endings: tuple[str, ...]  # suffixes of its name, the longest first (io.files.suffixes_of)
+    strict: bool = False  # refuse what is broken instead of leaving it out
 
     @cached_property
     def head(self) -> bytes:
@@ -46,7 +47,7 @@ class Opened:
 
     @property
     def text(self) -> bool:
-        """Whether the head may be text: no control characters but tabs and line ends."""
+        """Whether the head may be text: it has no control characters but tabs and line ends."""
         return not any(byte < 32 and byte not in b"\t\n\r" for byte in self.head)
 
     @property
@@ -72,9 +73,9 @@ class Opened:
 
 @contextmanager
 def opened(source: Source, strict: bool = False) -> Iterator[Opened]:
-    """A path or an open file (io.files.open_regular); errors within the ``with`` name it (io.files.naming)."""
+    """Open a path, or take an open file (io.files.open_regular); errors within the ``with`` name it."""
     with naming(source, strict), open_regular(source) as (file, size):
-        yield Opened(file, size, name_of(source), folder_of(source), tuple(suffixes_of(source)))
+        yield Opened(file, size, name_of(source), folder_of(source), tuple(suffixes_of(source)), strict)
 
 
 def _nothing(_: Splats | Avatar) -> Iterator[str]:
@@ -83,20 +84,20 @@ def _nothing(_: Splats | Avatar) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class Format:
-    """One file format: how it is called, recognised, read and written.
+    """One file format.
 
-    ``load`` gets an open file at its start; ``save`` a scene and where it goes (io.files.replace_file writes), and is
-    None where a format is read only. Both raise FormatError. ``loses`` says, a sentence each, what a saved file does
-    not keep of a scene, rounding apart; that a rig, visibility cones or levels are dropped is said already where
-    ``rigs``, ``cones`` or ``levels`` is False. ``order`` says which splats of a scene a file has, in the order it has
-    them in, for a format that does not have all as they come.
+    ``load`` reads an open file at its start, ``save`` writes a scene to its target (by io.files.replace_file); None
+    where the format is not read so, or not written. ``read_motion(opened, skeleton, forward, choice, corrections)``
+    returns a Motion (motion/loading.py). All raise FormatError. ``loses`` yields a sentence for each thing that a
+    saved file does not keep, rounding apart; sentences for ``rigs``, ``cones``, ``levels`` and ``surfaces`` that are
+    False are added to it. ``order`` returns which splats a file has, in its order, where that is not all as they come.
     """
 
     name: str  # as ``format=`` takes it
     title: str  # as messages say it
     suffixes: tuple[str, ...]  # lower case, with the dot, or "meta.json"; the first is the usual, the longest counts
     sniff: Callable[[Opened], bool]
-    load: Callable[[Opened], Content]
+    load: Callable[[Opened], Content | Scene] | None = None  # None: a motion, which shows nothing
     save: Callable[[Splats | Avatar, Source], None] | None = None
     loses: Callable[[Splats | Avatar], Iterator[str]] = _nothing
     rigs: bool = False  # holds avatars
@@ -104,19 +105,26 @@ class Format:
     levels: bool = False  # holds levels of detail
     surfaces: bool = False  # holds what light falls on
     order: Callable[[Splats], NDArray[np.intp]] | None = None
-    save_mesh: Callable[[RiggedMesh, Source], None] | None = None  # writes meshes, too
+    save_mesh: Callable[[RiggedMesh, Source], None] | None = None
+    read_motion: Callable[..., Any] | None = None
     marked: bool = True  # begins with a mark of its own; formats without one are tried last
 
-    def read(self, opened: Opened, strict: bool) -> Content:
-        """What an open file of this format holds; with ``strict`` nothing in it is NaN or infinity."""
+    def read(self, opened: Opened) -> Content | Scene:
+        """Read an open file of this format. Raises FormatError; of a strict one also for splats that are not finite."""
+        if self.load is None:
+            raise FormatError(A_MOTION)
         opened.file.seek(0)
         content = self.load(opened)
-        if not isinstance(content, RiggedMesh):
-            checked(splats_of(content), opened.name, strict)
+        if opened.strict and isinstance(content, (Splats, Avatar)):
+            splats = splats_of(content)
+            if bad := len(splats) - int(splats.finite().sum()):
+                raise FormatError(
+                    f"{bad} of {len(splats)} splats hold NaN or infinity; repair the file or load it without strict"
+                )
         return content
 
     def losses(self, scene: Splats | Avatar) -> Iterator[str]:
-        """What a file of this format does not keep of ``scene``, beyond rounding, a sentence each."""
+        """Yield a sentence for each thing that a file of this format does not keep of ``scene``, rounding apart."""
         if isinstance(scene, Avatar) and not self.rigs:
             pose = (
                 "zero pose" if _bound_at_rest(scene) else "pose it was bound in (glsplat avatar export writes others)"
@@ -137,13 +145,13 @@ class Format:
 
 
 def _bound_at_rest(avatar: Avatar) -> bool:
-    """Whether the splats as they are stored are those of the zero pose."""
+    """Return whether the stored splats are those of the zero pose."""
     zero = avatar.skeleton.rest @ avatar.skeleton.inverse_bind
     return bool(np.abs(zero - np.eye(4)).max() < _PLACED)
 
 
 def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:
-    """The sentence of a format whose opacities are those between 0 and 1."""
+    """Yield the loss of a format whose opacities lie between 0 and 1."""
     splats = splats_of(scene)
     outside = int((splats.drawable() & ((splats.opacities < 0) | (splats.opacities > 1))).sum())
     if outside:
@@ -151,24 +159,14 @@ def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:
 
 
 def hidden(which: NDArray[np.bool_]) -> Iterator[str]:
-    """The sentence of a format without the numbers that keep ``which`` [N] splats from being drawn."""
+    """Yield the loss of a format that cannot store the values that keep ``which`` [N] splats from being drawn."""
     if which.any():
         yield f"{int(which.sum())} splats that are never drawn (not finite, or a zero quaternion) become transparent"
 
 
 def positive_scales(scene: Splats | Avatar) -> Iterator[str]:
-    """The sentence of a format whose scales have no sign."""
+    """Yield the loss of a format whose scales have no sign."""
     with np.errstate(invalid="ignore"):
         negative = int((splats_of(scene).scales < 0).any(axis=1).sum())
     if negative:
         yield f"{negative} splats with negative scales are written with positive ones (their shape is the same)"
-
-
-def checked(splats: Splats, name: str, strict: bool) -> Splats:
-    """``splats`` as they are; with ``strict``, a FormatError with the count when some are not finite."""
-    bad = len(splats) - int(splats.finite().sum()) if strict else 0
-    if bad:
-        raise FormatError(
-            f"{name}: {bad} of {len(splats)} splats hold NaN or infinity; repair the file or load it without strict"
-        )
-    return splats

@@ -19,22 +19,22 @@ from numpy.typing import NDArray
 from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.format import Format, checked, clamped_opacities, opened, positive_scales
+from glsplat.formats.format import Format, clamped_opacities, positive_scales
 from glsplat.formats.ply_header import (
     ANTIALIAS,
     PACKED,
     Element,
     PlyHeader,
-    is_compressed,
     is_ply,
     listed,
     read_header,
     sh_degree,
 )
 from glsplat.io.files import Source, replace_file
+from glsplat.optional import missing, plugin
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = ["PLY", "load_ply", "read_ply", "save_ply"]
+__all__ = ["PLY", "add_formats", "read_ply", "save_ply"]
 
 _LINE_LIMIT = 1 << 16  # bytes of a line of ASCII; a splat of degree 3 has 800
 _CHUNK = 1 << 15  # splats converted at a time: fits the cache and keeps the peak memory near the result's
@@ -48,19 +48,12 @@ _LOGIT_LIMIT = 100.0  # sigmoid is 0 or 1 in float32 here
 _LOG_ZERO = -120.0  # exp is 0 in float32 here
 
 
-def load_ply(source: Source, *, strict: bool = False) -> Splats:
-    """Read a 3DGS PLY and activate its attributes: exp(scale), sigmoid(opacity), unit quaternions wxyz.
-
-    The header is checked against the size of the file before anything is allocated. Non-finite values are kept,
-    or with ``strict`` refused. Raises FormatError: no PLY, a PLY of something else than splats (names the missing
-    properties), truncated, or longer than its header says.
-    """
-    with opened(source) as start:
-        return checked(read_ply(start.file, start.size), start.name, strict)
-
-
 def read_ply(file: BinaryIO, size: int) -> Splats:
-    """The splats of an open file of ``size`` bytes."""
+    """Read an open file of ``size`` bytes and activate its attributes: exp(scale), sigmoid(opacity), unit quaternions.
+
+    The header is checked against the size before anything is allocated; values that are not finite are kept. Raises
+    FormatError: no PLY, not of splats (names the missing properties), truncated, longer than its header says.
+    """
     header = read_header(file)
     vertex = header.element("vertex")
     if vertex is None:
@@ -107,12 +100,13 @@ def _check_properties(vertex: Element) -> int:
     """SH degree of the vertices; FormatError when they are not splats."""
     have = vertex.properties
     if PACKED in have:
-        raise FormatError(f"this is a compressed PLY ({PACKED}), another format; glsplat.load reads it")
+        hint = "glsplat.load reads it" if plugin("formats.rows") else missing("formats", "it")
+        raise FormatError(f"this is a compressed PLY ({PACKED}), another format; {hint}")
     coloured = not any(name in have for name in _DC) and all(have.get(name) in ("u1", "f4", "f8") for name in _RGB)
     optional = (*(_DC if coloured else ()), _SCALES[2])
-    missing = [name for name in _REQUIRED if name not in have]
-    if any(name not in optional for name in missing):
-        raise FormatError(f"a PLY, but not of Gaussian splats: its vertices lack {listed(missing)}")
+    lacking = [name for name in _REQUIRED if name not in have]
+    if any(name not in optional for name in lacking):
+        raise FormatError(f"a PLY, but not of Gaussian splats: its vertices lack {listed(lacking)}")
     if vertex.lists:
         raise FormatError("the vertices have a list property, which splats cannot have")
     return sh_degree(vertex)
@@ -244,8 +238,13 @@ PLY = Format(
     name="ply",
     title="3DGS PLY",
     suffixes=(".ply",),
-    sniff=lambda start: is_ply(start) and not is_compressed(start),
+    sniff=is_ply,
     load=lambda start: read_ply(start.file, start.size),
     save=lambda scene, target: save_ply(splats_of(scene), target),
     loses=_loses,
 )
+
+
+def add_formats(formats: dict[str, Format]) -> None:
+    """Add 3DGS PLY to the registry."""
+    formats[PLY.name] = PLY

@@ -1,59 +1,48 @@
-"""The registry of formats, and what is done with any of them: recognise, load, save."""
+"""The registry of formats: one sniff over all of them, one ``load`` and one ``save``."""
 
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterator
+from functools import cache
+from importlib import import_module
 
 import numpy as np
 
 from glsplat.arrays import instance
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.formats.compressed_ply import COMPRESSED_PLY
-from glsplat.extras.formats.ksplat import KSPLAT
-from glsplat.extras.formats.obj import OBJ
-from glsplat.extras.formats.person import PERSON
-from glsplat.extras.formats.sog.sog import SOG
-from glsplat.extras.formats.splat import SPLAT
-from glsplat.extras.formats.spz import SPZ
 from glsplat.formats.format import Format, Opened, opened
-from glsplat.formats.gltf.splats import GLB, GLTF
-from glsplat.formats.ply import PLY
 from glsplat.io.files import Source, name_of, naming, suffixes_of
 from glsplat.meshes import RiggedMesh
-from glsplat.scene import Content
+from glsplat.optional import missing, plugin
+from glsplat.scene import Content, Scene
 from glsplat.splats import Splats
 
 __all__ = [
-    "FORMATS",
-    "is_scene_file",
+    "all_formats",
     "load",
+    "load_content",
     "load_splats",
     "losses",
-    "read",
     "recognise",
+    "recognised",
     "save",
+    "sniffed",
     "suffixes",
 ]
 
 log: logging.Logger = logging.getLogger("glsplat.formats")
 
-FORMATS: list[Format] = [
-    PLY,
-    COMPRESSED_PLY,
-    SPLAT,
-    KSPLAT,
-    SPZ,
-    SOG,
-    GLB,
-    GLTF,
-    OBJ,
-    PERSON,
-]
-"""Every format, in the order in which messages name them. A new one is a module and a line here."""
+# modules whose add_formats() puts rows into the registry; of extras, NAME is glsplat.extras.NAME.rows
+_CORE = ("glsplat.formats.ply", "glsplat.formats.gltf.splats", "glsplat.motion.poses", "glsplat.scenes.scene_file")
+_EXTRAS = ("formats", "rigs", "motions")
 
+# for the message where an extra is not installed
+_SUFFIXES_OF_EXTRAS = {
+    "formats": (".compressed.ply", ".splat", ".ksplat", ".spz", ".sog", "meta.json", ".obj", ".npz"),
+    "motions": (".bvh", ".amc"),
+}
 _FOREIGN = {
     b"\x1f\x8b": "gzip, perhaps .spz or .ply.gz",
     b"NGSP": ".spz",
@@ -61,33 +50,63 @@ _FOREIGN = {
 }
 
 
-def recognise(source: Source) -> str:
-    """The name of the format (one of FORMATS), by content; FormatError when it is none of them.
+@cache
+def all_formats() -> dict[str, Format]:
+    """Return every format by its name; what is put into this dictionary is read and written by this process.
 
-    The name helps only where the content does not tell: .splat and OBJ files have no mark of their own.
+    A row may replace an earlier one of its name. Later rows are sniffed first, as they know the more special kinds.
+    """
+    found: dict[str, Format] = {}
+    for module in (*map(import_module, _CORE), *(plugin(f"{name}.rows") for name in _EXTRAS)):
+        if module is not None:
+            module.add_formats(found)
+    return found
+
+
+def recognise(source: Source) -> str:
+    """Return the name of a file's format, by its content; FormatError where it is none of ``all_formats()``.
+
+    The suffix counts only for formats without a mark of their own: .splat, .obj.
     """
     with opened(source) as start:
-        return _recognised(start).name
+        return recognised(start).name
 
 
-def load(source: Source, *, strict: bool = False, format: str | None = None) -> Content:
-    """As ``glsplat.load``, without scene files: splats, an avatar or a mesh."""
+def load(source: Source, *, strict: bool = False, format: str | None = None) -> Content | Scene:
+    """Read splats, an avatar, a mesh or a scene file from a path or from a file that is open in binary mode.
+
+    The format is recognised by content, whatever the file's name, unless ``format`` names it: "ply" or another key of
+    ``glsplat.formats.all_formats()``. Splats with a skin are an Avatar; a mesh of triangles (glTF, VRM, OBJ, a person
+    in .npz) is a RiggedMesh, on one joint where nothing moves it; a scene file is a Scene, whose background and motions
+    ``glsplat.scenes.load_scene`` has. An open file is read from where it stands and stays open. A level of detail that
+    is broken is left out, which is logged. With ``strict`` it is refused, as are NaN and infinity, which are kept or
+    mended otherwise. Raises FormatError, one line that names the file.
+
+    >>> glsplat.save(glsplat.default_avatar(), "me.glb")
+    >>> glsplat.load("me.glb")
+    Avatar(40000 splats, 55 joints, 4 a splat, 52 shapes, 3 levels)
+    """
     with opened(source, strict) as start:
-        return read(start, strict, format)
+        return recognised(start, format).read(start)
 
 
-def load_splats(source: Source, *, strict: bool = False, format: str | None = None) -> Splats | Avatar:
-    """The same of a file that needs to hold splats; FormatError for a mesh."""
+def load_content(source: Source, *, strict: bool = False, format: str | None = None) -> Content:
+    """Read splats, an avatar or a mesh as ``load`` does; FormatError for a scene file, before it opens others."""
     with opened(source, strict) as start:
-        content = read(start, strict, format)
-        if isinstance(content, RiggedMesh):
-            raise FormatError("expected splats or an avatar, found a mesh; glsplat avatar make makes an avatar of one")
+        known = recognised(start, format)
+        content = None if known.name == "scene" else known.read(start)
+        if content is None or isinstance(content, Scene):
+            raise FormatError("expected one thing, found a scene file, which names several")
         return content
 
 
-def read(start: Opened, strict: bool, format: str | None = None) -> Content:
-    """What an open file holds, in the format that it is recognised by, or in that called ``format``."""
-    return (_recognised(start) if format is None else _called(format)).read(start, strict)
+def load_splats(source: Source, *, strict: bool = False, format: str | None = None) -> Splats | Avatar:
+    """Read splats or an avatar; FormatError for a mesh or a scene file."""
+    content = load_content(source, strict=strict, format=format)
+    if isinstance(content, RiggedMesh):
+        found = "expected splats or an avatar, found a mesh; glsplat avatar make makes an avatar of one"
+        raise FormatError(f"{name_of(source)}: {found}")
+    return content
 
 
 def save(
@@ -97,7 +116,7 @@ def save(
     format: str | None = None,
     say: Callable[[str], object] | None = None,
 ) -> None:
-    """Write ``scene`` in the format of the suffix, .ply or another one in FORMATS, or of ``format``, "ply" and so on.
+    """Write ``scene`` in the format of the suffix, .ply or another key of ``all_formats()``, or in that of ``format``.
 
     ``target`` is a path, or a file open in binary mode, which is written to from where it stands. At a path the new
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
@@ -112,79 +131,82 @@ def save(
     """
     for loss in losses(scene, target, format=format):
         say(loss) if say is not None else log.warning("%s: %s", name_of(target), loss)
-    with naming(target), np.errstate(invalid="ignore"):  # a NaN that signals, wherever it is cast
-        known, write = _writer(target, format)
-        if not isinstance(scene, RiggedMesh):
-            write(scene, target)
-        elif known.save_mesh is not None:
-            known.save_mesh(scene, target)
+    with naming(target), np.errstate(invalid="ignore"):  # casting a signalling NaN warns
+        known = _writer(scene, target, format)
+        write = known.save_mesh if isinstance(scene, RiggedMesh) else known.save
+        assert write is not None
+        write(scene, target)  # type: ignore[arg-type]
 
 
 def losses(scene: Content, target: Source, *, format: str | None = None) -> Iterator[str]:
-    """What ``save`` with the same arguments does not keep of ``scene``, beyond rounding, a sentence each."""
+    """Yield a sentence for each thing that ``save`` with the same arguments does not keep of ``scene``."""
     instance(scene, (Splats, Avatar, RiggedMesh), "a file", hint="of a scene save the content of each item")
     with naming(target):
-        known, _ = _writer(target, format)
-        if isinstance(scene, RiggedMesh) and known.save_mesh is None:
-            those = _either([suffix for one in FORMATS if one.save_mesh for suffix in one.suffixes], " or ")
-            raise FormatError(f"a mesh is written as {those}; change the name")
+        known = _writer(scene, target, format)
     return iter(()) if isinstance(scene, RiggedMesh) else known.losses(scene)
 
 
 def suffixes(*, last: str = "or", rigs: bool = False, written: bool = False) -> str:
-    """What names may end in, as texts say it: ".ply, .splat, .glb or .gltf".
+    """Return the suffixes of files that ``load`` reads, for texts: ".ply, .splat, .glb or .gltf".
 
-    ``rigs``: those that hold avatars; ``written``: without those that are only read.
+    ``rigs``: of formats that hold avatars; ``written``: of those that ``save`` writes.
     """
-    those = [known for known in FORMATS if (known.rigs or not rigs) and (known.save or not written)]
-    return _either([suffix for known in those for suffix in known.suffixes], f" {last} ")
+    those = [f for f in all_formats().values() if f.load and (f.rigs or not rigs) and (f.save or not written)]
+    return _listed([suffix for known in those for suffix in known.suffixes], f" {last} ")
 
 
-def _recognised(start: Opened) -> Format:
-    """The format of an open file. Raises FormatError when it is none of FORMATS."""
-    if is_scene_file(start):
-        raise FormatError("this is a scene file, which names several things; glsplat.load reads it")
-    marked_first = sorted(FORMATS, key=lambda known: not known.marked)
-    for known in marked_first:
-        if known.sniff(start):
-            return known
-    expected = _either(list(dict.fromkeys(known.title for known in marked_first)), ", or ")
+def recognised(start: Opened, format: str | None = None) -> Format:
+    """Return the format of an open file, or that called ``format``. Raises FormatError where it is none."""
+    if format is not None:
+        return _called(format)
+    if found := sniffed(start):
+        return found
+    for extra, endings in _SUFFIXES_OF_EXTRAS.items():
+        if start.named(*endings) and plugin(f"{extra}.rows") is None:
+            raise FormatError(missing(extra, f"the format {start.endings[0]}"))
+    titles = [one.title for one in all_formats().values() if one.load]
+    expected = _listed(list(dict.fromkeys(titles)), ", or ")
     if not start.head:
         raise FormatError(f"the file is empty; expected {expected}")
     foreign = next((name for magic, name in _FOREIGN.items() if start.head.startswith(magic)), None)
     raise FormatError(f"expected {expected}, but this is {foreign or 'none of them'}; convert it first")
 
 
-def is_scene_file(start: Opened) -> bool:
-    """Whether a file is a scene file (JSON with items; scenes/scene_file.py) and not of another JSON format."""
-    text = start.json
-    return bool(re.search(rb'"items"\s*:', text) and not re.search(rb'"asset"\s*:', text))
+def sniffed(start: Opened) -> Format | None:
+    """Return the format of an open file; None where it is none."""
+    known = sorted(reversed(all_formats().values()), key=lambda known: not known.marked)
+    return next((one for one in known if one.sniff(start)), None)
 
 
 def _called(name: str) -> Format:
     wanted = name.lower().removeprefix(".") if isinstance(name, str) else ""
-    for known in FORMATS:
+    for known in all_formats().values():
         if known.name == wanted or f".{wanted}" in known.suffixes:
             return known
-    raise FormatError(f"format is one of {', '.join(known.name for known in FORMATS)}, not {name!r:.40}")
+    raise FormatError(f"format is one of {', '.join(all_formats())}, not {name!r:.40}")
 
 
-def _writer(target: Source, name: str | None) -> tuple[Format, Callable[[Splats | Avatar, Source], None]]:
-    """The format that ``target`` is written in, and how."""
-    known = _by_suffixes(suffixes_of(target)) if name is None else _called(name)
-    if known.save is None:
+def _writer(scene: Content, target: Source, name: str | None) -> Format:
+    """Return the format that ``target`` is written in. Raises FormatError where it does not hold such a scene."""
+    known = _called(name) if name is not None else _of_suffix(suffixes_of(target))
+    if isinstance(scene, RiggedMesh):
+        if known.save_mesh is None:
+            those = [suffix for one in all_formats().values() if one.save_mesh for suffix in one.suffixes]
+            hint = f"a mesh is written as {_listed(those, ' or ')}; change the name"
+            raise FormatError(hint if those else "a mesh is written by glsplat.extras.rigs, which is not installed")
+    elif known.save is None:
         raise FormatError(f"{known.title} is read, not written; choose {suffixes(written=True)}")
-    return known, known.save
+    return known
 
 
-def _by_suffixes(endings: list[str]) -> Format:
+def _of_suffix(endings: list[str]) -> Format:
     for ending in endings:
-        for known in FORMATS:
+        for known in all_formats().values():
             if ending in known.suffixes:
                 return known
     found = endings[-1][:20]
     raise FormatError(f"the name needs to end in {suffixes(written=True)}, not {found!r}; or say which by format")
 
 
-def _either(names: list[str], last: str) -> str:
+def _listed(names: list[str], last: str) -> str:
     return last.join([*([", ".join(names[:-1])] if len(names) > 1 else []), *names[-1:]])

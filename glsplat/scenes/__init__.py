@@ -1,4 +1,4 @@
-"""Scenes from files: all that glsplat reads, by one door, scene files with what moves in them, and camera files."""
+"""Scene files, with what moves in them, and camera files."""
 
 import lazy_loader
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -17,11 +18,10 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import colour
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.format import A_MOTION, Opened, opened
-from glsplat.formats.registry import is_scene_file, read
+from glsplat.formats.format import Format, Opened, opened
+from glsplat.formats.registry import recognised
 from glsplat.io.files import Source
 from glsplat.light.light import Light
-from glsplat.motion.kinds import is_gltf, is_motion
 from glsplat.scene import Content, Item, Scene, SceneLike, similarity
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton
@@ -30,7 +30,7 @@ from glsplat.splats import Splats
 if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
-__all__ = ["MOST_ITEMS", "UPS", "SceneFile", "load_scene", "read_item", "read_scene", "upright"]
+__all__ = ["MOST_ITEMS", "UPS", "SceneFile", "add_formats", "load_scene", "upright"]
 
 VERSION = 1
 MOST_ITEMS = 1000
@@ -111,34 +111,29 @@ def upright(up: str) -> NDArray[np.float64]:
 
 
 def load_scene(path: Source, *, strict: bool = False) -> SceneFile:
-    """A scene file with all that it names; any other file that ``glsplat.load`` reads is a scene of one.
+    """Read a scene file with all that it names; any other file that ``glsplat.load`` reads is a scene of one.
 
     Paths in a scene file are relative to it and stay inside its folder. Raises FormatError that names the file and the
     item: a file that is not there, leads out of the folder or back to a scene file that is being read, numbers that
     are no transform, more than MOST_ITEMS items. No items are legal.
     """
     with opened(path, strict) as start:
-        return read_scene(start, strict)
-
-
-def read_scene(start: Opened, strict: bool) -> SceneFile:
-    """The same of a file that is open already."""
-    if not is_scene_file(start):
-        file = SceneFile.of(read_item(start, strict))
+        known = recognised(start)
+        if known.name == SCENE.name:
+            return _read(start)
+        content = known.read(start)
+        assert not isinstance(content, Scene)
+        file = SceneFile.of(content)
         file.sources = [(item, Path(start.name)) for item in file.scene] if start.folder is not None else []
         return file
+
+
+def _read(start: Opened) -> SceneFile:
     if start.folder is None:
         raise FormatError("a scene file names others beside it, and an open file has no folder; give its path")
-    reading = _Reading(strict)
+    reading = _Reading(start.strict)
     reading.file(start, Path(start.name), np.eye(4), "", ())
     return reading.out
-
-
-def read_item(start: Opened, strict: bool, format: str | None = None) -> Content:
-    """What an item of a scene shows. Raises FormatError for a motion, which shows nothing, and as ``formats.load``."""
-    if format is None and not is_gltf(start.head) and is_motion(start):  # of glTF its reader says so
-        raise FormatError(A_MOTION)
-    return read(start, strict, format)
 
 
 class _Reading:
@@ -179,26 +174,18 @@ class _Reading:
                     raise FormatError(f"{entry.path} is being read already: no scene file may lead to itself")
                 if file not in self._contents:
                     with opened(file, self._strict) as one:
-                        if is_scene_file(one):
-                            self._nested(one, file, entry, transform, f"{prefix}{index}.", (*trail, here))
+                        known = recognised(one)
+                        if known.name == SCENE.name:
+                            if entry.pose is not None or entry.motion is not None or not entry.visible:
+                                raise FormatError("a scene file as an item takes a place and nothing else")
+                            self.file(one, file, transform, f"{prefix}{index}.", (*trail, here))
                             continue
-                        self._contents[file] = read_item(one, self._strict)
+                        content = known.read(one)
+                        assert not isinstance(content, Scene)
+                        self._contents[file] = content
                 self._item(file, entry, transform, here.parent, f"{prefix}{index}")
             except GlsplatError as error:
                 raise FormatError(f"{where}: {error}") from None
-
-    def _nested(
-        self,
-        start: Opened,
-        file: Path,
-        entry: _Item,
-        transform: NDArray[np.float64],
-        prefix: str,
-        trail: tuple[Path, ...],
-    ) -> None:
-        if entry.pose is not None or entry.motion is not None or not entry.visible:
-            raise FormatError("a scene file as an item takes a place and nothing else")
-        self.file(start, file, transform, prefix, trail)
 
     def _item(self, file: Path, entry: _Item, transform: NDArray[np.float64], folder: Path, key: str) -> None:
         item = Item(self._contents[file], transform=transform, visible=entry.visible, name=entry.name or file.stem)
@@ -267,3 +254,16 @@ def _inside(name: str, folder: Path) -> Path:
     except (OSError, ValueError, RuntimeError):  # too long, no text, a circle of links
         raise FormatError(f"{name!r:.60} is no path of a file") from None
     return file
+
+
+def _sniff(start: Opened) -> bool:
+    """JSON with items that is not glTF."""
+    return bool(re.search(rb'"items"\s*:', start.json) and not re.search(rb'"asset"\s*:', start.json))
+
+
+SCENE = Format(name="scene", title="a scene file", suffixes=(), sniff=_sniff, load=lambda start: _read(start).scene)
+
+
+def add_formats(formats: dict[str, Format]) -> None:
+    """Add scene files to the registry."""
+    formats[SCENE.name] = SCENE

@@ -1,18 +1,15 @@
 """Whether a skeleton can be driven: by motions and poses of SMPL-X's joints, and by the tracking of a headset.
 
-All commands, the server and the solver ask here, so that one avatar is judged alike everywhere.
+All commands, the server and the solver use these functions, so that they judge an avatar alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from glsplat.errors import PoseError
-from glsplat.extras.rigs.humanoid import upright
-from glsplat.extras.rigs.match import match_rig
+from glsplat.optional import plugin
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -21,14 +18,14 @@ __all__ = ["why_not_driven", "why_not_tracked"]
 _PARALLEL = 1e-4  # largest difference of two rest frames' axes
 _FEET = [JOINT_NAMES.index(f"{side}_foot") for side in ("left", "right")]
 _EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
-_LOWEST = 0.1  # metres from the feet to the eyes
+_MIN_EYE_HEIGHT_M = 0.1  # above the feet
 
 
-@lru_cache(maxsize=16)  # asked for every pose that is read
+@lru_cache(maxsize=16)  # called for every pose that is read
 def why_not_driven(skeleton: Skeleton | None) -> str:
-    """Why no motion of SMPL-X's 55 joints moves it, with the joints that are missing, in one line; "" where they do.
+    """Return why motions of SMPL-X's 55 joints do not move a skeleton, in one line; "" where they do.
 
-    None is a thing without a skeleton.
+    The line names the joints that are missing if glsplat.extras.rigs is installed. None is a thing without a skeleton.
 
     >>> limb = glsplat.Skeleton.from_joints(["hip.L", "knee.L"], [-1, 0], [[0, 1, 0], [0, 0.5, 0]])
     >>> glsplat.skinning.driven.why_not_driven(limb)[:48]
@@ -36,39 +33,25 @@ def why_not_driven(skeleton: Skeleton | None) -> str:
     """
     if skeleton is None:
         return "it has no skeleton"
-    names = skeleton.names
-    if names == JOINT_NAMES:
+    if skeleton.names == JOINT_NAMES:
         axes = skeleton.rest[:, :3, :3]
         return "" if np.abs(axes - axes[0]).max() <= _PARALLEL else "the axes of its joints are not parallel at rest"
-    if sorted(names) == sorted(JOINT_NAMES):
+    if sorted(skeleton.names) == sorted(JOINT_NAMES):
         return "its joints are not in SMPL-X's order; glsplat avatar import puts them there"
-    try:
-        with np.errstate(all="ignore"):  # joints of 1e300 m
-            found = match_rig(names, skeleton.parents, skeleton.joints)
-            if found.missing:
-                return f"no joint for {', '.join(found.missing)} among its {len(names)} ({_some(names)})"
-            upright(found, skeleton.joints)
-    except PoseError as error:
-        return str(error)
-    other = next(f"{name} is {_plain(names[index])}" for name, index in found.joints.items() if names[index] != name)
-    return f"its joints are another rig's ({other}, ...); glsplat avatar import puts it on the 55 of SMPL-X"
+    undriven = plugin("rigs.undriven")
+    if undriven is not None:
+        return str(undriven.why_undriven(skeleton))
+    return f"its {len(skeleton)} joints are not the 55 of SMPL-X; glsplat avatar import puts a person on those"
 
 
 def why_not_tracked(skeleton: Skeleton | None) -> str:
-    """Why a headset's tracking is not solved for it, in one line; "" where it is."""
+    """Return why a headset's tracking is not solved for a skeleton, in one line; "" where it is."""
     why = why_not_driven(skeleton)
     if why or skeleton is None:
         return why
     if np.abs(skeleton.rest[:, :3, :3] - np.eye(3)).max() > _PARALLEL:
         return "its rest frames are not parallel to the world, as they are in SMPL-X's zero pose"
-    span = float(skeleton.joints[_EYES, 1].mean() - skeleton.joints[_FEET, 1].mean())
-    return "" if span > _LOWEST else f"it does not stand at rest: the eyes are {span:.2f} m above the feet"
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(_plain(name) for name in names[:4]) + (", ..." if len(names) > 4 else "")
-
-
-def _plain(name: str) -> str:
-    """Of a stranger's file: nothing that breaks the line or steers the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in name[:24])
+    height = float(skeleton.joints[_EYES, 1].mean() - skeleton.joints[_FEET, 1].mean())
+    if height <= _MIN_EYE_HEIGHT_M:
+        return f"it does not stand at rest: the eyes are {height:.2f} m above the feet"
+    return ""

@@ -85,7 +85,7 @@ MISTAKES = {
         render ../in/limb.glb --speech SPOKEN -o a.mp4 : --speech needs an avatar with shapes
     """,
     "avatar": """
-        avatar make absent.npz -o a.glb     : absent.npz: cannot read
+        avatar make absent.npz -o a.glb     : absent.npz: cannot be read
         avatar make ../in/me.npz -o a.ply   : written as .glb
         avatar make ../in/me.npz -o a.glb --steps -1 : --steps needs 0 or more
         avatar make ../in/me.npz -o a.glb --splats 3 : at least 100

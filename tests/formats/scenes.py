@@ -7,15 +7,24 @@ import json
 import struct
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from glsplat.avatar import Avatar
+from glsplat.formats import load_splats
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Level, Splats
+
+# each reads one format, whatever the content
+load_ply = partial(load_splats, format="ply")
+load_gltf = partial(load_splats, format="glb")
+load_splat = partial(load_splats, format="splat")
+load_spz = partial(load_splats, format="spz")
+load_sog = partial(load_splats, format="sog")
 
 SHARED_DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"  # may be absent
 FIELDS = ("means", "quats", "scales", "opacities", "sh")

@@ -20,11 +20,18 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.extras.formats.splat import load_splat
-from glsplat.formats import load, load_gltf, load_ply, save
+from glsplat.formats import load, save
 from glsplat.io.files import replace_file
 from glsplat.splats import Splats
-from tests.formats.scenes import assert_equal, awkward_splats, random_avatar, random_splats
+from tests.formats.scenes import (
+    assert_equal,
+    awkward_splats,
+    load_gltf,
+    load_ply,
+    load_splat,
+    random_avatar,
+    random_splats,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 SUFFIXES = (".ply", ".splat", ".glb", ".gltf")
@@ -287,7 +294,8 @@ def test_a_file_that_may_not_be_written_is_not_replaced() -> None:
     script = (
         "import os, sys, glsplat\n"
         "from tests.formats.scenes import random_splats\n"
-        "save, scene = glsplat.save, random_splats(1)\n"  # imported while it may be
+        "save, scene = glsplat.save, random_splats(1)\n"
+        "glsplat.formats.all_formats()\n"  # imported while it may be
         "if os.geteuid() == 0: os.setgid(65534); os.setuid(65534)\n"  # to root nothing is forbidden
         "try: save(scene, sys.argv[1])\n"
         "except glsplat.GlsplatError as error: print(error)\n"
@@ -414,7 +422,8 @@ def test_files_of_two_gigabytes_of_nothing_are_refused_without_reading_them(tmp_
         os.truncate(tmp_path / name, SIZE)
         assert (tmp_path / name).stat().st_blocks * 512 < 16 << 20  # a hole indeed
     script = (
-        "import resource, sys, glsplat\nfrom glsplat.extras.formats.splat import load_splat\n"
+        "import resource, sys, glsplat\n"
+        "def load_splat(source): return glsplat.load(source, format='splat')\n"
         "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10\n"
         "def taken(): return int(open('/proc/self/io').readline().split()[1]) >> 20\n"  # by read(2)
         "before = peak()\n"

@@ -19,9 +19,7 @@ from hypothesis import strategies as st
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.formats.splat import load_splat
-from glsplat.extras.formats.spz import load_spz
-from glsplat.formats import load, load_gltf, load_ply, save
+from glsplat.formats import load, save
 from glsplat.splats import Splats
 from tests.extras.formats.ksplats import ksplat
 from tests.formats.scenes import (
@@ -29,6 +27,10 @@ from tests.formats.scenes import (
     avatar_with_levels,
     awkward_splats,
     glb_parts,
+    load_gltf,
+    load_ply,
+    load_splat,
+    load_spz,
     random_avatar,
     random_splats,
     splats_with_levels,

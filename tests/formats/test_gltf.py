@@ -13,7 +13,7 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load_gltf, save_gltf
+from glsplat.formats.gltf.splats import save_gltf
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
@@ -22,6 +22,7 @@ from tests.formats.scenes import (
     awkward_splats,
     edit_glb,
     glb_parts,
+    load_gltf,
     random_avatar,
     random_splats,
     write_glb,

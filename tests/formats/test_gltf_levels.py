@@ -13,7 +13,7 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load, load_gltf, save
+from glsplat.formats import load, save
 from glsplat.formats.gltf.levels import MOST_LEVELS
 from glsplat.formats.transform import transformed
 from glsplat.splats import Level, Splats
@@ -22,6 +22,7 @@ from tests.formats.scenes import (
     avatar_with_levels,
     edit_glb,
     glb_parts,
+    load_gltf,
     random_splats,
     splats_with_levels,
 )

@@ -12,12 +12,12 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.bound import bound_of
-from glsplat.formats import load_gltf, save_gltf
 from glsplat.formats.gltf.container import parse
 from glsplat.formats.gltf.nodes import graph_of
+from glsplat.formats.gltf.splats import save_gltf
 from glsplat.reference import evaluate_sh, quaternion_matrices
 from glsplat.splats import SH_C0, Splats
-from tests.formats.scenes import assert_equal, awkward_splats, edit_glb, glb_parts, random_splats, write_glb
+from tests.formats.scenes import assert_equal, awkward_splats, edit_glb, glb_parts, load_gltf, random_splats, write_glb
 
 KHR = "KHR_gaussian_splatting"
 

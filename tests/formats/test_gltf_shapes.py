@@ -14,8 +14,9 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats import load, save, save_gltf
+from glsplat.formats import load, save
 from glsplat.formats.gltf.morphs import SHORT, shape_names
+from glsplat.formats.gltf.splats import save_gltf
 from glsplat.light.surface import Surface
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level, normalised

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.formats import load_ply, save_ply
-from glsplat.formats.ply import read_ply
+from glsplat.formats.ply import read_ply, save_ply
 from glsplat.splats import Splats
-from tests.formats.scenes import FIELDS, awkward_splats, random_splats
+from tests.formats.scenes import FIELDS, awkward_splats, load_ply, random_splats
 from tests.formats.test_contract import refused
 from tests.golden.stored import DATA
 

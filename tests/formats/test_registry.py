@@ -13,8 +13,7 @@ import pytest
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.extras.formats.fidelity import fidelity, read_back
-from glsplat.formats import Format, load, losses, recognise, save, suffixes
-from glsplat.formats import registry as formats
+from glsplat.formats import Format, all_formats, load, losses, recognise, save, suffixes
 from glsplat.formats.format import Opened
 from glsplat.io.files import Source, replace_file
 from glsplat.skinning.skeleton import Skeleton
@@ -50,7 +49,7 @@ TOY = Format(
 
 @pytest.fixture
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS, TOY])
+    monkeypatch.setitem(all_formats(), TOY.name, TOY)
 
 
 @pytest.mark.usefixtures("registered")
@@ -75,7 +74,7 @@ def test_a_new_format_is_saved_recognised_and_loaded(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("registered")
 def test_the_longest_suffix_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS[:-1], replace(TOY, suffixes=(".toy", ".toy.ply"))])
+    monkeypatch.setitem(all_formats(), TOY.name, replace(TOY, suffixes=(".toy", ".toy.ply")))
     for name, expected in {
         "a.ply": "ply", "a.toy.ply": "toy", "a.TOY.Ply": "toy", "v1.2.toy.ply": "toy", "a.toy.b.ply": "ply",
         ".toy.ply": "ply", "toy.ply": "ply",
@@ -182,7 +181,7 @@ def test_order_and_missing_splats() -> None:
         fidelity(splats, splats.take(order))
 
 
-@pytest.mark.parametrize("suffix", [known.suffixes[0] for known in formats.FORMATS if known.save])
+@pytest.mark.parametrize("suffix", [known.suffixes[0] for known in all_formats().values() if known.save])
 def test_every_format_says_in_which_order_it_writes(tmp_path: Path, suffix: str) -> None:
     """A format that puts splats into another order, or leaves some out, has ``order``: else figures mean nothing."""
     base = random_splats(300, 1)

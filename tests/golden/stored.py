@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.formats import load_ply
 from glsplat.scenes.camera_file import load_cameras
 from glsplat.splats import Splats
+from tests.formats.scenes import load_ply
 
 DATA = Path(__file__).parent / "data"
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from glsplat import reference
 from glsplat.camera import Camera, sorting_camera
-from glsplat.formats import load_ply
 from glsplat.renderer import Renderer
 from glsplat.scenes.camera_file import load_cameras
 from glsplat.splats import Splats
 from tests.compare import Difference, assert_contract
+from tests.formats.scenes import load_ply
 from tests.golden.stored import CUDA, DATA, HARD, INDEPENDENT, NAMES, cameras_of, image_of, splats_of
 
 pytestmark = pytest.mark.gl

@@ -188,7 +188,7 @@ def test_wrong_folder_and_names(tmp_path, skeleton):
     (tmp_path / "00001.json").write_text("{")
     with pytest.raises(PoseError, match=r"00001\.json"):
         load_motion(tmp_path, skeleton)
-    refused(tmp_path / "absent.bvh", skeleton, "cannot read")
+    refused(tmp_path / "absent.bvh", skeleton, "cannot be read")
     refused("no-such-motion", skeleton, "idle", "walk")
 
 

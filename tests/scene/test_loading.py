@@ -10,10 +10,10 @@ import trimesh
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.formats import load_splats, save
+from glsplat.formats import load, load_splats, save
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Item, Scene, similarity
-from glsplat.scenes import load, load_scene
+from glsplat.scenes import load_scene
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.views import viewing_point
 from tests.scenes import cloud

@@ -6,6 +6,7 @@ import io
 import json
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load, save
+from glsplat.formats import all_formats, load_content, recognise, save
 from glsplat.formats.format import Opened, opened
-from glsplat.formats.registry import is_scene_file
+from glsplat.formats.registry import recognised
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.scene import similarity
-from glsplat.scenes import load_scene, scene_file
+from glsplat.scenes import load_scene
 from glsplat.scenes.scene_file import MOST_ITEMS, upright
 from tests.extras.motions.clips import glb, turned
 from tests.scenes import cloud, limb
@@ -105,11 +106,11 @@ def test_one_animation_of_a_file(scene: Writer) -> None:
 def test_many_items_of_one_file_read_it_once(scene: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
 
-    def count(start: Opened, strict: bool) -> Any:
+    def count(start: Opened) -> Any:
         read.append(start.name)
         return cloud(3)
 
-    monkeypatch.setattr(scene_file, "read_item", count)
+    monkeypatch.setitem(all_formats(), "ply", replace(all_formats()["ply"], load=count))
     file = scene(*[{"path": "cloud.ply", "translation": [i, 0, 0]} for i in range(MOST_ITEMS)])
     assert len(load_scene(file).scene) == MOST_ITEMS and len(read) == 1
     with pytest.raises(FormatError, match=f"at most {MOST_ITEMS} items"):
@@ -191,6 +192,7 @@ def test_what_is_a_scene_file(scene: Writer) -> None:
         (False, b'{"asset": {"version": "2.0"}, "items": []}'),
     ):
         with opened(io.BytesIO(text)) as start:
-            assert is_scene_file(start) is whole
-    with pytest.raises(FormatError, match="this is a scene file"):
-        load(scene())
+            assert (recognised(start).name == "scene") is whole
+    assert recognise(scene()) == "scene"
+    with pytest.raises(FormatError, match="found a scene file"):
+        load_content(scene())

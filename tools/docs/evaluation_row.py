@@ -22,8 +22,8 @@ from glsplat.extras.evaluate.comparison.participant import participants_in
 from glsplat.extras.evaluate.comparison.performance import perform
 from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.comparison.stage import Stage
+from glsplat.formats import load
 from glsplat.scene import is_rigged
-from glsplat.scenes import load
 
 ROOT = Path(__file__).resolve().parents[2]
 METHODS = {"photo": "photo (splats)", "mesh-image": "mesh-image", "mesh-video": "mesh-video", "scan": "scan (splats)"}

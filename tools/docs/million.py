@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import glsplat
-from glsplat.formats import FORMATS, save
+from glsplat.formats import all_formats, save
 from glsplat.splats import Splats
 
 COUNT = 1_000_000
@@ -57,7 +57,7 @@ def main(degree: int) -> None:
     """Print a line a format."""
     splats = scene(degree)
     with tempfile.TemporaryDirectory() as folder:
-        for form in FORMATS:
+        for form in all_formats().values():
             if form.save is None:
                 continue
             path = Path(folder) / f"million{form.suffixes[0]}"

@@ -20,9 +20,9 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.extras.watermark.detect import WINDOW, detect
 from glsplat.extras.watermark.mark import Watermark, marked
+from glsplat.formats import load
 from glsplat.motion.loading import load_motion
 from glsplat.renderer import Renderer
-from glsplat.scenes import load
 from tests.extras.watermark.attacks import ATTACKS
 
 KEY = b"a key of measurements"

@@ -12,13 +12,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container, Mesh, item, parse
 from glsplat.formats.gltf.morphs import read_morphs, shape_names
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of
 from glsplat.formats.gltf.rig import read_skeleton, read_skin
-from glsplat.formats.ply import load_ply
+from glsplat.formats.registry import load_splats
 from glsplat.io.files import naming
 from glsplat.meshes import Morphs
 from glsplat.skinning.expression import MOST_NAMES
@@ -130,7 +130,7 @@ class _Mesh:
 
 
 def _head(folder: Path, source: Path, influences: int, follow: Follow) -> LamHead:
-    splats, mesh = load_ply(folder / "offset.ply"), _mesh(folder / "skin.glb", source)
+    splats, mesh = splats_of(load_splats(folder / "offset.ply", format="ply")), _mesh(folder / "skin.glb", source)
     count, names = len(splats), mesh.skeleton.names
     if len(mesh.vertices) != count:
         raise FormatError(

@@ -70,7 +70,7 @@ class Fidelity:
 def read_back(scene: Splats | Avatar, path: Source) -> Fidelity:
     """What the file at ``path``, which ``scene`` was saved in, holds of its splats. Raises FormatError."""
     name = registry.recognise(path)
-    order = next(known.order for known in registry.FORMATS if known.name == name)
+    order = registry.all_formats()[name].order
     saved = splats_of(scene)
     return fidelity(saved, splats_of(registry.load_splats(path, format=name)), None if order is None else order(saved))
 

@@ -147,4 +147,4 @@ def _sniff(start: Opened) -> bool:
     return start.named(*OBJ.suffixes) or (start.text and _BEGINS.match(start.head) is not None)
 
 
-OBJ = Format(name="obj", title="OBJ", suffixes=(".obj",), sniff=_sniff, load=_read)
+OBJ = Format(name="obj", title="OBJ", suffixes=(".obj",), sniff=_sniff, load=_read, marked=False)

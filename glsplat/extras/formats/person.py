@@ -17,7 +17,7 @@ from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.expression import MOST_NAMES
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["PERSON", "read_body", "read_person", "read_skeleton"]
+__all__ = ["PERSON", "person_in", "read_body", "read_person", "read_skeleton"]
 
 _JOINTS = ("joint_names", "parents", "joints")
 _NEEDED = ("vertices", "joints", "parents", "joint_names", "skin_indices", "skin_weights", "part_names")
@@ -34,10 +34,11 @@ def read_person(path: str | Path) -> RiggedMesh:
     uv_i (T, 2) with v up, texture_i (bytes of a JPEG or PNG). Raises FormatError naming the file and the key.
     """
     with opened(path) as start:
-        return _read_person(start)
+        return person_in(start)
 
 
-def _read_person(start: Opened) -> RiggedMesh:
+def person_in(start: Opened) -> RiggedMesh:
+    """Read an open person archive, as ``read_person`` does."""
     data = read_arrays(start.file, "a person")
     with _refused():
         return _person(data, start.name)
@@ -140,7 +141,7 @@ def _arrays(start: Opened) -> set[str]:
 def _load(start: Opened) -> RiggedMesh:
     body = "v_template" in _arrays(start)
     start.file.seek(0)
-    return _body(start) if body else _read_person(start)
+    return _body(start) if body else person_in(start)
 
 
-PERSON = Format(name="npz", title="a person or body (.npz)", suffixes=(".npz",), sniff=_sniff, load=_load)
+PERSON = Format(name="npz", title="a person or body (.npz)", suffixes=(".npz",), sniff=_sniff, load=_load, marked=False)

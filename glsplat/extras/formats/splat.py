@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.format import Format, Opened, checked, clamped_opacities, hidden, opened, positive_scales
+from glsplat.formats.format import Format, Opened, clamped_opacities, hidden, positive_scales
 from glsplat.io.files import Source, replace_file, sampled
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = ["SPLAT", "load_splat", "looks_like_splat", "read_splat", "save_splat"]
+__all__ = ["SPLAT", "looks_like_splat", "read_splat", "save_splat"]
 
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _CHUNK = 1 << 16  # splats written at a time
@@ -24,17 +24,8 @@ _HALF = 0.5 / 255  # of a step of colours
 _PLAUSIBLE = 0.9  # of the splats; a capture may hold a few broken ones
 
 
-def load_splat(source: Source, *, strict: bool = False) -> Splats:
-    """Read a .splat file. Non-finite values are kept, or with ``strict`` refused.
-
-    Raises FormatError when the size is no multiple of 32 bytes. An empty file holds no splats.
-    """
-    with opened(source) as start:
-        return checked(read_splat(start.file, start.size), start.name, strict)
-
-
 def read_splat(file: BinaryIO, size: int) -> Splats:
-    """The splats of an open file of ``size`` bytes."""
+    """Read an open file of ``size`` bytes; non-finite values are kept. Raises FormatError where 32 do not divide it."""
     if size % _RECORD.itemsize:
         raise FormatError(f"a .splat file has 32 bytes a splat, but this one has {size} bytes (truncated?)")
     if _holes(np.frombuffer(sampled(file, 0, size), _RECORD)) > 1 - _PLAUSIBLE:

@@ -22,12 +22,12 @@ import numpy as np
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.extras.formats.spz_packing import HALF_TURN, Bytes, SpzHeader, lost, packed, position_bits, unpacked
-from glsplat.formats.format import Format, Opened, checked, clamped_opacities, opened
+from glsplat.formats.format import Format, Opened, clamped_opacities
 from glsplat.formats.transform import transformed
 from glsplat.io.files import Source, replace_file
 from glsplat.splats import Splats
 
-__all__ = ["SPZ", "load_spz", "read_spz", "save_spz", "spz_splats"]
+__all__ = ["SPZ", "read_spz", "save_spz", "spz_splats"]
 
 _MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
 _HEADER = struct.Struct("<4sIIBBBB")
@@ -45,19 +45,13 @@ _WRITTEN = 3  # version
 log: logging.Logger = logging.getLogger("glsplat.formats")
 
 
-def load_spz(source: Source, *, strict: bool = False) -> Splats:
-    """Read an .spz file of version 1 to 4, in the axes that a 3DGS PLY of the same scene has (y down, as it is).
-
-    Spherical harmonics of degree 4 are cut to degree 3, which is logged. Non-finite values, which only version 1 can
-    hold, are kept, or with ``strict`` refused. Raises FormatError: no SPZ, truncated, a count that the file cannot
-    hold, a broken stream, or a level-of-detail tree, whose splats are not meant to be drawn at once.
-    """
-    with opened(source) as start:
-        return checked(read_spz(start.file, start.size), start.name, strict)
-
-
 def read_spz(file: BinaryIO, size: int, *, turn: bool = True) -> Splats:
-    """The splats of an open file of ``size`` bytes; without ``turn`` with y up and z back, as SPZ stores them.
+    """Read an open file of ``size`` bytes, in the axes that a 3DGS PLY of the same scene has (y down, as it is).
+
+    Without ``turn`` y is up and z back, as SPZ stores them. Spherical harmonics of degree 4 are cut to degree 3, which
+    is logged. Non-finite values, which only version 1 can hold, are kept. Raises FormatError: no SPZ, truncated, a
+    count that the file cannot hold, a broken stream, or a level-of-detail tree, whose splats are not meant to be drawn
+    at once.
 
     Nothing is allocated for what the file does not hold, and no more is unpacked than the header's count needs.
     """

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
 from glsplat.extras.formats.npz import read_arrays
-from glsplat.extras.motions.placed import grounded, turned
 from glsplat.motion.motion import Motion
+from glsplat.motion.placed import grounded, turned
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
@@ -27,13 +27,12 @@ _AMASS_KEYS = (
 )
 
 
-def read_amass(path: Path, skeleton: Skeleton, forward: bool) -> Motion:
-    """The motion of a file, y up, from above the origin on; ``forward`` turns it to face +z. Raises PoseError."""
+def read_amass(file: BinaryIO, skeleton: Skeleton, forward: bool) -> Motion:
+    """Read an open archive: y up, from above the origin on; ``forward`` turns it to face +z. Raises PoseError."""
     if why := why_not_driven(skeleton):
         raise PoseError(f"AMASS cannot drive this avatar: {why}")
     try:
-        with open(path, "rb") as file:
-            found = read_arrays(file, "an AMASS motion", (), optional=_AMASS_KEYS, error=PoseError)
+        found = read_arrays(file, "an AMASS motion", (), optional=_AMASS_KEYS, error=PoseError)
         data = {key: np.asarray(array, np.float64) for key, array in found.items()}
     except (TypeError, ValueError) as error:
         raise PoseError(f"an AMASS motion is an .npz of numbers, but {error}") from None

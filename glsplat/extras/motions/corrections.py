@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.motion.motion import Motion
+from glsplat.motion.placed import grounded, turned
 from glsplat.rotations import rotation_between, rotation_matrices
+from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["HELP", "Corrections", "split_corrections"]
 
@@ -42,6 +45,24 @@ class Corrections:
     def about(self) -> F64:
         """[3, 3] the turn of the body about the vertical."""
         return np.asarray(rotation_matrices([0.0, np.radians(self.turn), 0.0]))
+
+    def applied(self, motion: Motion, skeleton: Skeleton, *, ground: bool = False) -> Motion:
+        """Return the corrected motion; ``ground`` puts its feet on the floor even if ``floor`` is not set.
+
+        Raises PoseError for ``swapped``, which only skeletons of other makers need.
+        """
+        if self.swapped:
+            raise PoseError("sides=swapped is for skeletons of other makers, not for poses by SMPL-X's joints")
+        rotations, trans = motion.rotations, motion.trans
+        if self.up != "y":
+            rotations, trans = turned(rotations, trans, self.world, skeleton)
+        if self.turn:
+            rotations, _ = turned(rotations, trans, self.about, skeleton)
+        trans = trans * self.scale
+        if ground or self.floor or self.up != "y":  # along another axis the height of the floor is not known
+            trans = grounded(rotations, trans, skeleton)
+        known_up = motion.known_up or self.up != "y"
+        return replace(motion, rotations=rotations, trans=trans, fps=self.fps or motion.fps, known_up=known_up)
 
 
 def split_corrections(choice: str | None) -> tuple[str | None, Corrections]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.motions.fitted import leg_length
+from glsplat.motion.fitted import leg_length
 from glsplat.motion.motion import Motion
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.driven import why_not_driven

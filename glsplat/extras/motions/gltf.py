@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.motions.animation import Animation, Tracks, animations_of, names_of, tracks_of
 from glsplat.extras.motions.clip import Clip, check_size
-from glsplat.extras.rigs.bound import bound_of, joint_names
+from glsplat.extras.rigs.bound import bound_of, names_of_joints
 from glsplat.extras.rigs.vrm import human_bones
+from glsplat.formats.format import Opened
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, graph_of, instances
-from glsplat.io.files import open_regular
 from glsplat.rotations import nearest_rotations
 
 __all__ = ["read_animation"]
@@ -26,23 +24,22 @@ _MOST_NODES = 1 << 12
 _BLOCK = 1 << 16  # joints times frames at a time
 
 
-def read_animation(path: Path, choice: str | None = None) -> Clip:
+def read_animation(start: Opened, choice: str | None = None) -> Clip:
     """One animation of a .glb, .gltf, .vrm or .vrma; ``choice`` is its name or number, None the first.
 
     Its frames are as far apart as its keys where those are 15 to 120 a second, else 30 a second. The rest pose is that
     in which the skin was bound; without a skin, that of the nodes. Raises FormatError or PoseError.
     """
-    with open_regular(path) as (file, size):
-        container = read_container(file, size, path.parent)
-        animations = animations_of(container)
-        if not animations:
-            raise PoseError("a motion in glTF is an animation, and this file has none")
-        graph = graph_of(container.gltf)
-        with np.errstate(all="ignore"):  # a matrix that overflows is refused below
-            try:
-                return _clip(container, graph, animations, choice)
-            except np.linalg.LinAlgError:
-                raise FormatError("a joint of the animation has no size") from None
+    container = read_container(start.file, start.size, start.folder)
+    animations = animations_of(container)
+    if not animations:
+        raise PoseError("a motion in glTF is an animation, and this file has none")
+    graph = graph_of(container.gltf)
+    with np.errstate(all="ignore"):  # a matrix that overflows is refused below
+        try:
+            return _clip(container, graph, animations, choice)
+        except np.linalg.LinAlgError:
+            raise FormatError("a joint of the animation has no size") from None
 
 
 def _chosen(animations: list[Animation], choice: str | None) -> int:
@@ -68,7 +65,7 @@ def _clip(container: Container, graph: Graph, animations: list[Animation], choic
     number = _chosen(animations, choice)
     skins = _skins(container, graph)
     bones = human_bones(container.gltf)
-    names = joint_names(container, skins, dict(bones))
+    names = names_of_joints(container, skins, dict(bones))
     joints = [node for node, name in enumerate(names) if name or node in bones.values()]
     if len(joints) > _MOST_NODES:
         raise PoseError(f"a rig has at most {_MOST_NODES} joints here, not {len(joints)}")

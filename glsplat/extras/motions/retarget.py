@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
 from glsplat.extras.motions.clip import Clip
-from glsplat.extras.motions.fitted import leg_length
 from glsplat.extras.motions.standing import flat_soles, standing
 from glsplat.extras.rigs.humanoid import t_pose_turns
 from glsplat.extras.rigs.match import RigMap, match_rig
 from glsplat.extras.rigs.words import word_of
+from glsplat.motion.fitted import leg_length
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton

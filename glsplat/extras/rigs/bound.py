@@ -8,28 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Container, item
+from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
+from glsplat.formats.gltf.rig import inverse_binds
 
-__all__ = ["Bound", "bound_of", "inverse_binds", "joint_names"]
+__all__ = ["Bound", "bound_of", "names_of_joints"]
 
 F64 = NDArray[np.float64]
-
-
-def inverse_binds(container: Container, skin: int) -> F64:
-    """[J, 4, 4] inverse bind matrices of a skin; identities where the file has none (glTF 2.0, 5.28)."""
-    joints, accessor = (found := item(container.gltf.skins, skin, "skin")).joints, found.inverse_bind_matrices
-    if not joints or len(set(joints)) != len(joints):
-        raise FormatError(f"a skin needs distinct joint nodes, found {len(set(joints))} distinct among {len(joints)}")
-    for node in joints:
-        item(container.gltf.nodes, node, "joint node")
-    if accessor is None:
-        return np.tile(np.eye(4), (len(joints), 1, 1))
-    matrices = container.numbers(accessor, "inverseBindMatrices", ("MAT4",))
-    if len(matrices) < len(joints):
-        raise FormatError(f"a skin of {len(joints)} joints has only {len(matrices)} inverse bind matrices")
-    return matrices[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +61,8 @@ def _usual(placed: F64) -> F64:
     return some[int(apart.argmin())].reshape(4, 4)
 
 
-def joint_names(container: Container, skins: Sequence[int], given: Mapping[str, int | None]) -> list[str]:
-    """Names of the nodes that may be joints; "" for all others: a mesh called "Head" is none."""
+def names_of_joints(container: Container, skins: Sequence[int], given: Mapping[str, int | None]) -> list[str]:
+    """Return the names of all nodes, "" for those that cannot be joints: a mesh called "Head" is none."""
     gltf = container.gltf
     may = {node for skin in skins for node in gltf.skins[skin].joints} | {
         node for node in given.values() if node is not None

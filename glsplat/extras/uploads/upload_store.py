@@ -11,7 +11,7 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats import load
+from glsplat.formats import load_content
 from glsplat.io.files import replace_file
 
 __all__ = ["SUFFIX", "NoRoomError", "UploadStore"]
@@ -50,7 +50,7 @@ class UploadStore:
             try:
                 if not (path.stem.isprintable() and path.stem.strip() == path.stem and len(path.stem) <= _LONGEST):
                     raise FormatError(f"{path}: its name cannot stand in an address")
-                found[path.stem] = _avatar(load(path), str(path))
+                found[path.stem] = _avatar(load_content(path), str(path))
             except GlsplatError as error:
                 log.warning("left out: %s", error)
         return found
@@ -78,7 +78,7 @@ class UploadStore:
 
         Raises NoRoomError, or GlsplatError for what is no avatar and where the disk refuses.
         """
-        avatar = _avatar(load(io.BytesIO(data), format="glb"), "what was made")
+        avatar = _avatar(load_content(io.BytesIO(data), format="glb"), "what was made")
         self.check(len(data))
         try:
             replace_file(self._path(name), [data], private=True)

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.formats.meshopt import unpacked
 from glsplat.formats.gltf.schema import (
     Accessor,
     Asset,
@@ -39,6 +38,7 @@ from glsplat.formats.gltf.schema import (
     Sparse,
 )
 from glsplat.io.files import left_out, open_regular, sampled
+from glsplat.optional import missing, plugin
 
 __all__ = [
     "Accessor",
@@ -188,6 +188,9 @@ class Container:
         if packed is None:
             return self._buffer(view.buffer), view.byte_offset
         if index not in self._unpacked:
+            meshopt = plugin("formats.meshopt")
+            if meshopt is None:
+                raise FormatError(missing("formats", f"{what}, which is packed by meshopt,"))
             try:
                 how = msgspec.convert(packed, Packed)
             except msgspec.ValidationError as error:
@@ -197,7 +200,9 @@ class Container:
                     f"{what}: a bufferView of {view.byte_length} bytes does not hold what is packed in it"
                 )
             data = self._take(how.buffer, how.byte_offset, how.byte_length, what)
-            self._unpacked[index] = Blob.of(unpacked(data, how.mode, how.count, how.byte_stride, how.filter, what))
+            self._unpacked[index] = Blob.of(
+                meshopt.unpacked(data, how.mode, how.count, how.byte_stride, how.filter, what)
+            )
         return self._unpacked[index], 0
 
     def view(self, index: int, what: str) -> bytes:

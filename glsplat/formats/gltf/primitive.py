@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
-from glsplat.extras.formats.spz import spz_splats
 from glsplat.formats.gltf.container import Container, Primitive
 from glsplat.formats.gltf.fallback import write_fallback
 from glsplat.formats.gltf.output import Output
 from glsplat.light.surface import SHADE_ONE, Surface
+from glsplat.optional import missing, plugin
 from glsplat.splats import SH_C0, Splats, normalised
 
 __all__ = [
@@ -224,7 +224,10 @@ def _packed_splats(container: Container, primitive: Primitive, index: int, name:
 
     Raises FormatError where the counts differ.
     """
-    splats = spz_splats(container.view(index, f"{name} {SPZ_EXTENSION}"))
+    spz = plugin("formats.spz")
+    if spz is None:
+        raise FormatError(missing("formats", f"{name}, which is packed as SPZ,"))
+    splats: Splats = spz.spz_splats(container.view(index, f"{name} {SPZ_EXTENSION}"))
     position, accessors = primitive.attributes.get("POSITION"), container.gltf.accessors
     if position is not None and position < len(accessors) and accessors[position].count != len(splats):
         raise FormatError(f"{name}: POSITION has {accessors[position].count} elements, its SPZ data {len(splats)}")

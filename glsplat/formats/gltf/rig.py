@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,8 +18,12 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 
 __all__ = [
+    "MAX_JOINTS",
     "SKIN_WEIGHTS",
     "Influences",
+    "inverse_binds",
+    "joint_names",
+    "joint_parents",
     "read_influences",
     "read_skeleton",
     "read_skin",
@@ -29,6 +34,9 @@ __all__ = [
 
 SKIN_WEIGHTS = "skin_weights"
 """In our extras: what Skin.lost and Skin.repaired were."""
+
+MAX_JOINTS = 1 << 16
+"""Of a skin: their indices have 16 bits."""
 
 _DROPPED, _ROOTED = "skin weights (left out)", "vertices without weights (now on the root joint)"
 
@@ -84,33 +92,44 @@ def write_skeleton(out: Output, skeleton: Skeleton) -> None:
 
 
 def read_skeleton(container: Container, instance: Instance, graph: Graph) -> Skeleton:
-    """The joints of the node's skin: rest frames are the global node transforms, identity where no inverse bind
-    matrices are given (glTF 2.0, 3.7.3). Raises FormatError when they are no usable rig."""
-    gltf = container.gltf
-    skin = item(gltf.skins, instance.node.skin or 0, "skin")
-    nodes = skin.joints
-    for node in nodes:
-        item(gltf.nodes, node, "joint node")
-    if len(nodes) > 1 << 16:
-        raise FormatError(f"a skin needs at most 65536 joints, found {len(nodes)}")
-    if not nodes or len(set(nodes)) != len(nodes):
-        raise FormatError(f"a skin needs distinct joint nodes, found {len(set(nodes))} distinct among {len(nodes)}")
-    inverse = np.tile(np.eye(4), (len(nodes), 1, 1))
-    if skin.inverse_bind_matrices is not None:
-        matrices = container.numbers(skin.inverse_bind_matrices, "inverseBindMatrices", ("MAT4",))
-        if len(matrices) < len(nodes):
-            raise FormatError(f"a skin of {len(nodes)} joints has only {len(matrices)} inverse bind matrices")
-        with np.errstate(invalid="ignore"):  # a NaN that signals
-            inverse = matrices[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+    """Read the joints of a node's skin: rest frames are the global node transforms, at the skin's inverse binds.
+
+    Raises FormatError when they are no usable rig.
+    """
+    gltf, skin = container.gltf, instance.node.skin or 0
+    inverse = inverse_binds(container, skin)
+    nodes = gltf.skins[skin].joints
     try:
         with np.errstate(all="ignore"):
-            return Skeleton(_names(gltf, nodes), _joint_parents(nodes, graph), graph.world[nodes], inverse)
+            return Skeleton(joint_names(gltf, nodes), joint_parents(nodes, graph), graph.world[nodes], inverse)
     except PoseError as error:
         raise FormatError(f"the skin is not a usable rig: {error}") from None
 
 
-def _names(gltf: Gltf, nodes: list[int]) -> tuple[str, ...]:
-    """Names of the joint nodes; glTF allows them to be absent or equal, a skeleton does not."""
+def inverse_binds(container: Container, skin: int) -> NDArray[np.float64]:
+    """Read the inverse bind matrices [J, 4, 4] of a skin; identities where it has none (glTF 2.0, 5.28).
+
+    Raises FormatError where its joints are not distinct nodes of the file, or there are fewer matrices.
+    """
+    found = item(container.gltf.skins, skin, "skin")
+    nodes, count = found.joints, len(found.joints)
+    for node in nodes:
+        item(container.gltf.nodes, node, "joint node")
+    if count > MAX_JOINTS:
+        raise FormatError(f"a skin needs at most {MAX_JOINTS} joints, found {count}")
+    if not nodes or len(set(nodes)) != count:
+        raise FormatError(f"a skin needs distinct joint nodes, found {len(set(nodes))} distinct among {count}")
+    if found.inverse_bind_matrices is None:
+        return np.tile(np.eye(4), (count, 1, 1))
+    matrices = container.numbers(found.inverse_bind_matrices, "inverseBindMatrices", ("MAT4",))
+    if len(matrices) < count:
+        raise FormatError(f"a skin of {count} joints has only {len(matrices)} inverse bind matrices")
+    with np.errstate(invalid="ignore"):  # casting a signalling NaN warns
+        return matrices[:count].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+
+
+def joint_names(gltf: Gltf, nodes: Sequence[int]) -> tuple[str, ...]:
+    """Return the names of joint nodes; those that glTF lets be absent or equal are numbered."""
     names: dict[str, None] = {}
     for j, node in enumerate(nodes):
         name = gltf.nodes[node].name or f"joint_{j}"
@@ -118,10 +137,10 @@ def _names(gltf: Gltf, nodes: list[int]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _joint_parents(nodes: list[int], graph: Graph) -> NDArray[np.int32]:
-    """Index of the nearest ancestor that is a joint, -1 without one."""
+def joint_parents(nodes: Sequence[int], graph: Graph) -> NDArray[np.int32]:
+    """Return for each joint node the index of its nearest ancestor among them, -1 without one."""
     joint = {node: j for j, node in enumerate(nodes)}
-    nearest = {-1: -1}  # node -> itself or its nearest ancestor that is a joint
+    nearest = {-1: -1}  # node -> index of itself or of its nearest ancestor that is a joint
     for node in graph.order:
         nearest[node] = joint.get(node, nearest[int(graph.parents[node])])
     return np.array([nearest[int(graph.parents[node])] for node in nodes], np.int32)

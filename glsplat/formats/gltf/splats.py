@@ -7,7 +7,7 @@ the zero pose.
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.format import Format, Opened, checked, opened
+from glsplat.formats.format import Format, Opened
 from glsplat.formats.gltf.container import Container, Gltf, Mesh, Node, Scene, read_container
 from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
@@ -43,11 +43,10 @@ from glsplat.formats.gltf.rig import (
 from glsplat.formats.transform import transformed
 from glsplat.io.files import Source
 from glsplat.light.surface import Surface
-from glsplat.meshes import RiggedMesh
-from glsplat.scene import Content
+from glsplat.optional import plugin
 from glsplat.splats import Splats
 
-__all__ = ["EXTENSION", "GLB", "GLTF", "load_gltf", "read_gltf", "save_gltf"]
+__all__ = ["EXTENSION", "GLB", "GLTF", "add_formats", "has_splats", "read_gltf", "save_gltf", "splats_in"]
 
 _VERSION = 1  # of asset.extras.glsplat
 # POSITION may be stored as integers by KHR_mesh_quantization, a material means nothing to splats, levels of detail are
@@ -56,40 +55,23 @@ _KNOWN = {EXTENSION, SPZ_EXTENSION, QUANTIZATION, "KHR_materials_unlit", "MSFT_l
 _INSTANCES = 64  # times the splats stored, that nodes may show them: a small file must not become a huge scene
 
 
-def load_gltf(source: Source, *, strict: bool = False) -> Splats | Avatar:
-    """Read a .glb or .gltf: an Avatar where the splats have a skin, else all splats of the scene in world space.
+def read_gltf(start: Opened) -> Splats | Avatar:
+    """Read an open .glb or .gltf: an Avatar where the splats have a skin, else all splats of the scene in world space.
 
     Node transforms are applied, including the rotation of spherical harmonics (transform.py); a skinned primitive
     ignores its node's transform, as glTF says. ``Avatar.skeleton.rest`` holds the joints' global node transforms,
     ``inverse_bind`` the skin's matrices. Scales of the review draft of 2025, which were logarithms under today's
-    names, are recognised by being mostly negative. Non-finite values are kept, or with ``strict`` refused. Non-finite
-    skin weights, and levels of detail that cannot be used, are left out, which is logged, or with ``strict`` refused.
+    names, are recognised by being mostly negative. Non-finite values are kept. Non-finite skin weights, and levels of
+    detail that cannot be used, are left out, which is logged, or where ``start`` is strict refused.
 
     Raises FormatError: no glTF, no splats in it, an attribute missing, truncated or of another kind, a colour space
     other than display sRGB, splats compressed by anything but SPZ, or an external buffer outside the file's own folder.
     """
-    with opened(source, strict) as start:
-        container = read_container(start.file, start.size, start.folder)
-        scene = _scene(container)
-        container.tell()
-        checked(splats_of(scene), start.name, strict)
-        return scene
+    return splats_in(read_container(start.file, start.size, start.folder))
 
 
-def read_gltf(start: Opened) -> Content:
-    """What an open file shows: its splats, or where it has none its triangles (meshes/reader.py)."""
-    container = read_container(start.file, start.size, start.folder)
-    if not _has_splats(container.gltf):
-        from glsplat.extras.rigs.meshes.reader import mesh_of  # here: images need OpenCV
-
-        return mesh_of(container, Path(start.name).name)
-    scene = _scene(container)
-    container.tell()
-    return scene
-
-
-def _has_splats(gltf: Gltf) -> bool:
-    """Whether the file says so, also where none of its meshes has any."""
+def has_splats(gltf: Gltf) -> bool:
+    """Return whether the file names the extension, even if none of its meshes uses it."""
     named = (gltf.extensions_used, gltf.extensions_required)
     return any(EXTENSION in names for names in (*named, *(p.extensions for m in gltf.meshes for p in m.primitives)))
 
@@ -128,6 +110,13 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     out.write(target, embedded=embedded)
 
 
+def splats_in(container: Container) -> Splats | Avatar:
+    """Return the splats of a parsed file, as ``read_gltf`` does; what was mended is logged or, if strict, refused."""
+    scene = _scene(container)
+    container.tell()
+    return scene
+
+
 def _scene(container: Container) -> Splats | Avatar:
     gltf = container.gltf
     unknown = [name for name in gltf.extensions_required if name not in _KNOWN]
@@ -136,7 +125,8 @@ def _scene(container: Container) -> Splats | Avatar:
     graph = graph_of(gltf)
     found = finest_of(list(instances(gltf, graph.world, EXTENSION)))
     if not found:
-        raise FormatError(f"a glTF file, but none of its meshes has splats (a POINTS primitive with {EXTENSION})")
+        hint = "" if plugin("rigs.rows") else "; triangles are read by glsplat.extras.rigs, which is not installed"
+        raise FormatError(f"a glTF file, but none of its meshes has splats (a POINTS primitive with {EXTENSION}){hint}")
     skinned = [i for i in found if i.node.skin is not None and "JOINTS_0" in i.primitive.attributes]
     if skinned:
         if len(found) > 1:
@@ -185,44 +175,34 @@ def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats
     )
 
 
-def _save_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool) -> None:
-    from glsplat.extras.rigs.meshes.write import save_gltf_mesh  # here: images need OpenCV
-
-    save_gltf_mesh(mesh, target, embedded=embedded)
-
-
 def _begins_json(head: bytes) -> bool:
     """An object's brace and a key, or the end: numbers of a .splat may look like text from end to end."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     return text[:1] == b"{" and text[1:].lstrip()[:1] in (b'"', b"}", b"")
 
 
-_TITLE = f"glTF/GLB with {EXTENSION} or triangles"
-
 GLB = Format(
     name="glb",
-    title=_TITLE,
+    title=f"glTF/GLB with {EXTENSION}",
     suffixes=(".glb",),
     sniff=lambda start: start.head.startswith(b"glTF"),
     load=read_gltf,
     save=lambda scene, target: save_gltf(scene, target, embedded=False),
-    save_mesh=lambda mesh, target: _save_mesh(mesh, target, embedded=False),
     rigs=True,
     cones=True,
     levels=True,
     surfaces=True,
+)
+GLTF = replace(
+    GLB,
+    name="gltf",
+    suffixes=(".gltf",),
+    # a .splat may begin with a number like a brace; the meta.json of a SOG is no glTF
+    sniff=lambda start: start.text and _begins_json(start.head) and not start.named("meta.json"),
+    save=lambda scene, target: save_gltf(scene, target, embedded=True),
 )
 
-GLTF = Format(
-    name="gltf",
-    title=_TITLE,
-    suffixes=(".gltf",),
-    sniff=lambda start: start.text and _begins_json(start.head),  # else it is a number of a .splat like a brace
-    load=read_gltf,
-    save=lambda scene, target: save_gltf(scene, target, embedded=True),
-    save_mesh=lambda mesh, target: _save_mesh(mesh, target, embedded=True),
-    rigs=True,
-    cones=True,
-    levels=True,
-    surfaces=True,
-)
+
+def add_formats(formats: dict[str, Format]) -> None:
+    """Add glTF of splats to the registry."""
+    formats |= {GLB.name: GLB, GLTF.name: GLTF}

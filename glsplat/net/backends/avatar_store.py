@@ -8,7 +8,7 @@ from pathlib import Path
 from glsplat.avatar import Avatar
 from glsplat.data import person
 from glsplat.errors import FormatError
-from glsplat.formats import load
+from glsplat.formats import load_content
 from glsplat.scene import Rigged
 
 __all__ = ["AvatarStore", "WithPeople"]
@@ -28,7 +28,7 @@ class AvatarStore(Mapping[str, Rigged]):
             return self._given[name]
         if name not in self:
             raise KeyError(name)
-        avatar = load(self._path(name))
+        avatar = load_content(self._path(name))
         if not isinstance(avatar, Avatar):
             raise FormatError(f"{self._path(name)}: expected an avatar, found splats without a skeleton")
         return avatar

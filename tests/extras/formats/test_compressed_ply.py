@@ -10,9 +10,9 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.formats.morton import morton_order
-from glsplat.formats import load, load_ply, losses, recognise, save
+from glsplat.formats import load, losses, recognise, save
 from glsplat.splats import Splats
-from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats
+from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, load_ply, random_splats
 from tests.formats.test_contract import refused
 
 C0 = 0.28209479177387814

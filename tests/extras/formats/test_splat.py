@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from glsplat.errors import FormatError
-from glsplat.extras.formats.splat import load_splat, looks_like_splat, read_splat, save_splat
-from glsplat.formats import load, load_ply, losses, recognise, save
+from glsplat.extras.formats.splat import looks_like_splat, read_splat, save_splat
+from glsplat.formats import load, losses, recognise, save
 from glsplat.splats import SH_C0, Splats
-from tests.formats.scenes import assert_equal, awkward_splats, random_splats
+from tests.formats.scenes import assert_equal, awkward_splats, load_ply, load_splat, random_splats
 from tests.golden.stored import DATA
 
 

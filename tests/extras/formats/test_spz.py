@@ -15,15 +15,17 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.formats.spz import load_spz, read_spz, save_spz
+from glsplat.extras.formats.spz import read_spz, save_spz
 from glsplat.extras.formats.spz_packing import position_bits
-from glsplat.formats import load, load_gltf, losses
+from glsplat.formats import load, losses
 from glsplat.formats.transform import transformed
 from glsplat.splats import Splats
 from tests.formats import test_contract as contract
 from tests.formats.scenes import (
     assert_equal,
     awkward_splats,
+    load_gltf,
+    load_spz,
     random_avatar,
     random_splats,
     spz_streams,

@@ -19,8 +19,8 @@ from glsplat.extras.evaluate.mesh import MeshRenderer
 from glsplat.extras.formats.person import read_person
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
+from glsplat.formats import load
 from glsplat.meshes import Morphs, RiggedMesh
-from glsplat.scenes import load
 from glsplat.skinning.pose import Pose
 from tests.extras.rigs.meshes import bends, chain, coloured, corners
 

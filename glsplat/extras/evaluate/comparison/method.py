@@ -11,7 +11,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.authoring.importers import bind_to_mesh
 from glsplat.extras.authoring.reconstruct.plugins import Plugins
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.formats import FORMATS, load
+from glsplat.formats import all_formats, load_content
 from glsplat.scene import Rigged
 from glsplat.splats import Splats
 
@@ -28,7 +28,7 @@ OWN = {
 }
 
 # files with a rig count before those without
-_FORMATS = sorted(FORMATS, key=lambda form: not form.rigs)
+_FORMATS = sorted((form for form in all_formats().values() if form.load), key=lambda form: not form.rigs)
 _SUFFIXES = tuple(s for form in _FORMATS for s in form.suffixes if s.startswith("."))
 PLUGINS = Plugins("method", GROUP, "make", OWN)
 
@@ -68,7 +68,7 @@ class MadeElsewhere:
 
 def read_figure(file: Path, participant: Participant) -> Rigged:
     """An avatar or mesh of a file; splats without a skeleton are bound to the participant's mesh. FormatError."""
-    content = load(file)
+    content = load_content(file)
     return bind_to_mesh(content, participant.mesh) if isinstance(content, Splats) else content
 
 

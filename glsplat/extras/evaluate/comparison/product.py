@@ -18,9 +18,9 @@ from glsplat.extras.evaluate.comparison.method import MadeElsewhere, method_name
 from glsplat.extras.evaluate.comparison.participant import Participant, digest_of
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import save
+from glsplat.formats.registry import load
 from glsplat.io.files import replace_file
 from glsplat.scene import Rigged, is_rigged
-from glsplat.scenes.loading import load
 
 __all__ = ["Product", "key_of", "product"]
 

@@ -14,23 +14,13 @@ from glsplat.extras.formats.sog.package import META, is_zip
 from glsplat.extras.formats.sog.palette import palette_size
 from glsplat.extras.formats.sog.read import read_sog
 from glsplat.extras.formats.sog.write import drawn, packed, stored_order
-from glsplat.formats.format import Format, Opened, checked, clamped_opacities, opened
+from glsplat.formats.format import Format, Opened, clamped_opacities
 from glsplat.io.files import Source, naming
 from glsplat.splats import Splats
 
-__all__ = ["SOG", "load_sog", "save_sog"]
+__all__ = ["SOG", "save_sog"]
 
 _LARGEST = 1 << 20  # bytes of a meta.json
-
-
-def load_sog(source: Source, *, strict: bool = False) -> Splats:
-    """Read a SOG of version 1 or 2: a .sog, or the meta.json of an unpacked one by its path.
-
-    Coordinates are those of the PLY that the file was made of; the format names no axis that points up. What the file
-    says of antialiasing is in ``Splats.antialias``. Raises FormatError.
-    """
-    with opened(source) as start:
-        return checked(read_sog(start.file, start.size, start.folder), start.name, strict)
 
 
 def save_sog(splats: Splats, target: Source) -> None:

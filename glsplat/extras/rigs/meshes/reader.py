@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.rigs.bound import inverse_binds
 from glsplat.extras.rigs.meshes.faces import Faces
 from glsplat.extras.rigs.meshes.ground import faces_back, on_the_floor
 from glsplat.extras.rigs.meshes.left_out import TRIANGLES, LeftOut, apart, carried, nearest, refuse_packed, survey
@@ -20,7 +19,7 @@ from glsplat.extras.rigs.vrm import human_bones
 from glsplat.formats.format import A_MOTION, opened
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances, only_moves
-from glsplat.formats.gltf.rig import read_influences, read_skeleton
+from glsplat.formats.gltf.rig import inverse_binds, read_influences, read_skeleton
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, reference_joints

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.extras.rigs.bound import Bound, bound_of, joint_names
+from glsplat.extras.rigs.bound import Bound, bound_of, names_of_joints
 from glsplat.extras.rigs.humanoid import seated
 from glsplat.extras.rigs.match import RigMap, match_rig
 from glsplat.extras.rigs.shape import match_shape
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
+from glsplat.formats.gltf.rig import MAX_JOINTS, joint_names, joint_parents
 from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["Rig", "rig_of"]
@@ -66,7 +67,7 @@ def rig_of(
             bound = bound_of(container, graph, skins)
             if own_joints:
                 return _thing(container, graph, bound, skins, rigid, scale, "")
-            names = joint_names(container, skins, given)
+            names = names_of_joints(container, skins, given)
             if not given:
                 names = _one_person(container, graph, skins, names, bound.frames[:, :3, 3])
             why = "no joint has a name that says what it is"
@@ -137,21 +138,12 @@ def _thing(
     used = dict.fromkeys([node for skin in skins for node in gltf.skins[skin].joints])
     used |= dict.fromkeys(rigid)
     nodes = list(used)
-    if len(nodes) > 1 << 16:
-        raise FormatError(f"a rig needs at most 65536 joints, found {len(nodes)}")
+    if len(nodes) > MAX_JOINTS:
+        raise FormatError(f"a rig needs at most {MAX_JOINTS} joints, found {len(nodes)}")
     joint = np.full(len(gltf.nodes), -1, np.intp)
     joint[nodes] = np.arange(len(nodes))
-    parents = np.full(len(nodes), -1, np.int32)
-    for j, node in enumerate(nodes):
-        at = int(graph.parents[node])
-        while at >= 0 and joint[at] < 0:
-            at = int(graph.parents[at])
-        parents[j] = joint[at] if at >= 0 else -1
     sized = np.diag([scale, scale, scale, 1.0])
     rest, turn = sized @ graph.world[nodes], sized @ bound.shown
-    names: dict[str, None] = {}
-    for j, node in enumerate(nodes):
-        name = gltf.nodes[node].name or f"joint_{j}"
-        names[name if name not in names else f"{name}_{j}"] = None
     before = turn @ bound.frames
-    return Rig(Skeleton(tuple(names), parents, rest, np.linalg.inv(before[nodes])), joint, before, None, why)
+    names, parents = joint_names(gltf, nodes), joint_parents(nodes, graph)
+    return Rig(Skeleton(names, parents, rest, np.linalg.inv(before[nodes])), joint, before, None, why)

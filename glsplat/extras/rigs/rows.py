@@ -1,0 +1,39 @@
+"""Rows of the registry of formats: glTF and VRM of triangles, read and written beside glTF of splats."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from glsplat.formats.format import Format, Opened
+from glsplat.formats.gltf.container import read_container
+from glsplat.formats.gltf.splats import has_splats, splats_in
+from glsplat.io.files import Source
+from glsplat.meshes import RiggedMesh
+from glsplat.scene import Content
+
+__all__ = ["add_formats"]
+
+
+def add_formats(formats: dict[str, Format]) -> None:
+    """Let the rows of glTF read and write meshes, too."""
+    for name in ("glb", "gltf"):
+        row = formats[name]
+        save_mesh = partial(_save_mesh, embedded=name == "gltf")
+        formats[name] = replace(row, title=f"{row.title} or triangles", load=_read, save_mesh=save_mesh)
+
+
+def _read(start: Opened) -> Content:
+    container = read_container(start.file, start.size, start.folder)
+    if has_splats(container.gltf):
+        return splats_in(container)
+    from glsplat.extras.rigs.meshes.reader import mesh_of  # here: images need OpenCV
+
+    return mesh_of(container, Path(start.name).name)
+
+
+def _save_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool) -> None:
+    from glsplat.extras.rigs.meshes.write import save_gltf_mesh  # here: images need OpenCV
+
+    save_gltf_mesh(mesh, target, embedded=embedded)
