@@ -18,15 +18,17 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.formats.fidelity import read_back
 from glsplat.formats import Format, all_formats, load, losses, recognise, save
 from glsplat.splats import Splats
-from tests.extras.formats.ksplats import ksplat
 from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, random_splats
 
 SMALL = 8_000_000  # bytes that a reader may allocate for a small file, as in test_fuzz.py: it works in blocks
 COUNT = 4321  # splats; no other number of the files is likely to be this one
-WRITERS: dict[str, Callable[[Splats], bytes]] = {"ksplat": lambda splats: ksplat([splats], 0)[0]}
+WRITERS: dict[str, Callable[[Splats], bytes]] = {}
+if "ksplat" in all_formats():
+    from tests.extras.formats.ksplats import ksplat
+
+    WRITERS["ksplat"] = lambda splats: ksplat([splats], 0)[0]
 UNCOUNTED = {"splat"}  # the file's size is all that says how many there are
 
 
@@ -42,7 +44,7 @@ PACKED: dict[str, Callable[[Callable[[bytes], bytes], bytes], bytes]] = {
     "spz": lambda change, data: gzip.compress(change(gzip.decompress(data))),
     "sog": _rezipped,
 }
-MESHES = {"obj", "npz", "scene"}  # hold no splats: tests/scene/test_loading.py, tests/extras/formats/test_npz.py
+MESHES = {"obj", "npz", "scene"}  # hold no splats: tests/extras/rigs/test_loading.py, tests/extras/formats/test_npz.py
 every = pytest.mark.parametrize(
     "known",
     [one for one in all_formats().values() if one.load and one.name not in MESHES],
@@ -93,9 +95,6 @@ def test_as_many_come_back_under_any_name(tmp_path: Path, known: Format, count: 
             assert isinstance(found, Splats) and len(found) == count
             kept = found.sh_degree == degree
             assert not count or kept or any("harmonics" in loss for loss in losses_of(known, splats))
-        if count and known.save is not None:
-            away = read_back(splats, tmp_path / f"a{known.suffixes[0]}")
-            assert away.positions.largest < 0.01 and away.opacities.largest < 0.02 and away.rotations.largest < 5
 
 
 def losses_of(known: Format, splats: Splats) -> list[str]:

@@ -222,7 +222,7 @@ LISTED = b"element face 1\nproperty list uchar int vertex_indices\n"
         (b"ply\n" + b"comment " + b"x" * 200_000 + GOOD[4:], "no line \"end_header\" in its first 65536 bytes"),
         (MESH, "not of Gaussian splats: its vertices lack f_dc_0, f_dc_1, f_dc_2, opacity, scale_0"),
         (b"ply\nformat ascii 1.0\nelement face 0\nend_header\n", "needs an element vertex, found face"),
-        (header(0, ["packed_position"]), "compressed PLY .*, another format; glsplat.load reads it"),
+        (header(0, ["packed_position"]), "compressed PLY .*, another format"),
         (header(0, [n for n in BASE if n != "rot_3"]), "lack rot_3"),
         (header(0, [n for n in BASE if n != "scale_1"]), "lack scale_1"),
         (header(0, [*(n for n in BASE if n != "f_dc_2"), "red", "green", "blue"]), "lack f_dc_2"),

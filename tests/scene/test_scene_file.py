@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
@@ -23,7 +22,6 @@ from glsplat.motion.loading import load_embedded_motion
 from glsplat.scene import similarity
 from glsplat.scenes import load_scene
 from glsplat.scenes.scene_file import MOST_ITEMS, upright
-from tests.extras.motions.clips import glb, turned
 from tests.scenes import cloud, limb
 from tests.skinning.avatars import part
 
@@ -90,17 +88,6 @@ def test_motions(scene: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     read.pose_at(0.5)
     assert item.pose is not None and np.array_equal(item.pose.rotations, expected.rotations)
     assert read.avatar is None  # two of them
-
-
-def test_one_animation_of_a_file(scene: Writer) -> None:
-    file = scene()
-    save(part(default_avatar(), np.arange(50)), file.parent / "body.glb")
-    still = np.tile(turned("head", Rotation.identity()).as_quat(), (2, 1))
-    channel = ("head", "rotation", "STEP", np.array([0.0, 2.0]), still)
-    short = (*channel[:3], channel[3] / 2, channel[4])
-    glb(file.parent / "all.glb", [{"name": "Long", "channels": [channel]}, {"name": "Short", "channels": [short]}])
-    items = [{"path": "body.glb", "motion": name} for name in ("all.glb", "all.glb#Short")]
-    assert [len(motion) for _, motion in load_scene(scene(*items)).motions.values()] == [61, 31]
 
 
 def test_many_items_of_one_file_read_it_once(scene: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,3 +183,9 @@ def test_what_is_a_scene_file(scene: Writer) -> None:
     assert recognise(scene()) == "scene"
     with pytest.raises(FormatError, match="found a scene file"):
         load_content(scene())
+
+
+def test_a_scene_of_one(tmp_path: Path) -> None:
+    save(cloud(5), tmp_path / "a.ply")
+    read = load_scene(tmp_path / "a.ply")
+    assert len(read.scene) == 1 and read.avatar is None and not read.motions

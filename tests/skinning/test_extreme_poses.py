@@ -15,8 +15,6 @@ from glsplat.arrays import restored
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
-from glsplat.extras.rigs.humanoid import upright
-from glsplat.extras.rigs.match import RigMap
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -224,21 +222,6 @@ def test_cycles_are_refused() -> None:
     for parents, message in (([-1, 2, 1], "cycle through joint 1"), ([1, 2, 0], "needs a root"), ([-1, 0, 3], "-1..2")):
         with pytest.raises(PoseError, match=message):
             Skeleton.from_joints(("a", "b", "c"), parents, np.zeros((3, 3)))
-
-
-@pytest.mark.gl
-def test_a_trunk_that_is_not_above_the_legs_is_refused() -> None:
-    parts = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "shoulder")]
-    rig = RigMap({name: index for index, name in enumerate(parts)}, ())
-
-    def positions(*shoulder: float) -> np.ndarray:
-        left = np.array([[0.1, 0.9, 0], [0.1, 0.5, 0], shoulder])
-        return np.vstack([left, left * (-1, 1, 1)])
-
-    assert np.allclose(upright(rig, positions(0.2, 1.4, 0)), np.eye(3))
-    for shoulder in ((0.2, 1.1, 0.6), (0.2, 0.3, 0.0)):  # on four legs; folded over
-        with pytest.raises(PoseError, match="trunk is not above the legs"):
-            upright(rig, positions(*shoulder))
 
 
 @pytest.mark.gl

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
-from glsplat.extras.formats.npz import array_names
+from glsplat.errors import FormatError
 from glsplat.extras.motions.clip import Clip
 from glsplat.extras.motions.corrections import Corrections
 from glsplat.formats.format import Format, Opened
 from glsplat.motion.motion import Motion
+from glsplat.optional import missing, plugin
 from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["add_formats"]
@@ -28,9 +30,8 @@ def add_formats(formats: dict[str, Format]) -> None:
 
 
 def _animation(start: Opened, skeleton: Skeleton, forward: bool, choice: str | None, said: Corrections) -> Motion:
-    from glsplat.extras.motions.gltf import read_animation
-
-    return _retargeted(read_animation(start, choice), skeleton, forward, said)
+    clip = _needed("gltf").read_animation(start, choice)
+    return _retargeted(clip, skeleton, forward, said)
 
 
 def _bvh(start: Opened, skeleton: Skeleton, forward: bool, _choice: str | None, said: Corrections) -> Motion:
@@ -56,20 +57,28 @@ def _amass(start: Opened, skeleton: Skeleton, forward: bool, _choice: str | None
 
 
 def _retargeted(clip: Clip, skeleton: Skeleton, forward: bool, said: Corrections) -> Motion:
-    from glsplat.extras.motions.retarget import retarget, stretched
-
-    rotations, trans = retarget(clip, skeleton, forward=forward, world=said.world, swapped=said.swapped)
-    note = "; ".join(line for line in (clip.note, stretched(clip)) if line)
+    module = _needed("retarget")
+    rotations, trans = module.retarget(clip, skeleton, forward=forward, world=said.world, swapped=said.swapped)
+    note = "; ".join(line for line in (clip.note, module.stretched(clip)) if line)
     known_up = clip.y_up or said.up != "y"
     motion = Motion(clip.fps, rotations, trans, label=clip.label, note=note, known_up=known_up)
     return replace(said, up="y", swapped=False).applied(motion, skeleton, ground=True)
 
 
+def _needed(name: str) -> ModuleType:
+    """Import a module of this extra that needs extras/rigs. Raises FormatError where that is not installed."""
+    module = plugin(f"motions.{name}")
+    if module is None:
+        raise FormatError(missing("rigs", "the skeleton of a motion"))
+    return module
+
+
 def _sniff_amass(start: Opened) -> bool:
-    if not start.head.startswith(b"PK"):
+    npz = plugin("formats.npz")
+    if npz is None or not start.head.startswith(b"PK"):
         return False
     start.file.seek(0)
-    names = set(array_names(start.file))
+    names = set(npz.array_names(start.file))
     return bool(names & _AMASS_ARRAYS) and not names & _MESH_ARRAYS
 
 

@@ -6,11 +6,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened
 from glsplat.formats.gltf.container import read_container
 from glsplat.formats.gltf.splats import has_splats, splats_in
 from glsplat.io.files import Source
 from glsplat.meshes import RiggedMesh
+from glsplat.optional import missing, plugin
 from glsplat.scene import Content
 
 __all__ = ["add_formats"]
@@ -28,9 +30,11 @@ def _read(start: Opened) -> Content:
     container = read_container(start.file, start.size, start.folder)
     if has_splats(container.gltf):
         return splats_in(container)
-    from glsplat.extras.rigs.meshes.reader import mesh_of  # here: images need OpenCV
-
-    return mesh_of(container, Path(start.name).name)
+    reader = plugin("rigs.meshes.reader")  # here: images need OpenCV
+    if reader is None:
+        raise FormatError(missing("formats", "a mesh's texture"))
+    mesh: RiggedMesh = reader.mesh_of(container, Path(start.name).name)
+    return mesh
 
 
 def _save_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.extras.rigs.match import match_rig
+from glsplat.errors import PoseError
+from glsplat.extras.rigs.humanoid import upright
+from glsplat.extras.rigs.match import RigMap, match_rig
 from glsplat.extras.rigs.words import word_of, words_of
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
@@ -44,3 +46,17 @@ def test_names_that_are_left_out_are_dots(count: int, shown: str) -> None:
     parents = [-1, *range(count - 1)]
     joints = np.arange(3 * count).reshape(count, 3) / 10
     assert why_not_driven(Skeleton.from_joints(list("abcde")[:count], parents, joints)).endswith(shown)
+
+
+def test_a_trunk_that_is_not_above_the_legs_is_refused() -> None:
+    parts = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "shoulder")]
+    rig = RigMap({name: index for index, name in enumerate(parts)}, ())
+
+    def positions(*shoulder: float) -> np.ndarray:
+        left = np.array([[0.1, 0.9, 0], [0.1, 0.5, 0], shoulder])
+        return np.vstack([left, left * (-1, 1, 1)])
+
+    assert np.allclose(upright(rig, positions(0.2, 1.4, 0)), np.eye(3))
+    for shoulder in ((0.2, 1.1, 0.6), (0.2, 0.3, 0.0)):  # on four legs; folded over
+        with pytest.raises(PoseError, match="trunk is not above the legs"):
+            upright(rig, positions(*shoulder))

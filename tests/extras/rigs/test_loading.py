@@ -13,7 +13,6 @@ from glsplat.errors import FormatError
 from glsplat.formats import load, load_splats, save
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Item, Scene, similarity
-from glsplat.scenes import load_scene
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.views import viewing_point
 from tests.scenes import cloud
@@ -137,9 +136,3 @@ def test_every_kind_is_what_it_is(tmp_path: Path) -> None:
         save(person, tmp_path / "a.ply")
     with pytest.raises(FormatError, match=r"person\.glb: expected splats or an avatar, found a mesh"):
         load_splats(tmp_path / "person.glb")
-
-
-def test_a_scene_of_one(tmp_path: Path) -> None:
-    save(cloud(5), tmp_path / "a.ply")
-    read = load_scene(tmp_path / "a.ply")
-    assert len(read.scene) == 1 and read.avatar is None and not read.motions
