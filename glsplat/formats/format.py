@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.record import CONSENT
 from glsplat.io.files import Source, folder_of, name_of, naming, open_regular, sampled, suffixes_of
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content, Scene
@@ -132,7 +131,7 @@ class Format:
             yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the {pose}"
             if scene.shapes is not None:
                 yield f"the {len(scene.shapes)} shapes of the face are dropped"
-            if isinstance(scene.meta.get(CONSENT), dict):
+            if isinstance(scene.meta.get("consent"), dict):
                 yield "the signed consent is dropped, only a .glb carries one"
         if splats_of(scene).cones is not None and not self.cones:
             yield "the visibility cones are dropped"

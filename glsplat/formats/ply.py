@@ -8,8 +8,9 @@ Normals, unknown properties and further elements are ignored.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import BinaryIO
 
@@ -19,22 +20,39 @@ from numpy.typing import NDArray
 from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.format import Format, clamped_opacities, positive_scales
-from glsplat.formats.ply_header import (
-    ANTIALIAS,
-    PACKED,
-    Element,
-    PlyHeader,
-    is_ply,
-    listed,
-    read_header,
-    sh_degree,
-)
+from glsplat.formats.format import Format, Opened, clamped_opacities, positive_scales
 from glsplat.io.files import Source, replace_file
 from glsplat.optional import missing, plugin
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = ["PLY", "add_formats", "read_ply", "save_ply"]
+__all__ = [
+    "ANTIALIAS",
+    "PACKED",
+    "PLY",
+    "Element",
+    "PlyHeader",
+    "add_formats",
+    "is_ply",
+    "listed",
+    "read_header",
+    "read_ply",
+    "save_ply",
+    "sh_degree",
+]
+
+ANTIALIAS = "comment SplatRenderMode: mip"
+"""What Splats.antialias becomes in a header, spelled as Brush and splat-transform do."""
+
+PACKED = "packed_position"
+"""The property of the vertices by which a compressed PLY is known."""
+
+_HEADER_LIMIT = 1 << 16  # bytes; a header of 3DGS has 1.5 kB
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
 
 _LINE_LIMIT = 1 << 16  # bytes of a line of ASCII; a splat of degree 3 has 800
 _CHUNK = 1 << 15  # splats converted at a time: fits the cache and keeps the peak memory near the result's
@@ -46,6 +64,48 @@ _RGB = ("red", "green", "blue")
 _REQUIRED = (*_MEANS, *_DC, "opacity", *_SCALES, *_QUATS)
 _LOGIT_LIMIT = 100.0  # sigmoid is 0 or 1 in float32 here
 _LOG_ZERO = -120.0  # exp is 0 in float32 here
+
+
+@dataclass(eq=False)
+class Element:
+    """A table of the file: ``count`` rows of the same properties."""
+
+    name: str
+    count: int
+    properties: dict[str, str] = field(default_factory=dict)  # name -> numpy type code
+    lists: bool = False  # has a property of variable length
+
+    @property
+    def names(self) -> list[str]:
+        """The properties in the file's order."""
+        return list(self.properties)
+
+    def dtype(self, order: str) -> np.dtype[np.void]:
+        """A row in a binary file of that byte order."""
+        return np.dtype([(name, order + code) for name, code in self.properties.items()])
+
+
+@dataclass(eq=False)
+class PlyHeader:
+    """What stands before the data."""
+
+    order: str  # "<", ">", or "" for ASCII
+    elements: list[Element]
+    start: int  # where the data begins, bytes
+    antialias: bool  # the splats want opacity compensation (Splats.antialias)
+
+    def element(self, name: str) -> Element | None:
+        """The first element of that name."""
+        return next((element for element in self.elements if element.name == name), None)
+
+    def before(self, element: Element) -> list[Element]:
+        """The elements whose data come first."""
+        return self.elements[: self.elements.index(element)]
+
+
+def is_ply(opened: Opened) -> bool:
+    """Whether a file begins like a PLY."""
+    return opened.head.startswith((b"ply\n", b"ply\r", b"ply "))
 
 
 def read_ply(file: BinaryIO, size: int) -> Splats:
@@ -232,6 +292,66 @@ def _empty(count: int, coefficients: int) -> _Columns:
 def _loses(scene: Splats | Avatar) -> Iterator[str]:
     yield from clamped_opacities(scene)
     yield from positive_scales(scene)
+
+
+def read_header(file: BinaryIO) -> PlyHeader:
+    """The header at the start of an open file. Raises FormatError for what is no PLY."""
+    file.seek(0)
+    head = file.read(_HEADER_LIMIT)
+    if not re.match(rb"ply[ \t]*\r?\n", head):
+        raise FormatError('not a PLY file (it does not start with the line "ply")')
+    end = re.search(rb"\nend_header[ \t]*\r?\n", head)
+    if end is None:
+        raise FormatError(f'the PLY header has no line "end_header" in its first {min(len(head), _HEADER_LIMIT)} bytes')
+    order: str | None = None
+    elements: list[Element] = []
+    antialias = False
+    # comments may hold any bytes, and latin-1 never fails
+    for line in head[: end.start()].decode("latin-1").split("\n")[1:]:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            antialias = _antialias(words[1:], antialias)
+        elif words[0] == "format" and len(words) == 3 and words[1] in _ORDERS:
+            order = _ORDERS[words[1]]
+        elif words[0] == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,18}", words[2]):
+            elements.append(Element(words[1], int(words[2])))
+        elif words[0] == "property" and elements and len(words) == 3 and words[1] in _TYPES:
+            if words[2] in elements[-1].properties:
+                raise FormatError(f"the PLY header declares {words[2][:40]!r} twice")
+            elements[-1].properties[words[2]] = _TYPES[words[1]]
+        elif words[:2] == ["property", "list"] and elements and len(words) == 5:
+            elements[-1].lists = True
+        else:
+            raise FormatError(f"the PLY header has a line that cannot be understood: {line[:60]!r}")
+    if order is None:
+        raise FormatError("the PLY header has no format line (binary_little_endian, binary_big_endian or ascii)")
+    return PlyHeader(order, elements, end.end(), antialias)
+
+
+def sh_degree(element: Element) -> int:
+    """Degree of the spherical harmonics, by the number of properties f_rest_0, f_rest_1, ..."""
+    rest = sum(re.fullmatch("f_rest_[0-9]+", name) is not None for name in element.properties)
+    if rest not in (0, 9, 24, 45) or any(f"f_rest_{i}" not in element.properties for i in range(rest)):
+        raise FormatError(f"a splat PLY needs 0, 9, 24 or 45 properties f_rest_0, f_rest_1, ...; found {rest}")
+    return (0, 9, 24, 45).index(rest)
+
+
+def listed(names: list[str]) -> str:
+    """Names of a stranger's header for a message of one line."""
+    shown = [name[:40] for name in names]
+    return ", ".join(shown[:12]) + (", ..." if len(shown) > 12 else "") or "nothing"
+
+
+def _antialias(comment: list[str], before: bool) -> bool:
+    """What a comment says: of Brush, of Postshot, of older files of this house; the last one counts."""
+    match [word.lower() for word in comment]:
+        case ["splatrendermode:", mode]:
+            return mode == "mip"
+        case ["antialiased", flag]:
+            return flag == "1"
+        case ["glsplat", "antialias"]:
+            return True
+    return before
 
 
 PLY = Format(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -81,3 +82,14 @@ def test_a_mistake_within_an_extra_is_no_absence(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("glsplat.optional.import_module", broken)
     with pytest.raises(ModuleNotFoundError, match="no package"):
         plugin("formats.rows")
+
+
+def test_a_consent_that_nobody_can_check_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("glsplat.formats.gltf.output.plugin", lambda name: None)
+    avatar = replace(random_avatar(4), meta={"consent": {"file_sha256": "0"}, "source": "a test"})
+    save(avatar, tmp_path / "a.glb")
+    tree, _ = glb_parts((tmp_path / "a.glb").read_bytes())
+    assert "consent" not in tree["asset"]["extras"]["glsplat"]
+    assert "the consent is left out: only glsplat.extras.consent, which is not installed" in caplog.text

@@ -16,7 +16,7 @@ from typing import Any
 
 from glsplat.errors import FormatError
 from glsplat.extras.consent.keys import PrivateKey, signature_of, signed_by
-from glsplat.formats.gltf.record import canonical
+from glsplat.extras.consent.record import canonical
 
 __all__ = ["ANYBODY", "Consent", "read_record", "signed_record"]
 

@@ -16,6 +16,7 @@ as 1/64. Frame and comments are those of the plain PLY.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -27,13 +28,14 @@ from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.extras.formats.morton import morton_order
-from glsplat.formats.format import Format, clamped_opacities, positive_scales
-from glsplat.formats.ply_header import ANTIALIAS, PACKED, Element, is_compressed, read_header, sh_degree
+from glsplat.formats.format import Format, Opened, clamped_opacities, positive_scales
+from glsplat.formats.ply import ANTIALIAS, PACKED, Element, is_ply, read_header, sh_degree
 from glsplat.io.files import Source, replace_file
 from glsplat.splats import SH_C0, Splats
 
 __all__ = ["COMPRESSED_PLY", "read_compressed_ply", "save_compressed_ply"]
 
+_SNIFFED = 1 << 16  # bytes of a header
 _CHUNK = 256
 _BLOCK = 128 * _CHUNK  # splats converted at a time
 _POSITION, _SCALE, _COLOUR = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
@@ -265,11 +267,20 @@ def _loses(scene: Splats | Avatar) -> Iterator[str]:
         yield f"spherical harmonics of {bright} splats are clamped to -4 to 4"
 
 
+def _is_compressed(opened: Opened) -> bool:
+    """Return whether it is a PLY whose header declares packed positions."""
+    if not is_ply(opened):
+        return False
+    head = opened.begin(_SNIFFED)
+    header = head[: head.find(b"\nend_header") + 1]
+    return re.search(rb"\nproperty[^\n]*[ \t]%b\s" % PACKED.encode(), header) is not None
+
+
 COMPRESSED_PLY = Format(
     name="compressed-ply",
     title="compressed PLY",
     suffixes=(".compressed.ply",),
-    sniff=is_compressed,
+    sniff=_is_compressed,
     load=lambda opened: read_compressed_ply(opened.file, opened.size),
     save=lambda scene, target: save_compressed_ply(splats_of(scene), target),
     loses=_loses,

@@ -14,13 +14,18 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC, Accessor, Asset, Buffer, BufferView, Gltf
-from glsplat.formats.gltf.record import CONSENT, is_of
 from glsplat.io.files import Source, left_out, naming, replace_file, suffix_of
+from glsplat.optional import plugin
 
-__all__ = ["INDICES", "VERTICES", "Output"]
+__all__ = ["CONSENT", "INDICES", "UNLIT", "VERTICES", "Output", "unlit_material"]
 
 VERTICES, INDICES = 34962, 34963
 """What a bufferView holds: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER."""
+
+CONSENT = "consent"
+"""In asset.extras.glsplat: a signed record (an object; docs/consent.md), or a line of text."""
+
+UNLIT = "KHR_materials_unlit"
 
 log: logging.Logger = logging.getLogger("glsplat.formats")
 
@@ -103,15 +108,16 @@ class Output:
 
     def _check_consent(self, blob: bytes, embedded: bool) -> None:
         note = self.gltf.asset.extras["glsplat"] if isinstance(self.gltf.asset.extras, dict) else {}
-        record = note.get(CONSENT)
-        if not isinstance(record, dict):
+        if not isinstance(signed := note.get(CONSENT), dict):
             return
+        record = plugin("consent.record")
         document = msgspec.json.decode(_encode(self.gltf))
         rest = struct.pack("<II", len(blob), BINARY_CHUNK) + blob
-        if embedded or not is_of(record, document, rest):
+        if embedded or record is None or not record.is_of(signed, document, rest):
             del note[CONSENT]
-            why = "only a .glb carries one" if embedded else "it was signed for other content; sign it anew"
-            left_out(log, f"the consent is left out: {why}")
+            why = "it was signed for other content; sign it anew"
+            why = "only glsplat.extras.consent, which is not installed, checks it" if record is None else why
+            left_out(log, f"the consent is left out: {'only a .glb carries one' if embedded else why}")
 
 
 def _glb(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
@@ -135,3 +141,12 @@ def _encode(gltf: Gltf) -> bytes:
         return msgspec.json.encode(gltf)
     except (TypeError, ValueError, RecursionError) as error:
         raise FormatError(f"the metadata of an avatar needs to be JSON ({str(error)[:80]})") from None
+
+
+def unlit_material(name: str) -> dict[str, Any]:
+    """Return a material that shows colours as they are; without KHR_materials_unlit it is rough, no metal."""
+    return {
+        "name": name,
+        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
+        "extensions": {UNLIT: {}},
+    }

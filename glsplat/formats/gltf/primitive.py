@@ -3,7 +3,7 @@
 Read: the ratified attribute names (KHR_gaussian_splatting:ROTATION, :SCALE, :OPACITY, :SH_DEGREE_l_COEF_n) and the
 older drafts' (_ROTATION, _SCALE, colour and opacity in COLOR_0). Written: the ratified ones as float32, rotations as 16
 bits where reading makes the same of them (narrow_quats), so that a round trip is exact, and a COLOR_0 for viewers that
-know no splats (fallback.py).
+know no splats.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container, Primitive
-from glsplat.formats.gltf.fallback import write_fallback
 from glsplat.formats.gltf.output import Output
 from glsplat.light.surface import SHADE_ONE, Surface
 from glsplat.optional import missing, plugin
@@ -77,7 +76,7 @@ def write_splats(out: Output, splats: Splats, *, coarse: bool = False) -> Primit
         attributes[_NORMAL] = out.add(np.pad(surface.normals, ((0, 0), (0, 1))), "VEC4", normalized=True)
         packed = np.concatenate([surface.occlusion.reshape(count, 1), surface.shades_or_one()], axis=1)
         attributes[_OCCLUSION] = out.add(packed, "VEC4", normalized=True)
-    attributes["COLOR_0"] = write_fallback(out, splats, np.uint8 if coarse else np.uint16)
+    attributes["COLOR_0"] = _write_fallback(out, splats, np.uint8 if coarse else np.uint16)
     return Primitive(
         attributes=attributes,
         mode=0,
@@ -85,6 +84,22 @@ def write_splats(out: Output, splats: Splats, *, coarse: bool = False) -> Primit
         extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
         extras=None if splats.cones_psnr is None else {"glsplat": {_CONES_PSNR: splats.cones_psnr}},
     )
+
+
+def _write_fallback(out: Output, splats: Splats, kind: type[np.uint8 | np.uint16]) -> int:
+    """Add COLOR_0 for viewers that know no splats, linear RGB and opacity; return its accessor's index.
+
+    They show a cloud of points in plain colours (KHR_gaussian_splatting, "Fallback Behavior").
+    glTF wants vertex colours linear; with 8 bits the darkest sRGB colours are up to 6 levels off, with 16 bits 0.05.
+    Values outside 0 to 1 are clamped, NaN becomes 0.
+    """
+    colours = np.empty((len(splats), 4), np.float32)
+    colours[:, :3] = splats.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
+    colours[:, 3] = splats.opacities
+    np.clip(np.nan_to_num(colours, copy=False), 0, 1, out=colours)
+    srgb = colours[:, :3]
+    srgb[...] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return out.add(np.rint(colours * np.iinfo(kind).max).astype(kind), "VEC4", normalized=True)
 
 
 def narrow_quats(quats: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:

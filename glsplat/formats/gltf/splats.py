@@ -17,11 +17,10 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened
 from glsplat.formats.gltf.container import Container, Gltf, Mesh, Node, Scene, read_container
-from glsplat.formats.gltf.fallback import UNLIT, unlit_material
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
 from glsplat.formats.gltf.morphs import QUANTIZATION, shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
-from glsplat.formats.gltf.output import Output
+from glsplat.formats.gltf.output import UNLIT, Output, unlit_material
 from glsplat.formats.gltf.primitive import (
     ANTIALIAS,
     COLOUR,

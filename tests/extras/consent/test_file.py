@@ -17,7 +17,7 @@ from glsplat.errors import FormatError
 from glsplat.extras.consent.document import read_record, signed_record
 from glsplat.extras.consent.file import on_file, on_file_data, sign_data, sign_file
 from glsplat.extras.consent.keys import new_key, private_key, public_key, signature_of
-from glsplat.formats.gltf.record import canonical
+from glsplat.extras.consent.record import canonical
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level
 from tests.extras.consent.conftest import FIELDS, person

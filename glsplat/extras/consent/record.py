@@ -11,11 +11,9 @@ import json
 from typing import Any
 
 from glsplat.errors import FormatError
+from glsplat.formats.gltf.output import CONSENT
 
 __all__ = ["CONSENT", "canonical", "file_digest", "is_of", "record_of", "without_record"]
-
-CONSENT = "consent"
-"""In asset.extras.glsplat: the record, an object; files without one may have a line of text there."""
 
 
 def canonical(value: Any) -> bytes:
