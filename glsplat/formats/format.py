@@ -19,7 +19,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content, Scene
 from glsplat.splats import Splats
 
-__all__ = ["A_MOTION", "Format", "Opened", "clamped_opacities", "hidden", "opened", "positive_scales"]
+__all__ = ["A_MOTION", "Format", "Opened", "clamped_opacities", "opened", "positive_scales"]
 
 A_MOTION = "a motion, which shows nothing; give it to render, preview or replay as --motion"
 """Message where something to show is expected."""
@@ -155,12 +155,6 @@ def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:
     outside = int((splats.drawable() & ((splats.opacities < 0) | (splats.opacities > 1))).sum())
     if outside:
         yield f"{outside} opacities outside 0 to 1 are clamped"
-
-
-def hidden(which: NDArray[np.bool_]) -> Iterator[str]:
-    """Yield the loss of a format that cannot store the values that keep ``which`` [N] splats from being drawn."""
-    if which.any():
-        yield f"{int(which.sum())} splats that are never drawn (not finite, or a zero quaternion) become transparent"
 
 
 def positive_scales(scene: Splats | Avatar) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""A motion that was made for one body, on another: strides as long as its legs, feet as high above its floor."""
+"""Motions on another body, in a turned world, and with their feet on its floor."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.rotations import quaternion_of, quaternion_product, quaternion_vectors, vector_quaternions
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["body_of", "fitted", "leg_length"]
+__all__ = ["body_of", "fitted", "grounded", "leg_length", "turned"]
 
 F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDES = ("left", "right")
-_FEET = [_AT[f"{side}_{part}"] for side in _SIDES for part in ("ankle", "foot")]
+_FOOT_NAMES = [f"{side}_{part}" for side in _SIDES for part in ("ankle", "foot")]
+_FEET = [_AT[name] for name in _FOOT_NAMES]
+_STANDING = 20  # percent of the frames in which the lower foot may be below the floor
 _SAME = 2e-4  # metres; bodies whose joints lie nearer than that are one, as motions are rounded
 
 
@@ -55,3 +58,28 @@ def fitted(rotations: F64, trans: F64, made_for: Skeleton, skeleton: Skeleton) -
 def _clearance(skeleton: Skeleton, rotations: F64) -> float:
     """Metres from where it rests up to the lowest foot joint, without a translation."""
     return float((skeleton.forward(rotations)[_FEET, 1, 3] - skeleton.joints[_FEET, 1]).min())
+
+
+def turned(rotations: F64, trans: F64, turn: F64, skeleton: Skeleton) -> tuple[F64, F64]:
+    """Turn the world of a motion: x' = Q x for x = R (v - J0) + J0 + t."""
+    root = skeleton.joints[0]
+    out = np.array(rotations)
+    out[:, 0] = quaternion_vectors(quaternion_product(quaternion_of(turn), vector_quaternions(rotations[:, 0])))
+    return out, (trans + root) @ turn.T - root
+
+
+def grounded(rotations: F64, trans: F64, skeleton: Skeleton) -> F64:
+    """``trans`` shifted so that the lower foot stands as high as in the zero pose most of the time it stands.
+
+    The height is a low percentile over the frames, not the minimum: a toe that bends down would lift the rest.
+    """
+    feet = [i for i, name in enumerate(skeleton.names) if name in _FOOT_NAMES]
+    if not feet:
+        return trans
+    step = max(1, len(trans) // 300)
+    rest = skeleton.joints[feet, 1]
+    lowest = [
+        float((skeleton.forward(turn, shift)[feet, 1, 3] - rest).min())
+        for turn, shift in zip(rotations[::step], trans[::step], strict=True)
+    ]
+    return trans - np.array([0, np.percentile(lowest, _STANDING), 0])

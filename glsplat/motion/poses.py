@@ -13,9 +13,8 @@ import numpy as np
 
 from glsplat.errors import PoseError
 from glsplat.formats.format import Format, Opened
-from glsplat.motion.fitted import body_of, fitted
+from glsplat.motion.fitted import body_of, fitted, grounded, turned
 from glsplat.motion.motion import Motion
-from glsplat.motion.placed import grounded, turned
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from importlib import resources
-
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["JOINT_NAMES", "PARENTS", "POSE_KEYS", "SMPLX_NAMES", "reference_joints"]
+__all__ = ["JOINT_NAMES", "PARENTS", "POSE_KEYS", "SMPLX_NAMES"]
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
@@ -46,12 +42,3 @@ SMPLX_NAMES: dict[str, str] = {
     "right_hand_pose": "rhand_pose",
 }
 """What the authors' own body model calls the same things -> key of a pose object."""
-
-
-@lru_cache(maxsize=1)
-def reference_joints() -> NDArray[np.float64]:
-    """[55, 3] metres: where the joints of the embedded open body are in the zero pose and shape, read-only."""
-    with resources.as_file(resources.files("glsplat") / "data" / "open_body.npz") as path, np.load(path) as data:
-        joints = data["joints"].astype(np.float64)
-    joints.flags.writeable = False
-    return joints

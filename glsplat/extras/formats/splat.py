@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.format import Format, Opened, clamped_opacities, hidden, positive_scales
+from glsplat.formats.format import Format, Opened, clamped_opacities, positive_scales
 from glsplat.io.files import Source, replace_file, sampled
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = ["SPLAT", "looks_like_splat", "read_splat", "save_splat"]
+__all__ = ["SPLAT", "hidden", "looks_like_splat", "read_splat", "save_splat"]
 
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _CHUNK = 1 << 16  # splats written at a time
@@ -78,6 +78,12 @@ def save_splat(splats: Splats, target: Source) -> None:
     FormatError when ``target`` cannot be written.
     """
     replace_file(target, _packed(splats))
+
+
+def hidden(which: NDArray[np.bool_]) -> Iterator[str]:
+    """Yield the loss of a format that cannot store the values that keep ``which`` [N] splats from being drawn."""
+    if which.any():
+        yield f"{int(which.sum())} splats that are never drawn (not finite, or a zero quaternion) become transparent"
 
 
 def _hidden(splats: Splats) -> NDArray[np.bool_]:

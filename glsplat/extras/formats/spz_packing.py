@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
-from glsplat.formats.format import hidden
+from glsplat.extras.formats.splat import hidden
 from glsplat.rotations import sh_rotations
 from glsplat.splats import Splats, normalised
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
 from glsplat.extras.formats.npz import read_arrays
+from glsplat.motion.fitted import grounded, turned
 from glsplat.motion.motion import Motion
-from glsplat.motion.placed import grounded, turned
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
+from glsplat.motion.fitted import grounded, turned
 from glsplat.motion.motion import Motion
-from glsplat.motion.placed import grounded, turned
 from glsplat.rotations import rotation_between, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
 from itertools import pairwise
 
 import numpy as np
@@ -21,7 +23,7 @@ from glsplat.rotations import nearest_rotations, rotation_between, rotation_matr
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["Humanoid", "humanoid", "seated", "t_pose_turns", "upright"]
+__all__ = ["Humanoid", "humanoid", "reference_joints", "seated", "t_pose_turns", "upright"]
 
 F64 = NDArray[np.float64]
 
@@ -110,6 +112,15 @@ def humanoid(
             turn = frames[parent, :3, :3]
             frames[index, :3, 3] = frames[parent, :3, 3] + turn @ (joints[index] - joints[parent])
     return Humanoid(joints, frames, _moved_by(rig, np.asarray(parents, np.intp), points))
+
+
+@lru_cache(maxsize=1)
+def reference_joints() -> F64:
+    """Return the joints [55, 3] of the embedded open body in its zero pose and shape, metres, read-only."""
+    with resources.as_file(resources.files("glsplat") / "data" / "open_body.npz") as path, np.load(path) as data:
+        joints = data["joints"].astype(np.float64)
+    joints.flags.writeable = False
+    return joints
 
 
 def _pelvis(rest: Mapping[str, F64], body: F64) -> F64:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
+from glsplat.extras.rigs.humanoid import reference_joints
 from glsplat.extras.rigs.meshes.faces import Faces
 from glsplat.extras.rigs.meshes.ground import faces_back, on_the_floor
 from glsplat.extras.rigs.meshes.left_out import TRIANGLES, LeftOut, apart, carried, nearest, refuse_packed, survey
@@ -22,7 +23,7 @@ from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances, onl
 from glsplat.formats.gltf.rig import inverse_binds, read_influences, read_skeleton
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.skinning.smplx import JOINT_NAMES, reference_joints
+from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["mesh_of", "read_gltf_person"]
 
