@@ -22,7 +22,7 @@ DEFAULT: str = "ben"
 
 @lru_cache(maxsize=len(PEOPLE))
 def person(name: str) -> Avatar:
-    """One of the embedded people (40,000 splats; 55 SMPL-X joints; 52 shapes of ARKit; licences beside the files).
+    """Load one of the embedded people (40,000 splats, 55 SMPL-X joints, 52 shapes of ARKit).
 
     Raises FormatError for a name that is not in ``PEOPLE``.
 
@@ -39,7 +39,7 @@ def person(name: str) -> Avatar:
 
 
 def default_avatar() -> Avatar:
-    """The embedded person that is shown where nobody says whom: ``person(DEFAULT)``.
+    """Return the embedded person that is shown by default: ``person(DEFAULT)``.
 
     >>> glsplat.default_avatar().skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
@@ -48,7 +48,7 @@ def default_avatar() -> Avatar:
 
 
 def embedded_file(name: str | Path) -> Path:
-    """The file of the embedded person that ``name`` is, where no file of that name is there; else ``name`` itself.
+    """Return the file of the embedded person ``name``; ``name`` itself if such a file exists or it is no person.
 
     Commands take what follows as an avatar: ``anna``, ``./anna`` for a file of that name, ``me.glb``.
     """
@@ -60,7 +60,7 @@ def embedded_file(name: str | Path) -> Path:
 
 
 def participants_folder() -> Path:
-    """The folder of the four synthetic people that ``glsplat evaluate`` takes where it is given no others.
+    """Return the folder of the four synthetic people that ``glsplat evaluate`` takes by default.
 
     Raises FormatError where the package does not lie in files (a zip archive).
     """

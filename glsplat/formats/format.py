@@ -57,16 +57,16 @@ class Opened:
         return text if text.startswith(b"{") else b""
 
     def named(self, *suffixes: str) -> bool:
-        """Whether the name ends in one of them."""
+        """Return whether the name ends in one of the suffixes."""
         return any(ending in suffixes for ending in self.endings)
 
     def begin(self, count: int) -> bytes:
-        """The first ``count`` bytes, or all."""
+        """Return the first ``count`` bytes, or all."""
         self.file.seek(0)
         return self.file.read(count)
 
     def spread(self) -> bytes:
-        """The file, or of a large one blocks spread evenly over it (io.files.sampled)."""
+        """Return the file, or of a large one blocks spread evenly over it (io.files.sampled)."""
         return sampled(self.file, 0, self.size)
 
 

@@ -81,7 +81,7 @@ class Element:
         return list(self.properties)
 
     def dtype(self, order: str) -> np.dtype[np.void]:
-        """A row in a binary file of that byte order."""
+        """Return the type of a row in a binary file of that byte order."""
         return np.dtype([(name, order + code) for name, code in self.properties.items()])
 
 
@@ -95,16 +95,16 @@ class PlyHeader:
     antialias: bool  # the splats want opacity compensation (Splats.antialias)
 
     def element(self, name: str) -> Element | None:
-        """The first element of that name."""
+        """Return the first element of that name."""
         return next((element for element in self.elements if element.name == name), None)
 
     def before(self, element: Element) -> list[Element]:
-        """The elements whose data come first."""
+        """Return the elements whose data come first."""
         return self.elements[: self.elements.index(element)]
 
 
 def is_ply(opened: Opened) -> bool:
-    """Whether a file begins like a PLY."""
+    """Return whether a file begins like a PLY."""
     return opened.head.startswith((b"ply\n", b"ply\r", b"ply "))
 
 
@@ -157,7 +157,7 @@ def _packed(header: bytes, splats: Splats) -> Iterator[bytes | memoryview]:
 
 
 def _check_properties(vertex: Element) -> int:
-    """SH degree of the vertices; FormatError when they are not splats."""
+    """Return the SH degree of the vertices; FormatError when they are not splats."""
     have = vertex.properties
     if PACKED in have:
         hint = "glsplat.load reads it" if plugin("formats.rows") else missing("formats", "it")
@@ -224,7 +224,7 @@ def _ascii(
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes]:
-    """Lines that are not blank. A hole in a file is a line without an end: it is not read to its end."""
+    """Yield lines that are not blank. A hole in a file is a line without an end: it is not read to its end."""
     while line := file.readline(_LINE_LIMIT):
         if len(line) == _LINE_LIMIT and not line.endswith(b"\n"):
             raise FormatError(f"a line of a splat has more than {_LINE_LIMIT} bytes; is this an ASCII PLY?")
@@ -295,7 +295,7 @@ def _loses(scene: Splats | Avatar) -> Iterator[str]:
 
 
 def read_header(file: BinaryIO) -> PlyHeader:
-    """The header at the start of an open file. Raises FormatError for what is no PLY."""
+    """Read the header at the start of an open file. Raises FormatError for what is no PLY."""
     file.seek(0)
     head = file.read(_HEADER_LIMIT)
     if not re.match(rb"ply[ \t]*\r?\n", head):
@@ -329,7 +329,7 @@ def read_header(file: BinaryIO) -> PlyHeader:
 
 
 def sh_degree(element: Element) -> int:
-    """Degree of the spherical harmonics, by the number of properties f_rest_0, f_rest_1, ..."""
+    """Return the degree of the spherical harmonics, by the number of properties f_rest_0, f_rest_1, ..."""
     rest = sum(re.fullmatch("f_rest_[0-9]+", name) is not None for name in element.properties)
     if rest not in (0, 9, 24, 45) or any(f"f_rest_{i}" not in element.properties for i in range(rest)):
         raise FormatError(f"a splat PLY needs 0, 9, 24 or 45 properties f_rest_0, f_rest_1, ...; found {rest}")
@@ -337,13 +337,13 @@ def sh_degree(element: Element) -> int:
 
 
 def listed(names: list[str]) -> str:
-    """Names of a stranger's header for a message of one line."""
+    """Return names of a header as one line for a message."""
     shown = [name[:40] for name in names]
     return ", ".join(shown[:12]) + (", ..." if len(shown) > 12 else "") or "nothing"
 
 
 def _antialias(comment: list[str], before: bool) -> bool:
-    """What a comment says: of Brush, of Postshot, of older files of this house; the last one counts."""
+    """Return the antialias flag of a comment of Brush, Postshot or older glsplat files; the last one counts."""
     match [word.lower() for word in comment]:
         case ["splatrendermode:", mode]:
             return mode == "mip"

@@ -17,7 +17,7 @@ F64 = NDArray[np.float64]
 
 
 def transformed(splats: Splats, matrix: F64) -> Splats:
-    """``splats`` under an affine ``matrix`` [4, 4]: Sigma = M C C^T M^T (KHR_gaussian_splatting, Splat Reconstruction).
+    """Transform splats by an affine ``matrix`` [4, 4]: Sigma = M C C^T M^T (KHR_gaussian_splatting).
 
     A rotation with a uniform scale keeps rotations and scales apart; any other matrix goes through a singular value
     decomposition of each M C. Spherical harmonics of degree 1 and above turn with the nearest orthogonal matrix, so

@@ -41,7 +41,7 @@ _BLOCKS, _BLOCK = 64, 1 << 16  # a sample of a large file: so many blocks of so 
 
 
 def path_of(source: Source) -> str:
-    """A path as str. Raises FormatError for anything else, file objects among it."""
+    """Return a path as str. Raises FormatError for anything else, file objects among it."""
     if isinstance(source, (str, bytes, os.PathLike)):
         return os.fsdecode(source)
     raise FormatError(
@@ -50,12 +50,12 @@ def path_of(source: Source) -> str:
 
 
 def suffix_of(source: Source) -> str:
-    """The suffix of a path, or of the name that an open file has; "" where there is none. Lower case, with its dot."""
+    """Return the suffix of a path, or of an open file's name, in lower case with its dot; "" without one."""
     return suffixes_of(source)[-1]
 
 
 def suffixes_of(source: Source) -> list[str]:
-    """All that may be called so, the longest first: ".compressed.ply", ".ply"; [""] where there is none.
+    """Return all suffixes of a name, the longest first: ".compressed.ply", ".ply"; [""] without one.
 
     A file called meta.json, whose kind is said by no less than that, begins with its whole name.
     """
@@ -67,12 +67,12 @@ def suffixes_of(source: Source) -> list[str]:
 
 
 def folder_of(source: Source) -> Path | None:
-    """The folder of a path; None for an open file, whose name need not be where it lies."""
+    """Return the folder of a path; None for an open file, whose name need not be where it lies."""
     return None if _is_open(source) else Path(path_of(source)).parent
 
 
 def name_of(source: Source) -> str:
-    """For messages: the path, or what an open file is called."""
+    """Return the path, or an open file's name, for messages."""
     if not _is_open(source):
         name: Any = path_of(source)
     else:
@@ -88,7 +88,7 @@ def _is_open(source: Source) -> bool:
 
 @contextmanager
 def open_regular(source: Source) -> Iterator[tuple[BinaryIO, int]]:
-    """A regular file, opened for reading, and its size in bytes; of an object, what is left of it.
+    """Open a regular file for reading; yield it and its size in bytes. Of an object, what is left of it.
 
     Raises FormatError for a directory, a pipe or device (reading one might never end), and anything the system
     refuses, also while the body of the ``with`` reads.
@@ -140,7 +140,7 @@ def replace_file(target: Source, parts: Iterable[bytes | memoryview], *, private
 
 @contextmanager
 def locked(path: Path, patience: float = 0.0) -> Iterator[None]:
-    """One process at a time: whoever comes while another holds ``path`` waits so many seconds for it.
+    """Hold the lock ``path``, which one process has at a time; wait ``patience`` seconds for it.
 
     Raises FormatError when it is not to be had. Where the system knows no such locks, there is none. The file stays.
     """
@@ -190,7 +190,7 @@ def naming(source: Source, strict: bool = False) -> Iterator[None]:
 
 
 def left_out(log: logging.Logger, reason: str) -> None:
-    """A warning with the name of the file that is being read, of which not all can be used; strict, a FormatError."""
+    """Log a warning that names the file being read; strict reading raises a FormatError instead."""
     name, strict = _READ.get()
     if strict:
         raise FormatError(f"{reason}; repair the file or load it without strict")
@@ -198,12 +198,12 @@ def left_out(log: logging.Logger, reason: str) -> None:
 
 
 def _printable(text: str) -> str:
-    """What a stranger's file calls things neither breaks the line nor steers the terminal; paths stay as they are."""
+    """Replace characters that would break the line or steer the terminal, in names from a file."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def sampled(file: BinaryIO, start: int, size: int, whole: int = _BLOCKS * _BLOCK) -> bytes:
-    """``size`` bytes from ``start``, or of more than ``whole`` blocks spread evenly, each at a multiple of 64 bytes."""
+    """Read ``size`` bytes from ``start``; of more than ``whole``, blocks spread evenly, at multiples of 64 bytes."""
     if size <= whole:
         file.seek(start)
         return file.read(size)

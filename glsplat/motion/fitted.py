@@ -23,7 +23,7 @@ _SAME = 2e-4  # metres; bodies whose joints lie nearer than that are one, as mot
 
 
 def body_of(joints: object) -> Skeleton:
-    """The skeleton of "joints" [55, 3] in a motion file: rest positions, metres, in SMPL-X's order."""
+    """Return the skeleton of "joints" [55, 3] in a motion file: rest positions, metres, in SMPL-X's order."""
     try:
         points = np.asarray(joints, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -34,13 +34,13 @@ def body_of(joints: object) -> Skeleton:
 
 
 def leg_length(joints: F64) -> float:
-    """Metres from hip over knee to ankle, the mean of both legs; of [55, 3] rest positions."""
+    """Return metres from hip over knee to ankle, the mean of both legs; of [55, 3] rest positions."""
     chains = [[joints[_AT[f"{side}_{part}"]] for part in ("hip", "knee", "ankle")] for side in _SIDES]
     return float(np.mean([np.linalg.norm(np.diff(chain, axis=0), axis=1).sum() for chain in chains]))
 
 
 def fitted(rotations: F64, trans: F64, made_for: Skeleton, skeleton: Skeleton) -> F64:
-    """[T, 3] translations for ``skeleton`` of a motion [T, 55, 3], [T, 3] that was made for another body.
+    """Return translations [T, 3] for ``skeleton`` of a motion [T, 55, 3], [T, 3] made for another body.
 
     All ways are scaled by the lengths of the legs. Then each frame's lowest foot joint is as high above where it rests
     as it is on the first body, in leg lengths: what stood, stands, and what jumped, jumps.
@@ -56,7 +56,7 @@ def fitted(rotations: F64, trans: F64, made_for: Skeleton, skeleton: Skeleton) -
 
 
 def _clearance(skeleton: Skeleton, rotations: F64) -> float:
-    """Metres from where it rests up to the lowest foot joint, without a translation."""
+    """Return metres from its rest height up to the lowest foot joint, without a translation."""
     return float((skeleton.forward(rotations)[_FEET, 1, 3] - skeleton.joints[_FEET, 1]).min())
 
 
@@ -69,7 +69,7 @@ def turned(rotations: F64, trans: F64, turn: F64, skeleton: Skeleton) -> tuple[F
 
 
 def grounded(rotations: F64, trans: F64, skeleton: Skeleton) -> F64:
-    """``trans`` shifted so that the lower foot stands as high as in the zero pose most of the time it stands.
+    """Shift ``trans`` so that a standing lower foot is mostly as high as in the zero pose.
 
     The height is a low percentile over the frames, not the minimum: a toe that bends down would lift the rest.
     """

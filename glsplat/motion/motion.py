@@ -70,19 +70,19 @@ class Motion:
         return len(self) / self.fps
 
     def pose(self, frame: int) -> Pose:
-        """The pose of a frame; negative indices count from the end."""
+        """Return the pose of a frame; negative indices count from the end."""
         if not -len(self) <= frame < len(self):
             raise PoseError(f"frame {frame} does not exist; this motion has {len(self)}")
         return Pose(self.rotations[frame], self.trans[frame], expression=self._face(frame % len(self)))
 
     def _face(self, first: int, second: int = 0, part: float = 0.0) -> Mapping[str, float]:
-        """The expression of a frame, or of ``part`` of the way to the ``second``."""
+        """Return the expression of a frame, or of ``part`` of the way to the ``second``."""
         if not self.expressions:
             return {}
         return mixed(self.expressions[first], self.expressions[second], part) if part else self.expressions[first]
 
     def at(self, seconds: float, loop: bool = True) -> Pose:
-        """The pose at a time: rotations by slerp, translation linearly.
+        """Return the pose at a time: rotations by slerp, translation linearly.
 
         ``loop`` repeats with the period ``duration`` (the last frame leads back to the first); else time is clamped.
         """
@@ -101,7 +101,7 @@ class Motion:
         return Pose(rotations, trans, expression=self._face(first, second, part))
 
     def resampled(self, fps: float) -> Motion:
-        """The same motion at another rate (slerp)."""
+        """Return the motion at another rate (slerp)."""
         count = max(1, round((len(self) - 1) * fps / self.fps) + 1)
         times = np.minimum(np.arange(count) / fps * self.fps, len(self) - 1)
         if len(self) == 1:

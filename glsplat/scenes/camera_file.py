@@ -15,7 +15,7 @@ __all__ = ["camera_from_json", "load_cameras", "read_cameras"]
 
 
 def load_cameras(path: str | Path) -> list[Camera]:
-    """The cameras of a camera file; see read_cameras()."""
+    """Return the cameras of a camera file; see read_cameras()."""
     return read_cameras(path)[0]
 
 
@@ -40,7 +40,7 @@ def read_cameras(path: str | Path) -> tuple[list[Camera], bool]:
 
 
 def camera_from_json(view: Any, where: str) -> Camera:
-    """The camera of one object of a camera file. Raises FormatError that begins with ``where``."""
+    """Return the camera of one object of a camera file. Raises FormatError that begins with ``where``."""
     if not isinstance(view, dict):
         raise FormatError(f"{where}: expected an object, found {type(view).__name__}")
     missing = [key for key in ("width", "height", "fx", "fy", "w2c") if key not in view]

@@ -78,7 +78,7 @@ class SceneFile:
 
     @classmethod
     def of(cls, thing: SceneLike) -> SceneFile:
-        """What a file of that one thing would hold."""
+        """Return the scene file of one thing."""
         return cls(Scene.of(thing))
 
     @property
@@ -102,7 +102,7 @@ class SceneFile:
 
 
 def upright(up: str) -> NDArray[np.float64]:
-    """[4, 4] the rotation that turns a world whose ``up`` axis is up into one with y up."""
+    """Return the rotation [4, 4] that turns a world whose ``up`` axis is up into one with y up."""
     half = np.sqrt(0.5)
     turns = {"y": (0, 0, 0, 1.0), "-y": (1.0, 0, 0, 0), "z": (-half, 0, 0, half), "-z": (half, 0, 0, half)}
     if up not in turns:
@@ -210,7 +210,7 @@ class _Reading:
             item.pose = Pose.from_json(entry.pose, skeleton)
 
     def _motion(self, name: str, folder: Path, skeleton: Skeleton) -> Motion:
-        """A file in the folder, or an embedded motion where there is none of that name."""
+        """Load a file in the folder, or an embedded motion where there is none of that name."""
         # here: a server of scenes that stand still needs none of it
         from glsplat.motion.loading import embedded_motions, load_embedded_motion, load_motion
 
@@ -242,7 +242,7 @@ def _parsed(start: Opened) -> _File:
 
 
 def _inside(name: str, folder: Path) -> Path:
-    """The file of that relative name in ``folder``; links that lead out count as out."""
+    """Return the file of that relative name in ``folder``. Raises FormatError, also for links that lead out."""
     if not name or "\0" in name or PurePosixPath(name).is_absolute() or Path(name).is_absolute() or "\\" in name:
         raise FormatError(f"a path is relative to the scene file, with /, not {name!r:.60}")
     try:
@@ -257,7 +257,7 @@ def _inside(name: str, folder: Path) -> Path:
 
 
 def _sniff(start: Opened) -> bool:
-    """JSON with items that is not glTF."""
+    """Return whether a file is JSON with items, but no glTF."""
     return bool(re.search(rb'"items"\s*:', start.json) and not re.search(rb'"asset"\s*:', start.json))
 
 

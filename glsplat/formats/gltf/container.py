@@ -77,14 +77,14 @@ class Blob:
 
     @classmethod
     def of(cls, data: bytes) -> Blob:
-        """Bytes that are in memory."""
+        """Wrap bytes that are in memory."""
         return cls(io.BytesIO(data), 0, len(data))
 
     def __len__(self) -> int:
         return self.length
 
     def part(self, start: int, count: int) -> bytes:
-        """``count`` bytes from ``start``, which the caller knows to be there."""
+        """Read ``count`` bytes from ``start``, which the caller has checked to be there."""
         if isinstance(self.source, Path):
             with open_regular(self.source) as (file, _):
                 return replace(self, source=file).part(start, count)
@@ -108,7 +108,7 @@ class Container:
         self._mended: dict[tuple[str, int], int] = {}  # what ``mended`` says, and the accessor -> how many
 
     def read(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.generic]:
-        """The elements of an accessor [count, width], raw component type.
+        """Read the elements of an accessor [count, width], raw component type.
 
         ``what`` names the accessor in messages. Raises FormatError when it leaves its buffer or has another type
         than one of ``types``; no memory is allocated for what the buffer does not hold, and no more of it is read.
@@ -129,7 +129,7 @@ class Container:
     def sparse(
         self, index: int, what: str, types: tuple[str, ...]
     ) -> tuple[NDArray[np.unsignedinteger[Any]], NDArray[Any]]:
-        """Of a sparse accessor the elements that it says, and which [K] those [K, width] are."""
+        """Read the indices [K] and the values [K, width] of a sparse accessor."""
         accessor = item(self.gltf.accessors, index, f"accessor of {what}")
         try:
             sparse = msgspec.convert(accessor.sparse, Sparse)
@@ -155,7 +155,7 @@ class Container:
         return rows, self._elements(part, f"{what} values", types)
 
     def _elements(self, accessor: Accessor, what: str, types: tuple[str, ...]) -> NDArray[Any]:
-        """[count, width] of what a bufferView holds."""
+        """Read the elements [count, width] of an accessor from its bufferView."""
         code = _COMPONENTS.get(accessor.component_type)
         if accessor.type not in types or code is None:
             raise FormatError(
@@ -183,7 +183,7 @@ class Container:
         return np.ndarray((accessor.count, width), dtype, part, 0, (stride, dtype.itemsize))
 
     def _bytes(self, index: int, view: BufferView, what: str) -> tuple[Blob, int]:
-        """What a bufferView is a part of, and where it starts; unpacked where it is packed."""
+        """Return the bytes that a bufferView is a part of, and where it starts; unpacked where it is packed."""
         packed = next((view.extensions[name] for name in _MESHOPT if name in view.extensions), None)
         if packed is None:
             return self._buffer(view.buffer), view.byte_offset
@@ -206,7 +206,7 @@ class Container:
         return self._unpacked[index], 0
 
     def view(self, index: int, what: str) -> bytes:
-        """The bytes of a bufferView, for an extension that knows what they are.
+        """Read the bytes of a bufferView, for an extension that decodes them.
 
         Raises FormatError when it leaves its buffer, and when those asked for take more bytes than there are: bytes
         that unpack to a thousand times as many are not to be had again and again.
@@ -224,11 +224,11 @@ class Container:
         return data.part(start, length)
 
     def numbers(self, index: int, what: str, types: tuple[str, ...]) -> NDArray[np.float32]:
-        """The elements of an accessor [count, width] as float32, normalised integers decoded (glTF 2.0, 3.11)."""
+        """Read the elements of an accessor [count, width] as float32, normalised integers decoded (3.11)."""
         return self.decoded(index, self.read(index, what, types))
 
     def decoded(self, index: int, raw: NDArray[Any]) -> NDArray[np.float32]:
-        """As ``numbers`` what ``read`` or ``sparse`` gave of an accessor."""
+        """Decode to float32, as ``numbers`` does, what ``read`` or ``sparse`` returned of an accessor."""
         with np.errstate(invalid="ignore"):
             values = np.ascontiguousarray(raw, np.float32)
         code = _COMPONENTS[self.gltf.accessors[index].component_type]
@@ -239,7 +239,7 @@ class Container:
     def finite(
         self, index: int, what: str, types: tuple[str, ...], said: str, instead: float, *, whole: bool = True
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """As ``numbers``, NaN and infinity replaced: the elements [count, width], and which numbers were replaced.
+        """Read as ``numbers`` does, with NaN and infinity replaced; return also which numbers were replaced.
 
         ``whole`` makes all numbers of an element ``instead`` where one is not finite, and counts elements. The count
         is for ``tell``, which calls them ``said``.
@@ -258,7 +258,7 @@ class Container:
         self._mended[said, index] = count
 
     def tell(self) -> None:
-        """One warning that counts all that was mended; where reading is strict, a FormatError (``left_out``)."""
+        """Log one warning that counts all that was mended; strict reading raises a FormatError (``left_out``)."""
         counts: dict[str, int] = {}
         for (said, _), count in self._mended.items():
             counts[said] = counts.get(said, 0) + count
@@ -266,7 +266,7 @@ class Container:
             left_out(log, "holds NaN or infinity: " + ", ".join(f"{counts[said]} {said}" for said in sorted(counts)))
 
     def note(self) -> dict[str, Any]:
-        """What ``Output.note`` wrote; empty in the files of others."""
+        """Return what ``Output.note`` wrote; empty in the files of others."""
         extras = self.gltf.asset.extras
         note = extras.get("glsplat") if isinstance(extras, dict) else None
         return dict(note) if isinstance(note, dict) else {}
@@ -286,7 +286,7 @@ class Container:
         return replace(data, length=buffer.byte_length)
 
     def fetched(self, uri: str, what: str) -> bytes:
-        """What a URI names: data in it, or a file in this one's folder. Raises FormatError for anything else."""
+        """Read what a URI names: data in it, or a file in this one's folder. Raises FormatError for anything else."""
         blob = self._fetch(uri, what)
         return blob.part(0, len(blob))
 
@@ -317,19 +317,19 @@ class Container:
 
 
 def item(items: list[T], index: int, what: str) -> T:
-    """``items[index]``, or a FormatError when the file refers to something it does not have."""
+    """Return ``items[index]``; FormatError when the file refers to something it does not have."""
     if index >= len(items):
         raise FormatError(f"the file refers to {what} {index}, but has {len(items)}")
     return items[index]
 
 
 def parse(data: bytes, folder: Path) -> Container:
-    """A GLB, or the JSON of a .gltf whose buffers lie in ``folder``. Raises FormatError without naming the file."""
+    """Parse a GLB, or the JSON of a .gltf whose buffers lie in ``folder``. FormatError does not name the file."""
     return read_container(io.BytesIO(data), len(data), folder)
 
 
 def read_container(file: BinaryIO, size: int, folder: Path | None) -> Container:
-    """The same of an open file of ``size`` bytes; it has to stay open while the container is read from."""
+    """Parse an open file of ``size`` bytes; it has to stay open while the container is read from."""
     text, blob = chunks(file, size)
     # a hole in a file is not read: JSON has no zero bytes
     if text.length > _SAMPLED and b"\0" in sampled(file, text.start, text.length):
@@ -344,12 +344,12 @@ def read_container(file: BinaryIO, size: int, folder: Path | None) -> Container:
 
 
 def glb_length(head: bytes) -> int:
-    """The bytes that a GLB says to have; what is behind them is none of it. ``head`` are its first 12 or more."""
+    """Return the length in a GLB's header; bytes behind it are ignored. ``head`` are its first 12 or more."""
     return int(struct.unpack_from("<I", head, 8)[0])
 
 
 def chunks(file: BinaryIO, have: int) -> tuple[Blob, Blob | None]:
-    """The JSON of an open file of ``have`` bytes, and a GLB's binary chunk (glTF 2.0, 4.4). Raises FormatError."""
+    """Return the JSON of an open file of ``have`` bytes, and a GLB's binary chunk (4.4). Raises FormatError."""
     file.seek(0)
     head = file.read(20)
     if head[:4] != b"glTF":

@@ -70,7 +70,7 @@ def write_levels(out: Output, scene: Splats | Avatar) -> None:
 
 
 def _coverages(splats: Splats, densities: list[float]) -> list[float]:
-    """Shares at which the finest and each level end, largest first; the last one is shown however small."""
+    """Return the coverages at which the finest and each level end, largest first; the last has no end."""
     points = splats.means[splats.finite()].astype(np.float64)
     low, high = np.percentile(points, (1, 99), axis=0) if len(points) else np.zeros((2, 3))
     radius = float(np.linalg.norm(high - low)) / 2
@@ -78,7 +78,7 @@ def _coverages(splats: Splats, densities: list[float]) -> list[float]:
 
 
 def finest_of(found: list[Instance]) -> list[Instance]:
-    """Without what another one names as its coarser level: files of others may have those in the scene as well."""
+    """Drop instances that another names as its coarser level: files of others may show those as well."""
     named = {index for one in found for index in _ids(one) if index != one.index}
     kept = [one for one in found if one.index not in named]
     return kept or found[:1]  # they name each other
@@ -91,7 +91,7 @@ def _ids(shown: Instance) -> list[int]:
 
 
 def read_levels(container: Container, graph: Graph, found: list[Instance], scene: Scene) -> Scene:
-    """``scene`` with the levels that the file has of it, as far as they can be used; the others are said.
+    """Return ``scene`` with the usable levels that the file has of it; the others are logged.
 
     ``found`` is all that is shown, of which the first is ``scene``, before its node's transform.
     """
@@ -151,7 +151,7 @@ class _Reading:
         self._container, self._graph, self._shown, self._scene = container, graph, shown, scene
 
     def level(self, index: int) -> Level[Any]:
-        """The level that a node is. Raises FormatError; nothing is read of one that cannot be a level."""
+        """Read the level of a node. Raises FormatError, before reading arrays of a node that cannot be a level."""
         gltf = self._container.gltf
         if index < 0:
             raise FormatError(f"there is no node {index}")
@@ -176,7 +176,7 @@ class _Reading:
         return Level(self._content(instance, ours), density, number_of(ours.get("psnr")))
 
     def _placed(self, index: int) -> Any:
-        """[4, 4] global matrix of a level's node, which hangs from nothing: it stands where the finest does."""
+        """Return the global matrix [4, 4] of a level's node; without a parent it hangs from that of the finest."""
         above = int(self._graph.parents[self._shown.index])
         world = self._graph.world
         return world[index] if self._graph.parents[index] >= 0 or above < 0 else world[above] @ world[index]

@@ -41,7 +41,7 @@ _ENTRIES = 1 << 24
 
 
 def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morphs:
-    """The POSITION targets of a primitive of ``mesh``; a target of normals alone moves nothing.
+    """Read the POSITION targets of a primitive of ``mesh``; a target of normals alone moves nothing.
 
     Names are those of ``extras.targetNames``, as exporters write them, else target_0 and so on. Raises FormatError
     for offsets that are not three floats for each vertex.
@@ -69,7 +69,7 @@ def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morph
 
 
 def _target(container: Container, index: int, where: str, count: int) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Which vertices one target moves, and by how much."""
+    """Read which vertices one target moves, and by how much."""
     accessor = item(container.gltf.accessors, index, f"accessor of {where}")
     if accessor.count != count:
         raise FormatError(f"{where} needs {count} offsets, as there are vertices, not {accessor.count}")
@@ -120,12 +120,12 @@ def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) 
 
 
 def index_code(count: int) -> str:
-    """The type of ``add_sparse``'s indices into ``count`` elements, little endian."""
+    """Return the type of ``add_sparse``'s indices into ``count`` elements, little endian."""
     return "<u2" if count <= 65536 else "<u4"
 
 
 def add_sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind: str) -> int:
-    """Index of a new accessor that is ``values`` where the bufferView ``indices`` says, and zero elsewhere."""
+    """Add an accessor of ``values`` at the rows in the bufferView ``indices``, zero elsewhere; return its index."""
     code = {"f": 5126, "b": 5120, "h": 5122}[values.dtype.char]
     accessor = Accessor(component_type=code, count=count, type=kind, normalized=code != 5126)
     if len(values):
@@ -143,7 +143,7 @@ def add_sparse(out: Output, count: int, indices: int, values: NDArray[Any], kind
 
 
 def shapes_of(container: Container, instance: Instance, count: int) -> Shapes | None:
-    """The shapes of an instance's ``count`` splats; None where its primitive has no targets. Raises FormatError."""
+    """Read the shapes of an instance's ``count`` splats; None where it has no targets. Raises FormatError."""
     primitive, mesh = instance.primitive, instance.node.mesh
     if not primitive.targets or mesh is None:
         return None
@@ -182,7 +182,7 @@ def shapes_of(container: Container, instance: Instance, count: int) -> Shapes | 
 
 
 def shape_names(names: tuple[str, ...]) -> list[str]:
-    """Names of ARKit where a target is one of its shapes, whoever named it; each once, others as they are."""
+    """Return targets' names, ARKit's where one is known under another maker's name; each once."""
     out: list[str] = []
     own = set(names)
     for number, name in enumerate(names):
@@ -196,7 +196,7 @@ def shape_names(names: tuple[str, ...]) -> list[str]:
 def _axes(
     container: Container, target: dict[str, int], where: str, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """[K] which splats a target bends, and [K, 2, 3] how far."""
+    """Read which splats a target bends [K], and how far [K, 2, 3]."""
     found: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
     for name in _AXES:
         if name not in target:
@@ -222,7 +222,7 @@ def _together(
     known: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]],
     more: list[tuple[NDArray[np.int64], int, NDArray[Any]]],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Entries of which some move and others bend, one for each splat and target."""
+    """Merge entries that move and entries that bend into one for each splat and target."""
     splats = np.concatenate([known[0], *(rows for rows, _, _ in more)])
     targets = np.concatenate([known[1], *(np.full(len(rows), number) for rows, number, _ in more)])
     if len(splats) > _ENTRIES:
@@ -239,7 +239,7 @@ def _together(
 
 
 def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
-    """A list of finite numbers of that shape; None for all else: notes of others are no reason to refuse a file."""
+    """Return finite numbers of that shape; None for all else: notes of others are no reason to refuse a file."""
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):
@@ -250,7 +250,7 @@ def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
 
 
 def _fits(moves: NDArray[np.float64], units: NDArray[np.float32]) -> bool:
-    """Whether all moves are whole numbers of those units, as a file that was written here has them."""
+    """Return whether all moves are whole numbers of those units, as in files that ``write_shapes`` wrote."""
     steps = moves / np.maximum(units, np.float32(1e-30))[:, None]
     off = np.abs(steps - np.rint(steps)).max(initial=0)
     return bool((units >= 0).all() and off < 0.01 and np.abs(steps).max(initial=0) < 32768)

@@ -37,12 +37,12 @@ class Graph:
 
 
 def only_moves(gltf: Gltf) -> bool:
-    """Whether a file has animations and shows nothing."""
+    """Return whether a file has animations and no primitives."""
     return bool(gltf.animations) and not any(mesh.primitives for mesh in gltf.meshes)
 
 
 def graph_of(gltf: Gltf) -> Graph:
-    """Parents and global matrices of all nodes; a node with two parents or a cycle is a FormatError."""
+    """Return parents and global matrices of all nodes; FormatError for a node with two parents or a cycle."""
     count = len(gltf.nodes)
     parents = np.full(count, -1)
     for i, node in enumerate(gltf.nodes):
@@ -85,7 +85,7 @@ def _local(node: Node) -> F64:
 
 
 def instances(gltf: Gltf, world: F64, extension: str = "") -> Iterator[Instance]:
-    """The primitives in the default scene, or of all nodes when the file has no scene; with ``extension``: of it."""
+    """Yield the primitives in the default scene, or of all nodes in a file without; those with ``extension``."""
     pending = list(range(len(gltf.nodes)))[::-1]
     descend = bool(gltf.scenes)
     if descend:

@@ -47,7 +47,7 @@ class Output:
         normalized: bool = False,
         target: int | None = VERTICES,
     ) -> int:
-        """Index of a new accessor of type ``kind`` for [N, width] float32, int8, int16, uint8, uint16 or uint32.
+        """Add an accessor of type ``kind`` for [N, width] floats of 32 bits or integers of 8 to 32; return its index.
 
         ``normalized`` integers stand for -1 to 1 or 0 to 1. ``target`` is the bufferView's: ``VERTICES``, ``INDICES``,
         or None for what is neither.
@@ -63,7 +63,7 @@ class Output:
         return len(self.gltf.accessors) - 1
 
     def add_shares(self, array: NDArray[np.float32], kind: str) -> int:
-        """As ``add`` of [N, 4] floats from 0 to 1; as normalised integers of 8 or 16 bits where that loses nothing.
+        """Add [N, 4] floats from 0 to 1, as normalised integers of 8 or 16 bits where that loses nothing.
 
         That is where each number is exactly a whole number of them, as in a file that was made to be small.
         """
@@ -76,7 +76,7 @@ class Output:
         return self.add(array, kind)
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
-        """Index of a new bufferView that holds ``data``: that of an accessor, or an image file."""
+        """Add a bufferView that holds ``data``, of an accessor or an image file; return its index."""
         view = BufferView(buffer=0, byte_offset=self._length, byte_length=len(data), target=target)
         self.gltf.buffer_views.append(view)
         padded = data + b"\0" * (-len(data) % 4)
@@ -85,13 +85,13 @@ class Output:
         return len(self.gltf.buffer_views) - 1
 
     def needs(self, extension: str) -> None:
-        """Readers have to know ``extension``."""
+        """Declare that readers have to know ``extension``."""
         for named in (self.gltf.extensions_used, self.gltf.extensions_required):
             if extension not in named:
                 named.append(extension)
 
     def note(self, values: dict[str, Any]) -> None:
-        """What ``Container.note`` is to find."""
+        """Set what ``Container.note`` returns."""
         self.gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": values})
 
     def write(self, target: Source, *, embedded: bool | None = None) -> None:
@@ -121,7 +121,7 @@ class Output:
 
 
 def _glb(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
-    """The parts of a GLB whose buffer 0 is ``blob`` (a multiple of 4 bytes)."""
+    """Yield the parts of a GLB whose buffer 0 is ``blob`` (a multiple of 4 bytes)."""
     text = _encode(gltf)
     text += b" " * (-len(text) % 4)
     yield struct.pack("<III", MAGIC, 2, 12 + 8 + len(text) + 8 + len(blob))
@@ -131,7 +131,7 @@ def _glb(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
 
 
 def _json(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
-    """The same as one .gltf file with the buffer embedded as a data URI."""
+    """Yield a .gltf file with the buffer embedded as a data URI."""
     gltf.buffers[0].uri = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
     yield msgspec.json.format(_encode(gltf), indent=1)
 

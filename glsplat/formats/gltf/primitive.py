@@ -58,7 +58,7 @@ _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
 
 
 def write_splats(out: Output, splats: Splats, *, coarse: bool = False) -> Primitive:
-    """A new primitive with all that splats are; its material is number 0. Joints and weights are added elsewhere.
+    """Add the arrays of splats and return their primitive, of material 0, without joints and weights.
 
     ``coarse`` levels show other viewers colours of 8 bits.
     """
@@ -103,14 +103,14 @@ def _write_fallback(out: Output, splats: Splats, kind: type[np.uint8 | np.uint16
 
 
 def narrow_quats(quats: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
-    """Quaternions [N, 4] in 32767ths, where reading those makes the same of them; else as they are."""
+    """Return quaternions [N, 4] in 32767ths where reading those gives the same; else as they are."""
     with np.errstate(invalid="ignore", over="ignore"):
         narrow = np.nan_to_num(np.rint(quats * _ROTATION_ONE)).clip(-_ROTATION_ONE, _ROTATION_ONE).astype(np.int16)
     return narrow if np.array_equal(normalised(narrow / _ROTATION_ONE), quats) else quats
 
 
 def read_splats(container: Container, primitive: Primitive, name: str) -> Splats:
-    """The splats of a primitive, which messages call ``name``, where they are stored. Raises FormatError."""
+    """Read the splats of a primitive, untransformed; messages call it ``name``. Raises FormatError."""
     if primitive.mode != 0:
         raise FormatError(f"{name}: splats need a POINTS primitive (mode 0), not mode {primitive.mode}")
     _check_extension(primitive.extensions[EXTENSION], name)
@@ -161,7 +161,7 @@ def read_splats(container: Container, primitive: Primitive, name: str) -> Splats
 
 
 def colour_note(parts: Iterable[Splats]) -> dict[str, str]:
-    """What the extras say of the colours of all ``parts`` of a file; nothing where all are baked."""
+    """Return the extras on the colours of all ``parts`` of a file; empty where all are baked."""
     surfaces = [splats.surface for splats in parts if splats.surface is not None]
     if not surfaces:
         return {}
@@ -169,13 +169,13 @@ def colour_note(parts: Iterable[Splats]) -> dict[str, str]:
 
 
 def our_extras(extras: Any) -> dict[str, Any]:
-    """What is ours of the extras of an object; empty in the files of others."""
+    """Return glsplat's part of the extras of an object; empty in the files of others."""
     ours = extras.get("glsplat") if isinstance(extras, dict) else None
     return ours if isinstance(ours, dict) else {}
 
 
 def number_of(value: Any) -> float | None:
-    """A finite number; None for all else."""
+    """Return a finite number as float; None for all else."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
     return float(value) if usable else None
 
@@ -188,7 +188,7 @@ def _cones(container: Container, index: int, count: int, name: str) -> NDArray[n
 
 
 def _surface(container: Container, attributes: dict[str, int], count: int, name: str) -> Surface | None:
-    """The surface that colours of albedo, or shaded ones, come with. Raises FormatError for what does not fit."""
+    """Read the surface of albedo or shaded colours. Raises FormatError for arrays that do not fit."""
     said = container.note().get(COLOUR)
     if said not in (_ALBEDO, _SHADED) or not {_NORMAL, _OCCLUSION} <= attributes.keys():
         return None
@@ -220,7 +220,7 @@ def _written_by_us(container: Container) -> bool:
 
 
 def packed_view(extension: Any, name: str) -> int | None:
-    """The bufferView that the value of KHR_gaussian_splatting says the splats are packed into, None where they are not.
+    """Return the bufferView that splats are packed into, by the value of KHR_gaussian_splatting; None without.
 
     Raises FormatError for another compression than SPZ.
     """
@@ -235,7 +235,7 @@ def packed_view(extension: Any, name: str) -> int | None:
 
 
 def _packed_splats(container: Container, primitive: Primitive, index: int, name: str) -> Splats:
-    """The splats of that bufferView. The attributes of such a primitive are placeholders, which have their count.
+    """Read the splats of that bufferView. The primitive's attributes are placeholders of the same count.
 
     Raises FormatError where the counts differ.
     """

@@ -42,7 +42,7 @@ _DROPPED, _ROOTED = "skin weights (left out)", "vertices without weights (now on
 
 
 def weights_note(skin: Skin) -> dict[str, Any]:
-    """What those extras say of ``skin``; empty where nothing was lost."""
+    """Return the extras on ``skin``; empty where nothing was lost."""
     return {SKIN_WEIGHTS: {"lost": skin.lost, "repaired": skin.repaired}} if skin.lost or skin.repaired else {}
 
 
@@ -186,7 +186,7 @@ def read_influences(container: Container, instance: Instance, count: int) -> Inf
 
 
 def _root(gltf: Gltf, skin: int) -> int:
-    """Which of a skin's joints hangs from no other of them; of several the first."""
+    """Return the index of the first of a skin's joints that hangs from no other of them."""
     joints = item(gltf.skins, skin, "skin").joints
     pending, below = [child for node in joints for child in item(gltf.nodes, node, "node").children], set[int]()
     while pending:
@@ -198,7 +198,7 @@ def _root(gltf: Gltf, skin: int) -> int:
 
 
 def read_skin(container: Container, instance: Instance, joints: int, count: int, noted: Any) -> Skin:
-    """Influences of ``count`` splats on ``joints`` joints, with the smallest K that holds them all.
+    """Read the influences of ``count`` splats on ``joints`` joints, with the smallest K that holds them all.
 
     ``noted`` may be what ``weights_note`` said of an earlier reduction. Raises FormatError when counts or types do not
     fit, or a splat is bound to a joint the skin lacks.

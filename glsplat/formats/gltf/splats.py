@@ -175,7 +175,7 @@ def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats
 
 
 def _begins_json(head: bytes) -> bool:
-    """An object's brace and a key, or the end: numbers of a .splat may look like text from end to end."""
+    """Return whether a brace and a key, or the end, begin it: a .splat may look like text from end to end."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     return text[:1] == b"{" and text[1:].lstrip()[:1] in (b'"', b"}", b"")
 
