@@ -17,8 +17,8 @@ from glsplat.extras.motions.batch import resample
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig
-from glsplat.tracking.body_size import SHOULDERS as SHOULDER_HEIGHTS
-from glsplat.tracking.body_size import Finder
+from glsplat.tracking.body_size import STRETCHED_WRISTS as SHOULDER_HEIGHTS
+from glsplat.tracking.body_size import BodySizeFinder
 from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.solve import quat
@@ -55,7 +55,7 @@ def test_sway_is_across_the_way_a_walk_goes() -> None:
 
 @pytest.mark.parametrize("low", [True, False])
 def test_hands_at_the_bounds_of_shoulder_height_are_not_stretched(body: Body, low: bool) -> None:
-    finder = Finder(body, 1.0)
+    finder = BodySizeFinder(body, 1.0)
     for height, counts in ((SHOULDER_HEIGHTS[0 if low else 1], False), (0.9, True)):
         hands = [(x, height, 0.0) for x in (-0.7, 0.7)]
         finder.update((0.0, 1.0, 0.0), IDENTITY, hands, DT)

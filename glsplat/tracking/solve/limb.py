@@ -15,7 +15,6 @@ from glsplat.tracking.solve.quat import (
     cross,
     dot,
     from_axes,
-    inverse_mul,
     mul,
     rotate,
     unit,
@@ -78,8 +77,3 @@ def two_bone(limb: Limb, root: Vec, end: Vec, pole: Vec) -> tuple[Quat, Quat, Ve
     world = mul(from_axes(upper_dir, hinge, cross(upper_dir, hinge)), limb.frame)
     bend = between(limb.lower_dir, rotate(conj(world), lower_dir))
     return world, bend, lower_dir
-
-
-def relative(parent: Quat, child: Quat) -> Quat:
-    """Local rotation of a child with this world rotation."""
-    return inverse_mul(parent, child)
