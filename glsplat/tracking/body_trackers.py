@@ -56,11 +56,6 @@ class _Tracker:
         self.filter.reset()
         self.seen_s = 0.0  # since it was last found
 
-    @property
-    def learns(self) -> bool:
-        """Whether it is tracked but its mount is unknown."""
-        return self.filter.pose is not None and self.mount is None and not self.from_body
-
 
 class BodyTrackers:
     """Add what is tracked beside head and hands to the targets. Samples without it cost and change nothing."""
@@ -141,7 +136,7 @@ class BodyTrackers:
 
     def learn(self, solution: Solution, eye: Vec, dt: float) -> None:
         """Learn mounts that no calibration has, from the solver's joints while their trackers are not used yet."""
-        learning = [tracker for tracker in self._trackers if tracker.learns]
+        learning = [t for t in self._trackers if t.filter.pose is not None and t.mount is None and not t.from_body]
         if not learning:
             return
         yaw = quat.swing_twist_y(solution.rotations[PELVIS])

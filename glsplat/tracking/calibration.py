@@ -162,7 +162,7 @@ def calibrate(
     if not MIN_EYES_M <= eyes <= MAX_EYES_M:
         expected = f"{MIN_EYES_M} to {MAX_EYES_M} m"
         raise PoseError(f"the eyes are {eyes:.2f} m above the floor; expected {expected} (is the floor right?)")
-    pitches = [head_pitch(normalized(mul((h[6], h[3], h[4], h[5]), conj(HEAD_FRAME))), 0.0) for h in still]
+    pitches = [head_pitch(normalized(mul((h[6], h[3], h[4], h[5]), conj(HEAD_FRAME)))) for h in still]
     pitch = sum(pitches) / len(pitches)
     scale, span = eyes / body.eye_height, None
     spans = [
