@@ -11,8 +11,7 @@ __all__ = ["TrackerConfig"]
 
 HEAD_POSITION, HEAD_ROTATION = OneEuro(1.2, 40.0, 0.5), OneEuro(1.2, 8.0, 1.2)
 HAND_POSITION, HAND_ROTATION = OneEuro(1.0, 40.0, 0.5), OneEuro(1.0, 6.0, 1.2)
-EXTRA_POSITION, EXTRA_ROTATION = HAND_POSITION, HAND_ROTATION
-"""Hardly anything passes that is slower than sway; at 1 m/s 4 ms of lag, never more than 9 mm behind."""
+"""Filters that stop sway; at 1 m/s their lag is 4 ms, and they are never more than 9 mm behind."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,21 +22,21 @@ class TrackerConfig:
     head_rotation: OneEuro = HEAD_ROTATION
     hand_position: OneEuro = HAND_POSITION
     hand_rotation: OneEuro = HAND_ROTATION
-    extra_position: OneEuro = EXTRA_POSITION  # waist and feet
-    extra_rotation: OneEuro = EXTRA_ROTATION
+    body_tracker_position: OneEuro = HAND_POSITION  # waist and feet
+    body_tracker_rotation: OneEuro = HAND_ROTATION
     finger_smoothing: float = 0.02  # seconds
     prediction: float = 0.0  # seconds to extrapolate head and hands to the time of display; at most 0.1
-    predicted_metres: float = 0.10  # bounds of what prediction adds
+    predicted_metres: float = 0.10  # limits of the extrapolation
     predicted_radians: float = 0.35
-    head_speed: float = 12.0  # m/s; what moves faster is followed at this speed
+    head_speed: float = 12.0  # m/s; a faster head is followed at this speed
     hand_speed: float = 20.0
     turn_speed: float = 50.0  # rad/s
-    teleport: float = 0.7  # metres the head may jump in a sample (beyond 8 m/s); more is declared a teleport
+    teleport: float = 0.7  # metres the head may jump in a sample (beyond 8 m/s); more is a teleport
     gap: float = 0.5  # seconds without samples after which the body starts anew
     joint_speed: float = 45.0  # rad/s of any joint of the output
     root_speed: float = 14.0  # m/s of the output's pelvis
     foot_speed: float = 10.0  # m/s of the output's feet, over the pelvis' own
-    stretch: float = 0.25  # of their length arms become longer at most, where a hand is out of reach; 0: never
+    stretch: float = 0.25  # limit of the length that is added to an arm, as a part of it, where a hand is out of reach
 
     def __post_init__(self) -> None:
         if not 0 <= self.prediction <= 0.1:
@@ -47,15 +46,15 @@ class TrackerConfig:
 
     @classmethod
     def raw(cls, prediction: float = 0.0) -> TrackerConfig:
-        """No filters: for recordings without noise."""
+        """Return settings without filters, for recordings without noise."""
         off = OneEuro(0.0, 0.0)
         return cls(
             head_position=off,
             head_rotation=off,
             hand_position=off,
             hand_rotation=off,
-            extra_position=off,
-            extra_rotation=off,
+            body_tracker_position=off,
+            body_tracker_rotation=off,
             finger_smoothing=0.0,
             prediction=prediction,
         )

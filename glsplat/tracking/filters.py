@@ -33,14 +33,14 @@ from glsplat.tracking.solve.quat import (
     to_quat,
 )
 
-__all__ = ["Device", "OneEuro", "PositionFilter", "RotationFilter"]
+__all__ = ["OneEuro", "PositionFilter", "RotationFilter", "Trend"]
 
 Value = TypeVar("Value", bound=tuple[float, ...])
 
 
 @dataclass(frozen=True, slots=True)
 class OneEuro:
-    """Setting of one channel."""
+    """Settings of one channel."""
 
     min_cutoff: float  # Hz at rest; 0 switches the filter off
     beta: float  # Hz for each m/s (positions) or rad/s (rotations)
@@ -48,48 +48,47 @@ class OneEuro:
     derivative_cutoff: float = 4.0  # Hz, smoothing of the speed itself
 
     def cutoff(self, speed: float) -> float:
-        """Hz at this speed."""
+        """Return the cutoff in Hz at this speed."""
         return self.min_cutoff + self.beta * speed * (1.0 if speed >= self.knee else speed / self.knee)
 
     def share(self, speed: float, dt: float) -> float:
-        """Of the way to its input that each of the two low passes goes in dt seconds."""
+        """Return the fraction of the way to its input that each of the two low passes goes in dt seconds."""
         return 1.0 if self.min_cutoff <= 0 else 1 - exp(-4 * pi * self.cutoff(speed) * dt)
 
     def lag(self, speed: float) -> float:
-        """Seconds by which the filter delays a motion of this speed (m/s or rad/s)."""
+        """Return the seconds by which the filter delays a motion of this speed (m/s or rad/s)."""
         return 0.0 if self.min_cutoff <= 0 else 1 / (2 * pi * self.cutoff(speed))
 
 
-SPAN = 0.1
-"""Seconds of the past that a prediction goes by: shorter ones tremble more, longer ones come later."""
-
-_FEWEST, _ENOUGH = 4, 0.7  # points, and the part of SPAN that they reach back
-_MOST = 64  # points: no device is that quick, but a client may say so
+TREND_S = 0.1  # of the past that a prediction goes by: less trembles more, more comes later
+MIN_TREND_POINTS, MIN_TREND_SHARE = 4, 0.7  # points, and the part of TREND_S that they cover
+MAX_TREND_POINTS = 64  # no device is that quick, but a client may claim to be
+NLERP_BELOW_RAD = 0.5  # a rotation that small is interpolated linearly
 
 
 class Trend:
-    """The velocity of the last ``SPAN`` seconds: the slope of the line through them (least squares).
+    """The velocity of the last ``TREND_S`` seconds: the slope of a line fitted by least squares.
 
     Steps faster than ``max_speed`` are cut to it: a device that is found elsewhere has not moved there.
     """
 
     def __init__(self, max_speed: float) -> None:
-        self._past: deque[tuple[float, Vec]] = deque(maxlen=_MOST)  # seconds, and how far it had come
-        self._most, self._now = max_speed, 0.0
-        self._come: Vec = (0.0, 0.0, 0.0)
+        self._past: deque[tuple[float, Vec]] = deque(maxlen=MAX_TREND_POINTS)  # seconds, the path until then
+        self._max_speed, self._now = max_speed, 0.0
+        self._path: Vec = (0.0, 0.0, 0.0)  # the sum of all steps
 
     def add(self, step: Vec, dt: float) -> None:
-        """It moved by ``step`` in ``dt`` seconds."""
+        """Add a move by ``step`` in ``dt`` seconds."""
         self._now += dt
-        far, most = length(step), self._most * dt
-        self._come = add(self._come, step if far <= most else scale(step, most / far))
-        self._past.append((self._now, self._come))
-        while self._now - self._past[0][0] > SPAN:
+        far, most = length(step), self._max_speed * dt
+        self._path = add(self._path, step if far <= most else scale(step, most / far))
+        self._past.append((self._now, self._path))
+        while self._now - self._past[0][0] > TREND_S:
             self._past.popleft()
 
     def velocity(self) -> Vec | None:
-        """A second; None before there is a past to go by."""
-        if len(self._past) < _FEWEST or self._now - self._past[0][0] < _ENOUGH * SPAN:
+        """Return the velocity a second; None while too little of the past is known."""
+        if len(self._past) < MIN_TREND_POINTS or self._now - self._past[0][0] < MIN_TREND_SHARE * TREND_S:
             return None
         middle = sum(t for t, _ in self._past) / len(self._past)
         spread = sum((t - middle) ** 2 for t, _ in self._past)
@@ -98,14 +97,14 @@ class Trend:
 
 
 class _Filter(Generic[Value]):
-    """One Euro with a limit on the speed, on what moves in three directions: what points and rotations share."""
+    """One Euro with a limit on the speed: the common part of positions and rotations."""
 
     def __init__(self, setting: OneEuro, max_speed: float) -> None:
         self.setting, self.max_speed = setting, max_speed
         self.first: Value | None = None  # behind the first low pass
         self.value: Value | None = None
         self.velocity: Vec = (0.0, 0.0, 0.0)
-        self.trend: Trend | None = None  # of all moves together, once something was predicted
+        self.trend: Trend | None = None  # kept once a prediction was asked for
         self._raw: Value | None = None
 
     def reset(self) -> None:
@@ -114,7 +113,7 @@ class _Filter(Generic[Value]):
         self.velocity = (0.0, 0.0, 0.0)
 
     def _share(self, x: float, y: float, z: float, dt: float) -> float:
-        """Of the way to its input that each low pass goes, once the velocity has taken up a move in dt seconds."""
+        """Update the velocity by a move in dt seconds; return the fraction that each low pass goes to its input."""
         setting = self.setting
         a = 1 - exp(-2 * pi * setting.derivative_cutoff * dt)
         rate = 1 / dt
@@ -124,7 +123,7 @@ class _Filter(Generic[Value]):
         return setting.share(sqrt(vx * vx + vy * vy + vz * vz), dt)
 
     def _move(self, seconds: float, most: float) -> Vec:
-        """How it moves on in that time at its present velocity, by at most ``most``."""
+        """Return the move of the next ``seconds`` at the present velocity, at most ``most`` long."""
         self.trend = self.trend or Trend(self.max_speed)
         vx, vy, vz = self.trend.velocity() or self.velocity
         speed = sqrt(vx * vx + vy * vy + vz * vz)
@@ -136,7 +135,7 @@ class PositionFilter(_Filter[Vec]):
     """One Euro on a point, with a limit on its speed."""
 
     def update(self, raw: Vec, dt: float) -> Vec:
-        """The filtered point ``dt`` seconds after the last one."""
+        """Return the filtered point ``dt`` seconds after the last one."""
         last, value = self.first, self.value
         if self.trend is not None:
             self.trend.add(sub(raw, self._raw or raw), dt)
@@ -156,7 +155,7 @@ class PositionFilter(_Filter[Vec]):
         return value
 
     def ahead(self, seconds: float, most: float) -> Vec:
-        """The value extrapolated at its present velocity, at most ``most`` metres."""
+        """Return the value extrapolated at its present velocity, by at most ``most`` metres."""
         return add(self.value or (0.0, 0.0, 0.0), self._move(seconds, most))
 
 
@@ -164,7 +163,7 @@ class RotationFilter(_Filter[Quat]):
     """One Euro on a unit quaternion, whichever its sign, with a limit on its speed; velocity in rad/s, world axes."""
 
     def update(self, raw: Quat, dt: float) -> Quat:
-        """The filtered rotation ``dt`` seconds after the last one."""
+        """Return the filtered rotation ``dt`` seconds after the last one."""
         last, value = self.first, self.value
         if self.trend is not None:
             self.trend.add(rotation_vector(mul(raw, conj(self._raw or raw))), dt)
@@ -187,41 +186,17 @@ class RotationFilter(_Filter[Quat]):
         k = (min(angle, most) / n) if n > 1e-9 else 0.0
         x, y, z = x * k, y * k, z * k  # rotation vector of the allowed turn
         share = self._share(x, y, z, dt)
-        k = (angle and min(angle, most) / angle) * share
-        first = nlerp(last, raw, k) if angle < 0.5 else mul(to_quat(_scaled(x, y, z, k, angle, most)), last)
+        allowed = min(angle, most)
+        k = (angle and allowed / angle) * share
+        if angle < NLERP_BELOW_RAD:
+            first = nlerp(last, raw, k)
+        else:  # the allowed turn, shortened to the part k of the whole turn
+            f = clamp(k * angle / allowed, 0.0, 1.0) if allowed > 1e-12 else 0.0
+            first = mul(to_quat((x * f, y * f, z * f)), last)
         self.first = first
         self.value = value = first if share == 1 else slerp(value, first, share)
         return value
 
     def ahead(self, seconds: float, most: float) -> Quat:
-        """The value turned on at its present angular velocity, by at most ``most`` radians."""
+        """Return the value extrapolated at its present angular velocity, by at most ``most`` radians."""
         return mul(to_quat(self._move(seconds, most)), self.value or IDENTITY)
-
-
-@dataclass(slots=True)
-class Device:
-    """Filters of one tracked pose."""
-
-    position: PositionFilter
-    rotation: RotationFilter
-    at: Vec | None = None
-    turn: Quat = IDENTITY
-    raw: tuple[float, ...] | None = None
-    frozen: int = 0
-
-    def ahead(self, seconds: float, metres: float, radians: float) -> tuple[Vec, Quat]:
-        """Where it will be, as far as that may differ from where it is."""
-        return self.position.ahead(seconds, metres), self.rotation.ahead(seconds, radians)
-
-    def reset(self) -> None:
-        """Not seen any more: the next pose is taken as it comes."""
-        self.position.reset()
-        self.rotation.reset()
-        self.at = None
-
-
-def _scaled(x: float, y: float, z: float, k: float, angle: float, most: float) -> Vec:
-    """The allowed turn (x, y, z), shortened to the part k of the whole turn."""
-    allowed = min(angle, most)
-    f = clamp(k * angle / allowed, 0.0, 1.0) if allowed > 1e-12 else 0.0
-    return (x * f, y * f, z * f)

@@ -1,4 +1,4 @@
-"""Fingers: 25 tracked joints a hand, or a curl from 0 to 1, to the 15 finger rotations of SMPL-X."""
+"""The stage of a Tracker for fingers: 25 tracked joints a hand, or a curl from 0 to 1, to 15 rotations of SMPL-X."""
 
 from __future__ import annotations
 
@@ -7,35 +7,67 @@ from math import atan2, exp, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.solve.body import Body
+from glsplat.tracking.reading import invalid
+from glsplat.tracking.sample import Sample
+from glsplat.tracking.solve.body import FINGERS, Body
 from glsplat.tracking.solve.limits import FINGER_HIGH, FINGER_LOW, THUMB_LIMIT
-from glsplat.tracking.solve.quat import Quat, Vec, unit
+from glsplat.tracking.solve.quat import JointPose, Quat, Vec, unit
 
-__all__ = ["Fingers"]
+__all__ = ["BothHandsFingers", "Fingers"]
 
 Array = NDArray[np.float64]
 
-RELAXED = 0.22  # curl of a hand that nothing is known of
+RELAXED_CURL = 0.22  # of a hand without tracked fingers
 FIST = np.radians([75.0, 95.0, 65.0])  # flexion of the three joints at curl 1
 THUMB_FIST = np.radians([[10.0, 25.0, -20.0], [0.0, 25.0, -20.0], [0.0, 35.0, -25.0]])  # left, rotation vectors
-RATE = 40.0  # rad/s at most, each component
+MAX_RATE_RAD_S = 40.0  # of each component of a rotation vector
+ALTERNATE_BELOW_S = 0.04  # between samples, below which only one hand's fingers are fitted in each sample
 
-# rows of the 25 joints (wrist, thumb 4, then index, middle, ring, pinky 5 each) where each SMPL-X bone begins and ends;
-# SMPL-X lists index, middle, pinky, ring, thumb
-_STARTS = (6, 11, 21, 16, 1)  # proximal joints (the knuckles); the thumb's metacarpal
+# rows of the 25 joints (wrist, thumb 4, then index, middle, ring, pinky 5 each) of each finger's knuckle, or the
+# thumb's metacarpal, in the order of SMPL-X: index, middle, pinky, ring, thumb
+KNUCKLES = (6, 11, 21, 16, 1)
+
+
+class BothHandsFingers:
+    """The fingers of both hands."""
+
+    def __init__(self, body: Body, smoothing: float) -> None:
+        self.hands = (Fingers(body, 0, smoothing), Fingers(body, 1, smoothing))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._count = 0  # of samples
+        for hand in self.hands:
+            hand.reset()
+
+    def update(
+        self, sample: Sample, wrists: tuple[JointPose | None, JointPose | None], dt: float, flags: list[str]
+    ) -> list[Array]:
+        """Return [15, 3] rotation vectors of the left and the right hand. ``dt`` of 0: the first moment of a body."""
+        self._count += 1
+        out = []
+        for side, (hand, wrist) in enumerate(zip(self.hands, wrists, strict=True)):
+            joints, curl = (sample.right_joints, sample.right_curl) if side else (sample.left_joints, sample.left_curl)
+            turn = None if wrist is None else wrist[1]
+            fit = not 0 < dt < ALTERNATE_BELOW_S or self._count % 2 == side
+            try:
+                if joints is not None and (len(joints) != 25 or min(map(len, joints)) < 3):
+                    raise ValueError
+                out.append(hand.update(joints, turn, curl, dt or 1.0, fit))
+            except (TypeError, ValueError, IndexError):  # not 25 joints of numbers
+                invalid(flags)
+                out.append(hand.update(None, turn, None, dt or 1.0))
+        return out
 
 
 class Fingers:
     """One hand's fingers, smoothed."""
 
-    high: NDArray[np.float64]
-    low: NDArray[np.float64]
-
     def __init__(self, body: Body, index: int, smoothing: float) -> None:
         self.smoothing = smoothing  # seconds
         sign = 1.0 if index == 0 else -1.0
-        first = 25 if index == 0 else 40
-        joints = body.rest[first : first + 15].reshape(5, 3, 3)
+        joints = body.rest[FINGERS[index]].reshape(5, 3, 3)
         ends = (joints[:, 1] - joints[:, 0], joints[:, 2] - joints[:, 1], joints[:, 2] - joints[:, 1])
         # rest directions of each finger's three bones
         self.bones: list[list[Vec]] = [
@@ -46,16 +78,17 @@ class Fingers:
         if index == 1:  # turns about y and z change sign
             mirror = np.array([1.0, -1.0, -1.0])
             low, high = np.minimum(low * mirror, high * mirror), np.maximum(low * mirror, high * mirror)
-        self.low, self.high = low, high  # [5, 3, 3] finger, joint, rotation vector
-        self.fist: NDArray[np.float64] = np.zeros((5, 3, 3))
-        self.fist[:4, :, 2] = -FIST * sign
-        self.fist[4] = THUMB_FIST * np.array([1.0, sign, sign])
-        self.fist = np.clip(self.fist, low, high)
+        self.low: Array = low  # [5, 3, 3] finger, joint, rotation vector
+        self.high: Array = high
+        fist = np.zeros((5, 3, 3))
+        fist[:4, :, 2] = -FIST * sign
+        fist[4] = THUMB_FIST * np.array([1.0, sign, sign])
+        self.fist: Array = np.clip(fist, low, high)
         self.reset()
 
     def reset(self) -> None:
-        """A new user: a relaxed hand."""
-        self.value: NDArray[np.float64] = self.fist * RELAXED
+        """Forget the past: a relaxed hand."""
+        self.value: Array = self.fist * RELAXED_CURL
         self.target: Array | None = None
 
     def update(
@@ -66,9 +99,9 @@ class Fingers:
         dt: float,
         fit: bool = True,
     ) -> Array:
-        """[15, 3] rotation vectors in SMPL-X's order. Bad joints (not finite, coincident) count as unknown.
+        """Return [15, 3] rotation vectors in SMPL-X's order. Bad joints (not finite, coincident) count as unknown.
 
-        Without ``fit``, tracked fingers go on towards the last fit: at high rates every other sample will do.
+        Without ``fit``, tracked fingers go on towards the last fit: at high rates every other sample suffices.
         """
         if joints is None or hand is None:
             target = None
@@ -79,14 +112,14 @@ class Fingers:
         if target is None:
             self.target = None
             known = curl is not None and curl == curl
-            target = self.fist * (min(max(curl, 0.0), 1.0) if known and curl is not None else RELAXED)
-        most = RATE * dt
+            target = self.fist * (min(max(curl, 0.0), 1.0) if known and curl is not None else RELAXED_CURL)
+        most = MAX_RATE_RAD_S * dt
         k = 1.0 if self.smoothing <= 0 else 1 - exp(-dt / self.smoothing)
         self.value = self.value + np.minimum(np.maximum((target - self.value) * k, -most), most)
         return self.value.reshape(15, 3)
 
     def _fit(self, joints: tuple[tuple[float, ...], ...], hand: Quat) -> Array | None:
-        """Each bone turned onto its tracked direction by the smallest rotation, from the knuckle outwards.
+        """Turn each bone onto its tracked direction by the smallest rotation, from the knuckle outwards.
 
         Plain floats: 15 bones are too few for numpy to pay.
         """
@@ -95,7 +128,7 @@ class Fingers:
         m3, m4, m5 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
         m6, m7, m8 = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
         out: list[float] = []
-        for start, bones in zip(_STARTS, self.bones, strict=True):
+        for start, bones in zip(KNUCKLES, self.bones, strict=True):
             near = joints[start]
             px = py = pz = qx = qy = qz = 0.0  # the turns v = a x b of this finger's first joints, and their cos
             pc = qc = 1.0

@@ -1,7 +1,7 @@
-"""How a tracker sits on a body: the rigid offset from its pose to a joint's, learned while both are known.
+"""Mounts: the rigid offset from a body tracker's pose to its joint's, learned while both are known.
 
-A pose here is a place (metres) and a rotation in one space; a mount is the joint's pose in the tracker's frame, in the
-same metres. Joints: pelvis for the waist, ankles for the feet, as in the rest frames of SMPL-X.
+A mount is the joint's pose in the tracker's frame, in metres of the avatar. Joints: pelvis for the waist, ankles for
+the feet, as in the rest frames of SMPL-X.
 """
 
 from __future__ import annotations
@@ -10,52 +10,25 @@ from math import sqrt
 
 from glsplat.tracking.sample import Transform
 from glsplat.tracking.solve.body import ANKLES, EYES, PELVIS, Body
-from glsplat.tracking.solve.quat import (
-    IDENTITY,
-    Quat,
-    Vec,
-    add,
-    conj,
-    inverse_mul,
-    length,
-    mul,
-    normalized,
-    rotate,
-    scale,
-    sub,
-    yaw_quat,
-)
+from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, Vec, add, length, normalized, rotate, scale, yaw_quat
 
-__all__ = ["JOINTS", "MOST", "Mean", "Pose", "between", "mounted", "numbers", "standing", "within"]
-
-Pose = tuple[Vec, Quat]
+__all__ = ["JOINTS", "MAX_MOUNT_M", "MeanMount", "bounded", "standing_joints", "transform_of"]
 
 JOINTS = (PELVIS, *ANKLES)
-"""Of the waist, the left and the right foot, in the order of ``TRACKERS``."""
+"""Joints of the waist, the left and the right foot, in the order of ``TRACKERS``."""
 
-MOST = (0.25, 0.2, 0.2)
-"""Metres from a tracker to its joint at most: it is on the body of whoever wears it."""
-
-
-def mounted(tracker: Pose, mount: Pose) -> Pose:
-    """The joint's pose."""
-    (at, turn), (offset, twist) = tracker, mount
-    return add(at, rotate(turn, offset)), mul(turn, twist)
+MAX_MOUNT_M = (0.25, 0.2, 0.2)
+"""Limit of the distance from each tracker to its joint: a tracker is on its user's body."""
 
 
-def between(tracker: Pose, joint: Pose) -> Pose:
-    """The mount of a tracker whose joint is there."""
-    return rotate(conj(tracker[1]), sub(joint[0], tracker[0])), inverse_mul(tracker[1], joint[1])
-
-
-def within(mount: Pose, most: float) -> Pose:
-    """The same, its place at most this far away."""
+def bounded(mount: JointPose, most: float) -> JointPose:
+    """Return the mount with its offset shortened to ``most`` metres."""
     far = length(mount[0])
     return mount if far <= most else (scale(mount[0], most / far), mount[1])
 
 
-def standing(body: Body, eye: Vec, yaw: float) -> list[Pose]:
-    """Pelvis and ankles of the zero pose on the ground, its eyes over those of somebody who faces ``yaw``."""
+def standing_joints(body: Body, eye: Vec, yaw: float) -> list[JointPose]:
+    """Return pelvis and ankles of the zero pose on the ground, its eyes over ``eye``, its heading ``yaw``."""
     turn = yaw_quat(yaw)
     a, b = (body.joints[joint] for joint in EYES)
     x, _, z = rotate(turn, (0.5 * (a[0] + b[0]), 0.0, 0.5 * (a[2] + b[2])))
@@ -63,34 +36,34 @@ def standing(body: Body, eye: Vec, yaw: float) -> list[Pose]:
     return [(add(origin, rotate(turn, body.joints[joint])), turn) for joint in JOINTS]
 
 
-class Mean:
-    """Of several mounts, each worth some time."""
+class MeanMount:
+    """The weighted mean of several mounts."""
 
     def __init__(self) -> None:
-        self.worth = 0.0
-        self._place: Vec = (0.0, 0.0, 0.0)
+        self.weight = 0.0
+        self._offset: Vec = (0.0, 0.0, 0.0)
         self._turn: Quat = (0.0, 0.0, 0.0, 0.0)
         self._first: Quat | None = None
 
-    def add(self, mount: Pose, worth: float) -> None:
-        """One more."""
-        place, turn = mount
+    def add(self, mount: JointPose, weight: float) -> None:
+        """Add a mount."""
+        offset, turn = mount
         first = self._first = self._first or turn
-        sign = worth if sum([a * b for a, b in zip(first, turn, strict=True)]) >= 0 else -worth
+        sign = weight if sum([a * b for a, b in zip(first, turn, strict=True)]) >= 0 else -weight
         w, x, y, z = self._turn
         self._turn = (w + sign * turn[0], x + sign * turn[1], y + sign * turn[2], z + sign * turn[3])
-        self._place = add(self._place, scale(place, worth))
-        self.worth += worth
+        self._offset = add(self._offset, scale(offset, weight))
+        self.weight += weight
 
-    def pose(self) -> Pose:
-        """The mean; the identity where there was none."""
-        if self.worth <= 0:
+    def mount(self) -> JointPose:
+        """Return the mean; the identity where nothing was added."""
+        if self.weight <= 0:
             return (0.0, 0.0, 0.0), IDENTITY
-        return scale(self._place, 1 / self.worth), normalized(self._turn)
+        return scale(self._offset, 1 / self.weight), normalized(self._turn)
 
 
-def numbers(mount: Pose, metres: float) -> Transform:
-    """x, y, z times ``metres``, then the quaternion x, y, z, w."""
+def transform_of(mount: JointPose, metres: float) -> Transform:
+    """Return x, y, z times ``metres``, then the quaternion x, y, z, w."""
     (x, y, z), (w, i, j, k) = mount
     n = 1 / sqrt(w * w + i * i + j * j + k * k)
     return (x * metres, y * metres, z * metres, i * n, j * n, k * n, w * n)

@@ -1,28 +1,27 @@
-"""What a device says, judged: places and rotations in the avatar's metres, or None for what cannot be one."""
+"""Read poses and positions of devices into the avatar's metres; None for those that cannot be one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import sqrt
 
-from glsplat.tracking.solve.quat import Quat, Vec
+from glsplat.tracking.solve.quat import JointPose, Vec
 
 __all__ = ["invalid", "read_place", "read_pose"]
 
-FAR = 1e4  # metres; a device farther away is not tracked
+MAX_DISTANCE_M = 1e4  # a device farther away is not tracked
 
 
-def read_pose(pose: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> tuple[Vec, Quat] | None:
-    """Place and rotation of 7 numbers; a pose that is not seven numbers is flagged "invalid"."""
+def read_pose(pose: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> JointPose | None:
+    """Return position and rotation of 7 numbers; a pose that is not seven numbers is flagged "invalid"."""
     if pose is None:
         return None
     try:
         x, y, z, qx, qy, qz, qw = pose
-        # NaN fails every comparison, infinity these
-        if not (-FAR < x < FAR and -FAR < y < FAR and -FAR < z < FAR):
+        if not within_range(x, y, z):
             return None
         n = qx * qx + qy * qy + qz * qz + qw * qw
-        if not 1e-8 < n < 1e8:
+        if not 1e-8 < n < 1e8:  # NaN fails this too
             return None
         n = 1 / sqrt(n)
     except (TypeError, ValueError):  # not seven numbers
@@ -33,20 +32,24 @@ def read_pose(pose: Sequence[float] | None, scale: float, floor: float, flags: l
 
 
 def read_place(joint: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> Vec | None:
-    """The first three numbers, a place."""
+    """Return the position in the first three numbers."""
     if joint is None:
         return None
     try:
         x, y, z = joint[:3]
-        if not (-FAR < x < FAR and -FAR < y < FAR and -FAR < z < FAR):
-            return None
-        return (x / scale, (y - floor) / scale, z / scale)
+        return (x / scale, (y - floor) / scale, z / scale) if within_range(x, y, z) else None
     except (TypeError, ValueError):
         invalid(flags)
         return None
 
 
+def within_range(x: float, y: float, z: float) -> bool:
+    """Return whether a position is finite and within ``MAX_DISTANCE_M``."""
+    far = MAX_DISTANCE_M  # NaN fails every comparison, infinity these
+    return -far < x < far and -far < y < far and -far < z < far
+
+
 def invalid(flags: list[str]) -> None:
-    """Something is not what a sample holds."""
+    """Flag that the sample holds something of another type than it should."""
     if "invalid" not in flags:
         flags.append("invalid")

@@ -24,12 +24,12 @@ MAX_LINE = 1 << 20
 
 
 def record(path: str | Path, samples: Iterable[Sample], digits: int = 6) -> int:
-    """Write samples; the file appears when it is complete. Returns how many there were."""
+    """Write samples and return their number; the file appears when it is complete."""
     return write_lines(path, (sample.to_json() for sample in samples), digits)
 
 
 def replay(path: str | Path) -> Iterator[Sample]:
-    """The samples of a recording, one at a time, in the file's order (time stamps are the tracker's business).
+    """Yield the samples of a recording in the file's order; the tracker judges their time stamps.
 
     Raises FormatError naming file and line for what is not a sample.
     """
@@ -43,13 +43,13 @@ def replay(path: str | Path) -> Iterator[Sample]:
 
 
 def embedded_recording() -> list[Sample]:
-    """The recording that comes with glsplat: made for it, 72 Hz, derived from its own motions."""
+    """Return the recording that comes with glsplat: 72 Hz, derived from its own motions."""
     with resources.as_file(resources.files("glsplat.data").joinpath("recording.jsonl")) as path:
         return list(replay(path))
 
 
 def write_lines(path: str | Path, objects: Iterable[dict[str, Any]], digits: int = 6) -> int:
-    """JSON Lines with numbers rounded to ``digits`` decimals; NaN becomes null. Returns the number of lines."""
+    """Write JSON Lines with numbers rounded to ``digits`` decimals, NaN as null; return the number of lines."""
     count = 0
 
     def lines() -> Iterator[bytes]:
@@ -80,7 +80,7 @@ class PoseTrack:
 
 
 def read_poses(path: str | Path) -> PoseTrack:
-    """Read what ``tracking solve`` or ``from-motion --truth`` wrote. Raises FormatError naming file and line."""
+    """Read poses of ``tracking solve`` or ``from-motion --truth``. Raises FormatError naming file and line."""
     times, rotations, trans, joints, reach, flags = [], [], [], [], [], []
     for number, data in _objects(path):
         try:

@@ -18,7 +18,7 @@ Frames are those of OpenXR and WebXR: world right-handed, y up, metres; a pose i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -107,53 +107,22 @@ class Sample:
             grip = poses[f"{side}_grip"]
             if poses[side] is None and grip is not None:
                 poses[side] = wrist_from_grip(grip, side)
-        joints = {key: hand_joints(data.get(key), key) for key in ("left_joints", "right_joints")}
-        curl = {key: _number(data.get(key), key) for key in ("left_curl", "right_curl")}
         time = _number(data.get("t", 0.0) if t is None else t, "t")
         return cls(
             0.0 if time is None else time,
             poses["head"],
             poses["left"],
             poses["right"],
-            joints["left_joints"],
-            joints["right_joints"],
-            curl["left_curl"],
-            curl["right_curl"],
-            waist=_transform(data.get("waist"), "waist"),
-            left_foot=_transform(data.get("left_foot"), "left_foot"),
-            right_foot=_transform(data.get("right_foot"), "right_foot"),
-            body=_body(data.get("body")),
-            expression=_expression(data.get("expression")),
-            left_eye=_direction(data.get("leftEye"), "leftEye"),
-            right_eye=_direction(data.get("rightEye"), "rightEye"),
+            **{name: read(data.get(key), key) for name, (key, read) in _OPTIONAL.items()},
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The wire form plus "t"; absent poses are null, what else is absent is left out."""
+        """Return the wire form plus "t"; absent poses are null, other absent keys are left out."""
         out: dict[str, Any] = {"t": self.t}
         for key in ("head", "left", "right"):
-            value = getattr(self, key)
-            out[key] = None if value is None else list(value)
-        for key in ("left_joints", "right_joints"):
-            value = getattr(self, key)
-            if value is not None:
-                out[key] = [list(joint) for joint in value]
-        for key in ("left_curl", "right_curl"):
-            value = getattr(self, key)
-            if value is not None:
-                out[key] = value
-        for key in TRACKERS:
-            value = getattr(self, key)
-            if value is not None:
-                out[key] = list(value)
-        if self.body is not None:
-            out["body"] = {name: list(joint) for name, joint in self.body.items()}
-        if self.expression is not None:
-            out["expression"] = dict(self.expression)
-        for key, value in (("leftEye", self.left_eye), ("rightEye", self.right_eye)):
-            if value is not None:
-                out[key] = list(value)
-        return out
+            out[key] = _plain(getattr(self, key))
+        given = {key: getattr(self, name) for name, (key, _) in _OPTIONAL.items()}
+        return out | {key: _plain(value) for key, value in given.items() if value is not None}
 
 
 def wrist_from_grip(grip: Transform, side: str) -> Transform:
@@ -180,6 +149,13 @@ def wrist_from_grip(grip: Transform, side: str) -> Transform:
         pz + s * 2 * (y * z + w * x),
         *quat,
     )
+
+
+def _plain(value: Any) -> Any:
+    """Return lists and dictionaries for tuples and mappings, as JSON has them."""
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
 def _number(value: Any, key: str) -> float | None:
@@ -244,7 +220,7 @@ def _direction(value: Any, key: str) -> tuple[float, ...] | None:
     return None if value is None else _numbers(value, key, (3,))
 
 
-def _expression(value: Any) -> Mapping[str, float] | None:
+def _expression(value: Any, key: str = "expression") -> Mapping[str, float] | None:
     """Weights by name; null, as a whole or for a name, is not tracked. NaN is left for the tracker to handle."""
     if value is None:
         return None
@@ -258,7 +234,7 @@ def _expression(value: Any) -> Mapping[str, float] | None:
     return {name: weight for name, weight in found.items() if weight}  # not a number is true
 
 
-def _body(value: Any) -> dict[str, tuple[float, ...]] | None:
+def _body(value: Any, key: str = "body") -> dict[str, tuple[float, ...]] | None:
     """The joints that are used; null, as a whole or for a joint, is not tracked."""
     if value is None:
         return None
@@ -268,3 +244,15 @@ def _body(value: Any) -> dict[str, tuple[float, ...]] | None:
         raise PoseError(f'"body" of a tracking sample needs at most {MOST_JOINTS} joints, not {len(value)}')
     found = {name: value.get(name) for name in BODY_JOINTS}
     return {name: _numbers(joint, f"body.{name}", (3, 7)) for name, joint in found.items() if joint is not None}
+
+
+_OPTIONAL: dict[str, tuple[str, Callable[[Any, str], Any]]] = {
+    **{name: (name, hand_joints) for name in ("left_joints", "right_joints")},
+    **{name: (name, _number) for name in ("left_curl", "right_curl")},
+    **{name: (name, _transform) for name in TRACKERS},
+    "body": ("body", _body),
+    "expression": ("expression", _expression),
+    "left_eye": ("leftEye", _direction),
+    "right_eye": ("rightEye", _direction),
+}
+"""Fields of a Sample that JSON may leave out: their key and how it is read."""

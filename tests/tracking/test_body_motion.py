@@ -10,7 +10,7 @@ import pytest
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.solve.body import ELBOWS, FEET, HEAD, KNEES, SHOULDERS, WRISTS, Body
-from glsplat.tracking.solve.solver import SLOW, AnalyticSolver
+from glsplat.tracking.solve.solver import SLOW_SMOOTHING_S, AnalyticSolver
 from tests.tracking.moves import DT, Run, Stage, Track, hand_turn, head_turn, seconds
 
 
@@ -110,10 +110,10 @@ def test_the_slow_speed_lags_by_its_time_constant(body: Body, rate: float) -> No
     lag = at = 0.0
     for step in range(round(8 * rate)):
         at += dt * (step > 3 * rate)  # stands, then goes at 1 m/s
-        solver._motion((at, 0.0, 0.0), dt)
+        solver._update_motion((at, 0.0, 0.0), dt)
         lag += (solver._travel[0] - solver._slow[0]) * dt
     assert solver._slow[0] == pytest.approx(1, abs=1e-6)
-    assert SLOW == 0.125 and lag == pytest.approx(SLOW, abs=0.6 * dt)
+    assert SLOW_SMOOTHING_S == 0.125 and lag == pytest.approx(SLOW_SMOOTHING_S, abs=0.6 * dt)
 
 
 def test_prediction_moves_the_pose_ahead(stage: Stage, skeleton: Skeleton) -> None:

@@ -11,7 +11,7 @@ import pytest
 from glsplat.errors import FormatError, PoseError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, calibrate
-from glsplat.tracking.body_size import POSTURE, Finder
+from glsplat.tracking.body_size import POSTURE, BodySizeFinder
 from glsplat.tracking.calibration import found_size
 from glsplat.tracking.solve.body import FEET, TURNS_AT, WRISTS, Body
 from glsplat.tracking.solve.quat import rotate, sub, to_quat
@@ -141,7 +141,7 @@ RATE = 30
 
 def scales(body: Body, size: float, low: float, begins: float, hangs: bool = True, bow: float = 0.0) -> list[float]:
     """Of somebody ``size`` times the avatar who is ``low`` of that lower for ``begins`` seconds, then stands for 10."""
-    finder, out = Finder(body, 1.0), []
+    finder, out = BodySizeFinder(body, 1.0), []
     rng = np.random.default_rng(2)
     turn = to_quat((bow, 0.0, 0.0))
     bowed = sub(TURNS_AT, rotate(turn, TURNS_AT))
@@ -170,7 +170,7 @@ def test_a_head_that_is_bowed_is_no_smaller_person(body: Body) -> None:
 
 def test_who_may_sit_on_a_chair_stays_as_large_as_the_avatar(body: Body) -> None:
     low = 0.74 * body.eye_height  # 1.28 m, hands ahead of the chest, for half a minute
-    finder = Finder(body, 1.0)
+    finder = BodySizeFinder(body, 1.0)
     for _ in range(30 * RATE):
         scale = finder.update((0.0, low, 0.0), (1.0, 0.0, 0.0, 0.0), [(0.2, low - 0.35, 0.3)], 1 / RATE)
     assert scale == 1.0
@@ -181,7 +181,7 @@ def test_who_may_sit_on_a_chair_stays_as_large_as_the_avatar(body: Body) -> None
 
 def test_arms_that_were_stretched_count_a_quarter(stage: Stage) -> None:
     body, size, long = stage.body, 0.9, 1.1
-    finder = Finder(body, 1.0)
+    finder = BodySizeFinder(body, 1.0)
     span = long * size * body.arm_span()
     eyes = POSTURE * size * body.eye_height
     for _ in range(10 * RATE):
@@ -220,7 +220,7 @@ def test_who_is_taller_does_not_begin_on_tiptoe(skeleton: Skeleton, stage: Stage
 
 
 def test_who_once_looked_too_tall_is_not_kept_so(body: Body) -> None:
-    finder = Finder(body, 1.0)
+    finder = BodySizeFinder(body, 1.0)
     scale = finder.update((0.0, 1.3 * body.eye_height, 0.0), (1.0, 0.0, 0.0, 0.0), [], 1 / RATE)  # a headset held up
     assert scale > 1.3
     for _ in range(6 * RATE):

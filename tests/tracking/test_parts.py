@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glsplat.extras.learned.expected import ExpectedError
-from glsplat.extras.learned.feet import SET, Feet
+from glsplat.extras.learned.feet import SET_DOWN_S, Feet
 from glsplat.extras.learned.hints import FootHint
 from glsplat.extras.motions.batch import resample
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig
-from glsplat.tracking.body_size import SHOULDERS as SHOULDER_HEIGHTS
-from glsplat.tracking.body_size import Finder
+from glsplat.tracking.body_size import STRETCHED_WRISTS as SHOULDER_HEIGHTS
+from glsplat.tracking.body_size import BodySizeFinder
 from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION
 from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
 from glsplat.tracking.solve import quat
@@ -29,8 +29,8 @@ from glsplat.tracking.solve.solution import Targets
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.gait import Gait
 from glsplat.tracking.solve.stepping.leg import Leg
-from glsplat.tracking.solve.stepping.legs import STEP_TIME, STEP_TURN, Legs
-from glsplat.tracking.solve.tracked import FOUND, Follow
+from glsplat.tracking.solve.stepping.legs import STEP_S, STEP_TURN_RAD, Legs
+from glsplat.tracking.solve.tracked import FOUND_S, TrackedFoot
 from tests.tracking.moves import DT, Stage, seconds
 
 
@@ -55,7 +55,7 @@ def test_sway_is_across_the_way_a_walk_goes() -> None:
 
 @pytest.mark.parametrize("low", [True, False])
 def test_hands_at_the_bounds_of_shoulder_height_are_not_stretched(body: Body, low: bool) -> None:
-    finder = Finder(body, 1.0)
+    finder = BodySizeFinder(body, 1.0)
     for height, counts in ((SHOULDER_HEIGHTS[0 if low else 1], False), (0.9, True)):
         hands = [(x, height, 0.0) for x in (-0.7, 0.7)]
         finder.update((0.0, 1.0, 0.0), IDENTITY, hands, DT)
@@ -78,7 +78,7 @@ def test_a_foot_is_set_down_however_the_samples_divide_the_time(body: Body) -> N
     for place, stands, times in ((0.0, 1.0, 10), (0.3, 0.0, 5), (0.3, 1.0, 3)):
         hint = FootHint((x, feet.sole, z + place), (0.0, 0.0, 0.0), 0.0, 0.0, stands, 1.0, (x, 0.5, z))
         for _ in range(times):
-            feet.update([hint, still], pelvis, IDENTITY, 0.0, SET / 2)
+            feet.update([hint, still], pelvis, IDENTITY, 0.0, SET_DOWN_S / 2)
         assert feet.feet[0].planted == (stands > 0)
 
 
@@ -86,19 +86,19 @@ def test_the_further_a_foot_is_off_the_quicker_it_steps(body: Body) -> None:
     durations = []
     for turn in (1.1, 2.2, 3.3):
         legs, pelvis = Legs(body), body.joints[PELVIS]
-        for yaw in (0.0, turn * STEP_TURN / 1.3):  # a step looks 0.3 s ahead in a turn
+        for yaw in (0.0, turn * STEP_TURN_RAD / 1.3):  # a step looks 0.3 s ahead in a turn
             legs.update((0.0, 0.0, 0.0), pelvis, IDENTITY, yaw, (0.0,) * 3, (0.0,) * 3, 0.0, 1.0)
         durations.append(next(foot.duration for foot in legs.feet if not foot.planted))
-    assert durations == pytest.approx([STEP_TIME * share for share in (1.0, 0.86, 0.64)], rel=1e-3)
+    assert durations == pytest.approx([STEP_S * share for share in (1.0, 0.86, 0.64)], rel=1e-3)
 
 
 def test_a_foot_whose_tracker_is_found_turns_towards_it(body: Body) -> None:
     leg = Leg(body, 0)
-    follow, foot, turn = Follow(leg), Foot(0), to_quat((0.0, 1.0, 0.0))
+    follow, foot, turn = TrackedFoot(leg), Foot(0), to_quat((0.0, 1.0, 0.0))
     foot.plant((0.1, leg.sole, 0.0), 0.0)
     follow.place(foot, None, None, DT)
     angles = []
-    for _ in seconds(FOUND + 2 * DT):
+    for _ in seconds(FOUND_S + 2 * DT):
         follow.place(foot, ((0.1, 0.1, 0.0), turn), None, DT)
         angles.append(rotation_angle(inverse_mul(follow.turn, turn)))
     assert angles[0] == pytest.approx(1.0, abs=0.02) and angles[-1] == pytest.approx(0.0, abs=1e-6)

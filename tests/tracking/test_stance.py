@@ -16,9 +16,9 @@ from glsplat.extras.learned.stance import NETWORK, Stance
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.calibration import Calibration
-from glsplat.tracking.checked import checked, standing
+from glsplat.tracking.checked_solver import checked
 from glsplat.tracking.solve.body import ANKLES, ELBOWS, FEET, HEAD, KNEES, PELVIS, SHOULDERS, WRISTS, Body
-from glsplat.tracking.solve.solution import Targets
+from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from tests.tracking.moves import DT, Stage, Track, head_turn, seconds
@@ -111,7 +111,7 @@ def test_metres_are_the_users_and_the_analytic_solver_says_nothing(stage: Stage,
 
 
 def test_a_solver_of_ones_own_may_say_it_too() -> None:
-    known = standing((0.0, 1.0, 0.0))
+    known = Solution([(1.0, 0.0, 0.0, 0.0)] * 22, (0.0, 1.0, 0.0))
     known.expected_error = (0.1,) * 22
     assert checked(known).expected_error == (0.1,) * 22
     for wrong in ((0.1,) * 3, (-1.0,) + (0.1,) * 21, (float("nan"),) + (0.1,) * 21):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
 from glsplat.rotations import matrix_quaternions, quaternion_matrices
-from glsplat.tracking.body_size import Finder
+from glsplat.tracking.body_size import BodySizeFinder
 from glsplat.tracking.calibration import EYES_OF_STATURE
 from glsplat.tracking.solve.body import Body
 
@@ -163,7 +163,7 @@ def found(people: dict[str, Person]) -> dict[str, list[Found]]:
                 if stood is None:
                     continue
                 whole = _began(start, person, scale, stood, rng)
-                finder, off = Finder(body, 1.0), []
+                finder, off = BodySizeFinder(body, 1.0), []
                 for eye, head, hands in zip(whole.eyes.tolist(), whole.head.tolist(), whole.hands, strict=True):
                     finder.update(tuple(eye), tuple(head), [tuple(hand) for hand in (hands + eye).tolist()], 1 / RATE)
                     off.append(finder.scale / true - 1)

@@ -1,4 +1,4 @@
-"""How far off the body probably is, joint by joint: the solver's own doubt, calibrated on people it has not seen."""
+"""Estimate the error of each joint, calibrated on people that the network has not seen."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class ExpectedError:
         self._known: tuple[float, ...] | None = None
 
     def update(self, targets: Targets, gap: float, dt: float) -> tuple[float, ...]:
-        """Metres for each of the 22 body joints. ``gap``: metres between the two pelves."""
+        """Return metres for each of the 22 body joints. ``gap``: metres between the two solvers' pelves."""
         known = self.known(targets, gap, dt)
         out = [0.0] * 22
         for joints, weights in TABLE.items():
@@ -70,7 +70,7 @@ class ExpectedError:
         return tuple(out)
 
     def known(self, targets: Targets, gap: float, dt: float) -> tuple[float, ...]:
-        """What the doubt follows: 1, and four numbers that change smoothly."""
+        """Return the model's inputs: 1, and four numbers that change smoothly."""
         eye = targets.eye
         step = sub(eye, self._before or eye)
         self._before = eye

@@ -7,50 +7,59 @@ from math import exp, hypot, sqrt
 
 from glsplat.extras.learned.hints import FootHint
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, length, pull, rotate, scale, sub, wrap, yaw_quat
-from glsplat.tracking.solve.stepping.clearance import Clearance
+from glsplat.tracking.solve.quat import (
+    JointPose,
+    Quat,
+    Vec,
+    add,
+    clamp,
+    length,
+    pull,
+    rotate,
+    scale,
+    sub,
+    wrap,
+    yaw_quat,
+)
 from glsplat.tracking.solve.stepping.foot import Foot
-from glsplat.tracking.solve.stepping.leg import TIPTOE, Leg
-from glsplat.tracking.solve.tracked import Follow
+from glsplat.tracking.solve.stepping.leg import TIPTOE_RAD, Leg, LegPose
+from glsplat.tracking.solve.stepping.two_legs import TwoLegs
 
-__all__ = ["Feet", "Rest"]
+__all__ = ["Feet", "HeadRest"]
 
-LIFT, DROP = 0.55, 0.75  # of a foot's standing: below, it is lifted; above, it is set down; at most this share ...
-AMONG = (0.5, 0.75)  # ... of the way from the least to the most it was lately: a network in doubt says neither 0 nor 1
-LATELY = 0.8  # seconds
-MOVES = 0.35  # m/s, or
-FAR = 0.07  # metres, that a goal must be away before a foot is lifted for it
-LOST = 0.16  # metres a planted foot is at most from its goal (of a 1.7 m person)
-TURNED = 0.6  # radians likewise
-FOLLOW = 0.15  # seconds: of the low pass by which a lifted foot follows its goal
-UP = 0.09  # seconds: likewise, upwards
-SURGE = 0.15  # metres it is at most told to rise at once; in a jump it hangs
-OFF = 0.45  # of CLEAR that a foot is up when it moves over as fast as it may
-RISE = 0.05  # seconds: likewise, upwards where its leg does not reach
-FORESIGHT = 0.08  # seconds: a foot leaves the ground before its leg is stretched
-LEAD = 0.065  # seconds that this is behind
-BRIEFEST = 0.14  # seconds a foot is in the air at least
-SET = 0.18  # seconds in which it is set down, and of these
-OVER = 0.07  # seconds in which it only goes down
-REST = 0.18  # seconds it then stands at least
-SLOW, CALM = 0.2, 0.6  # m/s, seconds: slower for longer is standing, where it is not
-STEP_UP = 0.2  # metres or more over the ground
-CLEAR = 0.045  # metres the ball is over the ground while it moves
-HELPS = 0.06  # metres or more by which a step must help a strained leg
-DRAGS = 0.1  # metres from below its hip that a foot is dragged at by a leg that does not reach it
-RESTS, RESTED = (0.04, 0.3), 0.4  # metres, radians, seconds: who keeps the head as still as that takes no step
+# lengths are those of a person of 1.7 m
+LIFT_BELOW, DROP_ABOVE = 0.55, 0.75  # stance of a foot: below, it is lifted; above, it is set down; at most ...
+LIFT_SHARE, DROP_SHARE = 0.5, 0.75  # ... this part of its recent range: an unsure network says neither 0 nor 1
+RANGE_SMOOTHING_S = 0.8  # of that range
+GOAL_SPEED, GOAL_FAR_M = 0.35, 0.07  # m/s or metres of a goal, before a foot is lifted for it
+MAX_PLANTED_ERROR_M, MAX_PLANTED_TURN_RAD = 0.16, 0.6  # from a planted foot to its goal
+SWING_S, SWING_UP_S = 0.15, 0.09  # in which a lifted foot follows its goal, and its height
+STRAINED_UP_S = 0.05  # likewise, upwards where its leg does not reach
+MAX_SURGE_M = 0.15  # that a foot rises at once; in a jump it hangs
+FREE_HEIGHT = 0.45  # of CLEARANCE_M, at which a foot moves over as fast as it may
+FORESIGHT_S = 0.08  # a foot leaves the ground that long before its leg is stretched
+LEAD_S = 0.065  # by which a swing is behind
+MIN_SWING_S = 0.14
+SET_DOWN_S, VERTICAL_S = 0.18, 0.07  # in which a foot is set down, and of these it only goes down
+MIN_STANCE_S = 0.18
+STRAIN_PATIENCE_S = 0.04  # after a foot was lifted or set down, before its strained leg lifts it
+CALM_SPEED, CALM_S = 0.2, 0.6  # m/s, seconds: a slower goal stands after that time
+STEP_UP_M = 0.2  # over the ground: a goal that high stands on something
+CLEARANCE_M = 0.045  # of the ball over the ground while it moves
+USEFUL_STEP_M, USEFUL_TURN_RAD = 0.06, 0.25  # less does not help a strained leg
+MIN_DRAG_M = 0.1  # from below its hip, at which a leg that does not reach its foot lifts it
+REST_RADIUS_M, REST_TURN_RAD, REST_S = 0.04, 0.3, 0.4  # a head that stays within takes no step
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 SOFT = 0.05  # of its length over which a leg becomes straight: knees of feet that follow a guess tremble more
-BENDS = 0.06  # seconds: of the low pass of where knees bend to
-HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
-REACH = 0.985  # of its length to which a lifted foot is put
+KNEE_SMOOTHING_S = 0.06
+LANDING_HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
+MAX_REACH = 0.985  # of its length to which a lifted foot is put
+LAG_SMOOTHING_S, CATCH_UP_GAIN, MAX_CATCH_UP_M = 0.8, 1.0, 0.15  # how feet that lag behind their hints catch up
+PELVIS_SPEED_SMOOTHING_S = 0.04
 
 
-BEHIND, CATCH, MOST = 0.8, 1.0, 0.15  # seconds, gain, metres: how feet that are behind their hints catch up
-
-
-class Rest:
-    """Whether a head rests: it has not left a small ball, nor turned far, for a while."""
+class HeadRest:
+    """Whether a head rests: it has stayed in a small ball, and not turned far, for a while."""
 
     def __init__(self, size: float) -> None:
         self.size = size
@@ -59,45 +68,38 @@ class Rest:
     def reset(self) -> None:
         """Forget the past."""
         self._at: Vec | None = None
-        self._yaw = self._for = 0.0
+        self._yaw = self._rest_s = 0.0
 
     def update(self, eye: Vec, yaw: float, dt: float) -> bool:
-        """Whether it rests at this moment."""
-        near, turned = RESTS
-        if self._at is None or length(sub(eye, self._at)) > near * self.size or abs(wrap(yaw - self._yaw)) > turned:
-            self._at, self._yaw, self._for = eye, yaw, 0.0
-        self._for += dt
-        return self._for > RESTED
+        """Return whether it rests at this moment."""
+        near = self._at is not None and length(sub(eye, self._at)) <= REST_RADIUS_M * self.size
+        if not near or abs(wrap(yaw - self._yaw)) > REST_TURN_RAD:
+            self._at, self._yaw, self._rest_s = eye, yaw, 0.0
+        self._rest_s += dt
+        return self._rest_s > REST_S
 
 
-class Feet:
-    """Two feet on flat ground at y = 0 under a pelvis."""
+class Feet(TwoLegs):
+    """Two feet under a pelvis."""
 
     def __init__(self, body: Body) -> None:
-        self.sole: float = body.sole
-        self.legs: tuple[Leg, Leg] = (Leg(body, 0, SOFT), Leg(body, 1, SOFT))
-        self.size: float = self.legs[0].length / 0.83
-        self.clearance: Clearance = Clearance(self.legs[0], self.sole)
-        self.feet: tuple[Foot, Foot] = (Foot(0), Foot(1))
-        self.follow: tuple[Follow, Follow] = (Follow(self.legs[0]), Follow(self.legs[1]))
+        super().__init__(body, SOFT)
         self.reset()
 
     def reset(self, feet: Sequence[Foot] | None = None) -> None:
-        """Forget the past: the next update puts both feet where the hints say, or goes on with these."""
+        """Forget the past; the next update puts both feet at the hints, or goes on with ``feet``."""
+        super().reset()
         self.started: bool = feet is not None
         for foot, other in zip(self.feet, feet or (), strict=feet is not None):
-            foot.take_over(other, 0.0, CLEAR * self.size)
-        for follow in self.follow:
-            follow.reset()
-        self.air = self.slack = 0.0
+            foot.take_over(other, 0.0, CLEARANCE_M * self.size)
         self._before: Vec | None = None
         self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
-        self._behind: Vec = (0.0, 0.0, 0.0)  # metres that feet have lately been behind their hints
-        self._ahead: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
-        self._bends: list[Vec | None] = [None, None]  # where knees are aside of the legs' middles, from the pelvis
-        self._calm = [0.0, 0.0]  # seconds for which each goal has been all but still
-        self._since = [1.0, 1.0]  # seconds since each foot was lifted or set down
-        self._least, self._most = [0.0, 0.0], [1.0, 1.0]  # each foot's standing, lately
+        self._lag: Vec = (0.0, 0.0, 0.0)  # metres that feet have lately been behind their hints
+        self._catch_up: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
+        self._knees: list[Vec | None] = [None, None]  # from the legs' middles, in the pelvis' heading
+        self._calm_s = [0.0, 0.0]  # for which each goal has been almost still
+        self._since_s = [1.0, 1.0]  # since each foot was lifted or set down
+        self._min_stance, self._max_stance = [0.0, 0.0], [1.0, 1.0]  # each foot's recent range
 
     def update(
         self,
@@ -106,107 +108,110 @@ class Feet:
         pelvis: Quat,
         yaw: float,
         dt: float,
-        goals: Sequence[tuple[Vec, Quat] | None] = (None, None),  # ankles and feet that are tracked
+        goals: Sequence[JointPose | None] = (None, None),  # ankles and feet that are tracked
         knees: Sequence[Vec | None] = (None, None),
         rests: bool = False,  # the head is still: a foot is lifted only where its leg does not reach
-    ) -> list[tuple[Quat, Quat, Quat]]:
-        """World rotation of thigh, local rotation of the knee, and world rotation of the foot, for left and right."""
-        hips = [add(pelvis_at, rotate(pelvis, leg.hip)) for leg in self.legs]
+    ) -> list[LegPose]:
+        """Return the left and the right leg."""
+        hips = self.hips(pelvis_at, pelvis)
         if not self.started:
             self.started = True
             for foot, hint in zip(self.feet, hints, strict=True):
                 x, y, z = hint.ball
                 foot.plant((x, self.sole, z), hint.yaw)
-                if hint.stands < 0.5:
-                    foot.y.put(max(y, self.sole + CLEAR * self.size))
+                if hint.stance < 0.5:
+                    foot.y.put(max(y, self.sole + CLEARANCE_M * self.size))
                     foot.planted = False
         if self._before is not None:
-            k = 1 - exp(-dt / 0.04)
+            k = 1 - exp(-dt / PELVIS_SPEED_SMOOTHING_S)
             self._speed = pull(self._speed, scale(sub(pelvis_at, self._before), 1 / dt), k)
         self._before = pelvis_at
-        for follow, foot, goal, knee in zip(self.follow, self.feet, goals, knees, strict=True):
-            follow.place(foot, goal, knee, dt)
-        self.slack, self.air = self.clearance.of(hips, self.follow)
-        self._catch_up(hints, dt)
+        self._follow(goals, knees, dt)
+        self._update_clearance(hips)
+        self._update_catch_up(hints, dt)
         limbs = []
         for foot, hint, hip, leg in zip(self.feet, hints, hips, self.legs, strict=True):
-            tracked = self.follow[foot.index].solve(foot, hip, pelvis, yaw)
+            tracked = self.tracked[foot.index].solve(foot, hip, pelvis, yaw)
             if tracked is not None:
                 limbs.append(tracked)
                 continue
-            self._since[foot.index] += dt
-            lift, drop = self._bounds(foot.index, hint.stands, dt)
-            slow = hypot(hint.speed[0], hint.speed[2]) * hint.sure < SLOW
-            self._calm[foot.index] = self._calm[foot.index] + dt if slow else 0.0
+            self._since_s[foot.index] += dt
+            lift, drop = self._thresholds(foot.index, hint.stance, dt)
+            slow = hypot(hint.speed[0], hint.speed[2]) * hint.confidence < CALM_SPEED
+            self._calm_s[foot.index] = self._calm_s[foot.index] + dt if slow else 0.0
             if foot.planted and self._leaves(foot, hint, leg, hip, pelvis, lift, rests):
                 foot.planted, foot.left = False, 0.0
-                self._since[foot.index] = self._calm[foot.index] = 0.0
+                self._since_s[foot.index] = self._calm_s[foot.index] = 0.0
             if foot.planted:
-                foot.stand(self.sole + self.air, clamp(hint.pitch, 0.0, TIPTOE) if hint.pitch > 0.12 else 0.0, dt)
+                foot.stand(self.sole + self.air, clamp(hint.pitch, 0.0, TIPTOE_RAD) if hint.pitch > 0.12 else 0.0, dt)
             else:
                 self._swing(foot, hint, leg, hip, drop, dt)
             middle = scale(add(hip, leg.above(foot, foot.tilt.at)), 0.5)
-            bends = rotate(yaw_quat(-yaw), sub(hint.knee, middle))
-            bends = self._bends[foot.index] = pull(self._bends[foot.index] or bends, bends, 1 - exp(-dt / BENDS))
-            limbs.append(leg.solve(foot, hip, pelvis, yaw, rotate(yaw_quat(yaw), bends)))
+            knee = rotate(yaw_quat(-yaw), sub(hint.knee, middle))
+            knee = pull(self._knees[foot.index] or knee, knee, 1 - exp(-dt / KNEE_SMOOTHING_S))
+            self._knees[foot.index] = knee
+            limbs.append(leg.solve(foot, hip, pelvis, yaw, rotate(yaw_quat(yaw), knee)))
         return limbs
 
-    def _catch_up(self, hints: Sequence[FootHint], dt: float) -> None:
-        """Feet of a network in doubt, which hedges, come down too early: they are behind their hints all the time."""
-        k = 1 - exp(-dt / BEHIND)
+    def _update_catch_up(self, hints: Sequence[FootHint], dt: float) -> None:
+        """Let feet land further on: those of an unsure network come down too early and lag behind their hints."""
+        k = 1 - exp(-dt / LAG_SMOOTHING_S)
         for foot, hint in zip(self.feet, hints, strict=True):
-            self._behind = pull(self._behind, sub(hint.ball, foot.ball), 0.5 * k)
+            self._lag = pull(self._lag, sub(hint.ball, foot.ball), 0.5 * k)
         vx, _, vz = self._speed
         pace = hypot(vx, vz)
-        along = (self._behind[0] * vx + self._behind[2] * vz) / max(pace, 1e-6)
-        metres = clamp(CATCH * along, 0.0, MOST * self.size) * clamp((pace / self.size - 0.3) / 0.4, 0.0, 1.0)
-        self._ahead = (vx / max(pace, 1e-6) * metres, 0.0, vz / max(pace, 1e-6) * metres)
+        along = (self._lag[0] * vx + self._lag[2] * vz) / max(pace, 1e-6)
+        metres = clamp(CATCH_UP_GAIN * along, 0.0, MAX_CATCH_UP_M * self.size) * clamp(
+            (pace / self.size - 0.3) / 0.4, 0.0, 1.0
+        )
+        self._catch_up = (vx / max(pace, 1e-6) * metres, 0.0, vz / max(pace, 1e-6) * metres)
 
-    def _bounds(self, side: int, stands: float, dt: float) -> tuple[float, float]:
-        """Of a foot's standing: below the first it is lifted, above the second set down."""
-        k = 1 - exp(-dt / LATELY)
-        self._least[side] = least = min(stands, self._least[side] + (stands - self._least[side]) * k)
-        self._most[side] = most = max(stands, self._most[side] + (stands - self._most[side]) * k)
-        low, high = [least + share * (most - least) for share in AMONG]
-        return min(LIFT, low), min(DROP, high)
+    def _thresholds(self, side: int, stance: float, dt: float) -> tuple[float, float]:
+        """Return the stance below which a foot is lifted, and the one above which it is set down."""
+        k = 1 - exp(-dt / RANGE_SMOOTHING_S)
+        least = min(stance, self._min_stance[side] + (stance - self._min_stance[side]) * k)
+        most = max(stance, self._max_stance[side] + (stance - self._max_stance[side]) * k)
+        self._min_stance[side], self._max_stance[side] = least, most
+        lift, drop = least + LIFT_SHARE * (most - least), least + DROP_SHARE * (most - least)
+        return min(LIFT_BELOW, lift), min(DROP_ABOVE, drop)
 
     def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat, lift: float, rests: bool) -> bool:
-        """Whether a planted foot should be lifted."""
-        if foot.strained and self._since[foot.index] > 0.04 and hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > DRAGS:
+        """Return whether a planted foot should be lifted."""
+        patient = self._since_s[foot.index] > STRAIN_PATIENCE_S
+        if foot.strained and patient and hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > MIN_DRAG_M:
             return True
-        ahead = add(hip, scale(self._speed, FORESIGHT))
+        ahead = add(hip, scale(self._speed, FORESIGHT_S))
         strained = foot.strained or leg.strains(foot, ahead, pelvis)
-        if (
-            strained
-            and self._since[foot.index] > 0.04
-            and hypot(ahead[0] - foot.x.at, ahead[2] - foot.z.at) > ASTRIDE * leg.length
-        ):
+        astride = hypot(ahead[0] - foot.x.at, ahead[2] - foot.z.at) > ASTRIDE * leg.length
+        if strained and patient and astride:
             return True
-        if self._since[foot.index] < REST or (rests and not strained):
+        if self._since_s[foot.index] < MIN_STANCE_S or (rests and not strained):
             return False
         away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
         moves = hypot(hint.speed[0], hint.speed[2]) / self.size
-        if hint.stands < lift and (away > FAR or moves > MOVES):
+        if hint.stance < lift and (away > GOAL_FAR_M or moves > GOAL_SPEED):
             return True
         turned = abs(wrap(hint.yaw - foot.yaw))
         other = self.feet[1 - foot.index]
-        if (away > LOST or turned > TURNED) and (other.planted or away > 2 * LOST):
+        if (away > MAX_PLANTED_ERROR_M or turned > MAX_PLANTED_TURN_RAD) and (
+            other.planted or away > 2 * MAX_PLANTED_ERROR_M
+        ):
             return True
-        return strained and (away > HELPS or turned > 0.25)
+        return strained and (away > USEFUL_STEP_M or turned > USEFUL_TURN_RAD)
 
     def _swing(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, drop: float, dt: float) -> None:
-        """A lifted foot follows its goal; where the goal stands, it is set down there and moves over no more."""
+        """Move a lifted foot to its goal; where the goal stands, set it down without moving over any more."""
         ground = self.sole + self.air
-        # whatever the network says of it: a foot that goes nowhere just over the ground stands
-        calm = self._calm[foot.index] > CALM and hint.ball[1] < ground + STEP_UP * self.size
-        if foot.left <= 0 and self._since[foot.index] > BRIEFEST and (hint.stands > drop or calm):
-            foot.left = SET
-            lead = SET - OVER
-            landing = add(add(hint.ball, self._ahead), scale(hint.speed, 0.5 * lead * (1 - hint.stands)))
-            foot.landing = self._within(landing, leg, add(hip, scale(self._speed, SET)), ground)
+        # whatever its stance: a goal that does not move, just over the ground, stands
+        calm = self._calm_s[foot.index] > CALM_S and hint.ball[1] < ground + STEP_UP_M * self.size
+        if foot.left <= 0 and self._since_s[foot.index] > MIN_SWING_S and (hint.stance > drop or calm):
+            foot.left = SET_DOWN_S
+            lead = SET_DOWN_S - VERTICAL_S
+            landing = add(add(hint.ball, self._catch_up), scale(hint.speed, 0.5 * lead * (1 - hint.stance)))
+            foot.landing = self._within(landing, leg, add(hip, scale(self._speed, SET_DOWN_S)), ground)
         if foot.left > 0:
             foot.left -= dt
-            over = foot.left - OVER
+            over = foot.left - VERTICAL_S
             if over + dt > 0:
                 foot.x.approach(foot.landing[0], over + dt, dt)
                 foot.z.approach(foot.landing[2], over + dt, dt)
@@ -216,28 +221,28 @@ class Feet:
             astride = hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > ASTRIDE * leg.length
             if foot.strained and astride:  # the body has gone on: another step
                 foot.left = 0.0
-                self._since[foot.index] = 0.0
+                self._since_s[foot.index] = 0.0
                 return
             if foot.left <= 0:
                 foot.land()
-                self._since[foot.index] = 0.0
+                self._since_s[foot.index] = 0.0
             return
-        least = ground + CLEAR * self.size
-        high = clamp(hint.ball[1], least, max(least, foot.y.at + SURGE * self.size)) if self.air <= 0 else least
-        goal = self._within(add(add(hint.ball, self._ahead), scale(hint.speed, LEAD)), leg, hip, high)
+        least = ground + CLEARANCE_M * self.size
+        high = clamp(hint.ball[1], least, max(least, foot.y.at + MAX_SURGE_M * self.size)) if self.air <= 0 else least
+        goal = self._within(add(add(hint.ball, self._catch_up), scale(hint.speed, LEAD_S)), leg, hip, high)
         # up before it moves over
-        rises = clamp((foot.y.at - ground) / (OFF * CLEAR * self.size), 0.05, 1.0)
-        follow = FOLLOW / rises
+        rises = clamp((foot.y.at - ground) / (FREE_HEIGHT * CLEARANCE_M * self.size), 0.05, 1.0)
+        follow = SWING_S / rises
         foot.x.approach(goal[0], follow, dt)
         foot.z.approach(goal[2], follow, dt)
-        foot.y.approach(high, RISE if foot.strained else UP, dt)
-        foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), FOLLOW, dt)
-        foot.tilt.approach(clamp(hint.pitch, -0.3, TIPTOE), FOLLOW, dt)
+        foot.y.approach(high, STRAINED_UP_S if foot.strained else SWING_UP_S, dt)
+        foot.turn.approach(foot.turn.at + wrap(hint.yaw - foot.turn.at), SWING_S, dt)
+        foot.tilt.approach(clamp(hint.pitch, -0.3, TIPTOE_RAD), SWING_S, dt)
 
     def _within(self, place: Vec, leg: Leg, hip: Vec, high: float) -> Vec:
-        """A place for the ball at this height that the leg can reach: nearer to below the hip, if it must be."""
-        rise = hip[1] - (high + leg.ankle[1] + HEEL * self.clearance.tiptoe)
-        most = sqrt(max((REACH * leg.limb.farthest) ** 2 - rise * rise, 0.0)) if rise > 0 else leg.limb.farthest
+        """Return a position for the ball at this height within the leg's reach, towards below the hip."""
+        rise = hip[1] - (high + leg.ankle[1] + LANDING_HEEL * self.tiptoe)
+        most = sqrt(max((MAX_REACH * leg.limb.farthest) ** 2 - rise * rise, 0.0)) if rise > 0 else leg.limb.farthest
         x, z = place[0] - hip[0], place[2] - hip[2]
         far = hypot(x, z)
         k = 1.0 if far <= most else most / far

@@ -46,9 +46,9 @@ class FootHint:
     speed: Vec  # m/s
     yaw: float  # radians
     pitch: float  # radians, the heel up
-    stands: float  # 0 in the air .. 1 on the ground
-    sure: float  # 0 .. 1: whether feet go where they were said to go
-    knee: Vec  # place of the knee
+    stance: float  # 0 in the air .. 1 on the ground
+    confidence: float  # 0 .. 1: whether feet go where they were predicted to go
+    knee: Vec  # position of the knee
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""Who sits stays seated: the pelvis rests where it came to rest, or below a head that keeps as high as over a chair."""
+"""Sitting users: the pelvis rests where it came to rest, or below a head that stays at the height over a chair."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CHANGES = 4.0  # seconds: of the low pass by which a chair moves along
 
 
 class Seat:
-    """Whether somebody sits, and where. Places are in the world, over the ground."""
+    """Detect whether the user sits, and where. Positions are in the world, over the ground."""
 
     def __init__(self, body: Body) -> None:
         self.size: float = body.joints[PELVIS][1] - body.ground
@@ -60,11 +60,11 @@ class Seat:
 
     @property
     def share(self) -> float:
-        """How much of somebody sits: 0 .. 1, smooth in time."""
+        """Weight of sitting: 0 .. 1, smooth in time."""
         return self._share * self._share * (3 - 2 * self._share)
 
     def update(self, pelvis: Vec, eye: Vec, head: Quat, dt: float) -> Vec | None:
-        """Where the pelvis is that would else be at ``pelvis``; None: there."""
+        """Return the position of a seated pelvis, guessed at ``pelvis``; None where the user does not sit."""
         chair = self._over_a_chair(levelled(eye, head), swing_twist_y(head), dt)
         if self._before is not None and dt > 0:
             self._speed = pull(self._speed, scale(sub(pelvis, self._before), 1 / dt), 1 - exp(-dt / SMOOTH))
@@ -90,7 +90,7 @@ class Seat:
         return pull(pelvis, self._place, self.share)
 
     def _over_a_chair(self, eye: Vec, yaw: float | None, dt: float) -> Vec | None:
-        """Where the pelvis of somebody upright on a chair is, as their eyes say; None: they do not."""
+        """Return the pelvis of a user upright on a chair, from the eyes; None where they are not over a chair."""
         if self._lately is None:
             self._lately, self.yaw = eye, yaw or 0.0
         self._lately = pull(self._lately, eye, 1 - exp(-dt / LATELY))

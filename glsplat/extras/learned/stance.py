@@ -1,4 +1,4 @@
-"""Who stands, by the head alone, and where their feet then are: what network, balance and rest pose say together."""
+"""Standing users, detected by the head alone, and their feet: combined from network, balance and rest pose."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ KNEE = 0.5  # of a foot's shift that its knee takes
 
 
 class Stance:
-    """Where standing feet are, by three guesses of which none has seen them: between the network's and the middle one.
+    """Positions of standing feet from three guesses: half way between the network's and the median.
 
-    A lone wild guess is outvoted, and as feet that stand do not move, what is said of them lately is a mean.
+    The median rejects a lone wild guess. Standing feet do not move, so recent guesses are averaged.
     """
 
     def __init__(self, body: Body) -> None:
@@ -47,7 +47,7 @@ class Stance:
         self._places: list[Vec] = []
 
     def update(self, targets: Targets, hints: Sequence[FootHint], plain: Sequence[Foot], dt: float) -> float:
-        """Brings the hints to where feet stand, as far as somebody stands; how far that is."""
+        """Move the hints to where feet stand, by the weight of standing; return that weight."""
         eye, seen = targets.eye, swing_twist_y(targets.head)
         if self._before is None:
             self._before, self._middle, self._yaw = eye, eye, seen or 0.0
@@ -74,7 +74,7 @@ class Stance:
         return share
 
     def _said(self, side: int, hint: FootHint, plain: Foot) -> Vec:
-        """By all three, of now."""
+        """Return the combined position of this moment."""
         x, _, z = add(self._middle, rotate(yaw_quat(self._yaw), self.home[side]))
         ball, other = hint.ball, plain.ball
         middle = (sorted((x, ball[0], other[0]))[1], ball[1], sorted((z, ball[2], other[2]))[1])

@@ -1,4 +1,4 @@
-"""A place that trembles less, and is not behind where it moves steadily."""
+"""Smooth a position without lag in steady motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PACE = 0.12  # seconds: of the low pass of the speed by which their lag is made 
 
 
 class Steady:
-    """Low passes of a place in the world, ahead by their lag at the pace it has had lately."""
+    """Low passes of a position in the world, extrapolated by their lag at its recent velocity."""
 
     def __init__(self) -> None:
         self.reset()
@@ -25,7 +25,7 @@ class Steady:
         self._stages: list[Vec] = []
 
     def update(self, place: Vec, dt: float) -> Vec:
-        """The place of now."""
+        """Return the smoothed position."""
         if self._before is None:
             self._before, self._stages = place, [place] * len(CALM)
         self._speed = pull(self._speed, scale(sub(place, self._before), 1 / dt), 1 - exp(-dt / PACE))

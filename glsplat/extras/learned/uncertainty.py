@@ -1,5 +1,5 @@
-"""Where the network has learned too little to be asked: heads near the ground, upside down, or on their side, and hands
-that arms cannot reach from the chest it says.
+"""Detect poses outside the network's training: heads near the ground, upside down or on their side, hands out of reach
+of the guessed chest.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ TURN = 0.35  # seconds in which one takes over from the other
 
 
 class Uncertainty:
-    """How much of the torso is the analytic solver's: 0 none, 1 all of it. Smooth in time."""
+    """Share of the analytic solver in the torso: 0 none, 1 all of it. Smooth in time."""
 
     def __init__(self, eye_height: float) -> None:
         self.size: float = eye_height / 1.6
@@ -32,7 +32,7 @@ class Uncertainty:
         self._since = 0.0  # seconds for which that has been otherwise
 
     def update(self, targets: Targets, missed: float, dt: float) -> float:
-        """The share of this moment. ``missed``: metres that the worse arm missed its hand by, a moment ago."""
+        """Return the share of this moment. ``missed``: metres by which the worse arm missed its hand a moment ago."""
         up = rotate(targets.head, (0.0, 1.0, 0.0))[1]
         side = int(self._misses)
         self._since = self._since + dt if (missed > MISSED[side] * self.size) != self._misses else 0.0

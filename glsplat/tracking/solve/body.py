@@ -34,7 +34,7 @@ FINGERS = (slice(25, 40), slice(40, 55))
 
 
 def levelled(eye: Vec, head: Quat) -> Vec:
-    """``eye`` as high as it were if the head, turned by ``head``, did not look down or up."""
+    """Return ``eye`` at its height if the head, rotated by ``head``, looked straight ahead."""
     return (eye[0], eye[1] + rotate(head, TURNS_AT)[1] - TURNS_AT[1], eye[2])
 
 
@@ -77,18 +77,18 @@ class Body:
 
     @property
     def ground(self) -> float:
-        """y of the ground in the zero pose."""
+        """The y of the ground in the zero pose."""
         return self.joints[HEAD][1] + self.eye[1] - self.eye_height
 
     def distance(self, a: int, b: int) -> float:
-        """Metres between two joints at rest."""
+        """Return the metres between two joints at rest."""
         return float(np.linalg.norm(self.rest[a] - self.rest[b]))
 
     def direction(self, a: int, b: int) -> Vec:
-        """Unit vector from joint a to joint b at rest."""
+        """Return the unit vector from joint a to joint b at rest."""
         ax, bx = self.joints[a], self.joints[b]
         return unit((bx[0] - ax[0], bx[1] - ax[1], bx[2] - ax[2]))
 
     def arm_span(self) -> float:
-        """Wrist to wrist in the zero pose, metres."""
+        """Return the metres from wrist to wrist in the zero pose."""
         return self.distance(*WRISTS)

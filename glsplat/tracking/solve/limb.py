@@ -15,7 +15,6 @@ from glsplat.tracking.solve.quat import (
     cross,
     dot,
     from_axes,
-    inverse_mul,
     mul,
     rotate,
     unit,
@@ -37,7 +36,7 @@ class Limb:
 
     @classmethod
     def of(cls, body: Body, joints: tuple[int, int, int], hinge: Vec, flexion: float, stretch: float = 0.99995) -> Limb:
-        """``hinge``: rest axis about which the lower bone flexes by at most ``flexion`` degrees."""
+        """Measure a limb. ``hinge``: rest axis about which the lower bone flexes by at most ``flexion`` degrees."""
         a, b, c = joints
         upper, lower = body.distance(a, b), body.distance(b, c)
         along = body.direction(a, b)
@@ -48,13 +47,13 @@ class Limb:
 
 
 def perpendicular(v: Vec, axis: Vec) -> Vec:
-    """Unit vector of the part of v perpendicular to the unit vector ``axis``."""
+    """Return the unit vector of the part of v perpendicular to the unit vector ``axis``."""
     s = dot(v, axis)
     return unit((v[0] - s * axis[0], v[1] - s * axis[1], v[2] - s * axis[2]), (0.0, 0.0, 1.0))
 
 
 def two_bone(limb: Limb, root: Vec, end: Vec, pole: Vec) -> tuple[Quat, Quat, Vec]:
-    """World rotation of the upper bone, local rotation of the hinge, and the world direction of the lower bone.
+    """Return world rotation of the upper bone, local rotation of the hinge, world direction of the lower bone.
 
     ``pole``: unit vector towards which the middle joint bends; it need not be perpendicular to the limb. The distance
     is clamped to what the limb reaches, so a target out of reach gives a straight limb that points at it.
@@ -78,8 +77,3 @@ def two_bone(limb: Limb, root: Vec, end: Vec, pole: Vec) -> tuple[Quat, Quat, Ve
     world = mul(from_axes(upper_dir, hinge, cross(upper_dir, hinge)), limb.frame)
     bend = between(limb.lower_dir, rotate(conj(world), lower_dir))
     return world, bend, lower_dir
-
-
-def relative(parent: Quat, child: Quat) -> Quat:
-    """Local rotation of a child with this world rotation."""
-    return inverse_mul(parent, child)

@@ -113,14 +113,14 @@ _SAFE = {joint: cos(0.5 * value) for joint, value in _SMALLEST.items()}
 
 
 def clamp_box(q: Quat, box: tuple[float, ...]) -> Quat:
-    """q with its rotation vector inside the box."""
+    """Return q with its rotation vector limited to the box."""
     x, y, z = rotation_vector(q)
     kx, ky, kz = clamp(x, box[0], box[3]), clamp(y, box[1], box[4]), clamp(z, box[2], box[5])
     return q if (kx, ky, kz) == (x, y, z) else to_quat((kx, ky, kz))
 
 
 def clamp_joint(joint: int, q: Quat) -> Quat:
-    """The rotation of a body joint brought inside its limits; unchanged where it is inside."""
+    """Return the rotation of a body joint limited to its range; the same object where it is inside."""
     if joint in SHOULDERS:
         return _shoulder(q, 1.0 if joint == SHOULDERS[0] else -1.0)
     safe = _SAFE.get(joint)
@@ -145,7 +145,7 @@ def clamp_joint(joint: int, q: Quat) -> Quat:
 
 
 def _nearby(q: Quat, box: Box) -> Quat:
-    """A thigh far outside its range brought to where its swing from the rest pose is MARGIN outside, at most.
+    """Bring a thigh far outside its range to where its swing from the rest pose is at most MARGIN outside.
 
     Swing and twist from the rest pose say little of a thigh that points up: there, a degree more or less would put the
     knee on one side or the other. So it goes the way to the range's middle, whose opposite is behind the back, where no
@@ -168,7 +168,7 @@ def _nearby(q: Quat, box: Box) -> Quat:
 
 
 def _outside(ax: float, az: float, size: float, box: Box) -> float:
-    """Radians by which a thigh swung by ``size`` from the middle is outside the box of swings from the rest pose."""
+    """Return the radians by which a thigh swung by ``size`` from the middle is outside the box of swings from rest."""
     s = sin(size)
     x, y, z = az * s, -cos(size), -ax * s  # where the thigh points: (ax, 0, az) x (0, -1, 0) is (az, 0, -ax)
     c, s = _MIDDLE_COS, _MIDDLE_SIN
@@ -204,14 +204,14 @@ def _shoulder(q: Quat, sign: float) -> Quat:
 
 
 def shoulder_reach(y: float, z: float) -> float:
-    """Radians a left arm may swing in the direction of the rotation vector (0, y, z)."""
+    """Return the radians that a left arm may swing in the direction of the rotation vector (0, y, z)."""
     place = (atan2(z, -y) % (2 * pi)) / (pi / 6)
     i = min(int(place), 11)
     return _SHOULDER[i] + (_SHOULDER[i + 1] - _SHOULDER[i]) * (place - i)
 
 
 def violation(rotations: NDArray[np.float64]) -> float:
-    """Degrees by which the worst body joint of an axis-angle pose [55 or 22, 3] is outside its limits."""
+    """Return the degrees by which the worst body joint of an axis-angle pose [55 or 22, 3] is outside its limits."""
     worst = 0.0
     for joint in range(1, 22):
         q = to_quat((float(rotations[joint, 0]), float(rotations[joint, 1]), float(rotations[joint, 2])))

@@ -1,70 +1,58 @@
 """Quaternions (w, x, y, z) and vectors as plain tuples of floats: a numpy call on so few numbers costs far more.
 
-All rotations are active and right-handed; ``mul(a, b)`` turns by b first, then by a.
+All rotations are active and right-handed; ``mul(a, b)`` rotates by b first, then by a.
 """
 
 from __future__ import annotations
 
 from math import acos, atan2, copysign, cos, hypot, pi, sin, sqrt
 
-__all__ = [
-    *(
-        "IDENTITY",
-        "Quat",
-        "Vec",
-        "about",
-        "add",
-        "between",
-        "clamp",
-        "conj",
-        "cross",
-        "dot",
-        "from_axes",
-        "inverse_mul",
-    ),
-    *("length", "mul", "nlerp", "normalized", "power", "pull", "rotate", "rotation_angle", "rotation_vector", "scale"),
-    *("slerp", "sub", "swing_twist_y", "to_quat", "unit", "wrap", "yaw_quat"),
-]
-
 Vec = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
+JointPose = tuple[Vec, Quat]
+"""Position in metres and rotation of a joint or a tracker, both in one space."""
 
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-TINY = 1e-12
+TINY = 1e-12  # lengths below this have no direction
 
 
 def add(a: Vec, b: Vec) -> Vec:
-    """a + b."""
+    """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def sub(a: Vec, b: Vec) -> Vec:
-    """a - b."""
+    """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def scale(a: Vec, s: float) -> Vec:
-    """a s."""
+    """Return a scaled by s."""
     return (a[0] * s, a[1] * s, a[2] * s)
 
 
 def dot(a: Vec, b: Vec) -> float:
-    """a . b."""
+    """Return the dot product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vec, b: Vec) -> Vec:
-    """a x b."""
+    """Return the cross product a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def length(a: Vec) -> float:
-    """|a|."""
+    """Return the Euclidean length."""
     return sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
+def distance(a: Vec, b: Vec) -> float:
+    """Return |a - b|."""
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
 def unit(a: Vec, fallback: Vec = (0.0, 1.0, 0.0)) -> Vec:
-    """a / |a|, or ``fallback`` where a has no direction."""
+    """Return a / |a|, or ``fallback`` where a has no direction."""
     n = sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     if n < TINY:
         return fallback
@@ -73,17 +61,22 @@ def unit(a: Vec, fallback: Vec = (0.0, 1.0, 0.0)) -> Vec:
 
 
 def clamp(value: float, low: float, high: float) -> float:
-    """The value, kept between low and high."""
+    """Limit the value to low ... high."""
     return low if value < low else high if value > high else value
 
 
+def smoothstep(t: float) -> float:
+    """Ease t in [0, 1]: the slope is 0 at both ends."""
+    return t * t * (3 - 2 * t)
+
+
 def wrap(angle: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """Return the same angle in [-pi, pi)."""
     return (angle + pi) % (2 * pi) - pi
 
 
 def normalized(q: Quat) -> Quat:
-    """q / |q|; the identity where q has no length."""
+    """Return q / |q|, or the identity where q has no length."""
     n = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     if n < TINY:
         return IDENTITY
@@ -92,12 +85,12 @@ def normalized(q: Quat) -> Quat:
 
 
 def conj(q: Quat) -> Quat:
-    """The inverse of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
 def mul(a: Quat, b: Quat) -> Quat:
-    """a b: turn by b, then by a."""
+    """Return a b: the rotation by b, then by a."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -109,7 +102,7 @@ def mul(a: Quat, b: Quat) -> Quat:
 
 
 def inverse_mul(a: Quat, b: Quat) -> Quat:
-    """conj(a) b: b as seen from a."""
+    """Return conj(a) b: rotation b in the frame of a."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -121,33 +114,43 @@ def inverse_mul(a: Quat, b: Quat) -> Quat:
 
 
 def rotate(q: Quat, v: Vec) -> Vec:
-    """q v conj(q)."""
+    """Rotate v by q."""
     w, x, y, z = q
     vx, vy, vz = v
     tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
     return (vx + w * tx + y * tz - z * ty, vy + w * ty + z * tx - x * tz, vz + w * tz + x * ty - y * tx)
 
 
+def compose(frame: JointPose, local: JointPose) -> JointPose:
+    """Return the pose in the world of a pose that is ``local`` in ``frame``."""
+    return add(frame[0], rotate(frame[1], local[0])), mul(frame[1], local[1])
+
+
+def relative(frame: JointPose, pose: JointPose) -> JointPose:
+    """Return a pose of the world in ``frame``: the inverse of ``compose``."""
+    return rotate(conj(frame[1]), sub(pose[0], frame[0])), inverse_mul(frame[1], pose[1])
+
+
 def about(axis: Vec, angle: float) -> Quat:
-    """The turn by ``angle`` (radians) about a unit axis."""
+    """Return the rotation by ``angle`` (radians) about a unit axis."""
     s = sin(0.5 * angle)
     return (cos(0.5 * angle), axis[0] * s, axis[1] * s, axis[2] * s)
 
 
 def yaw_quat(angle: float) -> Quat:
-    """The turn about y (up)."""
+    """Return the rotation by ``angle`` (radians) about y (up)."""
     return (cos(0.5 * angle), 0.0, sin(0.5 * angle), 0.0)
 
 
 def to_quat(v: Vec) -> Quat:
-    """Rotation vector (axis times angle) to quaternion."""
+    """Convert a rotation vector (axis times angle) to a quaternion."""
     angle = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     s = sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
     return (cos(0.5 * angle), v[0] * s, v[1] * s, v[2] * s)
 
 
 def rotation_vector(q: Quat) -> Vec:
-    """Quaternion to rotation vector, at most pi long."""
+    """Convert a quaternion to a rotation vector of at most pi."""
     w, x, y, z = q
     if w < 0:
         w, x, y, z = -w, -x, -y, -z
@@ -157,17 +160,17 @@ def rotation_vector(q: Quat) -> Vec:
 
 
 def rotation_angle(q: Quat) -> float:
-    """Angle of the turn, 0 to pi."""
+    """Return the angle of the rotation, 0 to pi."""
     return 2 * atan2(sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), abs(q[0]))
 
 
 def power(q: Quat, t: float) -> Quat:
-    """The same turn, t times as far (the short way round)."""
+    """Return the rotation about the same axis by t times the angle, the short way round."""
     return to_quat(scale(rotation_vector(q), t))
 
 
 def nlerp(a: Quat, b: Quat, t: float) -> Quat:
-    """Between a (t = 0) and b (t = 1) the short way round: normalised linear interpolation."""
+    """Interpolate from a (t = 0) to b (t = 1) linearly, the short way round, and normalise."""
     u = 1 - t
     if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] < 0:
         t = -t
@@ -175,7 +178,7 @@ def nlerp(a: Quat, b: Quat, t: float) -> Quat:
 
 
 def slerp(a: Quat, b: Quat, t: float) -> Quat:
-    """Between a and b the short way round, at constant angular speed."""
+    """Interpolate from a to b the short way round, at constant angular speed."""
     d = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
     sign = copysign(1.0, d)
     d = abs(d)
@@ -188,7 +191,7 @@ def slerp(a: Quat, b: Quat, t: float) -> Quat:
 
 
 def between(a: Vec, b: Vec) -> Quat:
-    """The shortest turn from unit vector a to unit vector b; for opposite vectors about some perpendicular axis."""
+    """Return the shortest rotation from unit vector a to b; opposite vectors: about some perpendicular axis."""
     w = 1 + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     if w < 1e-9:
         axis = unit(cross(a, (1.0, 0.0, 0.0) if abs(a[0]) < 0.7 else (0.0, 0.0, 1.0)))
@@ -197,14 +200,14 @@ def between(a: Vec, b: Vec) -> Quat:
 
 
 def swing_twist_y(q: Quat) -> float | None:
-    """Angle of q's twist about y: its heading. None where q turns y upside down (there is no heading)."""
+    """Return the heading of q: the angle of its twist about y. None where q turns y upside down."""
     if hypot(q[0], q[2]) < 0.17:  # the vertical axis tilted by more than 160 degrees
         return None
     return wrap(2 * atan2(q[2], q[0]))
 
 
 def from_axes(x: Vec, y: Vec, z: Vec) -> Quat:
-    """The rotation whose matrix has these orthonormal columns."""
+    """Return the rotation whose matrix has these orthonormal columns."""
     trace = x[0] + y[1] + z[2]
     if trace > 0:
         s = 2 * sqrt(trace + 1)
@@ -220,5 +223,5 @@ def from_axes(x: Vec, y: Vec, z: Vec) -> Quat:
 
 
 def pull(a: Vec, b: Vec, t: float) -> Vec:
-    """a moved the fraction t of the way to b."""
+    """Move a by the fraction t of the way to b."""
     return (a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t)

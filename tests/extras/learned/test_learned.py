@@ -124,8 +124,8 @@ def test_the_analytic_solver_steps_in_near_the_ground_and_leaves_again(stage: St
     samples = [stage.sample(t, head=head(t), left=None, right=None) for t in seconds(7.0)]
     solver = LearnedSolver(stage.body, embedded_network())
     shares = []
-    update = solver.doubt.update
-    solver.doubt.update = lambda *seen: shares.append(update(*seen)) or shares[-1]  # type: ignore[method-assign]
+    update = solver.uncertainty.update
+    solver.uncertainty.update = lambda *seen: shares.append(update(*seen)) or shares[-1]  # type: ignore[method-assign]
     result = track(samples, solver=solver)
     assert min(shares) == 0 and max(shares) == 1 and shares[-1] == 0
     eyes = np.array([s.head[:3] for s in samples])  # type: ignore[index]

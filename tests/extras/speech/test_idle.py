@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.extras.speech.idle import IdleFace
-from glsplat.tracking.gaze import eye_turn
+from glsplat.tracking.face import eye_turn
 from glsplat.tracking.sample import Sample
 
 RATE = 90

@@ -1,18 +1,23 @@
-"""Gait phase: when walking, arm swing and the head's bob and sway tell which foot is on the ground."""
+"""Gait phase of a walking user, from arm swing and the head's bob and sway."""
 
 from __future__ import annotations
 
 from math import atan2, cos, exp, hypot, pi, sin, sqrt
 
 from glsplat.tracking.solve.quat import Vec, clamp
+from glsplat.tracking.solve.stepping.leg import REFERENCE_LEG_M
 
 __all__ = ["Gait"]
 
 TURN = 2 * pi
-START, STOP = 0.40, 0.25  # m/s (of a 1.7 m person): walking begins and ends
-AWAY, BACK_HOME = 0.4, 0.2  # metres from where the body was lately (about 0.8 s ago): likewise
+START_SPEED, STOP_SPEED = 0.40, 0.25  # m/s (of a 1.7 m person): walking begins and ends
+START_AWAY_M, STOP_AWAY_M = 0.4, 0.2  # from where the body was lately (about 0.8 s ago): likewise
 ARM_LAG = 0.06  # turns by which the opposite hand follows the foot's most forward moment
-STANCE_MIDDLE = 0.31  # phase of mid-stance, at which the head is nearest to that foot's side
+MID_STANCE_PHASE = 0.31  # at which the head is nearest to that foot's side
+TRACK_SMOOTHING_S, RATE_SMOOTHING_S = 0.6, 0.03  # of the head's path without sway, of the cues' derivatives
+ARM_MEAN_S, HEIGHT_MEAN_S = 1.2, 0.6  # of the means of the cues
+FIRST_FREQUENCY = 0.8  # strides a second
+MAX_PULL = 0.3  # strides a second by which the natural frequency pulls
 
 
 class Gait:
@@ -23,34 +28,30 @@ class Gait:
     Gait Analysis, 2010; Collins, Adamczyk & Kuo 2009 for the arms).
     """
 
-    frequency: float
-    locked: float
-    phase: float
-    walking: bool
-
     def __init__(self, leg: float) -> None:
-        self.size: float = leg / 0.83  # length scale of the body; speeds scale by its root (equal Froude number)
+        self.size: float = (
+            leg / REFERENCE_LEG_M
+        )  # length scale of the body; speeds scale by its root (equal Froude number)
         self.pace: float = sqrt(self.size)
         self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
-        self.phase = 0.0
-        self.frequency = 0.8
-        self.walking = False
-        self.locked = 0.0  # 0..1 how well the cues agree with the phase
+        self.phase: float = 0.0
+        self.frequency: float = FIRST_FREQUENCY
+        self.walking: bool = False
         self._last: tuple[float, float, float] | None = None  # arm, height, sway
         self._mean = [0.0, 0.0]  # arm, height
         self._rate = [0.0, 0.0, 0.0]
         self._track: tuple[float, float] | None = None
 
     def duty(self, speed: float) -> float:
-        """Share of a stride that the ball of a foot is on the ground: 0.56 walking, falling to 0.34 running."""
+        """Return the part of a stride with the foot's ball on the ground: 0.56 walking, falling to 0.34 running."""
         v = speed / self.pace
         return 0.58 - 0.02 * v if v < 1.9 else max(0.542 - 0.3 * (v - 1.9), 0.34)
 
     def natural_frequency(self, speed: float) -> float:
-        """Strides a second at a walking or running speed (m/s), by the usual cadence curves."""
+        """Return the strides a second at a walking or running speed (m/s), by the usual cadence curves."""
         v = speed / self.pace
         return 0.5 * min(1.15 + 0.55 * v, 2.2 + 0.17 * v) / self.pace
 
@@ -63,7 +64,7 @@ class Gait:
         course: Vec,  # m/s over the last stride
         speed: float,
         away: float,  # metres from where the body was lately: tells walking from swaying
-        first_left: bool,  # start with the left foot's step when the cues say nothing
+        first_left: bool,  # start with the left foot where the cues are too weak
         dt: float,
     ) -> None:
         """Advance the phase by dt seconds."""
@@ -77,28 +78,27 @@ class Gait:
             s, c = course[0] / way, course[2] / way
         if self._track is None:
             self._track = (neck[0], neck[2])
-        k = 1 - exp(-dt / 0.6)
+        k = 1 - exp(-dt / TRACK_SMOOTHING_S)
         x, z = self._track
         self._track = x, z = (x + (neck[0] - x) * k, z + (neck[2] - z) * k)
         now = (arm, neck[1], (neck[0] - x) * c - (neck[2] - z) * s)
         if self._last is None:
             self._last, self._mean = now, [0.0, neck[1]]
-        smooth = 1 - exp(-dt / 0.03)
+        smooth = 1 - exp(-dt / RATE_SMOOTHING_S)
         for i in (0, 1, 2):
             self._rate[i] += ((now[i] - self._last[i]) / max(dt, 1e-4) - self._rate[i]) * smooth
-        for i, tau in ((0, 1.2), (1, 0.6)):
+        for i, tau in ((0, ARM_MEAN_S), (1, HEIGHT_MEAN_S)):
             self._mean[i] += (now[i] - self._mean[i]) * (1 - exp(-dt / tau))
         self._last = now
 
         v = speed / self.pace
-        starting = not self.walking and v > START and away > AWAY * self.size
-        if self.walking and (v < STOP or away < BACK_HOME * self.size):
+        starting = not self.walking and v > START_SPEED and away > START_AWAY_M * self.size
+        if self.walking and (v < STOP_SPEED or away < STOP_AWAY_M * self.size):
             self.walking = False
         if starting:
             self.walking = True
             self.frequency = self.natural_frequency(speed)
         if not self.walking:
-            self.locked = 0.0
             return
         natural = self.natural_frequency(speed)
         omega = TURN * self.frequency
@@ -109,7 +109,7 @@ class Gait:
         low = 0.06 + 0.12 * clamp((v - 1.9) / 0.6, 0.0, 1.0)
         bob_phase, bob_size = atan2(b_rate / (2 * omega), -b) / (2 * TURN) + low, hypot(b, b_rate / (2 * omega))
         w, w_rate = now[2], self._rate[2]
-        sway_phase, sway_size = atan2(-w_rate / omega, w) / TURN + STANCE_MIDDLE, hypot(w, w_rate / omega)
+        sway_phase, sway_size = atan2(-w_rate / omega, w) / TURN + MID_STANCE_PHASE, hypot(w, w_rate / omega)
         arm_weight = clamp(arm_size / (0.12 * self.size), 0.0, 1.0) if left is not None and right is not None else 0.0
         bob_weight = 0.5 * clamp(bob_size / (0.02 * self.size), 0.0, 1.0)
         sway_weight = (0.3 - 0.25 * arm_weight) * clamp(sway_size / (0.02 * self.size), 0.0, 1.0)
@@ -122,8 +122,7 @@ class Gait:
         error += bob_weight * _wrapped(bob_phase - self.phase, 0.5)
         total = arm_weight + sway_weight + bob_weight
         error /= max(total, 1.0)
-        self.locked += (total * (1 - 4 * abs(error)) - self.locked) * (1 - exp(-dt / 0.3))
-        pull = clamp(natural - self.frequency, -0.3, 0.3)
+        pull = clamp(natural - self.frequency, -MAX_PULL, MAX_PULL)
         self.frequency = clamp(self.frequency + dt * (3.0 * error + 1.5 * pull), 0.5 * natural, 1.6 * natural)
         rate = self.frequency + 4.0 * error
         self.phase = (self.phase + dt * clamp(rate, 0.3 * self.frequency, 2.5 * self.frequency)) % 1.0
