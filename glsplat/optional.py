@@ -30,7 +30,8 @@ def plugin(name: str) -> ModuleType | None:
     try:
         return extra_module(name)
     except ModuleNotFoundError as error:
-        if not f"{error.name}.".startswith("glsplat.extras."):
+        parts = (error.name or "").split(".")
+        if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
             raise
         return None
 

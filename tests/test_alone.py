@@ -13,12 +13,12 @@ ROOT = Path(__file__).resolve().parents[1]
 REFUSING = """
 import importlib.abc, sys
 
-HIDDEN = ("extras.authoring", "extras.evaluate", "extras.watermark", "extras.rooms", "extras.uploads",
-          "extras.study", "extras.openxr", "extras.statistics")
+HIDDEN = ("accounts", "authoring", "consent", "evaluate", "learned", "openxr", "rigs", "rooms", "statistics",
+          "study", "training", "uploads", "watermark", "workers")
 
 class Refusing(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if any(name == f"glsplat.{room}" or name.startswith(f"glsplat.{room}.") for room in HIDDEN):
+        if any(name == f"glsplat.extras.{room}" or name.startswith(f"glsplat.extras.{room}.") for room in HIDDEN):
             raise ModuleNotFoundError(f"hidden: {name}", name=name)
 
 sys.meta_path.insert(0, Refusing())

@@ -59,24 +59,15 @@ WITHIN = {
 }
 # Modules of the core that still import extras, and from which.
 STILL = {
-    "net.backend": {"browser", "watermark"},
-    "net.backends.renderer_pool": {"rooms"},
-    "net.backends.tracking": {"speech"},
     "net.client.client": {"far_links"},
     "net.client.connection": {"far_links"},
     "net.client_stream": {"far_links"},
     "net.conversation": {"browser", "workers"},
-    "net.feature": {"accounts"},
     "net.gl_server": {"browser", "consent", "speech", "uploads", "workers"},
-    "net.guard.access": {"accounts"},
-    "net.guard.gate": {"accounts"},
-    "net.guard.kept": {"consent", "watermark"},
     "net.local_loop": {"far_links"},
-    "net.options": {"accounts", "consent"},
     "net.pages.routes": {"browser", "operations", "speech"},
-    "net.rights": {"accounts", "consent"},
-    "net.server": {"accounts", "browser", "workers"},
-    "net.session": {"far_links", "watermark"},
+    "net.server": {"browser", "workers"},
+    "net.session": {"far_links"},
     "net.standard_server": {"browser", "far_links", "operations", "rooms", "workers"},
 }
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from glsplat.extras.consent.document import ANYBODY
 from glsplat.extras.consent.file import sign_data
+from glsplat.extras.consent.state import kept_key
 from glsplat.io.files import replace_file
-from glsplat.net.guard.kept import kept_key, state_folder
+from glsplat.net.guard.state_dir import state_folder
 
 __all__ = ["sign_mine"]
 

@@ -11,9 +11,10 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.accounts.users import Accounts
 from glsplat.extras.watermark.keys import read_watermark
 from glsplat.extras.watermark.mark import WatermarkKey
+from glsplat.extras.watermark.state import kept_watermark
 from glsplat.net.guard.access import is_loopback, read_token
-from glsplat.net.guard.kept import TOKEN, kept_token, kept_watermark, state_folder
 from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
 
 from ..usage import UsageError
 

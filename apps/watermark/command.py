@@ -16,8 +16,9 @@ from glsplat.extras.authoring.photo.photo_file import MOST_PIXELS
 from glsplat.extras.authoring.video.film import each_frame, is_video
 from glsplat.extras.watermark.detect import WINDOW, detect
 from glsplat.extras.watermark.keys import read_watermark
+from glsplat.extras.watermark.state import WATERMARK
 from glsplat.io.files import open_regular
-from glsplat.net.guard.kept import WATERMARK, state_folder
+from glsplat.net.guard.state_dir import state_folder
 
 from ..args import natural
 from ..usage import UsageError

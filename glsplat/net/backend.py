@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.extras.browser.web_format.write import WebFile
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.fields import DEFAULT, PictureOptions
 from glsplat.net.messages import Request
@@ -18,10 +17,20 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
 if TYPE_CHECKING:
-    from glsplat.extras.watermark.mark import Watermark
     from glsplat.net.room_view import RoomView
+    from glsplat.passes.step import ResolveStep
 
-__all__ = ["AvatarInfo", "Backend", "Interruptible", "Placing", "PoseSolver", "RenderJob", "Rendered", "Solved"]
+__all__ = [
+    "AvatarInfo",
+    "Backend",
+    "Interruptible",
+    "Placing",
+    "PoseSolver",
+    "RenderJob",
+    "Rendered",
+    "Solved",
+    "WebFile",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -38,7 +47,7 @@ class RenderJob:
     detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
     label: str = ""  # drawn near the head of the avatar
     notice: str = ""  # written into the picture
-    mark: Watermark | None = None  # of the session
+    mark: ResolveStep | None = None  # the watermark of the session
     others: float = 1.0  # of what others in a room may add to the picture (budget.others_share); 0: none is drawn
 
 
@@ -120,6 +129,14 @@ class Solved:
     notes: tuple[str, ...] = ()  # what was out of the ordinary ("left_lost", ...), told to the client
     scale: float = 1.0  # user metres = avatar metres * scale
     floor: float = 0.0  # y of the user's floor in metres; 0 in the avatar's space
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WebFile:
+    """A file from which a browser draws an avatar, and how many bytes of it make a first picture."""
+
+    data: bytes
+    first: int
 
 
 class PoseSolver(Protocol):

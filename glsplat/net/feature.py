@@ -19,7 +19,7 @@ from glsplat.net.internal_client import InternalClient
 from glsplat.net.options import RequestedOptions, ServerConfig
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import User
+    from glsplat.net.rights import User
 
 __all__ = ["Feature", "Handler", "ServerView"]
 

@@ -20,8 +20,7 @@ from glsplat.net.rights import Rights
 from glsplat.net.session import SessionConfig
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import User
-    from glsplat.extras.consent.policy import ConsentPolicy
+    from glsplat.net.rights import Consent, User
 
 __all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "RoomError", "ServerConfig", "client_options"]
 
@@ -60,7 +59,7 @@ class ServerConfig:
     scene: str = "avatar"  # for the status page
     rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
     furnished: frozenset[str] = frozenset()  # those of them in which more is to be seen than people
-    consent: ConsentPolicy | None = None  # of those who are shown; None: nobody asks for it
+    consent: Consent | None = None  # of those who are shown; None: nobody asks for it
     fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
     private: bool = False  # nobody sees who the clients are, and what they are shown
     video: bool = False  # clients that ask for it get video instead of JPEGs (codec/video.py)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 from aiohttp import web
 
-if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import Accounts, User
-    from glsplat.extras.consent.policy import ConsentPolicy
-
-__all__ = ["USER", "Rights", "Thing", "user_of"]
+__all__ = ["USER", "Accounts", "Consent", "Rights", "Thing", "User", "user_of"]
 
 USER: web.RequestKey[Any] = web.RequestKey("user", object)
 """Of a request: the account whose token came with it."""
@@ -24,6 +20,63 @@ connection's figures; its identity (avatar, room, last picture, session in the w
 """
 
 
+class User(Protocol):
+    """One account (extras/accounts)."""
+
+    @property
+    def name(self) -> str:
+        """The account's name."""
+        ...
+
+    def may_drive(self, avatar: str) -> bool:
+        """Return whether the account may be shown, and drive, the avatar of that name."""
+        ...
+
+    def may_enter(self, room: str) -> bool:
+        """Return whether the account may enter the room of that name."""
+        ...
+
+
+class Accounts(Protocol):
+    """The accounts of a running server (extras/accounts)."""
+
+    def known(self, token: str) -> User | None:
+        """Return whose token it is, if it was verified before."""
+        ...
+
+    async def verified(self, token: str) -> User | None:
+        """Return whose token it is, by its hash; None: nobody's."""
+        ...
+
+    def holds(self, user: Any) -> bool:
+        """Return False once the account was removed, or its token or rights were changed."""
+        ...
+
+
+class Consent(Protocol):
+    """Who agreed to be shown, to whom and how (extras/consent)."""
+
+    def refusal(self, avatar: str, driver: str, now: float) -> str | None:
+        """Return why the avatar may not be shown to that account now; None while it may."""
+        ...
+
+    def lets(self, avatar: str, driver: str) -> bool:
+        """Return whether the account is among those who may drive the avatar."""
+        ...
+
+    def withheld(self, avatar: str, now: float) -> str | None:
+        """Return why the avatar's splats are not given away; None where they are."""
+        ...
+
+    def label(self, avatar: str, driver: str = "") -> str:
+        """Return what has to stand in every picture of the avatar; "" for nothing."""
+        ...
+
+    def maker(self, avatar: str) -> str:
+        """Return the account that had the avatar made; "" where none did."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Rights:
     """The rights on one server. None: it has no accounts, or no consent is checked.
@@ -32,7 +85,7 @@ class Rights:
     """
 
     accounts: Accounts | None = None
-    consent: ConsentPolicy | None = None
+    consent: Consent | None = None
     private: bool = False  # without accounts: nobody sees the identity of a client, nor who is in a room
     unseen: str = ""  # said instead of why an avatar may not be shown, where nobody may hear its name
 

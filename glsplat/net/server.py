@@ -41,8 +41,8 @@ from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import User
     from glsplat.extras.workers.pool import WorkerPool
+    from glsplat.net.rights import User
 
 __all__ = ["Server"]
 

@@ -10,7 +10,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from glsplat.errors import ProtocolError
 from glsplat.extras.far_links.link_control import LinkControl
@@ -19,7 +19,21 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Arrival, Decoder, Request, error_text
 
 if TYPE_CHECKING:
-    from glsplat.extras.watermark.mark import Watermark, WatermarkKey
+    from glsplat.passes.step import ResolveStep
+
+    class Watermark(ResolveStep, Protocol):
+        """A mark that leads from a picture to its session (extras/watermark)."""
+
+        @property
+        def session(self) -> int:
+            """The session's id, 32 bits."""
+
+    class WatermarkKey(Protocol):
+        """The key of a server's watermarks (extras/watermark)."""
+
+        def new_mark(self) -> Watermark:
+            """Return the mark of a new session."""
+
     from glsplat.net.pace.ladder import Rung
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]

@@ -23,9 +23,10 @@ from glsplat.extras.authoring.photo.capture import Finding
 from glsplat.extras.authoring.reconstruct import mesh_from_photos, registry
 from glsplat.extras.consent.file import on_file
 from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.extras.consent.state import known_key
 from glsplat.formats import load
 from glsplat.meshes import RiggedMesh
-from glsplat.net.guard.kept import known_key, state_folder
+from glsplat.net.guard.state_dir import state_folder
 from tests.apps.cli import parsed
 from tests.extras.authoring.reconstruct.stubs import Meshed, Plain, replace_check
 

@@ -18,7 +18,8 @@ from apps.serve.keys import watermark_of
 from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.keys import text_of
 from glsplat.extras.watermark.mark import Watermark, WatermarkKey, marked
-from glsplat.net.guard.kept import WATERMARK, kept_watermark, state_folder
+from glsplat.extras.watermark.state import WATERMARK, kept_watermark
+from glsplat.net.guard.state_dir import state_folder
 from tests.apps.cli import mistake, parsed
 
 OWNER = WatermarkKey(0x1A2B, b"sixteen bytes 01")

@@ -13,7 +13,7 @@ from glsplat.data import default_avatar
 from glsplat.extras.operations.certificate import kept_certificate
 from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
-from glsplat.net.guard.kept import kept_token, state_folder
+from glsplat.net.guard.state_dir import kept_token, state_folder
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import offered

@@ -22,7 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from glsplat.errors import GlsplatError
 from glsplat.io.files import open_regular, replace_file
-from glsplat.net.guard.kept import lock_of
+from glsplat.net.guard.state_dir import lock_of
 
 __all__ = ["CERTIFICATE", "KEY", "StoredCertificate", "holds", "kept_certificate", "passing_certificate"]
 

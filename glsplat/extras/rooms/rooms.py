@@ -17,7 +17,7 @@ from glsplat.net.rights import Thing
 from glsplat.skinning.pose import Pose
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import User
+    from glsplat.net.rights import User
 
 __all__ = ["Rooms"]
 

@@ -23,7 +23,7 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.rights import user_of
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import User
+    from glsplat.net.rights import User
 
 __all__ = ["Uploads"]
 

@@ -141,7 +141,7 @@ class RendererPool:
         labels = one.labels(request)
         if not labels and not request.notice:
             return 0, 0, 0, 0
-        from glsplat.extras.rooms.lettering import draw_labels  # here: OpenCV is of use to few, and slow to load
+        from glsplat.net.backends.lettering import draw_labels  # here: OpenCV is of use to few, and slow to load
 
         return draw_labels(images, request.cameras, labels, request.notice)
 

@@ -6,21 +6,19 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from glsplat.camera import Camera
-from glsplat.extras.speech.idle import IdleFace
 from glsplat.net.backend import Solved
 from glsplat.net.messages import Arrival, Request
+from glsplat.optional import extra_module
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.sample import Sample
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
-
-if TYPE_CHECKING:  # most servers hear of no face
-    from glsplat.extras.speech.face.feed import FaceFeed
 
 __all__ = ["MOST", "PART", "Ahead", "OneClock", "TrackingSolver"]
 
@@ -75,6 +73,14 @@ class Ahead:
         return self.seconds
 
 
+class FaceFeed(Protocol):
+    """A face that is tracked beside the headset (extras/speech/face)."""
+
+    def worn(self, wearer: object, sample: Sample, now: float) -> Sample:
+        """Return the sample with the face of now."""
+        ...
+
+
 class TrackingSolver:
     """Tracking to pose for one user.
 
@@ -92,7 +98,7 @@ class TrackingSolver:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._clock = OneClock()
         self._ahead = Ahead()
-        self._idle = IdleFace() if idle else None
+        self._idle = extra_module("speech.idle").IdleFace() if idle else None
         self._face = face
 
     def solve(self, request: Request, now: float) -> Solved:

@@ -23,7 +23,7 @@ from glsplat.io.secret_files import warn_if_exposed
 from glsplat.net.guard.forwarded import Network
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import Accounts
+    from glsplat.net.rights import Accounts
 
 __all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "read_token", "server_tls"]
 

@@ -26,7 +26,7 @@ from glsplat.net.guard.notices import Notices
 from glsplat.net.rights import USER, Rights
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import Accounts
+    from glsplat.net.rights import Accounts
 
 __all__ = ["Gate", "connection_of"]
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.extras.consent.policy import ConsentPolicy
-from glsplat.extras.rooms.lettering import draw_labels
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
+from glsplat.net.backends.lettering import draw_labels
 from glsplat.net.client import Client
 from glsplat.net.gl_server import make_server
 from glsplat.net.labels import Label, driven_by

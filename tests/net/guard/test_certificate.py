@@ -20,7 +20,7 @@ from glsplat.extras.operations import certificate
 from glsplat.extras.operations.certificate import CERTIFICATE, KEY, kept_certificate
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access, certificate_names, server_tls
-from glsplat.net.guard.kept import state_folder
+from glsplat.net.guard.state_dir import state_folder
 from glsplat.net.server import ServerConfig
 
 pytestmark = pytest.mark.check
@@ -150,7 +150,7 @@ def test_a_full_disk_leaves_what_was_there(folder):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     script = (
         "import resource\nfrom glsplat.extras.operations.certificate import kept_certificate\n"
-        "from glsplat.net.guard.kept import state_folder\n"
+        "from glsplat.net.guard.state_dir import state_folder\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))\nkept_certificate(state_folder(), ['new.example'])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
@@ -161,7 +161,7 @@ def test_a_full_disk_leaves_what_was_there(folder):
 def test_servers_that_start_at_once_share_one(state):
     script = (
         "import sys\nfrom glsplat.extras.operations.certificate import kept_certificate\n"
-        "from glsplat.net.guard.kept import kept_token, state_folder\n"
+        "from glsplat.net.guard.state_dir import kept_token, state_folder\n"
         "print('ready', flush=True)\nsys.stdin.readline()\n"
         "folder = state_folder()\nprint(kept_certificate(folder, []).fingerprint, kept_token(folder))\n"
     )

@@ -17,7 +17,7 @@ from glsplat.net.feature import Feature, ServerView
 from glsplat.net.rights import user_of
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import User
+    from glsplat.net.rights import User
 
 __all__ = ["SplatFiles"]
 

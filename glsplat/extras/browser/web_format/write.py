@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -38,23 +38,16 @@ from glsplat.extras.browser.web_format.planes import (
 from glsplat.extras.browser.web_format.read import read_header
 from glsplat.extras.formats.morton import morton_order
 from glsplat.light.surface import Surface
+from glsplat.net.backend import WebFile
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["WebFile", "encode_avatar", "web_file"]
+__all__ = ["encode_avatar", "web_file"]
 
 _VISIBLE = 1 / 255  # opacity below which nothing of a splat is ever drawn
 _FINE = 16  # units of a shape's moves that are rounded to one: 15 um of 3 cm, and a low byte that packs
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WebFile:
-    """A file, and how many bytes of it make a first picture."""
-
-    data: bytes
-    first: int
 
 
 def web_file(avatar: Avatar) -> WebFile:

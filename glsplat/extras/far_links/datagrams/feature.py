@@ -13,7 +13,7 @@ from glsplat.net.feature import Feature, ServerView
 from glsplat.net.options import RequestedOptions
 
 if TYPE_CHECKING:
-    from glsplat.extras.accounts.users import User
+    from glsplat.net.rights import User
 
 __all__ = ["Datagrams"]
 

@@ -9,9 +9,9 @@ import time
 import pytest
 
 from glsplat.errors import GlsplatError
-from glsplat.net.guard import kept
+from glsplat.net.guard import state_dir as kept
 from glsplat.net.guard.access import read_token
-from glsplat.net.guard.kept import kept_token, lock_of, state_folder
+from glsplat.net.guard.state_dir import kept_token, lock_of, state_folder
 
 
 def mode(path):

@@ -1,4 +1,4 @@
-"""What a server keeps between its starts for itself alone: a folder that is its user's, a lock, token and key."""
+"""The folder of what a server keeps between its starts: only its user can read it; a lock, and the token."""
 
 from __future__ import annotations
 
@@ -9,19 +9,13 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from glsplat.errors import GlsplatError
-from glsplat.extras.consent.keys import PrivateKey, new_key, private_key
-from glsplat.extras.watermark.keys import new_watermark, read_watermark, text_of
-from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.io.files import locked, replace_file
 from glsplat.net.guard.access import read_token
 
-__all__ = ["TOKEN", "WATERMARK", "kept_key", "kept_token", "kept_watermark", "known_key", "lock_of", "state_folder"]
+__all__ = ["TOKEN", "kept_token", "lock_of", "state_folder"]
 
 TOKEN = "token"
 """The name of the token's file in the folder."""
-WATERMARK = "watermark"
-"""The name of the file with what pictures are marked with."""
-_KEY = "consent-key"
 _BYTES = 18  # of chance in a token, 144 bits: 24 characters
 _PATIENCE = 10.0  # seconds; who holds the lock makes a key meanwhile, which takes some milliseconds
 
@@ -67,25 +61,3 @@ def kept_token(folder: Path) -> str:
             return read_token(path)
         except GlsplatError as error:
             raise GlsplatError(f"{error}; delete it and the next start makes a new one") from None
-
-
-def kept_key(folder: Path) -> PrivateKey:
-    """The key in the folder that signs consents, made at the first call. Raises GlsplatError naming the file."""
-    path = folder / _KEY
-    with lock_of(folder):
-        return private_key(path) if path.exists() else new_key(path)
-
-
-def known_key(folder: Path) -> PrivateKey | None:
-    """That key where it was made before; None: nothing was signed here. Raises GlsplatError naming the file."""
-    path = folder / _KEY
-    return private_key(path) if path.exists() else None
-
-
-def kept_watermark(folder: Path) -> WatermarkKey:
-    """The watermark's id and key in the folder, made at the first call. Raises GlsplatError naming the file."""
-    path = folder / WATERMARK
-    with lock_of(folder):
-        if not path.exists():
-            replace_file(path, [text_of(new_watermark()).encode()], private=True)
-        return read_watermark(path)
