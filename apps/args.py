@@ -22,6 +22,7 @@ from glsplat.io.files import naming, open_regular
 from glsplat.light.light import PRESETS, Light
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.loading import KINDS, split_choice
+from glsplat.optional import plugin
 from glsplat.scene import Content, Rigged, Scene, is_rigged
 from glsplat.scenes.scene_file import UPS, SceneFile, load_scene, upright
 from glsplat.skinning.driven import why_not_tracked
@@ -152,13 +153,11 @@ def _say_doubts(file: SceneFile, name: str) -> None:
     """What looks wrong in the motions of a scene file, on stderr; of each once."""
     if not file.motions:
         return
-    from glsplat.extras.motions.doubts import doubt  # here: most scenes stand still
-
     said = set()
     for place, (item, motion) in file.motions.items():
         if is_rigged(item.content) and id(motion) not in said:
             said.add(id(motion))
-            if line := doubt(motion, item.content.skeleton, "FILE"):
+            if line := _doubt(motion, item.content.skeleton, "FILE"):
                 print(f"{name}: item {place}, motion {motion.label}: {line}", file=sys.stderr)
 
 
@@ -200,12 +199,17 @@ def tracked(skeleton: Skeleton, name: str) -> Skeleton:
     return skeleton
 
 
+def _doubt(motion: Motion, skeleton: Skeleton, name: str) -> str:
+    """Return what looks wrong in a motion, in one line; "" where nothing does, or extras/motions is not installed."""
+    module = plugin("motions.doubts")
+    return "" if module is None else module.doubt(motion, skeleton, name)
+
+
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
     """The motion an option names: a file or an embedded one; what a user should know of it is said on stderr.
 
     Raises UsageError where there is neither.
     """
-    from glsplat.extras.motions.doubts import doubt  # here: a server needs none of it
     from glsplat.motion.loading import embedded_motions, load_motion
 
     if not split_choice(name)[0].exists() and name not in embedded_motions():
@@ -213,7 +217,7 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
         raise UsageError(f"{option} {name}: no such file and no such motion; files are {KINDS}; embedded are {known}")
     motion = load_motion(name, skeleton)
     own = name in embedded_motions() and not Path(name).exists()
-    for line in (motion.note, "" if own else doubt(motion, skeleton, name)):
+    for line in (motion.note, "" if own else _doubt(motion, skeleton, name)):
         if line:
             print(f"{option} {name}: {line}", file=sys.stderr)
     return motion

@@ -37,5 +37,5 @@ def plugin(name: str) -> ModuleType | None:
 
 
 def missing(extra: str, what: str) -> str:
-    """Return the message for what only an absent extra reads: ``missing("formats", "SPZ")``."""
-    return f"{what} is read by glsplat.extras.{extra}, which is not installed"
+    """Return the message for something that needs an absent extra: ``missing("formats", "SPZ")``."""
+    return f"{what} needs glsplat.extras.{extra}, which is not installed"

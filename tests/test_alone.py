@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 REFUSING = """
 import importlib.abc, sys
 
-HIDDEN = ("accounts", "authoring", "consent", "evaluate", "learned", "openxr", "rigs", "rooms", "statistics",
+HIDDEN = ("accounts", "authoring", "consent", "evaluate", "learned", "motions", "openxr", "rigs", "rooms", "statistics",
           "study", "training", "uploads", "watermark", "workers")
 
 class Refusing(importlib.abc.MetaPathFinder):

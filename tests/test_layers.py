@@ -48,6 +48,7 @@ WITHIN = {
         ["backend", "reply", "session"],
         ["backends", "catalogue", "flow", "options", "pose_queue"],
         ["client", "client_stream"],
+        ["drawer"],
         ["internal_client", "render_loop"],
         ["feature", "local_loop"],
         ["pages"],
@@ -59,16 +60,12 @@ WITHIN = {
 }
 # Modules of the core that still import extras, and from which.
 STILL = {
-    "net.client.client": {"far_links"},
-    "net.client.connection": {"far_links"},
-    "net.client_stream": {"far_links"},
-    "net.conversation": {"browser", "workers"},
+    "net.conversation": {"browser"},
     "net.gl_server": {"browser", "consent", "speech", "uploads", "workers"},
-    "net.local_loop": {"far_links"},
     "net.pages.routes": {"browser", "operations", "speech"},
-    "net.server": {"browser", "workers"},
+    "net.server": {"browser"},
     "net.session": {"far_links"},
-    "net.standard_server": {"browser", "far_links", "operations", "rooms", "workers"},
+    "net.standard_server": {"browser", "far_links", "operations", "rooms"},
 }
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 ROOT_OWN = {"on_demand", "__version__"}  # defined by the root itself, below everything

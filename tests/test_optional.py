@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 
 from glsplat import optional
+from glsplat.errors import GlsplatError
 from glsplat.formats import all_formats
+from glsplat.net.backends import tracking
+from glsplat.net.client import Client, client
 
 NAMES = "ply glb gltf poses scene compressed-ply splat ksplat spz sog obj npz bvh amc amass"
 
@@ -33,3 +36,12 @@ def test_a_broken_extra_is_an_error(monkeypatch: pytest.MonkeyPatch, name: str |
     monkeypatch.setattr(optional, "extra_module", broken)
     with pytest.raises(ModuleNotFoundError):
         optional.plugin("formats.rows")
+
+
+def test_what_needs_an_absent_extra_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (client, tracking):
+        monkeypatch.setattr(module, "plugin", lambda name: None)
+    with pytest.raises(GlsplatError, match=r"^video needs glsplat\.extras\.far_links, which is not installed$"):
+        Client("ws://127.0.0.1:9/ws", video=True)
+    with pytest.raises(GlsplatError, match=r"^moving idle eyes needs glsplat\.extras\.speech, which is not installed$"):
+        tracking._idle_face()

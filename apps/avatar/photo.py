@@ -157,9 +157,7 @@ def _one(args: argparse.Namespace) -> int:
         else:
             avatar = done.avatar
             if args.cones:
-                from glsplat.extras.authoring.cones import (
-                    with_cones,  # and OpenGL with it, which nothing else here needs
-                )
+                from glsplat.extras.authoring.cones import with_cones  # here: nothing else needs its OpenGL
 
                 avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))

@@ -24,10 +24,9 @@ from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.session import Session
 
 if TYPE_CHECKING:
-    from glsplat.extras.far_links.video import VideoStream
     from glsplat.net.room_view import RoomView
 
-__all__ = ["ANYTHING", "ClientStream", "DatagramTransport", "Frame", "FrameObserver", "RoomMember"]
+__all__ = ["ANYTHING", "ClientStream", "DatagramTransport", "Frame", "FrameObserver", "RoomMember", "VideoStream"]
 
 ANYTHING = AvatarInfo(name="")
 
@@ -45,6 +44,22 @@ class FrameObserver(Protocol):
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
         """The socket took the messages of a reply. Called on the event loop."""
+        ...
+
+
+class VideoStream(Protocol):
+    """Codes the pictures of one client as video (extras/far_links). Called on one thread at a time."""
+
+    def encode(
+        self,
+        images: NDArray[np.uint8],
+        codecs: Sequence[str],
+        quality: int = 80,
+        covered: tuple[int, int, int, int] | None = None,
+        alpha: bool | str = False,
+        key: bool = False,
+    ) -> Encoded | None:
+        """Return the next picture of ``images`` [V, H, W, 4]; None: it is to be a JPEG."""
         ...
 
 

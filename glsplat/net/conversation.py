@@ -8,23 +8,20 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
 from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.net.client_stream import ClientStream, DatagramTransport, Frame
+from glsplat.net.drawer import Drawer
 from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Request
-from glsplat.net.render_loop import RenderLoop
 from glsplat.net.session import Close, Warn
-
-if TYPE_CHECKING:
-    from glsplat.extras.workers.pool import WorkerPool
 
 __all__ = ["Conversation", "cut_off", "make_socket"]
 
@@ -44,14 +41,14 @@ class Conversation:
         channel: ClientStream,
         ws: web.WebSocketResponse,
         request: web.Request,
-        render_loop: RenderLoop | WorkerPool,
+        drawer: Drawer,
         gate: Gate,
         responder: PoseResponder,
         deaf: Callable[[], bool],
         write_timeout: float,
     ) -> None:
         self.channel = channel
-        self._ws, self._request, self._render_loop, self._gate = ws, request, render_loop, gate
+        self._ws, self._request, self._drawer, self._gate = ws, request, drawer, gate
         self._responder, self._deaf, self._write_timeout = responder, deaf, write_timeout
         assert channel.share is not None
         self._reading = Reading(channel.share)
@@ -63,7 +60,7 @@ class Conversation:
 
     async def run(self) -> None:
         """Until the client leaves or is put out. Raises ConnectionError, TimeoutError: it neither reads nor listens."""
-        self._render_loop.add(self.channel)
+        self._drawer.add(self.channel)
         writer = asyncio.create_task(self._write())
         try:
             await self._converse(connection_of(self._request).breached)
@@ -127,7 +124,7 @@ class Conversation:
                 elif message.type == WSMsgType.PONG:
                     if session.link is not None:
                         session.link.ponged(bytes(message.data), clock())
-                        self._render_loop.wake(self.channel)
+                        self._drawer.wake(self.channel)
                 else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
                     return
             if await self._take(text, outcome):
@@ -155,7 +152,7 @@ class Conversation:
             if heard is not None:
                 for observer in self.channel.observers:
                     observer.request_received(heard)
-            self._render_loop.received(self.channel, heard)
+            self._drawer.received(self.channel, heard)
             self._responder.due(self.channel)
         return False
 
@@ -176,7 +173,7 @@ class Conversation:
 
     async def _farewell(self, close: Close) -> None:
         """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
-        self._render_loop.remove(self.channel)
+        self._drawer.remove(self.channel)
         if close.breach:
             self._gate.breach(self._request, close.reason)
         if close.text:
@@ -191,7 +188,7 @@ class Conversation:
             frame = await self.channel.frames.get()
             try:
                 posed = frame.poses is not None
-                packed = self._responder.pack(frame) if posed else await self._render_loop.pack(self.channel, frame)
+                packed = self._responder.pack(frame) if posed else await self._drawer.pack(self.channel, frame)
                 if not isinstance(packed, str):
                     await self._ping()
                 if posed or isinstance(packed, str) or not self._sent_by_datagrams(frame, packed):
@@ -216,7 +213,7 @@ class Conversation:
                 for observer in self.channel.observers:
                     observer.reply_sent(packed)
             self._responder.due(self.channel)
-            self._render_loop.wake(self.channel)
+            self._drawer.wake(self.channel)
             if frame.ends:
                 with contextlib.suppress(TimeoutError):
                     await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))

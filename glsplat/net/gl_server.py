@@ -19,6 +19,7 @@ from glsplat.net.backends.avatar_store import AvatarStore, WithPeople
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
+from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.messages import PARTS
 from glsplat.net.options import NAME, ServerConfig
@@ -37,7 +38,6 @@ if TYPE_CHECKING:  # a plain server runs without these rooms: tests/test_alone.p
     from glsplat.extras.uploads.job import UploadConfig
     from glsplat.extras.uploads.routes import Uploads
     from glsplat.extras.workers.options import Workers
-    from glsplat.extras.workers.pool import WorkerPool
 
 __all__ = ["SEATS", "make_server", "offered"]
 
@@ -110,7 +110,7 @@ def make_server(
     draws = [partial(base, device=one, config=rendering, max_cost=budget[0], max_time=budget[1]) for one in devices]
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draws = [partial(draw, pose_at=file.pose_at) for draw in draws]
-    backend: Backend | WorkerPool
+    backend: Backend | Drawer
     if workers is not None:
         backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1])
     else:

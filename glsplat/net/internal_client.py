@@ -6,12 +6,11 @@ import asyncio
 import json
 import logging
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.encode import Encoded
+from glsplat.net.drawer import Drawer
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.pace.fitting import Fitted, fit
 from glsplat.net.session import Session, SessionConfig
@@ -24,26 +23,26 @@ _TIMEOUT_S = 20.0  # of a picture
 
 
 class InternalClient:
-    """A client of ``loop`` (a RenderLoop or a WorkerPool) with the number 0. Its pictures are watermarked, too."""
+    """The drawer's client with the number 0. Its pictures are watermarked, too."""
 
-    def __init__(self, loop: object, wire: WireOptions, session: SessionConfig, clock: Callable[[], float]) -> None:
-        self._loop, self._wire, self._config, self._clock = loop, wire, session, clock
+    def __init__(self, drawer: Drawer, wire: WireOptions, session: SessionConfig, clock: Callable[[], float]) -> None:
+        self._drawer, self._wire, self._config, self._clock = drawer, wire, session, clock
         self._one_at_a_time = asyncio.Lock()
 
     async def draw(
         self, avatar: AvatarInfo, request: Mapping[str, object], notice: Callable[[], str] = str
     ) -> tuple[Encoded, Mapping[str, float]]:
         """Return the picture of a native request, and its times in ms. Raises GlsplatError where there is none."""
-        loop: Any = self._loop
+        drawer = self._drawer
         async with self._one_at_a_time:  # all have the number 0
             session = Session(Decoder(self._wire, avatar.skeleton, avatar.parts), self._config, self._clock())
             taken = session.receive(json.dumps({"v": 1, "frame_id": 1, **request}), self._clock())
             if not isinstance(taken, Request):
                 raise GlsplatError("the server's own request is not understood")
-            client: ClientStream = loop.open(0, session, None, "the server's own pages", avatar)
+            client = drawer.open(0, session, None, "the server's own pages", avatar)
             client.notice = notice
-            loop.add(client)
-            loop.received(client, taken)
+            drawer.add(client)
+            drawer.received(client, taken)
             try:
                 frame = await asyncio.wait_for(client.frames.get(), _TIMEOUT_S)
                 if frame.encoded is None:
@@ -52,7 +51,7 @@ class InternalClient:
             except TimeoutError:
                 raise GlsplatError(f"it was not drawn within {_TIMEOUT_S:g} s") from None
             finally:
-                loop.remove(client)
+                drawer.remove(client)
 
     async def fit(self, avatar: AvatarInfo, max_side: int) -> Fitted | None:
         """Return how large pictures of ``avatar`` may be for enough of them a second; None where that is not known."""

@@ -10,18 +10,16 @@ import logging
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from glsplat.errors import ContextError
+from glsplat.errors import ContextError, GlsplatError
 from glsplat.io.machine import cores
 from glsplat.net.backend import Backend, Interruptible, Rendered
-from glsplat.net.client_stream import ClientStream, Frame
+from glsplat.net.client_stream import ClientStream, Frame, VideoStream
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.fields import PictureOptions
 from glsplat.net.render_loop import RenderLoop
-
-if TYPE_CHECKING:
-    from glsplat.extras.far_links.video import VideoStream
+from glsplat.optional import extra_module, missing, plugin
 
 __all__ = ["LocalLoop", "encode"]
 
@@ -61,9 +59,8 @@ class LocalLoop(RenderLoop):
         """A client, as elsewhere; here it may have video."""
         channel = super().open(*args, **kwargs)
         if self.codecs:
-            from glsplat.extras.far_links.video import CODECS, VideoStream  # here: most servers have none
-
-            channel.video = VideoStream(self._clock, {codec: CODECS[codec] for codec in self.codecs})
+            video = extra_module("far_links.video")
+            channel.video = video.VideoStream(self._clock, {codec: video.CODECS[codec] for codec in self.codecs})
         return channel
 
     def _ready(self, now: float, rests: list[float], channel: ClientStream) -> bool:
@@ -165,9 +162,11 @@ def encode(encoder: Encoder, rendered: Rendered, options: PictureOptions) -> Enc
 
 
 def _codecs() -> tuple[str, ...]:
-    from glsplat.extras.far_links.video import available  # here: it needs what most servers have not
-
-    return available()
+    video = plugin("far_links.video")
+    if video is None:
+        raise GlsplatError(missing("far_links", "video"))
+    names: tuple[str, ...] = video.available()
+    return names
 
 
 def _nothing() -> None: ...

@@ -24,6 +24,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.conversation import Conversation, cut_off, make_socket
+from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
@@ -36,12 +37,10 @@ from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_opt
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.clients import client_fields
 from glsplat.net.pages.headers import set_headers
-from glsplat.net.render_loop import RenderLoop
 from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
-    from glsplat.extras.workers.pool import WorkerPool
     from glsplat.net.rights import User
 
 __all__ = ["Server"]
@@ -63,14 +62,14 @@ class Server:
     def __init__(
         self,
         catalogue: Catalogue,
-        drawer: RenderLoop | WorkerPool,
+        drawer: Drawer,
         config: ServerConfig | None = None,
         features: Sequence[Feature] = (),
         later: Callable[[], Iterable[AvatarInfo]] = tuple,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
         self.catalogue: Catalogue = catalogue
-        self.drawer: RenderLoop | WorkerPool = drawer
+        self.drawer: Drawer = drawer
         self.features: tuple[Feature, ...] = tuple(features)
         self.clients: dict[int, ClientStream] = {}
         self.clock: Callable[[], float] = clock

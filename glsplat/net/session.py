@@ -19,6 +19,7 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Arrival, Decoder, Request, error_text
 
 if TYPE_CHECKING:
+    from glsplat.net.pace.ladder import Rung
     from glsplat.passes.step import ResolveStep
 
     class Watermark(ResolveStep, Protocol):
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
         def new_mark(self) -> Watermark:
             """Return the mark of a new session."""
 
-    from glsplat.net.pace.ladder import Rung
 
 __all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
 

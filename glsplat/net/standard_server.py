@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
 
 from glsplat.extras.browser.poses.splat_files import SplatFiles
 from glsplat.extras.operations.history import History
@@ -11,19 +10,17 @@ from glsplat.extras.operations.previews import Previews
 from glsplat.net import server
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.catalogue import Catalogue
+from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.options import ServerConfig
 from glsplat.net.pages.routes import Pages
 
-if TYPE_CHECKING:
-    from glsplat.extras.workers.pool import WorkerPool
-
 __all__ = ["server_of"]
 
 
 def server_of(
-    backend: Backend | WorkerPool,
+    backend: Backend | Drawer,
     config: ServerConfig | None = None,
     offered: Sequence[AvatarInfo] = (AvatarInfo(name="default"),),
     features: Sequence[Feature] = (),

@@ -50,15 +50,15 @@ def test_formats_of_the_core_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("a.spz", b"\x1f\x8b", "the format .spz is read by glsplat.extras.formats, which is not installed"),
-        ("a.sog", b"PK\3\4", "the format .sog is read by glsplat.extras.formats"),
-        ("meta.json", b'{"version": 2}', "meta.json is read by glsplat.extras.formats"),
-        ("a.obj", b"v 0 0 0\n", "the format .obj is read by glsplat.extras.formats"),
+        ("a.spz", b"\x1f\x8b", "the format .spz needs glsplat.extras.formats, which is not installed"),
+        ("a.sog", b"PK\3\4", "the format .sog needs glsplat.extras.formats"),
+        ("meta.json", b'{"version": 2}', "meta.json needs glsplat.extras.formats"),
+        ("a.obj", b"v 0 0 0\n", "the format .obj needs glsplat.extras.formats"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty uint packed_position\nend_header\n1\n",
-         "this is a compressed PLY (packed_position), another format; it is read by glsplat.extras.formats"),
+         "this is a compressed PLY (packed_position), another format; it needs glsplat.extras.formats"),
         ("a.glb", b"", "triangles are read by glsplat.extras.rigs, which is not installed"),
-        ("a.bvh", b"HIERARCHY\n", "the format .bvh is read by glsplat.extras.motions"),
-        ("motion.bvh", b"HIERARCHY\n", "a motion that is not JSON poses is read by glsplat.extras.motions"),
+        ("a.bvh", b"HIERARCHY\n", "the format .bvh needs glsplat.extras.motions"),
+        ("motion.bvh", b"HIERARCHY\n", "a motion that is not JSON poses needs glsplat.extras.motions"),
         ("other.bin", b"\0\1\2", "but this is none of them"),
     ],
 )  # fmt: skip

@@ -6,14 +6,15 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from glsplat.camera import Camera
+from glsplat.errors import GlsplatError
 from glsplat.net.backend import Solved
 from glsplat.net.messages import Arrival, Request
-from glsplat.optional import extra_module
+from glsplat.optional import missing, plugin
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
@@ -81,6 +82,14 @@ class FaceFeed(Protocol):
         ...
 
 
+def _idle_face() -> Any:
+    """Return what moves eyes that no sensor sees. Raises GlsplatError where extras/speech is not installed."""
+    module = plugin("speech.idle")
+    if module is None:
+        raise GlsplatError(missing("speech", "moving idle eyes"))
+    return module.IdleFace()
+
+
 class TrackingSolver:
     """Tracking to pose for one user.
 
@@ -98,7 +107,7 @@ class TrackingSolver:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
         self._clock = OneClock()
         self._ahead = Ahead()
-        self._idle = extra_module("speech.idle").IdleFace() if idle else None
+        self._idle = _idle_face() if idle else None
         self._face = face
 
     def solve(self, request: Request, now: float) -> Solved:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 from urllib.parse import urlencode
 
 import aiohttp
@@ -15,17 +15,15 @@ import aiohttp
 from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.client.connection import ClientConnection
+from glsplat.net.client.connection import ClientConnection, VideoReader
 from glsplat.net.client.dialing import check_token, checked_url, client_tls, not_connected
 from glsplat.net.client.request import encoder, request_message
 from glsplat.net.fields import Want, Wishes
 from glsplat.net.flow import FlowControl, ReceivedReply
 from glsplat.net.messages import MAX_BYTES
 from glsplat.net.reply import Reply
+from glsplat.optional import missing, plugin
 from glsplat.skinning.pose import Pose
-
-if TYPE_CHECKING:
-    from glsplat.extras.far_links.video_reader import VideoReader
 
 __all__ = ["Client", "ReceivedReply"]
 
@@ -81,10 +79,11 @@ class Client:
         self._cafile, self._adapt = cafile, flag(adapt, "adapt", GlsplatError)
         self._reader: Callable[[], VideoReader | None] = lambda: None
         if flag(video, "video", GlsplatError):
-            from glsplat.extras.far_links.video_reader import VideoReader  # here: it needs what most have not
-
-            VideoReader()  # raises now what would come with the connection
-            self._reader = VideoReader
+            module = plugin("far_links.video_reader")
+            if module is None:
+                raise GlsplatError(missing("far_links", "video"))
+            module.VideoReader()  # raises now what would come with the connection
+            self._reader = module.VideoReader
         self._timeout: float = number(timeout, "timeout", GlsplatError)
         if self._timeout <= 0:
             raise GlsplatError(f"timeout needs seconds above 0, not {self._timeout:g}")

@@ -10,20 +10,33 @@ import asyncio
 import socket
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import aiohttp
+import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
 from glsplat.net.flow import FlowControl, ReceivedReply, server_error
 from glsplat.net.reply import Reply, parse_reply
 
-if TYPE_CHECKING:
-    from glsplat.extras.far_links.video_reader import VideoReader
+__all__ = ["ClientConnection", "VideoReader"]
 
-__all__ = ["ClientConnection"]
+
+class VideoReader(Protocol):
+    """Decodes the video of one connection (extras/far_links)."""
+
+    def wish(self) -> dict[str, Any]:
+        """Return ``video`` of the next request."""
+        ...
+
+    def eyes(self, data: bytes, said: Mapping[str, Any], size: Any) -> tuple[NDArray[np.uint8], ...]:
+        """Return the pictures [H, W, 3 or 4] of a reply, left first; none where they cannot be decoded."""
+        ...
+
 
 _UNREAD = 8  # pictures kept for receive(), the newest; the largest window of a server
 _GOODBYE = 1.0  # seconds for a server to agree to the end of a TLS connection
