@@ -106,10 +106,8 @@ def make_server(
     furnished = frozenset(one for one, place in places.items() if place.scene.items)
     config = replace(config, rooms={one: config.rooms.get(one, SEATS) for one in places}, furnished=furnished)
     devices = [device] if workers is None or device is None else device.split(",")
-    base = partial(RendererBackend, file.scene, config.wire.size, avatars=choices, rooms=places)
+    base = partial(RendererBackend, file, config.wire.size, avatars=choices, rooms=places)
     draws = [partial(base, device=one, config=rendering, max_cost=budget[0], max_time=budget[1]) for one in devices]
-    if file.motions:  # in one pickle with the scene, so that the items are the same
-        draws = [partial(draw, pose_at=file.pose_at) for draw in draws]
     backend: Backend | Drawer
     if workers is not None:
         backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1])

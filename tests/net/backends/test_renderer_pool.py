@@ -15,7 +15,7 @@ from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.renderer_pool import KEPT
+from glsplat.net.backends.renderer_pool import MAX_RENDERERS
 from glsplat.net.client import Client
 from glsplat.net.gl_server import make_server
 from glsplat.net.messages import PictureOptions
@@ -64,7 +64,7 @@ def test_each_is_drawn_as_if_it_were_alone(backend) -> None:
             pose = BENT if len(avatar.skeleton) == 55 else None
             assert (backend.render(request(avatar=name, pose=pose)).images == direct(avatar, pose=pose)).all()
             hidden = backend.render(request(avatar="big", hide=("head",))).images
-            assert len(backend._pool) <= KEPT
+            assert len(backend._pool) <= MAX_RENDERERS
     assert (hidden == direct(BIG.without("head"))).all() and (hidden != direct(BIG)).any()
 
 
