@@ -182,7 +182,7 @@ class RemoteLoop(RenderLoop):
     async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
         if frame.solution is not None and not frame.solution.done():
             await asyncio.wait([asyncio.wrap_future(frame.solution)])
-        job, scale, floor = self._job(frame)
+        job = self._job(frame)
         start = self._begin(frame)
         channel, link = frame.channel, self._link
         if link is None:
@@ -206,7 +206,7 @@ class RemoteLoop(RenderLoop):
             places=said.places,
             depth=said.depth,
         )
-        self._note(frame, rendered, start, scale, floor)
+        self._note(frame, rendered, start)
         return encoded
 
     def _suspects_others(self, frame: Frame, error: Exception) -> bool:

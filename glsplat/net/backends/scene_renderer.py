@@ -120,6 +120,7 @@ class SceneRenderer:
         Raises GlsplatError where the viewer's own avatar cannot be had, posed, or shown without a head.
         """
         self._file.pose_at(seconds)
+        self.scene.transform = np.eye(4) if job.place is None else job.place
         self.scene.light = job.options.light or self._file.scene.light
         view = self._view(job)
         if _hides_head(job) and not view.people:
@@ -177,7 +178,7 @@ class SceneRenderer:
         view = self._view(job)
         own = view.viewer if job.room is not None and _hides_head(job) else None
         return [
-            _label_of(one, shown)
+            _label_of(one, shown, self.scene.transform @ one.transform)
             for one in view.people
             if one.label and one.key != own and one.key not in self._unfit
             if (shown := self._people[one.key]) is not None
@@ -192,8 +193,9 @@ class SceneRenderer:
         assert shown is not None
         skeleton = shown.figure.skeleton
         pose = checked_pose(one.pose, len(skeleton), "avatar")
-        box = self._place_bounds(shown.headless_figure if _hides_head(job) else shown.figure).box(pose, one.transform)
-        found = {"box": box, "feet": _feet(skeleton, pose, one.transform)}
+        transform = self.scene.transform @ one.transform
+        box = self._place_bounds(shown.headless_figure if _hides_head(job) else shown.figure).box(pose, transform)
+        found = {"box": box, "feet": _feet(skeleton, pose, transform)}
         return {name: array.ravel().tolist() for name, array in found.items() if array is not None}
 
     def release(self) -> None:
@@ -292,8 +294,8 @@ def _shown(name: str, figure: Rigged, split: bool) -> _Shown:
     return _Shown(figure, rest, bounds, tuple(parts), tuple(parts[:1]), split)
 
 
-def _label_of(one: VisiblePerson, shown: _Shown) -> Label:
-    """Return the label of a person: over its head, or over the highest joint of others.
+def _label_of(one: VisiblePerson, shown: _Shown, transform: NDArray[np.float64]) -> Label:
+    """Return the label of a person whom ``transform`` places: over its head, or over the highest joint of others.
 
     As the splats of a body lie several deep, it fades later than each of them does.
     """
@@ -303,8 +305,8 @@ def _label_of(one: VisiblePerson, shown: _Shown) -> Label:
     bones = np.eye(4)[:3] if one.pose is None else one.pose.bones(skeleton)[joint]
     stature = float(rest[:, 1].max() - rest[:, 1].min())
     above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT * stature / _LABEL_STATURE, 0)
-    place = np.asarray(one.transform[:3, :3] @ above + one.transform[:3, 3], np.float64)
-    box = partial(bounds.box, one.pose, one.transform)
+    place = np.asarray(transform[:3, :3] @ above + transform[:3, 3], np.float64)
+    box = partial(bounds.box, one.pose, transform)
     return Label(one.label, place, opacity=1 - (1 - one.opacity) ** 8, box=box)
 
 
