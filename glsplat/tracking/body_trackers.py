@@ -7,7 +7,7 @@ from math import hypot
 
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.device_filters import DeviceFilter
+from glsplat.tracking.filters import DeviceFilter
 from glsplat.tracking.mounts import JOINTS, MAX_MOUNT_M, MeanMount, bounded, standing_joints
 from glsplat.tracking.sample import TRACKERS, Sample, flag_invalid, read_pose, read_position
 from glsplat.tracking.solve import quat

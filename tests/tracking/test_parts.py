@@ -19,8 +19,8 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig
 from glsplat.tracking.body_size import STRETCHED_WRISTS as SHOULDER_HEIGHTS
 from glsplat.tracking.body_size import BodySizeFinder
-from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION
-from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
+from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION, OneEuro
+from glsplat.tracking.filters import PositionFilter, RotationFilter
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import ANKLES, COLLARS, ELBOWS, HEAD, HIPS, KNEES, PELVIS, SHOULDERS, WRISTS, Body
 from glsplat.tracking.solve.limits import clamp_joint, violation
