@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glsplat.extras.learned.expected import ExpectedError
 from glsplat.extras.learned.feet import SET_DOWN_S, Feet
 from glsplat.extras.learned.hints import FootHint
+from glsplat.extras.learned.uncertainty import ExpectedError
 from glsplat.extras.motions.batch import resample
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
