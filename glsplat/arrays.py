@@ -1,4 +1,4 @@
-"""What values are made of: arrays of numbers in one type that nobody else can change, and plain numbers.
+"""Checked parts of immutable values: arrays of one type that nobody else can change, and plain numbers.
 
 A value (Camera, Pose, Skin, Splats, Skeleton) is checked once, when it is made. That holds later only if the arrays
 are its own: they are copied and made read-only. An array that is read-only already, down to the memory it owns, is
@@ -10,6 +10,7 @@ from __future__ import annotations
 import operator
 import sys
 from collections.abc import Mapping
+from dataclasses import fields
 from math import isfinite
 from types import NoneType
 from typing import Any, TypeVar
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.errors import FormatError, GlsplatError
 
 __all__ = [
+    "Value",
     "colour",
     "count",
     "flag",
@@ -40,16 +42,30 @@ __all__ = [
 Kind = TypeVar("Kind", bound=np.generic)
 
 
+class Value:
+    """Base of frozen dataclasses whose ``__init__`` checks and copies its arguments."""
+
+    __slots__ = ()
+
+    def _keep(self, **values: Any) -> None:
+        """Set fields, in ``__init__``."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})  # type: ignore[arg-type]
+
+
 def frozen(array: NDArray[Kind]) -> NDArray[Kind]:
-    """The same array, read-only from now on: for one just made, that nobody else holds."""
+    """Make an array read-only and return it: for one just made, that nobody else holds."""
     array.flags.writeable = False
     return array
 
 
 def plain(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) -> NDArray[Any]:
-    """``value`` as an array of integers or floats, not copied. Text, booleans, complex numbers and None are refused,
+    """Return ``value`` as an array of integers or floats, not copied.
 
-    and arrays some of whose values are masked: nothing here could leave those out.
+    Text, booleans, complex numbers, None and arrays with masked values are refused.
     """
     if _masked(value):
         raise error(f"{what} needs an array without masked values; fill them (filled()) or leave them out")
@@ -63,18 +79,18 @@ def plain(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) 
 
 
 def own(value: ArrayLike, dtype: type[Kind], what: str, error: type[GlsplatError] = FormatError) -> NDArray[Kind]:
-    """``value`` as a read-only C-contiguous array of the float type ``dtype``; copied unless it is one already."""
+    """Return ``value`` as a read-only C-contiguous array of the float type ``dtype``; copied unless it is one."""
     array = plain(value, what, error)
     if array.dtype == dtype and array.flags.c_contiguous and _constant(array):
         return array
     if array.dtype == dtype:
         return frozen(np.array(array, order="C"))
-    with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite, and infinity has a fate of its own
+    with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite, which is checked elsewhere
         return frozen(array.astype(dtype, order="C"))
 
 
 def own_whole(value: ArrayLike, dtype: type[Kind], what: str, error: type[GlsplatError] = FormatError) -> NDArray[Kind]:
-    """``value`` as a read-only array of the integer type ``dtype``; numbers that do not fit it are refused."""
+    """Return ``value`` as a read-only array of the integer type ``dtype``; numbers that do not fit it are refused."""
     array = plain(value, what, error)
     if array.dtype == dtype and array.flags.c_contiguous and _constant(array):
         return array
@@ -87,7 +103,7 @@ def own_whole(value: ArrayLike, dtype: type[Kind], what: str, error: type[Glspla
 
 
 def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> float:
-    """``value`` as a float; NaN and infinity, booleans and text are refused."""
+    """Return ``value`` as a float; NaN and infinity, booleans and text are refused."""
     if type(value) is not float:
         kind = getattr(getattr(value, "dtype", None), "kind", "f")
         vector = isinstance(value, np.ndarray) and value.ndim > 0
@@ -103,7 +119,7 @@ def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> fl
 
 
 def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least: int | None = None) -> int:
-    """``value`` as an int of 63 bits: any integer type, but no float, no boolean, no text; from ``least`` on."""
+    """Return ``value`` as an int of 63 bits, ``least`` or more: any integer type, but no float, boolean or text."""
     value = bits(value, what, error)
     if abs(value) >= 2**63:
         raise error(f"{what} needs a whole number of at most 19 digits")
@@ -113,7 +129,7 @@ def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least:
 
 
 def bits(value: Any, what: str, error: type[GlsplatError] = FormatError) -> int:
-    """``value`` as an int of any length, -1 for all bits: any integer type, but no float, no boolean, no text."""
+    """Return ``value`` as an int of any length (-1: all bits): any integer type, but no float, boolean or text."""
     if type(value) is int:
         return value
     try:
@@ -125,14 +141,14 @@ def bits(value: Any, what: str, error: type[GlsplatError] = FormatError) -> int:
 
 
 def flag(value: Any, what: str, error: type[GlsplatError] = FormatError) -> bool:
-    """``value`` as a bool, which it has to be: "no" is true, and so is an array of one zero in a list."""
+    """Return ``value``, which has to be a bool: a text "no" would be true."""
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     raise error(f"{what} is True or False, not {_shown(value)}")
 
 
 def pixels(value: Any, what: str = "size", error: type[GlsplatError] = FormatError) -> tuple[int, int]:
-    """Width and height: two whole numbers of 1 and above."""
+    """Return width and height: two whole numbers of 1 and above."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
         value = tuple(value)
     if not isinstance(value, (tuple, list)) or len(value) != 2:
@@ -144,9 +160,9 @@ def pixels(value: Any, what: str = "size", error: type[GlsplatError] = FormatErr
 
 
 def shares(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError, hint: str = "") -> NDArray[Any]:
-    """``value`` as an array of numbers that are meant as 0 to 1, a little outside at most: none of 0 to 255.
+    """Return ``value`` as an array of numbers meant as 0 to 1; those of 0 to 255 are refused.
 
-    Floats may lie between -1 and 2, as views of spherical harmonics do; NaN and infinity have fates of their own.
+    Floats may lie between -1 and 2, as views of spherical harmonics do. NaN and infinity are not checked.
     """
     array = plain(value, what, error)
     finite = array[np.isfinite(array)]
@@ -159,7 +175,7 @@ def shares(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError,
 
 
 def colour(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) -> tuple[float, float, float]:
-    """Red, green and blue, 0 to 1."""
+    """Return red, green and blue, 0 to 1."""
     array = shares(value, what, error)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise error(f"{what} is three finite numbers, not {value!r:.60}")
@@ -168,7 +184,7 @@ def colour(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError)
 
 
 class FrozenDict(dict[Any, Any]):
-    """A dict that nobody changes: it says so instead. ``dict(it)`` can be changed."""
+    """A dict that refuses changes; ``dict(it)`` is a copy that takes them."""
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
         raise TypeError(
@@ -182,7 +198,7 @@ class FrozenDict(dict[Any, Any]):
 
 
 class FrozenList(list[Any]):
-    """A list that nobody changes."""
+    """A list that refuses changes."""
 
     _refuse = FrozenDict._refuse
     __setitem__ = __delitem__ = __iadd__ = __imul__ = append = clear = extend = insert = pop = remove = _refuse
@@ -193,7 +209,7 @@ class FrozenList(list[Any]):
 
 
 def frozen_mapping(value: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A copy of what JSON could hold, all the way down, that nobody can change."""
+    """Return an immutable copy of a mapping, and of the dicts and lists in it."""
     return value if isinstance(value, FrozenDict) else FrozenDict({key: _frozen(one) for key, one in value.items()})
 
 
@@ -210,7 +226,7 @@ def instance(
     error: type[GlsplatError] = FormatError,
     hint: str = "",
 ) -> Any:
-    """``value`` if it is one of these classes; ``hint`` says what to do about another."""
+    """Return ``value`` if it is one of these classes; ``hint`` ends the error about another."""
     if isinstance(value, kinds):
         return value
     listed = kinds if isinstance(kinds, tuple) else (kinds,)
@@ -219,7 +235,7 @@ def instance(
 
 
 def restored(kind: type[Any], values: dict[str, Any]) -> Any:
-    """A value as it was when it was pickled or copied, without checking it again; its arrays are read-only again."""
+    """Return a pickled or copied value without checking it again; its arrays are read-only."""
     made = object.__new__(kind)
     for name, value in values.items():
         object.__setattr__(made, name, frozen(value) if isinstance(value, np.ndarray) else value)
@@ -227,7 +243,7 @@ def restored(kind: type[Any], values: dict[str, Any]) -> Any:
 
 
 def _masked(value: Any) -> bool:
-    """Whether some of it is masked (numpy.ma), also in lists of arrays."""
+    """Return whether some of it is masked (numpy.ma), also in lists of arrays."""
     if "numpy.ma" not in sys.modules:  # nobody has made such an array
         return False
     if isinstance(value, (list, tuple)):
@@ -236,7 +252,7 @@ def _masked(value: Any) -> bool:
 
 
 def listed(value: Any, what: str, error: type[GlsplatError] = FormatError) -> tuple[Any, ...]:
-    """What a list, or whatever can be walked through, holds."""
+    """Return the members of an iterable."""
     try:
         return tuple(value)
     except TypeError:
@@ -244,7 +260,7 @@ def listed(value: Any, what: str, error: type[GlsplatError] = FormatError) -> tu
 
 
 def rows(index: ArrayLike, count: int) -> NDArray[np.intp]:
-    """An integer or boolean array that chooses among ``count`` rows, as integers; FormatError outside of them."""
+    """Return an integer or boolean index of ``count`` rows as integers. Raises FormatError for rows outside."""
     try:
         i = np.asarray(index)
     except (TypeError, ValueError, RuntimeError, OverflowError):
@@ -257,7 +273,7 @@ def rows(index: ArrayLike, count: int) -> NDArray[np.intp]:
 
 
 def _constant(array: NDArray[Any]) -> bool:
-    """Whether no one can write to this memory through an array that it is known by."""
+    """Return whether this array and all that it is a view of are read-only."""
     memory: Any = array
     while isinstance(memory, np.ndarray):
         if memory.flags.writeable:

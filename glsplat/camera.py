@@ -7,7 +7,7 @@ head axes of OpenXR (x right, y up, -z forward); pixel (i, j) covers [i, i+1) x 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any, SupportsFloat, SupportsIndex
 
@@ -15,7 +15,7 @@ import numpy as np
 import pyrr
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import bits, colour, count, number, own, pixels, plain, restored
+from glsplat.arrays import Value, bits, colour, count, number, own, pixels, plain
 from glsplat.errors import FormatError
 from glsplat.rotations import FLIP_YZ
 
@@ -44,8 +44,8 @@ PAPER_FOV = 65.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Camera:
-    """A pinhole view: where it looks from, how it projects, how many pixels it has.
+class Camera(Value):
+    """A pinhole view: its position and direction, its projection, its number of pixels.
 
     Takes anything that numpy reads as numbers, checks it and keeps read-only copies; the matrices are float64 so that
     the host can compose them without loss. ``dataclasses.replace(camera, ...)`` makes another one of it. Raises
@@ -96,20 +96,8 @@ class Camera:
             raise FormatError(f"sh_degree is 0 to 3, not {degree}")
         if not isinstance(name, str):
             raise FormatError(f"a camera's name is text, not {type(name).__name__}")
-        keep = object.__setattr__
-        keep(self, "viewmat", view)
-        keep(self, "K", k)
-        keep(self, "width", size[0])
-        keep(self, "height", size[1])
-        keep(self, "background", behind)
-        keep(self, "near", depths[0])
-        keep(self, "far", depths[1])
-        keep(self, "sh_degree", degree)
-        keep(self, "name", name)
-        keep(self, "layers", bits(layers, "layers"))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+        self._keep(viewmat=view, K=k, width=size[0], height=size[1], background=behind, near=depths[0], far=depths[1])
+        self._keep(sh_degree=degree, name=name, layers=bits(layers, "layers"))
 
     def __repr__(self) -> str:
         x, y, z = self.position
@@ -119,17 +107,17 @@ class Camera:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """[3] the eye in world coordinates."""
+        """Position of the eye [3] in world coordinates."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view with another number of pixels (K scales with it)."""
+        """Return the view with another number of pixels (K scales with it)."""
         width, height = count(width, "width"), count(height, "height")
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
     def to_json(self) -> dict[str, Any]:
-        """The camera-file object of docs/conventions.md, which knows no layers."""
+        """Return the camera-file object of docs/conventions.md, which has no layers."""
         return {
             "width": self.width,
             "height": self.height,
@@ -146,7 +134,7 @@ class Camera:
 
 
 def pinhole(width: SupportsIndex, height: SupportsIndex, fov: SupportsFloat = PAPER_FOV) -> NDArray[np.float64]:
-    """K [3, 3] with square pixels and a centred principal point for a vertical field of view in degrees.
+    """Return K [3, 3] with square pixels and a centred principal point for a vertical field of view in degrees.
 
     >>> glsplat.pinhole(640, 480, fov=90).round(9).tolist()
     [[240.0, 0.0, 320.0], [0.0, 240.0, 240.0], [0.0, 0.0, 1.0]]
@@ -162,7 +150,7 @@ def pinhole(width: SupportsIndex, height: SupportsIndex, fov: SupportsFloat = PA
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> NDArray[np.float64]:
-    """viewmat [4, 4] of a camera at ``eye`` looking at ``target`` (OpenCV axes); all [3], metres, world frame.
+    """Return the viewmat [4, 4] of a camera at ``eye`` that looks at ``target`` (OpenCV axes); [3], metres, world.
 
     Looking straight along ``up`` is legal: another axis takes its place.
 
@@ -187,12 +175,12 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
 
 
 def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Whether two directions are none."""
+    """Return whether two vectors are not parallel."""
     return bool(np.linalg.norm(np.cross(one, other)) >= 1e-9 * np.linalg.norm(one) * np.linalg.norm(other))
 
 
 def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64]:
-    """T_W_H [4, 4] from a position (3,) and a quaternion xyzw (4,) of any non-zero length (OpenXR axes)."""
+    """Return T_W_H [4, 4] of a position (3,) and a quaternion xyzw (4,) of any non-zero length (OpenXR axes)."""
     quat = plain(quat_xyzw, "a quaternion").astype(np.float64)
     norm = np.linalg.norm(quat)
     if quat.shape != (4,) or not (np.isfinite(quat).all() and norm > 1e-9):
@@ -212,7 +200,7 @@ def stereo_cameras(
     size: tuple[SupportsIndex, SupportsIndex] = (1024, 1024),
     background: ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[Camera, Camera]:
-    """The left and right eye of a head (paper, equations 1 to 3).
+    """Return the left and right eye of a head (paper, equations 1 to 3).
 
     T_H_e = translate(-+ipd/2, 0, 0) along the head's x axis; T_W_e = T_W_H T_H_e; viewmat = its inverse, turned to
     OpenCV axes. ``K`` overrides ``fov`` (vertical, degrees, square pixels); one K a side gives off-centre frusta.
@@ -245,7 +233,7 @@ def stereo_cameras(
 
 
 def sorting_camera(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """viewmat [4, 4] whose z orders the splats for all ``cameras``: the first one's axes at the eyes' centre."""
+    """Return the viewmat [4, 4] whose z orders the splats of all ``cameras``: axes of the first, mean position."""
     viewmat = cameras[0].viewmat.copy()
     centre = np.mean([c.position for c in cameras], axis=0)
     if len(cameras) > 1:
@@ -254,7 +242,7 @@ def sorting_camera(cameras: Sequence[Camera]) -> NDArray[np.float64]:
 
 
 def passes_of(cameras: Sequence[Camera], shared: bool = True) -> list[list[int]]:
-    """Which views are drawn in one pass, in one order: indices, one or two each.
+    """Return the indices of the views of each pass, one or two, which share an order of splats.
 
     A list of two is a pair unless its axes are more than 60 degrees apart; in longer lists neighbours pair up where
     they look the same way. Not ``shared``: every view has an order of its own.
@@ -275,7 +263,7 @@ def passes_of(cameras: Sequence[Camera], shared: bool = True) -> list[list[int]]
 
 
 def _check_matrices(view: list[list[float]], k: list[list[float]]) -> None:
-    """Refuse what is no camera; on plain floats, because a pair is made for every frame."""
+    """Refuse matrices of no camera; on plain floats, because a pair is made for every frame."""
     values = (*view[0], *view[1], *view[2], *view[3], *k[0], *k[1], *k[2])
     if not all(map(isfinite, values)):
         raise FormatError("a camera needs finite numbers in viewmat and K, found NaN or infinity")

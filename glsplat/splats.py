@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import flag, frozen, instance, listed, number, own, own_whole, plain, restored, rows, shares
+from glsplat.arrays import Value, flag, frozen, instance, listed, number, own, own_whole, plain, rows, shares
 from glsplat.errors import FormatError
 
 if TYPE_CHECKING:
@@ -30,9 +30,8 @@ T = TypeVar("T")
 class Level(Generic[T]):
     """A coarser stand-in for Splats or an Avatar: fewer splats that look the same from afar.
 
-    ``density`` is in pixels a metre (glsplat.detail.proxy: focal length over depth, of what a view shows); a picture
-    in which it is larger wants a finer level. ``psnr`` is what the worst picture looked at kept at that density, in dB
-    against the finest.
+    ``density`` is the focal length over the depth, in pixels a metre, up to which it is drawn. ``psnr`` is the PSNR in
+    dB of the worst picture at that density, against the finest.
     """
 
     content: T
@@ -41,12 +40,12 @@ class Level(Generic[T]):
 
 
 class Levels(tuple[Level[T], ...]):
-    """Levels, and the arrays of the splats whose they are: of what somebody replaces those by they are none."""
+    """Levels, and the arrays of the splats that they belong to: levels of replaced arrays are dropped."""
 
     of: tuple[NDArray[np.float32], ...]
 
     def __new__(cls, levels: Iterable[Level[T]], of: tuple[NDArray[np.float32], ...]) -> Levels[T]:
-        """A tuple of ``levels``."""
+        """Return a tuple of ``levels``."""
         made = super().__new__(cls, tuple(levels))
         made.of = of
         return made
@@ -58,9 +57,9 @@ class Levels(tuple[Level[T], ...]):
 def checked_levels(
     levels: Iterable[Level[T]], finest: T, of: tuple[NDArray[np.float32], ...], sizes: Iterable[int]
 ) -> tuple[Level[T], ...]:
-    """Levels of ``finest``, whose arrays are ``of`` and whose number of splats leads ``sizes``.
+    """Return the checked levels of ``finest``, whose arrays are ``of``; ``sizes``: numbers of splats, its own first.
 
-    Those of other arrays are dropped: ``dataclasses.replace`` hands them on. Raises FormatError for what are no levels.
+    Levels of other arrays are dropped: ``dataclasses.replace`` hands them on. Raises FormatError for invalid levels.
     """
     if isinstance(levels, Levels) and any(a is not b for a, b in zip(levels.of, of, strict=True)):
         return ()
@@ -83,13 +82,13 @@ def checked_levels(
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Splats:
+class Splats(Value):
     """N Gaussians with activated attributes (linear scales and opacities), float32, C-contiguous, read-only.
 
-    Values are stored as they came: NaN, zero quaternions, negative scales and opacities outside [0, 1] are
-    legal here and have a stated fate in the renderer (docs/conventions.md), so that loading loses nothing.
-    Arrays are converted and copied, except float32 ones that are read-only down to the memory they own: those are
-    kept, so ``array.flags.writeable = False`` hands a large one over. Raises FormatError when a shape does not fit.
+    Values are stored as they came: NaN, zero quaternions, negative scales and opacities outside [0, 1] are legal, so
+    that loading loses nothing; docs/conventions.md says how the renderer handles them. Arrays
+    are converted and copied, except float32 ones that are read-only down to the memory they own: those are kept, so
+    ``array.flags.writeable = False`` hands a large one over. Raises FormatError when a shape does not fit.
 
     >>> glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], opacities=[0.9], rgb=[[1, 0, 0]])
     Splats(1 splats, SH degree 0, 56 bytes)
@@ -104,7 +103,7 @@ class Splats:
     cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone / 127: axis in the splat's own axes, smallest cosine
     cones_psnr: float | None = None  # dB that the worst picture keeps without the splats the cones hide; None: unknown
     levels: tuple[Level[Splats], ...] = ()  # coarser ones, finest first; dropped where other attributes are replaced
-    surface: Surface | None = None  # that they lie on, for light; None: they are never lit
+    surface: Surface | None = None  # for relighting; None: never lit
 
     def __init__(
         self,
@@ -144,14 +143,12 @@ class Splats:
 
             if len(instance(surface, Surface, "surface")) != n:
                 raise FormatError(f"a surface needs one row a splat, not {len(surface)} for {n}")
-        others = {"antialias": flag(antialias, "antialias"), "cones": held, "surface": surface}
-        for name, array in {**own_ones, **others}.items():
-            object.__setattr__(self, name, array)
+        self._keep(**own_ones, antialias=flag(antialias, "antialias"), cones=held, surface=surface)
         known = held is not None and cones_psnr is not None
-        object.__setattr__(self, "cones_psnr", number(cones_psnr, "cones_psnr") if known else None)
+        self._keep(cones_psnr=number(cones_psnr, "cones_psnr") if known else None)
         found = levels if isinstance(levels, Levels) else listed(levels, "levels")
         sizes = [n, *(len(one.content) for one in found if isinstance(getattr(one, "content", None), Splats))]
-        object.__setattr__(self, "levels", checked_levels(found, self, self.arrays, sizes) if found else ())
+        self._keep(levels=checked_levels(found, self, self.arrays, sizes) if found else ())
         if any(level.content.levels for level in self.levels):
             raise FormatError("a level has no levels of its own")
 
@@ -170,7 +167,7 @@ class Splats:
         cones_psnr: float | None = None,
         surface: Surface | None = None,
     ) -> Splats:
-        """The same, with plain colours: ``rgb`` makes splats of SH degree 0.
+        """Return splats, also of plain colours: ``rgb`` makes splats of SH degree 0.
 
         Raises FormatError when a shape does not fit, not exactly one of ``sh`` and ``rgb`` is given, or ``rgb`` is
         0 to 255; colours a little outside [0, 1] are kept (-1 to 2: views of a higher degree overshoot).
@@ -183,9 +180,6 @@ class Splats:
         alphas = plain(opacities, "opacities")
         alphas = alphas.reshape(-1) if alphas.ndim == 0 or alphas.shape[1:] == (1,) else alphas
         return cls(means, quats, scales, alphas, sh, antialias, cones, cones_psnr, surface=surface)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
 
     def __repr__(self) -> str:
         more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")
@@ -214,19 +208,18 @@ class Splats:
         return sum(a.nbytes for a in arrays if a is not None) + (0 if self.surface is None else self.surface.nbytes)
 
     def take(self, index: ArrayLike) -> Splats:
-        """The splats at ``index`` (an integer or boolean array), in that order, without levels.
+        """Return the splats at ``index`` (an integer or boolean array), in that order, without levels.
 
         Raises FormatError outside of them.
         """
         i = rows(index, len(self))
-        arrays = (self.means, self.quats, self.scales, self.opacities, self.sh)
-        means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in arrays)
+        means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in self.arrays)
         cones = None if self.cones is None else frozen(self.cones.take(i, axis=0))
         surface = None if self.surface is None else self.surface.take(i)
         return Splats(means, quats, scales, opacities, sh, self.antialias, cones, self.cones_psnr, surface=surface)
 
     def finite(self) -> NDArray[np.bool_]:
-        """[N] True where every attribute is finite."""
+        """Return [N] True where every attribute is finite."""
         ok = np.isfinite(self.opacities)
         for array in (self.means, self.quats, self.scales):
             ok &= np.isfinite(array).all(axis=1)
@@ -234,12 +227,12 @@ class Splats:
         return ok
 
     def drawable(self) -> NDArray[np.bool_]:
-        """[N] True where every attribute is finite and there is a rotation; no other splat is ever drawn."""
+        """Return [N] True where every attribute is finite and there is a rotation; no other splat is ever drawn."""
         return self.finite() & self.quats.any(axis=1)
 
 
 def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unit quaternions [N, 4]; zero and non-finite ones are returned as they are.
+    """Return unit quaternions [N, 4]; zero and non-finite ones are returned as they are.
 
     Dividing by the largest component first keeps tiny and huge quaternions from under- or overflowing. What is unit
     to float32 rounding stays as it is, so that reading a written file changes no bit.
@@ -254,13 +247,13 @@ def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _are_unit(quats: NDArray[np.float32]) -> bool:
-    """Whether normalised() would change nothing."""
+    """Return whether normalised() would change nothing."""
     with np.errstate(all="ignore"):
         return bool((np.abs(np.einsum("ij,ij->i", quats, quats) - 1) <= _ROUNDED).all())
 
 
 def _sh_of(rgb: ArrayLike) -> NDArray[np.float32]:
-    """[N, 1, 3] coefficients of plain colours."""
+    """Return the coefficients [N, 1, 3] of plain colours."""
     colours = shares(rgb, "rgb", hint=", or give sh for more light")
     colours = colours.reshape(0, 3) if colours.shape == (0,) else colours
     if colours.ndim != 2 or colours.shape[1] != 3:

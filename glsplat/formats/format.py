@@ -25,7 +25,7 @@ A_MOTION = "a motion, which shows nothing; give it to render, preview or replay 
 """Message where something to show is expected."""
 
 _BOM = b"\xef\xbb\xbf"  # of UTF-8
-_PLACED = 1e-3  # metres, or of an axis
+_REST_TOLERANCE = 1e-3  # metres, or of an axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +34,10 @@ class Opened:
 
     file: BinaryIO
     size: int
-    name: str  # for messages: the path, or what an open file is called
+    name: str  # for messages: the path, or an open file's name
     folder: Path | None  # of its other files; None where it has none
     endings: tuple[str, ...]  # suffixes of its name, the longest first (io.files.suffixes_of)
-    strict: bool = False  # refuse what is broken instead of leaving it out
+    strict: bool = False  # refuse broken parts instead of leaving them out
 
     @cached_property
     def head(self) -> bytes:
@@ -102,11 +102,11 @@ class Format:
     rigs: bool = False  # holds avatars
     cones: bool = False  # holds visibility cones
     levels: bool = False  # holds levels of detail
-    surfaces: bool = False  # holds what light falls on
+    surfaces: bool = False  # holds surfaces for relighting
     order: Callable[[Splats], NDArray[np.intp]] | None = None
     save_mesh: Callable[[RiggedMesh, Source], None] | None = None
     read_motion: Callable[..., Any] | None = None
-    marked: bool = True  # begins with a mark of its own; formats without one are tried last
+    marked: bool = True  # begins with a magic number; formats without one are tried last
 
     def read(self, opened: Opened) -> Content | Scene:
         """Read an open file of this format. Raises FormatError; of a strict one also for splats that are not finite."""
@@ -146,7 +146,7 @@ class Format:
 def _bound_at_rest(avatar: Avatar) -> bool:
     """Return whether the stored splats are those of the zero pose."""
     zero = avatar.skeleton.rest @ avatar.skeleton.inverse_bind
-    return bool(np.abs(zero - np.eye(4)).max() < _PLACED)
+    return bool(np.abs(zero - np.eye(4)).max() < _REST_TOLERANCE)
 
 
 def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:

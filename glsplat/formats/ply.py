@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import chain, islice
 from typing import BinaryIO
 
 import numpy as np
@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 ANTIALIAS = "comment SplatRenderMode: mip"
-"""What Splats.antialias becomes in a header, spelled as Brush and splat-transform do."""
+"""Line of the header for Splats.antialias, as Brush and splat-transform write it."""
 
 PACKED = "packed_position"
 """The property of the vertices by which a compressed PLY is known."""
@@ -175,8 +175,10 @@ def _check_properties(vertex: Element) -> int:
 def _binary(
     file: BinaryIO, available: int, header: PlyHeader, vertex: Element
 ) -> Iterator[dict[str, NDArray[np.generic]]]:
-    """Columns of the vertices, a chunk at a time. Reading costs less memory than mapping, and a file that shrinks
-    meanwhile is an error here, not a bus error."""
+    """Yield the columns of the vertices, a chunk at a time.
+
+    Reading takes less memory than mapping, and a file that shrinks meanwhile is an error, not a bus error.
+    """
     dtype = vertex.dtype(header.order)
     available -= (skip := sum(e.count * e.dtype(header.order).itemsize for e in header.before(vertex)))
     if vertex.count * dtype.itemsize > max(available, 0):
@@ -234,36 +236,32 @@ def _lines(file: BinaryIO) -> Iterator[bytes]:
 
 def _activate(chunks: Iterator[dict[str, NDArray[np.generic]]], vertex: Element, degree: int) -> Splats:
     coefficients = (degree + 1) ** 2
-    out: _Columns | None = None
-    at = 0
-    for columns in chunks:  # the first chunk has been checked against the file, so the arrays may be allocated
-        if out is None:
-            out = _empty(vertex.count, coefficients)
+    first = list(islice(chunks, 1))  # checks the count against the file's size, so the arrays may be allocated
+    count, at = vertex.count, 0
+    means, scales, quats = (np.empty((count, width), np.float32) for width in (3, 3, 4))
+    opacities, sh = np.empty(count, np.float32), np.empty((count, coefficients, 3), np.float32)
+    for columns in chain(first, chunks):
         part = slice(at, at := at + len(columns["x"]))
         with np.errstate(over="ignore", invalid="ignore"):
-            _gather(out.means[part], columns, _MEANS)
-            quats = np.empty_like(out.quats[part])
-            _gather(quats, columns, _QUATS)
-            out.quats[part] = normalised(quats)
-            scales = out.scales[part]
-            scales[:, 2] = -np.inf  # flat, where there is no third
-            _gather(scales, columns, [name for name in _SCALES if name in columns])
-            np.exp(scales, out=scales)
-            opacity = out.opacities[part]
+            _gather(means[part], columns, _MEANS)
+            _gather(quats[part], columns, _QUATS)
+            quats[part] = normalised(quats[part])
+            scales[part, 2] = -np.inf  # flat, where there is no third
+            _gather(scales[part], columns, [name for name in _SCALES if name in columns])
+            np.exp(scales[part], out=scales[part])
+            opacity = opacities[part]
             np.exp(-columns["opacity"].astype(np.float32), out=opacity)
             np.divide(1, 1 + opacity, out=opacity)  # exp(1e4) = inf gives 0, not NaN
             if _DC[0] in columns:
-                _gather(out.sh[part, 0], columns, _DC)
+                _gather(sh[part, 0], columns, _DC)
             else:
-                _gather(out.sh[part, 0], columns, _RGB)
-                out.sh[part, 0] /= [255 if vertex.properties[name] == "u1" else 1 for name in _RGB]
-                out.sh[part, 0] = (out.sh[part, 0] - np.float32(0.5)) / np.float32(SH_C0)
+                _gather(sh[part, 0], columns, _RGB)
+                sh[part, 0] /= [255 if vertex.properties[name] == "u1" else 1 for name in _RGB]
+                sh[part, 0] = (sh[part, 0] - np.float32(0.5)) / np.float32(SH_C0)
             for channel in range(3):
                 base = channel * (coefficients - 1)
-                rest = [f"f_rest_{base + i}" for i in range(coefficients - 1)]
-                _gather(out.sh[part, 1:, channel], columns, rest)
-    out = out or _empty(0, coefficients)
-    return Splats(frozen(out.means), frozen(out.quats), frozen(out.scales), frozen(out.opacities), frozen(out.sh))
+                _gather(sh[part, 1:, channel], columns, [f"f_rest_{base + i}" for i in range(coefficients - 1)])
+    return Splats(frozen(means), frozen(quats), frozen(scales), frozen(opacities), frozen(sh))
 
 
 def _gather(
@@ -271,22 +269,6 @@ def _gather(
 ) -> None:
     for i, name in enumerate(names):
         out[:, i] = columns[name]
-
-
-@dataclass
-class _Columns:
-    """The arrays of Splats while they are filled."""
-
-    means: NDArray[np.float32]
-    quats: NDArray[np.float32]
-    scales: NDArray[np.float32]
-    opacities: NDArray[np.float32]
-    sh: NDArray[np.float32]
-
-
-def _empty(count: int, coefficients: int) -> _Columns:
-    means, scales, quats = (np.empty((count, width), np.float32) for width in (3, 3, 4))
-    return _Columns(means, quats, scales, np.empty(count, np.float32), np.empty((count, coefficients, 3), np.float32))
 
 
 def _loses(scene: Splats | Avatar) -> Iterator[str]:

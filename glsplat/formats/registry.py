@@ -52,9 +52,9 @@ _FOREIGN = {
 
 @cache
 def all_formats() -> dict[str, Format]:
-    """Return every format by its name; what is put into this dictionary is read and written by this process.
+    """Return every format by its name; a row added to this dictionary is used by this process.
 
-    A row may replace an earlier one of its name. Later rows are sniffed first, as they know the more special kinds.
+    A row may replace an earlier one of its name. Later rows are sniffed first, as they are the more special formats.
     """
     found: dict[str, Format] = {}
     for module in (*map(import_module, _CORE), *(plugin(f"{name}.rows") for name in _EXTRAS)):
@@ -122,7 +122,7 @@ def save(
     file is complete or, on any failure, the old one as it was; a link is followed, an old file keeps its mode. An
     avatar goes into glTF with its rig, a mesh goes nowhere else; into the other formats go an avatar's splats alone, as
     they are stored: in the zero pose, or in the pose in which another program's rig was bound. What a file does not
-    keep beyond rounding is told to ``say``, a sentence each; without it the log "glsplat.formats" has it as warnings.
+    keep beyond rounding is passed to ``say``, a sentence each; without it, logged to "glsplat.formats" as warnings.
     Raises FormatError for another suffix, and when the file cannot be written.
 
     >>> glsplat.save(glsplat.default_avatar().splats, "me.ply")

@@ -1,4 +1,4 @@
-"""What the matrix of a scene graph's node does to splats: means, shapes and the colour's directions."""
+"""Transform splats by the matrix of a scene graph's node: means, shapes and the colour's directions."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def transformed(splats: Splats, matrix: F64) -> Splats:
 
     A rotation with a uniform scale keeps rotations and scales apart; any other matrix goes through a singular value
     decomposition of each M C. Spherical harmonics of degree 1 and above turn with the nearest orthogonal matrix, so
-    a splat shows each of its colours in the direction it had in the node's frame, mirrored nodes included. Levels of
-    detail go along; of what is larger, a metre needs fewer pixels. Raises FormatError when the matrix is singular or
+    colours keep their directions in the node's frame, also of mirrored nodes. Levels of detail are transformed too;
+    their density falls with the scale. Raises FormatError when the matrix is singular or
     not finite.
     """
     linear = matrix[:3, :3]
@@ -39,7 +39,7 @@ def transformed(splats: Splats, matrix: F64) -> Splats:
             scales, cones = splats.scales * stretch.mean(), splats.cones
         else:
             quats, scales = _reshaped(splats, linear)
-            cones = None  # said in the old axes
+            cones = None  # in the old axes
         sh = splats.sh
         if splats.sh_degree:
             sh = np.einsum("kl,nlc->nkc", sh_rotations(turn, splats.sh_degree), sh.astype(np.float64))
@@ -63,5 +63,5 @@ def _reshaped(splats: Splats, linear: F64) -> tuple[F64, F64]:
     axes, scales, _ = np.linalg.svd(np.where(usable[:, None, None], shapes, np.eye(3)))
     axes[np.linalg.det(axes) < 0, :, 2] *= -1  # an axis has no sign, a rotation has
     quats = matrix_quaternions(axes)
-    # what is not finite stays recognisable as such
+    # splats that are not finite stay so
     return np.where(usable[:, None], quats, np.nan), np.where(usable[:, None], scales, np.nan)

@@ -1,4 +1,4 @@
-"""Light that falls on avatars, and what splats know of the surface it falls on. Values: nothing here draws."""
+"""Light on avatars, and the surfaces of splats that it falls on. Values: nothing here draws."""
 
 import lazy_loader
 

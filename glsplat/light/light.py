@@ -1,15 +1,15 @@
-"""Light: what falls on everything in a scene, an ambient part from all around and one sun or far lamp."""
+"""Light of a scene: an ambient part from all around and one sun or far lamp."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import frozen, plain, restored
+from glsplat.arrays import Value, frozen, plain
 from glsplat.errors import FormatError
 from glsplat.rotations import SH_FACTORS, sh_basis, sh_rotations
 
@@ -17,21 +17,21 @@ __all__ = ["PRESETS", "Light", "sh_irradiance"]
 
 F64 = NDArray[np.float64]
 
-_LARGEST = 1e4  # of a coefficient or a colour; beyond it is a mistake of units
-_UNIT = 1e-3  # that a direction's length may be off: written with three digits
-_SIGNS = np.sign(SH_FACTORS[:9])  # without that of Condon and Shortley, which the colours of splats have
-_SPREAD = np.repeat([1.0, 2 / 3, 0.25], [1, 3, 5])  # of radiance of degree l in irradiance over pi, on what is diffuse
+_MAX_VALUE = 1e4  # of a coefficient or a colour; more is a mistake of units
+_UNIT_TOLERANCE = 1e-3  # of a direction's length: written with three digits
+_SIGNS = np.sign(SH_FACTORS[:9])  # remove the Condon-Shortley sign, which the colours of splats have
+_SPREAD = np.repeat([1.0, 2 / 3, 0.25], [1, 3, 5])  # from radiance of degree l to irradiance over pi, diffuse
 _MEAN, _RISE = SH_FACTORS[0], SH_FACTORS[2]  # of light from everywhere, and of light that grows upwards
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Light:
+class Light(Value):
     """Distant light in linear sRGB: radiance 1 from everywhere shows a surface in exactly its albedo.
 
     ``ambient`` are nine coefficients of radiance in real spherical harmonics, (l, m) = (0, 0), (1, -1), (1, 0) to
     (2, 2), without the Condon-Shortley sign, world axes; a constant radiance c has the first one c sqrt(4 pi). The sun
-    shines from ``sun_direction`` (from the scene to the light, unit) with irradiance ``sun_colour`` on what faces it;
-    pi lights as much as radiance 1 from everywhere. Raises FormatError for what is none.
+    shines from ``sun_direction`` (from the scene to the light, unit) with irradiance ``sun_colour`` on surfaces that
+    face it; pi lights as much as radiance 1 from everywhere. Raises FormatError for invalid numbers.
 
     >>> from glsplat.light import Light
     >>> Light.preset("left")
@@ -58,17 +58,16 @@ class Light:
         if sun_direction is not None:
             way = _numbers(sun_direction, "the sun's direction", (3,))
             length = float(np.linalg.norm(way))
-            if not abs(length - 1) <= _UNIT:
+            if not abs(length - 1) <= _UNIT_TOLERANCE:
                 raise FormatError(f"the sun's direction needs a unit vector towards the light, not {way.tolist()}")
             way = frozen(way / length)
         elif colour.any():
             raise FormatError("a sun needs a direction beside its color")
-        for name, value in (("ambient", held), ("sun_direction", way), ("sun_colour", colour)):
-            object.__setattr__(self, name, value)
+        self._keep(ambient=held, sun_direction=way, sun_colour=colour)
 
     @classmethod
     def uniform(cls, radiance: ArrayLike = 1.0) -> Light:
-        """The same radiance, one number or rgb, from everywhere."""
+        """Return the light of one radiance, a number or rgb, from everywhere."""
         ambient = np.zeros((9, 3))
         ambient[0] = np.asarray(radiance, np.float64) / _MEAN
         return cls(ambient)
@@ -76,12 +75,12 @@ class Light:
     @classmethod
     def hemisphere(
         cls,
-        sky: ArrayLike,  # [3] irradiance over pi on what faces up
-        ground: ArrayLike,  # [3] on what faces down
+        sky: ArrayLike,  # [3] irradiance over pi on surfaces that face up
+        ground: ArrayLike,  # [3] likewise, down
         sun_direction: ArrayLike | None = None,  # [3] of any length but zero
         sun_colour: ArrayLike = (0.0, 0.0, 0.0),  # [3]
     ) -> Light:
-        """Light that grows evenly from the ground to the sky, and perhaps a sun."""
+        """Return light that grows evenly from the ground to the sky, and perhaps a sun."""
         up, down = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
         ambient = np.zeros((9, 3))
         ambient[0] = (up + down) / 2 / _MEAN
@@ -96,10 +95,7 @@ class Light:
 
     @classmethod
     def preset(cls, name: str) -> Light:
-        """A light by name, one of ``PRESETS``. Raises FormatError for another.
-
-        They show a face about as bright as it was made: none is a change of exposure alone.
-        """
+        """Return one of ``PRESETS``; a face keeps about its brightness. Raises FormatError for another name."""
         if name not in PRESETS:
             raise FormatError(f"a light is one of {', '.join(PRESETS)}, or a JSON file, not {name!r:.60}")
         sky, ground, way, colour = PRESETS[name]
@@ -107,9 +103,9 @@ class Light:
 
     @classmethod
     def from_json(cls, data: Any) -> Light:
-        """Of {"ambient": [[r, g, b] x 9], "sun": {"direction": [x, y, z], "color": [r, g, b]}}; the sun may be missing.
+        """Parse {"ambient": [[r, g, b] x 9], "sun": {"direction": [x, y, z], "color": [r, g, b]}}, or a preset's name.
 
-        Also a preset's name. Raises FormatError.
+        The sun may be missing. Raises FormatError.
         """
         if isinstance(data, str):
             return cls.preset(data)
@@ -128,21 +124,21 @@ class Light:
         return cls(data["ambient"], sun["direction"], sun["color"])
 
     def to_json(self) -> dict[str, Any]:
-        """What ``from_json`` reads, to the same light."""
+        """Return the object that ``from_json`` reads."""
         out: dict[str, Any] = {"ambient": self.ambient.tolist()}
         if self.sun_direction is not None:
             out["sun"] = {"direction": self.sun_direction.tolist(), "color": self.sun_colour.tolist()}
         return out
 
     def irradiance(self, normals: ArrayLike) -> F64:
-        """[N, 3] of the ambient part over pi on surfaces with unit normals [N, 3], never below 0.
+        """Return the ambient irradiance over pi [N, 3] on surfaces with unit normals [N, 3], never below 0.
 
         After Ramamoorthi and Hanrahan, An Efficient Representation for Irradiance Environment Maps (2001).
         """
         return np.maximum(sh_irradiance(np.asarray(normals, np.float64)) @ self.ambient, 0)
 
     def uniforms(self) -> NDArray[np.float32]:
-        """[11, 4] as light.glsl has them: nine coefficients by their monomials, the sun's direction, its colour."""
+        """Return light.glsl's uniforms [11, 4]: nine coefficients by monomials, the sun's direction and colour."""
         out = np.zeros((11, 4), np.float32)
         out[:9, :3] = self.ambient * (np.abs(SH_FACTORS[:9]) * _SPREAD)[:, None]
         if self.sun_direction is not None:
@@ -150,20 +146,14 @@ class Light:
         return out
 
     def turned(self, turn: F64) -> Light:
-        """The same light after everything that shines was turned by a rotation [3, 3].
-
-        A turned coefficient may be larger than any before it; beyond the limit it is clamped.
-        """
+        """Return the light turned by a rotation [3, 3]; coefficients that get too large are clamped."""
         matrix = sh_rotations(np.asarray(turn, np.float64), 2) * _SIGNS * _SIGNS[:, None]
         way = None if self.sun_direction is None else np.asarray(turn, np.float64) @ self.sun_direction
-        return Light(np.clip(matrix @ self.ambient, -_LARGEST, _LARGEST), way, self.sun_colour)
+        return Light(np.clip(matrix @ self.ambient, -_MAX_VALUE, _MAX_VALUE), way, self.sun_colour)
 
     def same(self, other: Light | None) -> bool:
-        """Whether the other one lights everything alike."""
+        """Return whether the other one lights everything alike."""
         return other is not None and bool((self.uniforms() == other.uniforms()).all())
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
 
     def __repr__(self) -> str:
         mean = ", ".join(f"{v:.2f}" for v in self.ambient[0] * _MEAN)
@@ -182,11 +172,11 @@ PRESETS: dict[str, Preset] = {
     "left": ((0.34, 0.35, 0.38), (0.26, 0.25, 0.26), (-0.85, 0.46, 0.46), (0.90, 0.87, 0.82)),
     "right": ((0.34, 0.35, 0.38), (0.26, 0.25, 0.26), (0.85, 0.46, 0.46), (0.90, 0.87, 0.82)),
 }
-"""Lights by name: sky, ground, where the sun is, its colour in shares of pi. Left and right are a viewer's in front."""
+"""Lights by name: sky, ground, direction to the sun, its colour over pi. Left and right as seen from the front."""
 
 
 def sh_irradiance(normals: F64) -> F64:
-    """[N, 9] of irradiance over pi on unit normals [N, 3] by each coefficient of radiance (light.glsl)."""
+    """Return irradiance over pi [N, 9] on unit normals [N, 3] by each coefficient of radiance (light.glsl)."""
     return np.asarray(sh_basis(normals, 2) * (_SIGNS * _SPREAD))
 
 
@@ -195,6 +185,6 @@ def _numbers(value: ArrayLike, what: str, shape: tuple[int, ...]) -> F64:
     if array.shape != shape:
         raise FormatError(f"{what} needs {' x '.join(map(str, shape))} numbers, not an array of {array.shape}")
     held = np.array(array, np.float64)
-    if not (np.isfinite(held).all() and np.abs(held).max() <= _LARGEST):
-        raise FormatError(f"{what} needs finite numbers up to {_LARGEST:g}")
+    if not (np.isfinite(held).all() and np.abs(held).max() <= _MAX_VALUE):
+        raise FormatError(f"{what} needs finite numbers up to {_MAX_VALUE:g}")
     return frozen(held)

@@ -18,8 +18,8 @@ from glsplat.net.client_stream import ClientStream, DatagramTransport, Frame
 from glsplat.net.drawer import Drawer
 from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
+from glsplat.net.guard.limits import MessageThrottle
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
-from glsplat.net.guard.reading import Reading
 from glsplat.net.messages import MAX_BYTES, Request
 from glsplat.net.session import Close, Warn
 
@@ -51,7 +51,7 @@ class Conversation:
         self._ws, self._request, self._drawer, self._gate = ws, request, drawer, gate
         self._responder, self._deaf, self._write_timeout = responder, deaf, write_timeout
         assert channel.share is not None
-        self._reading = Reading(channel.share)
+        self._reading = MessageThrottle(channel.share)
 
     @property
     def goodbye(self) -> bool:

@@ -1,7 +1,4 @@
-"""Whether a skeleton can be driven: by motions and poses of SMPL-X's joints, and by the tracking of a headset.
-
-All commands, the server and the solver use these functions, so that they judge an avatar alike.
-"""
+"""Whether motions of SMPL-X's joints, and a headset's tracking, can drive a skeleton: one check for all callers."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["why_not_driven", "why_not_tracked"]
 
-_PARALLEL = 1e-4  # largest difference of two rest frames' axes
+_TOLERANCE = 1e-4  # of rest frames
 _FEET = [JOINT_NAMES.index(f"{side}_foot") for side in ("left", "right")]
 _EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
 _MIN_EYE_HEIGHT_M = 0.1  # above the feet
@@ -25,7 +22,7 @@ _MIN_EYE_HEIGHT_M = 0.1  # above the feet
 def why_not_driven(skeleton: Skeleton | None) -> str:
     """Return why motions of SMPL-X's 55 joints do not move a skeleton, in one line; "" where they do.
 
-    The line names the joints that are missing if glsplat.extras.rigs is installed. None is a thing without a skeleton.
+    The line names the missing joints if glsplat.extras.rigs is installed. None: a thing without a skeleton.
 
     >>> limb = glsplat.Skeleton.from_joints(["hip.L", "knee.L"], [-1, 0], [[0, 1, 0], [0, 0.5, 0]])
     >>> glsplat.skinning.driven.why_not_driven(limb)[:48]
@@ -35,7 +32,7 @@ def why_not_driven(skeleton: Skeleton | None) -> str:
         return "it has no skeleton"
     if skeleton.names == JOINT_NAMES:
         axes = skeleton.rest[:, :3, :3]
-        return "" if np.abs(axes - axes[0]).max() <= _PARALLEL else "the axes of its joints are not parallel at rest"
+        return "" if np.abs(axes - axes[0]).max() <= _TOLERANCE else "the axes of its joints are not parallel at rest"
     if sorted(skeleton.names) == sorted(JOINT_NAMES):
         return "its joints are not in SMPL-X's order; glsplat avatar import puts them there"
     undriven = plugin("rigs.undriven")
@@ -45,11 +42,11 @@ def why_not_driven(skeleton: Skeleton | None) -> str:
 
 
 def why_not_tracked(skeleton: Skeleton | None) -> str:
-    """Return why a headset's tracking is not solved for a skeleton, in one line; "" where it is."""
+    """Return why tracking cannot drive a skeleton, in one line; "" where it can."""
     why = why_not_driven(skeleton)
     if why or skeleton is None:
         return why
-    if np.abs(skeleton.rest[:, :3, :3] - np.eye(3)).max() > _PARALLEL:
+    if np.abs(skeleton.rest[:, :3, :3] - np.eye(3)).max() > _TOLERANCE:
         return "its rest frames are not parallel to the world, as they are in SMPL-X's zero pose"
     height = float(skeleton.joints[_EYES, 1].mean() - skeleton.joints[_FEET, 1].mean())
     if height <= _MIN_EYE_HEIGHT_M:

@@ -34,9 +34,9 @@ ARKIT: tuple[str, ...] = (
 """The blend shapes of Apple's ARFaceAnchor.BlendShapeLocation, in the order of its documentation."""
 
 MOST_NAMES = 256
-"""Shapes that an expression names at most, and that an avatar has."""
+"""Limit of the names of an expression, and of the shapes of an avatar."""
 
-_LONGEST = 64  # characters of a name
+_MAX_NAME = 64  # characters
 _NONE: Mapping[str, float] = MappingProxyType({})
 
 # letters of a name in lower case -> ARKit's; left and right as ending or as L and R
@@ -50,9 +50,9 @@ _KNOWN |= {"blinkr": "eyeBlinkRight"}
 
 
 def arkit_name(name: str) -> str | None:
-    """ARKit's name of a shape that others write otherwise; None for one that it does not have.
+    """Return ARKit's name of another program's shape; None where ARKit has no such shape.
 
-    Capitals, separators and what stands before a dot do not count, L and R are Left and Right: Live Link's
+    Capitals, separators and prefixes before a dot are ignored, L and R are Left and Right: Live Link's
     ``EyeBlinkLeft``, ICT-FaceKit's ``eyeBlink_L``, ``blendShape1.jaw_open``, VRM's ``blinkLeft``.
 
     >>> arkit_name("Face.M_F00_EyeBlink_L"), arkit_name("mouth_smile_right"), arkit_name("Fcl_ALL_Joy")
@@ -68,9 +68,9 @@ def arkit_name(name: str) -> str | None:
 
 
 def checked_expression(value: Any) -> Mapping[str, float]:
-    """Weights by name, without those that are 0, from a mapping or from numbers in ``ARKIT``'s order; None: none.
+    """Return weights by name, without zeros, from a mapping or from numbers in ``ARKIT``'s order; empty for None.
 
-    Read-only. Raises PoseError for what is neither, for NaN and infinity, and for more than 256 names.
+    The mapping is read-only. Raises PoseError for other values, NaN, infinity, and more than 256 names.
     """
     if value is None:
         return _NONE
@@ -88,8 +88,8 @@ def checked_expression(value: Any) -> Mapping[str, float]:
         raise PoseError(f"an expression needs at most {MOST_NAMES} names, not {len(pairs)}")
     out: dict[str, float] = {}
     for name, weight in pairs:
-        if not isinstance(name, str) or not 0 < len(name) <= _LONGEST:
-            raise PoseError(f"an expression names shapes by 1 to {_LONGEST} characters, not {name!r:.40}")
+        if not isinstance(name, str) or not 0 < len(name) <= _MAX_NAME:
+            raise PoseError(f"an expression names shapes by 1 to {_MAX_NAME} characters, not {name!r:.40}")
         if isinstance(weight, (bool, np.bool_, str, bytes)):
             raise PoseError(f'the weight of "{name}" needs a number, not {type(weight).__name__}')
         try:
@@ -104,7 +104,7 @@ def checked_expression(value: Any) -> Mapping[str, float]:
 
 
 def mixed(first: Mapping[str, float], second: Mapping[str, float], part: float) -> Mapping[str, float]:
-    """Between two expressions, ``part`` 0 the first and 1 the second; beyond, continued.
+    """Interpolate two expressions: ``part`` 0 is the first, 1 the second; beyond, extrapolate.
 
     >>> dict(mixed({"jawOpen": 0.2}, {"jawOpen": 0.6, "cheekPuff": 1.0}, 0.5))
     {'jawOpen': 0.4, 'cheekPuff': 0.5}

@@ -1,4 +1,4 @@
-"""Extent: the box of a skinned thing in a pose without posing its splats: what each joint carries, bounded once."""
+"""Extent: the bounding box of a skinned thing in a pose, without posing its splats."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Extent:
-    """How far what each joint carries reaches, in 26 directions of the zero pose.
+    """Bounds of the splats or vertices of each joint, in 26 directions of the zero pose.
 
-    A splat, or a mesh's vertex, belongs to the joint in its first slot (an avatar's anchor). Blended ones lie between
-    the places where two joints would take them, which the boxes of both cover nearly always, and always where
-    ``every`` joint that moves a splat counts: then the box holds all of it in any pose, at the price of a looser fit.
+    A splat, or a mesh's vertex, belongs to the joint in its first slot (an avatar's anchor). Boxes of both joints cover
+    blended ones nearly always. With ``every``, it belongs to all joints that move it: the box then holds everything in
+    any pose, with a looser fit.
     """
 
-    joints: NDArray[np.intp]  # [B] those that carry something
+    joints: NDArray[np.intp]  # [B] joints with splats
     reach: NDArray[np.float64]  # [B, 27] metres: largest x . d, of splats over two standard deviations
 
     @classmethod
     def of(cls, splats: Splats, skin: Skin, sigmas: float = 2.0, every: bool = False) -> Extent:
-        """Measure what can be drawn of ``splats``: finite, and not fully transparent; ``sigmas`` of their size."""
+        """Measure the drawable ``splats`` (finite, not fully transparent) to ``sigmas`` standard deviations."""
         rows = np.flatnonzero(splats.finite() & (splats.opacities > 0))
         shapes = quaternion_matrices(splats.quats[rows]) * splats.scales[rows, None, :]
         return cls._of(splats.means[rows].astype(np.float64), skin.take(rows), sigmas * shapes, every)
@@ -46,7 +46,7 @@ class Extent:
 
     @classmethod
     def _of(cls, points: NDArray[np.float64], skin: Skin, shapes: NDArray[np.float64], every: bool) -> Extent:
-        """Ellipsoids x + M u, |u| <= 1: ``points`` [N, 3], ``shapes`` M [N, 3, K]."""
+        """Measure ellipsoids x + M u, |u| <= 1: ``points`` x [N, 3], ``shapes`` M [N, 3, K]."""
         squares = np.einsum("nik,njk->nij", shapes, shapes).reshape(-1, 9)
         pairs = np.einsum("di,dj->dij", _DIRECTIONS, _DIRECTIONS).reshape(-1, 9)
         reaches = points @ _DIRECTIONS.T + np.sqrt(np.maximum(squares @ pairs.T, 0.0))
@@ -58,9 +58,9 @@ class Extent:
         return cls(joints.astype(np.intp), frozen(reach))
 
     def box(self, bones: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """[2, 3] metres, lowest and highest corner under skinning matrices [J, 3, 4]; None where there is nothing.
+        """Return the lowest and highest corner [2, 3] in metres under skinning matrices [J, 3, 4]; None: no splats.
 
-        Never smaller than the box of what is drawn where no splat is blended, and a few per cent larger.
+        A few per cent larger than the tight box; never smaller where no splat is blended.
         """
         if not len(self.joints):
             return None
@@ -71,10 +71,10 @@ class Extent:
         return np.stack([-most[3:], most[:3]])
 
     def _reach(self, across: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[B, A] upper bounds of the largest x . d for directions d [B, A, 3].
+        """Return upper bounds [B, A] of the largest x . d for directions d [B, A, 3].
 
         A support function is sublinear: d is a sum of an axis, a diagonal of a face and one of the cube, with weights
-        that are not negative, and what is reached along d is at most the same sum of what is reached along those.
+        that are not negative, and the support along d is at most the same sum of the supports along those.
         """
         size = np.abs(across)
         order = np.argsort(-size, axis=2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, instance, own, plain, restored
+from glsplat.arrays import Value, count, instance, own, plain
 from glsplat.errors import PoseError
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.expression import checked_expression
@@ -25,13 +25,13 @@ EXPRESSION = "expression"
 """Key of a pose object, of a tracking sample and of a request: weights by name, or 52 in ARKit's order."""
 
 _COUNT = len(JOINT_NAMES)
-_LIMIT = 1e6  # metres, radians; more is a mistake of units
-_TURNS = 20 * np.pi  # radians; nobody counts more than ten turns, and a right angle in degrees is more
-_DEGREES = 4 * np.pi  # radians; an angle beyond two turns in a file was meant in degrees
+_MAX_VALUE = 1e6  # metres, radians; more is a mistake of units
+_MAX_ANGLE_RAD = 20 * np.pi  # ten turns; a right angle in degrees is more
+_MAX_FILE_ANGLE_RAD = 4 * np.pi  # an angle beyond two turns in a file was meant in degrees
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Pose:
+class Pose(Value):
     """Rotations of the J joints of a skeleton. The zero pose (all zeros) is that of ``Skeleton.rest``.
 
     Takes anything that numpy reads as numbers, checks it and keeps read-only copies. Raises PoseError.
@@ -63,21 +63,17 @@ class Pose:
             most = 0.0 if value is None else float(np.abs(value).max(initial=0.0))
             if not isfinite(most):  # the largest of numbers with a NaN is NaN
                 raise PoseError("a pose needs finite numbers, found NaN or infinity")
-            if most > _LIMIT:
+            if most > _MAX_VALUE:
                 unit = "radians" if name == "a rotation" else "metres"
-                raise PoseError(f"{name} needs {unit} below {_LIMIT:g}, not {most:g}")
-        if (angle := float(np.abs(turned).max(initial=0.0))) > _TURNS:
+                raise PoseError(f"{name} needs {unit} below {_MAX_VALUE:g}, not {most:g}")
+        if (angle := float(np.abs(turned).max(initial=0.0))) > _MAX_ANGLE_RAD:
             joint = int(np.abs(turned).max(axis=1).argmax())
             raise _degrees(f"joint {joint}", angle)
-        keep = object.__setattr__
-        keep(self, "rotations", turned)
-        keep(self, "trans", moved)
-        keep(self, "translations", stretched)
-        keep(self, "expression", checked_expression(expression))
+        self._keep(rotations=turned, trans=moved, translations=stretched, expression=checked_expression(expression))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return restored, (type(self), values | {"expression": dict(self.expression)})
+        restore, (kind, values) = Value.__reduce__(self)  # slots=True makes super() fail
+        return restore, (kind, values | {"expression": dict(self.expression)})  # a mapping proxy cannot be pickled
 
     def __repr__(self) -> str:
         turned = int(self.rotations.any(axis=1).sum())
@@ -88,19 +84,18 @@ class Pose:
 
     @classmethod
     def zero(cls, joints: int = _COUNT) -> Pose:
-        """The rest pose of a rig of that many joints."""
+        """Return the rest pose of a rig of that many joints."""
         if count(joints, "the number of joints", PoseError) < 0:
             raise PoseError(f"a rig has no {joints} joints")
         return cls(np.zeros((joints, 3)))
 
     @classmethod
     def from_smplx(cls, data: Mapping[str, Any]) -> Pose:
-        """A pose object with any of the keys root_pose, trans, body_pose, jaw_pose, ... (missing = zero).
+        """Parse a pose object with any of the keys root_pose, trans, body_pose, jaw_pose, ... (missing = zero).
 
-        SMPL-X's own names of the same things are read too (global_orient, transl, left_hand_pose, right_hand_pose).
-        Arrays may be nested (21, 3), flat (63) or a batch of one (1, 63). Other keys are ignored (LHM files carry
-        betas, focal and more); an object with none of the keys, one thing under both of its names, wrong counts or
-        non-finite numbers is a PoseError.
+        SMPL-X's own names are read too (global_orient, transl, left_hand_pose, right_hand_pose). Arrays may be nested
+        (21, 3), flat (63) or a batch of one (1, 63). Other keys are ignored (LHM files carry betas, focal and more).
+        Raises PoseError for an object with none of the keys, two names of one key, wrong counts or non-finite numbers.
         """
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a mapping of {', '.join(POSE_KEYS)}, not {type(data).__name__}")
@@ -116,7 +111,7 @@ class Pose:
 
     @classmethod
     def from_json(cls, data: Any, skeleton: Skeleton) -> Pose:
-        """A pose object of either layout: SMPL-X keys, or {"joints": {NAME: [3]}, "translations": {NAME: [3]}}."""
+        """Parse a pose object: SMPL-X keys, or {"joints": {NAME: [3]}, "translations": {NAME: [3]}}."""
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a JSON object, not {type(data).__name__}")
         instance(skeleton, Skeleton, "from_json()", PoseError, "an avatar has one: avatar.skeleton")
@@ -134,14 +129,14 @@ class Pose:
                 if name not in index:
                     raise PoseError(f'no joint "{name}"; this avatar has {_some(skeleton.names)}')
                 array[index[name]] = _numbers(value, name, 1)[0]
-                if key == "joints" and (angle := float(np.abs(array[index[name]]).max())) > _TURNS:
+                if key == "joints" and (angle := float(np.abs(array[index[name]]).max())) > _MAX_ANGLE_RAD:
                     raise _degrees(name, angle)
         trans = _numbers(data.get("trans", (0, 0, 0)), "trans", 1)[0]
         stretched = arrays["translations"] if data.get("translations") else None
         return cls(arrays["joints"], trans, stretched, data.get(EXPRESSION))
 
     def to_smplx(self) -> dict[str, Any]:
-        """The pose object of docs/conventions.md; only for the 55 joints of SMPL-X."""
+        """Return the pose object of docs/conventions.md; only for the 55 joints of SMPL-X."""
         if len(self.rotations) != _COUNT:
             raise PoseError(f"an SMPL-X pose has {_COUNT} joints, not {len(self.rotations)}")
         out: dict[str, Any] = {"trans": self.trans.tolist()}
@@ -153,7 +148,7 @@ class Pose:
         return out
 
     def bones(self, skeleton: Skeleton) -> NDArray[np.float64]:
-        """Skinning matrices [J, 3, 4] of this pose on ``skeleton``."""
+        """Return the skinning matrices [J, 3, 4] of this pose on ``skeleton``."""
         instance(skeleton, Skeleton, "bones()", PoseError, "an avatar has one: avatar.skeleton")
         return skeleton.bone_matrices(self.rotations, self.trans, self.translations)
 
@@ -167,7 +162,7 @@ def load_pose(path: str | Path, skeleton: Skeleton) -> Pose:
     try:
         pose = Pose.from_json(json.loads(Path(path).read_text(encoding="utf-8")), skeleton)
         angles = np.linalg.norm(pose.rotations, axis=1)
-        if angles.max(initial=0) > _DEGREES:
+        if angles.max(initial=0) > _MAX_FILE_ANGLE_RAD:
             name, angle = skeleton.names[int(angles.argmax())], angles.max()
             raise _degrees(name, angle)
         return pose
@@ -180,7 +175,7 @@ def load_pose(path: str | Path, skeleton: Skeleton) -> Pose:
 
 
 def _own_names(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The same object with SMPL-X's names in our words."""
+    """Return the pose object with our keys instead of SMPL-X's."""
     if not any(name in data for name in SMPLX_NAMES):
         return data
     for name, key in SMPLX_NAMES.items():

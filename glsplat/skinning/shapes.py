@@ -1,15 +1,14 @@
-"""Shapes: how far the named expressions of a face move and bend each splat, as a sparse list; what the GPU reads."""
+"""Shapes: moves and bends of splats by the named expressions of a face, as the sparse list that the GPU reads."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import frozen, own, own_whole, plain, restored
+from glsplat.arrays import Value, frozen, own, own_whole, plain
 from glsplat.errors import FormatError
 from glsplat.skinning.expression import MOST_NAMES
 
@@ -21,22 +20,22 @@ BEND = 3.0 / 127
 """A unit of ``Shapes.bends``: of an axis of length one."""
 
 LIMITS = (0.0, 1.0)
-"""Least and largest weight of a shape of which the avatar says nothing else."""
+"""Default least and largest weight of a shape."""
 
-_MOST = 1 << 24  # entries: rows of a texture
+_MAX_ENTRIES = 1 << 24  # rows of a texture
 _STEPS = 32767
-_WIDEST = 100.0  # metres; more is a mistake of units
+_MAX_MOVE_M = 100.0  # more is a mistake of units
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Shapes:
+class Shapes(Value):
     """T named shapes of N splats: E entries, those of splat i from ``starts[i]`` to ``starts[i + 1]``.
 
     Entry e at weight w moves its splat by w ``sizes[t] moves[e]`` metres, t = ``targets[e]``, and its two long axes
-    (``long_axes``), which are units, by w BEND ``bends[e]``; the shapes of a splat add up. The third axis is the
-    normal of the two and stays as thick as it is. Numbers are as the GPU reads them, nothing is rounded later.
+    (``long_axes``), unit vectors, by w BEND ``bends[e]``; the shapes of a splat add up. The third axis is the
+    normal of the two and keeps its scale. Numbers are as the GPU reads them, nothing is rounded later.
 
-    Read-only copies; raises FormatError. ``create`` makes them of metres.
+    Arrays are read-only copies. Raises FormatError. ``create`` takes metres.
 
     >>> shapes = glsplat.Shapes.create(["jawOpen"], 2, splats=[1], targets=[0], moves=[[0, -0.02, 0]])
     >>> shapes
@@ -75,8 +74,8 @@ class Shapes:
             raise FormatError(f"shapes need starts (N + 1,) and targets (E,), not {first.shape} and {of.shape}")
         if moved.shape != (len(of), 3) or bent.shape != (len(of), 2, 3):
             raise FormatError(f"{len(of)} entries need as many moves and bends, not {moved.shape} and {bent.shape}")
-        if len(of) > _MOST:
-            raise FormatError(f"shapes have at most {_MOST} entries, not {len(of)}")
+        if len(of) > _MAX_ENTRIES:
+            raise FormatError(f"shapes have at most {_MAX_ENTRIES} entries, not {len(of)}")
         if first[0] != 0 or first[-1] != len(of) or (np.diff(first) < 0).any():
             raise FormatError(f"starts need to rise from 0 to the number of entries, {len(of)}")
         splats = np.repeat(np.arange(len(first) - 1), np.diff(first))
@@ -84,18 +83,13 @@ class Shapes:
             raise FormatError(f"targets need to rise within each splat, and name shapes below {count}")
         size = own(sizes, np.float32, "sizes")
         wide = own(np.tile(LIMITS, (count, 1)) if limits is None else limits, np.float32, "limits")
-        if size.shape != (count,) or not ((size >= 0) & (size <= _WIDEST / _STEPS)).all():
-            raise FormatError(f"shapes need {count} sizes in metres a unit, from 0 to {_WIDEST / _STEPS:.3g}")
+        if size.shape != (count,) or not ((size >= 0) & (size <= _MAX_MOVE_M / _STEPS)).all():
+            raise FormatError(f"shapes need {count} sizes in metres a unit, from 0 to {_MAX_MOVE_M / _STEPS:.3g}")
         if wide.shape != (count, 2) or not (np.isfinite(wide).all() and (np.abs(wide) <= 1e3).all()):
             raise FormatError(f"shapes need limits ({count}, 2) of finite weights below 1000, not {wide.shape}")
         if not ((wide[:, 0] <= 0) & (wide[:, 1] >= 0)).all():
             raise FormatError("the limits of a shape's weight need to hold 0 between them")
-        values = (names, first, of, moved, bent, size, wide)
-        for one, value in zip(fields(self), values, strict=True):
-            object.__setattr__(self, one.name, value)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+        self._keep(names=names, starts=first, targets=of, moves=moved, bends=bent, sizes=size, limits=wide)
 
     def __repr__(self) -> str:
         return f"Shapes({len(self)} shapes, {len(self.targets)} entries of {self.splats} splats)"
@@ -116,17 +110,17 @@ class Shapes:
         sizes: ArrayLike | None = None,  # [T] metres a unit, where moves are such units already
         limits: ArrayLike | None = None,
     ) -> Shapes:
-        """Shapes of metres: rounded to 16 bits of the largest move of each shape, axes to 8 bits within three units.
+        """Return shapes of metres, rounded to 16 bits of each shape's largest move; axes to 8 bits within three units.
 
-        Entries that are nothing then are left out. Raises FormatError for what is not finite or has no place.
+        Entries that round to zero are left out. Raises FormatError for numbers that are not finite or out of range.
         """
         rows, of = plain(splats, "splats").astype(np.int64).reshape(-1), plain(targets, "targets").reshape(-1)
         of, metres = of.astype(np.int64), plain(moves, "moves").astype(np.float64).reshape(-1, 3)
         axes = np.zeros((len(rows), 2, 3)) if bends is None else plain(bends, "bends").astype(np.float64)
         if not (len(rows) == len(of) == len(metres)) or axes.shape != (len(rows), 2, 3):
             raise FormatError(f"{len(rows)} entries need as many targets, moves (E, 3) and bends (E, 2, 3)")
-        if not (np.isfinite(metres).all() and np.isfinite(axes).all()) or np.abs(metres).max(initial=0) > _WIDEST:
-            raise FormatError(f"shapes need finite moves below {_WIDEST:g} m and finite bends")
+        if not (np.isfinite(metres).all() and np.isfinite(axes).all()) or np.abs(metres).max(initial=0) > _MAX_MOVE_M:
+            raise FormatError(f"shapes need finite moves below {_MAX_MOVE_M:g} m and finite bends")
         if len(rows) and not (0 <= rows.min() and rows.max() < count and 0 <= of.min() and of.max() < len(names)):
             raise FormatError(f"entries need splats below {count} and targets below {len(names)}")
         if sizes is None:
@@ -149,7 +143,7 @@ class Shapes:
 
     @property
     def splats(self) -> int:
-        """N."""
+        """Number of splats, N."""
         return len(self.starts) - 1
 
     @property
@@ -160,18 +154,18 @@ class Shapes:
 
     @property
     def rows(self) -> NDArray[np.int64]:
-        """[E] the splat of each entry."""
+        """The splat of each entry, [E]."""
         return np.repeat(np.arange(self.splats), np.diff(self.starts))
 
     @property
     def metres(self) -> NDArray[np.float32]:
-        """[E, 3] how far an entry moves its splat at weight 1."""
+        """The moves [E, 3] in metres at weight 1."""
         return self.moves * self.sizes[self.targets, None]
 
     def weights(self, expression: Mapping[str, float]) -> F64 | None:
-        """[T] of the shapes within their limits; None where all are 0. Names that there are no shapes of are nothing.
+        """Return the weights [T] within the shapes' limits; None where all are 0. Other names are ignored.
 
-        Finite weights are the caller's business (``Pose`` sees to it).
+        Weights have to be finite (``Pose`` checks that).
         """
         if not expression:
             return None
@@ -180,13 +174,13 @@ class Shapes:
         return found if found.any() else None
 
     def farthest(self, weights: F64) -> float:
-        """Metres by which no splat moves farther under ``weights`` [T]."""
+        """Return an upper bound of the moves of splats under ``weights`` [T], metres."""
         most = np.zeros(len(self))
         np.maximum.at(most, self.targets, np.linalg.norm(self.metres, axis=1))
         return float(np.abs(weights) @ most)
 
     def take(self, index: NDArray[np.bool_] | NDArray[np.integer]) -> Shapes:
-        """Those of the splats at ``index``, unchanged."""
+        """Return the shapes of the splats at ``index``."""
         chosen = np.flatnonzero(index) if index.dtype == bool else np.asarray(index)
         each = np.diff(self.starts)[chosen]
         starts = np.concatenate([[0], np.cumsum(each)]).astype(np.int64)
@@ -196,7 +190,7 @@ class Shapes:
         return replace(self, starts=frozen(starts), targets=targets, moves=moves, bends=bends)
 
     def turned(self, linear: F64, axes: F64 | None = None) -> Shapes:
-        """Those of splats that were moved by ``linear`` [3, 3] or [N, 3, 3], whose axes turned by ``axes`` likewise."""
+        """Return the shapes of splats moved by ``linear`` [3, 3] or [N, 3, 3]; ``axes``: the turn of their axes."""
         turns = linear if axes is None else axes
         if linear.ndim == 3:
             linear = linear[self.rows]
@@ -210,7 +204,7 @@ class Shapes:
         )
 
     def texels(self) -> NDArray[np.uint32]:
-        """[E, 4] entries as shapes.glsl reads them."""
+        """Return the entries [E, 4] as shapes.glsl reads them."""
         bytes_ = np.zeros((len(self.targets), 16), np.uint8)
         bytes_[:, :6] = np.ascontiguousarray(self.moves, "<i2").view(np.uint8).reshape(-1, 6)
         bytes_[:, 6:12] = self.bends.reshape(-1, 6).view(np.uint8)
@@ -218,11 +212,11 @@ class Shapes:
         return bytes_.view("<u4").astype(np.uint32)
 
     def amounts(self, weights: F64) -> NDArray[np.float32]:
-        """[T, 2] metres a unit of ``moves`` and units of axis a unit of ``bends``, at those weights [T]."""
+        """Return [T, 2] metres a unit of ``moves`` and of axis a unit of ``bends``, at ``weights`` [T]."""
         return np.stack([weights * self.sizes, weights * BEND], axis=1).astype(np.float32)
 
 
 def long_axes(scales: NDArray[np.float32]) -> NDArray[np.intp]:
-    """[N, 3] which of a splat's axes are its two long ones and its thin one, the first of equals, in cyclic order."""
+    """Return the indices [N, 3] of a splat's two long axes, in cyclic order, and its thin one, the first of equals."""
     thin = np.abs(scales).argmin(axis=1)
     return np.stack([(thin + 1) % 3, (thin + 2) % 3, thin], axis=1)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import frozen, instance, own, own_whole, plain
+from glsplat.arrays import Value, frozen, instance, own, own_whole, plain
 from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
 
@@ -17,7 +17,7 @@ __all__ = ["Skeleton"]
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Skeleton:
+class Skeleton(Value):
     """J joints. ``rest`` is the global frame of each joint in the zero pose.
 
     An SMPL-X rig has rest frames parallel to the world; other rigs may have any. Several roots are legal, a cycle,
@@ -73,13 +73,8 @@ class Skeleton:
         local = rest.copy()
         child = parents >= 0
         local[child] = inverse_rest[parents[child]] @ rest[child]
-        keep = object.__setattr__
-        keep(self, "names", names)
-        keep(self, "parents", parents)
-        keep(self, "rest", rest)
-        keep(self, "inverse_bind", inverse)
-        keep(self, "_local", frozen(local))
-        keep(self, "_levels", [(ids, parents[ids]) for ids in levels])
+        self._keep(names=names, parents=parents, rest=rest, inverse_bind=inverse)
+        self._keep(_local=frozen(local), _levels=[(ids, parents[ids]) for ids in levels])
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.names, self.parents, self.rest, self.inverse_bind)
@@ -90,7 +85,7 @@ class Skeleton:
 
     @classmethod
     def from_joints(cls, names: Sequence[str], parents: ArrayLike, joints: ArrayLike) -> Skeleton:
-        """A rig whose rest frames are parallel to the world (SMPL-X): ``joints`` [J, 3] in metres."""
+        """Return a rig whose rest frames are parallel to the world (SMPL-X); ``joints`` [J, 3] in metres."""
         positions = plain(joints, "joints", PoseError)
         if positions.ndim != 2 or positions.shape[1] != 3:
             raise PoseError(f"joints need shape (J, 3), not {positions.shape}")
@@ -102,7 +97,7 @@ class Skeleton:
         return len(self.names)
 
     def same(self, other: Skeleton) -> bool:
-        """Whether a pose means the same to both: names, parents, and frames to float32."""
+        """Return whether names and parents are equal, and frames to float32: poses then mean the same."""
         if self is other:
             return True
         instance(other, Skeleton, "same()", PoseError)
@@ -113,11 +108,11 @@ class Skeleton:
 
     @property
     def joints(self) -> NDArray[np.float64]:
-        """[J, 3] rest positions in metres."""
+        """Rest positions [J, 3] in metres."""
         return self.rest[:, :3, 3]
 
     def under(self, name: str) -> NDArray[np.bool_]:
-        """[J] True for the joint of that name and all that hang from it. Raises PoseError where there is none."""
+        """Return [J] True for the joint of that name and its descendants. Raises PoseError where there is none."""
         if not isinstance(name, str) or name not in self.names:
             raise PoseError(f'this skeleton has no joint "{name!s:.40}"; it has {", ".join(self.names[:6])}, ...')
         found = np.arange(len(self)) == self.names.index(name)
@@ -131,7 +126,7 @@ class Skeleton:
         trans: ArrayLike = (0.0, 0.0, 0.0),  # [3] metres, moves the roots
         translations: ArrayLike | None = None,  # [J, 3] metres in the parent's frame, added to the rest offset
     ) -> NDArray[np.float64]:
-        """Global joint frames [J, 4, 4] of a pose: G_j = G_parent L_j R_j, level by level."""
+        """Return the global joint frames [J, 4, 4] of a pose: G_j = G_parent L_j R_j, level by level."""
         rot = plain(rotations, "rotations", PoseError)
         if rot.shape == (len(self), 3):
             rot = rotation_matrices(rot)
@@ -158,12 +153,12 @@ class Skeleton:
     def bone_matrices(
         self, rotations: ArrayLike, trans: ArrayLike = (0.0, 0.0, 0.0), translations: ArrayLike | None = None
     ) -> NDArray[np.float64]:
-        """Skinning matrices [J, 3, 4]: posed joint frame times inverse bind (glTF 2.0, section 3.7.3.3)."""
+        """Return skinning matrices [J, 3, 4]: posed joint frame times inverse bind (glTF 2.0, section 3.7.3.3)."""
         return (self.forward(rotations, trans, translations) @ self.inverse_bind)[:, :3, :]
 
 
 def _levels(parents: NDArray[np.int32]) -> list[NDArray[np.intp]]:
-    """Joint indices by depth, roots first; refuses cycles and parents out of range."""
+    """Return joint indices by depth, roots first. Raises PoseError for cycles and parents out of range."""
     count = len(parents)
     if (parents >= count).any() or (parents < -1).any():
         raise PoseError(f"parents need to lie in -1..{count - 1}, found {parents.min()}..{parents.max()}")

@@ -1,14 +1,14 @@
-"""Skin: which joints move a splat and by how much."""
+"""Skin: the joints that move each splat, and their weights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, SupportsFloat, SupportsIndex, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, frozen, number, own, own_whole, plain, restored, rows
+from glsplat.arrays import Value, count, frozen, number, own, own_whole, plain, rows
 from glsplat.errors import FormatError
 
 __all__ = ["INFLUENCES", "Skin", "strongest_joint"]
@@ -20,7 +20,7 @@ INFLUENCES = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Skin:
+class Skin(Value):
     """N splats times K influences, strongest first, weights that sum to exactly one (float32 rounding apart).
 
     In an Avatar the first slot holds the splat's anchor instead (``anchored``); the two differ in a few per cent.
@@ -72,21 +72,14 @@ class Skin:
             ids, w = frozen(np.pad(ids, pad)), frozen(np.pad(w, pad))
         if not w.all():
             ids = _without_strays(ids, w)
-        keep = object.__setattr__
-        keep(self, "joints", ids)
-        keep(self, "weights", w)
-        keep(self, "lost", number(lost, "lost"))
-        keep(self, "repaired", count(repaired, "repaired"))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+        self._keep(joints=ids, weights=w, lost=number(lost, "lost"), repaired=count(repaired, "repaired"))
 
     def __repr__(self) -> str:
         return f"Skin({len(self)} splats, {self.influences} joints each)"
 
     @classmethod
     def create(cls, joints: ArrayLike, weights: ArrayLike, joint_count: int, influences: int = 4) -> Skin:
-        """Sanitise, keep the ``influences`` strongest joints of each splat and renormalise.
+        """Sanitise weights, keep the ``influences`` strongest joints of each splat and renormalise.
 
         ``joints`` and ``weights`` are [N, M] for any M. Negative and non-finite weights count as zero; a splat with
         no weight left rides joint ``joints[i, 0]``; both are counted in ``repaired``. A joint outside
@@ -134,24 +127,23 @@ class Skin:
         return self.joints.shape[1]
 
     def take(self, index: ArrayLike) -> Skin:
-        """The rows at ``index`` (an integer or boolean array), unchanged. Raises FormatError outside of them."""
+        """Return the rows at ``index`` (an integer or boolean array). Raises FormatError for rows outside."""
         index = rows(index, len(self))
         return replace(self, joints=frozen(self.joints[index]), weights=frozen(self.weights[index]))
 
     def reduced(self, influences: int) -> Skin:
-        """The same skin with at most ``influences`` joints a splat."""
+        """Return the skin with at most ``influences`` joints a splat."""
         if count(influences, "influences", least=1) >= self.influences:
             return self
         return Skin.create(self.joints, self.weights, int(self.joints.max(initial=0)) + 1, influences)
 
     def anchored(self, parents: NDArray[np.integer]) -> Skin:
-        """The same skin with the anchor of each splat in the first slot, the others strongest first.
+        """Return the skin with the anchor of each splat in the first slot, the others strongest first.
 
         The anchor is the weighted median of the splat's joints in the tree ``parents`` [J]: whichever joint turns, at
-        least half of the weight moves with the anchor (as long as the median is among the splat's joints). The rotation
-        rule leans on it where a blend collapses (reference.blended_rotations); leaning on the strongest joint, outvoted
-        by two weaker ones on the other side of the turning joint, would make the splat spin. Raises FormatError for
-        parents that are no tree.
+        least half of the weight moves with the anchor (where the median is among the splat's joints). A blend that
+        collapses takes the anchor's rotation (reference.blended_rotations); with the strongest joint's, the splat would
+        spin where two weaker ones outweigh it. Raises FormatError for parents that are no tree.
         """
         parents = own_whole(parents, np.int32, "parents")
         joints = int(self.joints.max(initial=0)) + bool(self.joints.size)
@@ -182,7 +174,7 @@ class Skin:
         return replace(self, joints=frozen(all_ids), weights=frozen(all_weights))
 
     def dense(self, joint_count: int) -> NDArray[np.float64]:
-        """[N, J] weights, for comparisons."""
+        """Return the weights as [N, J], for comparisons."""
         least = int(self.joints.max(initial=0)) + 1
         out = np.zeros((len(self), count(joint_count, "joint_count", least=least)))
         np.add.at(out, (np.arange(len(self))[:, None], self.joints), self.weights)
@@ -190,12 +182,12 @@ class Skin:
 
 
 def strongest_joint(joints: NDArray[IntT], weights: NDArray[Any]) -> NDArray[IntT]:
-    """[N] the joint that holds most of each row of ``joints`` and ``weights`` [N, K]."""
+    """Return [N] the joint of the largest weight in each row of ``joints`` and ``weights`` [N, K]."""
     return np.take_along_axis(joints, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
 
 
 def _without_strays(ids: NDArray[np.uint16], weights: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """The same joints, the slots without weight naming the row's strongest: it is fetched anyway, and it exists."""
+    """Return the joints with the row's strongest in slots without weight: its bone is fetched anyway, and exists."""
     strongest = strongest_joint(ids, weights)[:, None]
     stray = (weights == 0) & (ids != strongest)
     return frozen(np.where(stray, strongest, ids)) if stray.any() else ids

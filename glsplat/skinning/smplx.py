@@ -1,4 +1,4 @@
-"""The 55 joints of SMPL-X: names, order, parents, and which pose key holds which joints."""
+"""The 55 joints of SMPL-X: names, order, parents, and the joints of each pose key."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POSE_KEYS: dict[str, slice] = {
     "lhand_pose": slice(25, 40),
     "rhand_pose": slice(40, 55),
 }
-"""Key of a pose object -> the joints it holds (LHM's layout; hands relative to the flat hand)."""
+"""Joints of each key of a pose object (LHM's layout; hands relative to the flat hand)."""
 
 SMPLX_NAMES: dict[str, str] = {
     "global_orient": "root_pose",
@@ -41,4 +41,4 @@ SMPLX_NAMES: dict[str, str] = {
     "left_hand_pose": "lhand_pose",
     "right_hand_pose": "rhand_pose",
 }
-"""What the authors' own body model calls the same things -> key of a pose object."""
+"""Keys of a pose object by SMPL-X's own names."""

@@ -7,10 +7,9 @@ from math import hypot
 
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.device_filters import DeviceFilter
+from glsplat.tracking.filters import DeviceFilter
 from glsplat.tracking.mounts import JOINTS, MAX_MOUNT_M, MeanMount, bounded, standing_joints
-from glsplat.tracking.reading import invalid, read_place, read_pose
-from glsplat.tracking.sample import TRACKERS, Sample
+from glsplat.tracking.sample import TRACKERS, Sample, flag_invalid, read_pose, read_position
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, SPINE1, Body
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, cross, length, pull, rotate, sub, unit
@@ -86,14 +85,14 @@ class BodyTrackers:
         raw = (sample.waist, sample.left_foot, sample.right_foot)
         joints = sample.body
         if joints is not None and not isinstance(joints, Mapping):
-            invalid(flags)
+            flag_invalid(flags)
             joints = None
         if joints is None and raw == (None, None, None) and not any([t.seen_before for t in self._trackers]):
             return
 
         def joint_at(name: str) -> Vec | None:
             joint = None if joints is None else joints.get(name)
-            return read_place(joint, scale, self.floor, flags)
+            return read_position(joint, scale, self.floor, flags)
 
         feet: list[JointPose | None] = [None, None]
         knees: list[Vec | None] = [None, None]

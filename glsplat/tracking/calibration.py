@@ -10,14 +10,15 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import msgspec
+
 from glsplat.errors import FormatError, PoseError
 from glsplat.io.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.body_size import STRETCHED_WRISTS, BodySizeFinder, with_arms
 from glsplat.tracking.judge import head_frame
 from glsplat.tracking.mounts import MAX_MOUNT_M, MeanMount, bounded, standing_joints, transform_of
-from glsplat.tracking.reading import read_pose
-from glsplat.tracking.sample import TRACKERS, Sample, Transform
+from glsplat.tracking.sample import MAX_DISTANCE_M, TRACKERS, Sample, Transform, read_pose
 from glsplat.tracking.solve.body import HEAD_FRAME, Body
 from glsplat.tracking.solve.heading import head_pitch
 from glsplat.tracking.solve.quat import Vec, clamp, conj, length, mul, normalized, relative, sub, swing_twist_y
@@ -30,7 +31,6 @@ MIN_SAMPLES = 10  # with a head
 MIN_EYES_M, MAX_EYES_M = 0.5, 2.6  # above the floor
 MAX_HEAD_PITCH_RAD = 0.35  # a larger one is not the headset's but the user's, who looks up or down
 SPAN_QUANTILE = 0.9  # of the distances between both wrists, that is the arm span
-MAX_COORDINATE_M = 1e4  # beyond it, a device is not tracked
 EYES_OF_STATURE = 0.936  # eye height / stature (Drillis & Contini 1966)
 MAX_GAP_S = 0.5  # between samples that measure a size
 MIN_MOUNT_SAMPLES = 10  # with a tracker, to learn how it is mounted
@@ -102,35 +102,15 @@ class Calibration:
         """Read a file of ``save``. Raises FormatError naming the file."""
         try:
             data: Any = json.loads(Path(path).read_text(encoding="utf-8"))
-            if not isinstance(data, dict):
-                raise ValueError(f"found {type(data).__name__}")
-            if "scale" not in data:
+            if isinstance(data, dict) and "scale" not in data:
                 raise ValueError('found no "scale"')
-            known = {key: _number(data[key], key) for key in asdict(cls()) if key in data}
-            return cls(**known)  # type: ignore[arg-type]
+            return msgspec.convert(data, cls)
         except OSError as error:
             raise FormatError(f"{path}: cannot read the calibration ({error.strerror})") from None
-        except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        except (ValueError, RecursionError, msgspec.ValidationError) as error:
             raise FormatError(f"{path}: a calibration is a JSON object of numbers, but {error}") from None
         except PoseError as error:
             raise FormatError(f"{path}: {error}") from None
-
-
-def _number(value: Any, key: str) -> float | bool | Transform | None:
-    """Return the value of a calibration's key, checked. Raises ValueError."""
-    if key == "automatic":
-        if not isinstance(value, bool):
-            raise ValueError("automatic is neither true nor false")
-        return value
-    if value is None and key in ("eye_height", "arm_span", "found", *TRACKERS):
-        return None
-    if key in TRACKERS:
-        if not isinstance(value, list) or len(value) != 7:
-            raise ValueError(f"{key} is not a list of 7 numbers")
-        return tuple([_number(v, f"{key}[{i}]") for i, v in enumerate(value)])  # type: ignore[return-value]
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{key} is {type(value).__name__}")
-    return float(value)
 
 
 def calibrate(
@@ -147,7 +127,7 @@ def calibrate(
     samples with a head, when the head moved, or when the eyes are not 0.5 to 2.6 m above the floor.
     """
     body = Body.of(skeleton)
-    heads = [s.head for s in samples if s.head is not None and all(abs(v) < MAX_COORDINATE_M for v in s.head)]
+    heads = [s.head for s in samples if s.head is not None and all(abs(v) < MAX_DISTANCE_M for v in s.head)]
     if len(heads) < MIN_SAMPLES:
         raise PoseError(f"calibration needs at least {MIN_SAMPLES} samples with a head, found {len(heads)}")
     middle = (median(h[0] for h in heads), median(h[1] for h in heads), median(h[2] for h in heads))
@@ -170,7 +150,7 @@ def calibrate(
         for s in samples
         if s.left is not None
         and s.right is not None
-        and all(abs(v) < MAX_COORDINATE_M for v in (*s.left, *s.right))
+        and all(abs(v) < MAX_DISTANCE_M for v in (*s.left, *s.right))
         # one hand that waves while the other hangs is as far from it as stretched arms of a smaller user
         and all(
             STRETCHED_WRISTS[0] * eyes <= hand[1] - floor <= STRETCHED_WRISTS[1] * eyes for hand in (s.left, s.right)

@@ -1,13 +1,36 @@
-"""TrackerConfig: filters and tolerances of a Tracker."""
+"""TrackerConfig: filters and tolerances of a Tracker; docs/tracking.md has the lags that the filters add."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import exp, pi
 
 from glsplat.errors import PoseError
-from glsplat.tracking.filters import OneEuro
 
-__all__ = ["TrackerConfig"]
+__all__ = ["OneEuro", "TrackerConfig"]
+
+
+@dataclass(frozen=True, slots=True)
+class OneEuro:
+    """Settings of a One Euro filter (filters.py)."""
+
+    min_cutoff: float  # Hz at rest; 0 switches the filter off
+    beta: float  # Hz for each m/s (positions) or rad/s (rotations)
+    knee: float = 0.0  # m/s or rad/s below which the cutoff grows with the square of the speed: sway is not motion yet
+    derivative_cutoff: float = 4.0  # Hz, smoothing of the speed itself
+
+    def cutoff(self, speed: float) -> float:
+        """Return the cutoff in Hz at this speed."""
+        return self.min_cutoff + self.beta * speed * (1.0 if speed >= self.knee else speed / self.knee)
+
+    def share(self, speed: float, dt: float) -> float:
+        """Return the fraction of the way to its input that each of the two low passes goes in dt seconds."""
+        return 1.0 if self.min_cutoff <= 0 else 1 - exp(-4 * pi * self.cutoff(speed) * dt)
+
+    def lag(self, speed: float) -> float:
+        """Return the seconds by which the filter delays a motion of this speed (m/s or rad/s)."""
+        return 0.0 if self.min_cutoff <= 0 else 1 / (2 * pi * self.cutoff(speed))
+
 
 HEAD_POSITION, HEAD_ROTATION = OneEuro(1.2, 40.0, 0.5), OneEuro(1.2, 8.0, 1.2)
 HAND_POSITION, HAND_ROTATION = OneEuro(1.0, 40.0, 0.5), OneEuro(1.0, 6.0, 1.2)
@@ -16,7 +39,7 @@ HAND_POSITION, HAND_ROTATION = OneEuro(1.0, 40.0, 0.5), OneEuro(1.0, 6.0, 1.2)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerConfig:
-    """Filters and tolerances. The lags these filters add are in docs/tracking.md."""
+    """Filters and tolerances of a Tracker."""
 
     head_position: OneEuro = HEAD_POSITION
     head_rotation: OneEuro = HEAD_ROTATION

@@ -7,8 +7,7 @@ from math import isfinite, sqrt
 
 from glsplat.errors import PoseError
 from glsplat.skinning.expression import checked_expression
-from glsplat.tracking.reading import invalid
-from glsplat.tracking.sample import Sample
+from glsplat.tracking.sample import Sample, flag_invalid
 from glsplat.tracking.solve.body import EYES
 from glsplat.tracking.solve.quat import Vec, between, rotation_vector
 
@@ -33,7 +32,7 @@ def eye_turn(gaze: Sequence[float] | None, flags: list[str]) -> Vec:
             return _REST
         k = 1 / sqrt(size)
     except (TypeError, ValueError, OverflowError):
-        invalid(flags)
+        flag_invalid(flags)
         return _REST
     # the head's joint looks along its +z, and its +x is the person's left: the head's axes turned about y
     turn = rotation_vector(between((0.0, 0.0, 1.0), (-x * k, y * k, -z * k)))
@@ -53,5 +52,5 @@ def finite_expression(sample: Sample, flags: list[str]) -> Mapping[str, float]:
     except (AttributeError, TypeError, ValueError, OverflowError, PoseError):  # not a mapping of numbers
         expression, whole = {}, False
     if not whole:
-        invalid(flags)
+        flag_invalid(flags)
     return expression

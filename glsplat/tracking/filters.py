@@ -11,12 +11,14 @@ speed the distance behind is below 1 / (2 pi beta), whatever the speed.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from math import acos, exp, pi, sqrt
 from typing import Generic, TypeVar
 
+from glsplat.tracking.config import OneEuro, TrackerConfig
+from glsplat.tracking.judge import Moment
 from glsplat.tracking.solve.quat import (
     IDENTITY,
+    JointPose,
     Quat,
     Vec,
     add,
@@ -32,32 +34,11 @@ from glsplat.tracking.solve.quat import (
     sub,
     to_quat,
 )
+from glsplat.tracking.solve.solution import Targets
 
-__all__ = ["OneEuro", "PositionFilter", "RotationFilter", "Trend"]
+__all__ = ["DeviceFilter", "HeadAndHandFilters", "PositionFilter", "RotationFilter", "Trend"]
 
 Value = TypeVar("Value", bound=tuple[float, ...])
-
-
-@dataclass(frozen=True, slots=True)
-class OneEuro:
-    """Settings of one channel."""
-
-    min_cutoff: float  # Hz at rest; 0 switches the filter off
-    beta: float  # Hz for each m/s (positions) or rad/s (rotations)
-    knee: float = 0.0  # m/s or rad/s below which the cutoff grows with the square of the speed: sway is not motion yet
-    derivative_cutoff: float = 4.0  # Hz, smoothing of the speed itself
-
-    def cutoff(self, speed: float) -> float:
-        """Return the cutoff in Hz at this speed."""
-        return self.min_cutoff + self.beta * speed * (1.0 if speed >= self.knee else speed / self.knee)
-
-    def share(self, speed: float, dt: float) -> float:
-        """Return the fraction of the way to its input that each of the two low passes goes in dt seconds."""
-        return 1.0 if self.min_cutoff <= 0 else 1 - exp(-4 * pi * self.cutoff(speed) * dt)
-
-    def lag(self, speed: float) -> float:
-        """Return the seconds by which the filter delays a motion of this speed (m/s or rad/s)."""
-        return 0.0 if self.min_cutoff <= 0 else 1 / (2 * pi * self.cutoff(speed))
 
 
 TREND_S = 0.1  # of the past that a prediction goes by: less trembles more, more comes later
@@ -200,3 +181,75 @@ class RotationFilter(_Filter[Quat]):
     def ahead(self, seconds: float, most: float) -> Quat:
         """Return the value extrapolated at its present angular velocity, by at most ``most`` radians."""
         return mul(to_quat(self._move(seconds, most)), self.value or IDENTITY)
+
+
+class DeviceFilter:
+    """Filters of one tracked pose."""
+
+    def __init__(self, position: OneEuro, rotation: OneEuro, max_speed: float, max_turn_speed: float) -> None:
+        self.position = PositionFilter(position, max_speed)
+        self.rotation = RotationFilter(rotation, max_turn_speed)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next pose passes unchanged."""
+        self.position.reset()
+        self.rotation.reset()
+        self.pose: JointPose | None = None  # as filtered last
+
+    def update(self, pose: JointPose, dt: float) -> JointPose:
+        """Return the filtered pose ``dt`` seconds after the last one."""
+        self.pose = self.position.update(pose[0], dt), self.rotation.update(pose[1], dt)
+        return self.pose
+
+    def ahead(self, seconds: float, config: TrackerConfig) -> JointPose:
+        """Return the last pose extrapolated by ``seconds``, within the bounds of ``config``."""
+        return (
+            self.position.ahead(seconds, config.predicted_metres),
+            self.rotation.ahead(seconds, config.predicted_radians),
+        )
+
+
+class HeadAndHandFilters:
+    """The stage of a Tracker that filters and predicts head and hands."""
+
+    def __init__(self, config: TrackerConfig, head_only: bool) -> None:
+        self.config, self.head_only = config, head_only
+        self.head: DeviceFilter = DeviceFilter(
+            config.head_position, config.head_rotation, config.head_speed, config.turn_speed
+        )
+        hand = (config.hand_position, config.hand_rotation, config.hand_speed, config.turn_speed)
+        self.hands: tuple[DeviceFilter, DeviceFilter] = (DeviceFilter(*hand), DeviceFilter(*hand))
+
+    def reset(self) -> None:
+        """Forget the past."""
+        for device in (self.head, *self.hands):
+            device.reset()
+
+    @property
+    def eye(self) -> Vec:
+        """Position between the eyes as filtered, without prediction."""
+        assert self.head.pose is not None
+        return self.head.pose[0]
+
+    def update(self, moment: Moment, prediction: float, flags: list[str]) -> Targets:
+        """Return the solver's targets ``prediction`` seconds ahead; a lost head stays where it is."""
+        if moment.head is not None:
+            self.head.update(moment.head, moment.dt)
+        assert self.head.pose is not None
+        predicted = prediction > 0 and moment.head is not None
+        targets = Targets(*(self.head.ahead(prediction, self.config) if predicted else self.head.pose))
+        for side, (device, hand) in enumerate(zip(self.hands, moment.hands, strict=True)):
+            if hand is None:
+                if not self.head_only:
+                    flags.append("right_lost" if side else "left_lost")
+                device.reset()
+                continue
+            position, rotation = device.update(hand, moment.dt)
+            if prediction > 0:
+                position, rotation = device.ahead(prediction, self.config)
+            if side:
+                targets.right, targets.right_hand = position, rotation
+            else:
+                targets.left, targets.left_hand = position, rotation
+        return targets

@@ -7,8 +7,7 @@ from math import atan2, exp, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.reading import invalid
-from glsplat.tracking.sample import Sample
+from glsplat.tracking.sample import Sample, flag_invalid
 from glsplat.tracking.solve.body import FINGERS, Body
 from glsplat.tracking.solve.limits import FINGER_HIGH, FINGER_LOW, THUMB_LIMIT
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, unit
@@ -56,7 +55,7 @@ class BothHandsFingers:
                     raise ValueError
                 out.append(hand.update(joints, turn, curl, dt or 1.0, fit))
             except (TypeError, ValueError, IndexError):  # not 25 joints of numbers
-                invalid(flags)
+                flag_invalid(flags)
                 out.append(hand.update(None, turn, None, dt or 1.0))
         return out
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from math import isfinite
 
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.reading import read_pose
-from glsplat.tracking.sample import Sample, Transform
+from glsplat.tracking.sample import Sample, Transform, read_pose
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD, HEAD_FRAME, Body
 from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, conj, distance, mul, to_quat
 

@@ -20,22 +20,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import sqrt
 from numbers import Real
 from typing import Any
 
 from glsplat.errors import PoseError
 from glsplat.skinning.expression import ARKIT, MOST_NAMES
+from glsplat.tracking.solve.quat import JointPose, Quat, Vec, mul
 
 __all__ = [
     "BODY_JOINTS",
     "HAND_JOINTS",
+    "MAX_DISTANCE_M",
     "MOST_JOINTS",
     "TRACKERS",
     "WRISTS",
     "Sample",
     "Transform",
+    "flag_invalid",
     "grouped",
     "hand_joints",
+    "read_pose",
+    "read_position",
+    "within_range",
     "wrist_from_grip",
 ]
 
@@ -61,12 +68,13 @@ BODY_JOINTS: tuple[str, ...] = ("hips", "spine-lower", *(f"{side}-{j}" for side 
 """WebXR's names (XRBodyJoint) of the joints that are used; others are left out on reading."""
 
 MOST_JOINTS = 256  # entries of ``body``; WebXR has 83
+MAX_DISTANCE_M = 1e4  # a device farther away is not tracked
 
 GRIP_TO_WRIST = 0.09
 """Metres from the palm's centre (the grip's origin) back to the wrist along the metacarpals (mean adult hand)."""
 
-_BASIS = {"left": (-0.5, 0.5, 0.5, 0.5), "right": (-0.5, -0.5, -0.5, 0.5)}
-"""Quaternions xyzw whose columns are the wrist's axes in the grip's."""
+_WRIST_AXES: dict[str, Quat] = {"left": (0.5, -0.5, 0.5, 0.5), "right": (0.5, -0.5, -0.5, -0.5)}
+"""Rotations (wxyz) whose columns are the wrist's axes in the grip's."""
 
 WRISTS = ("head", "left", "right", "left_grip", "right_grip")
 """Keys of JSON of which a sample needs one."""
@@ -125,6 +133,49 @@ class Sample:
         return out | {key: _plain(value) for key, value in given.items() if value is not None}
 
 
+def read_pose(pose: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> JointPose | None:
+    """Return position and rotation of 7 numbers; a pose that is not seven numbers is flagged "invalid"."""
+    if pose is None:
+        return None
+    try:
+        x, y, z, qx, qy, qz, qw = pose
+        if not within_range(x, y, z):
+            return None
+        n = qx * qx + qy * qy + qz * qz + qw * qw
+        if not 1e-8 < n < 1e8:  # NaN fails this too
+            return None
+        n = 1 / sqrt(n)
+    except (TypeError, ValueError):  # not seven numbers
+        flag_invalid(flags)
+        return None
+    k = 1 / scale
+    return (x * k, (y - floor) * k, z * k), (qw * n, qx * n, qy * n, qz * n)
+
+
+def read_position(joint: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> Vec | None:
+    """Return the position in the first three numbers."""
+    if joint is None:
+        return None
+    try:
+        x, y, z = joint[:3]
+        return (x / scale, (y - floor) / scale, z / scale) if within_range(x, y, z) else None
+    except (TypeError, ValueError):
+        flag_invalid(flags)
+        return None
+
+
+def within_range(x: float, y: float, z: float) -> bool:
+    """Return whether a position is finite and within ``MAX_DISTANCE_M``."""
+    far = MAX_DISTANCE_M  # NaN fails every comparison, infinity these
+    return -far < x < far and -far < y < far and -far < z < far
+
+
+def flag_invalid(flags: list[str]) -> None:
+    """Flag that the sample holds something of another type than it should."""
+    if "invalid" not in flags:
+        flags.append("invalid")
+
+
 def wrist_from_grip(grip: Transform, side: str) -> Transform:
     """The wrist pose of a hand that holds a controller with this grip pose.
 
@@ -134,20 +185,14 @@ def wrist_from_grip(grip: Transform, side: str) -> Transform:
     """
     px, py, pz, x, y, z, w = grip
     # wrist axes in grip axes: z_w = y_g (to the forearm); left: y_w = -x_g, x_w = -z_g; right: y_w = x_g, x_w = z_g
-    bx, by, bz, bw = _BASIS[side]
-    quat = (
-        w * bx + x * bw + y * bz - z * by,
-        w * by - x * bz + y * bw + z * bx,
-        w * bz + x * by - y * bx + z * bw,
-        w * bw - x * bx - y * by - z * bz,
-    )
+    qw, qx, qy, qz = mul((w, x, y, z), _WRIST_AXES[side])
     norm2 = x * x + y * y + z * z + w * w
     s = GRIP_TO_WRIST / norm2 if norm2 > 0 else 0.0
     return (
         px + s * 2 * (x * y - w * z),
         py + s * (w * w - x * x + y * y - z * z),
         pz + s * 2 * (y * z + w * x),
-        *quat,
+        *(qx, qy, qz, qw),
     )
 
 

@@ -17,8 +17,8 @@ from glsplat.tracking.body_trackers import BodyTrackers
 from glsplat.tracking.calibration import Calibration, SessionCalibration
 from glsplat.tracking.checked_solver import CheckedSolver, repeated, zero_pose
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.device_filters import HeadAndHandFilters
 from glsplat.tracking.face import EYES, eye_turn, finite_expression
+from glsplat.tracking.filters import HeadAndHandFilters
 from glsplat.tracking.fingers import BothHandsFingers
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.judge import InputJudge, Moment

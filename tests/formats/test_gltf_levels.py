@@ -14,7 +14,7 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.formats import load, save
-from glsplat.formats.gltf.levels import MOST_LEVELS
+from glsplat.formats.gltf.levels import MAX_LEVELS
 from glsplat.formats.transform import transformed
 from glsplat.splats import Level, Splats
 from tests.formats.scenes import (
@@ -196,7 +196,7 @@ BROKEN: dict[str, tuple[Callable[[Document], Any], list[int], str]] = {
     "too many": (
         _ids(lambda ids: ids + ids[:1] * 20),
         [20, 10, 5],
-        f"23 levels of detail, the first {MOST_LEVELS} are read",
+        f"23 levels of detail, the first {MAX_LEVELS} are read",
     ),
     "wrong order": (_ids(lambda ids: ids[::-1]), [20, 10, 5], "levels of detail are not in order"),
     "no density": (lambda d: level(d, 2).pop("extras"), [20, 5], "level of detail 2 is left out: it has no density"),

@@ -14,7 +14,8 @@ from glsplat.net.backends.tracking import MOST, PART, Ahead, TrackingSolver
 from glsplat.net.messages import Arrival, Decoder, Request
 from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
-from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter, Trend
+from glsplat.tracking.config import OneEuro
+from glsplat.tracking.filters import PositionFilter, RotationFilter, Trend
 from glsplat.tracking.solve.quat import rotation_angle, yaw_quat
 from tests.net.wire import EYE
 

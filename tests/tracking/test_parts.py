@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glsplat.extras.learned.expected import ExpectedError
 from glsplat.extras.learned.feet import SET_DOWN_S, Feet
 from glsplat.extras.learned.hints import FootHint
+from glsplat.extras.learned.uncertainty import ExpectedError
 from glsplat.extras.motions.batch import resample
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig
 from glsplat.tracking.body_size import STRETCHED_WRISTS as SHOULDER_HEIGHTS
 from glsplat.tracking.body_size import BodySizeFinder
-from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION
-from glsplat.tracking.filters import OneEuro, PositionFilter, RotationFilter
+from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION, HEAD_ROTATION, OneEuro
+from glsplat.tracking.filters import PositionFilter, RotationFilter
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import ANKLES, COLLARS, ELBOWS, HEAD, HIPS, KNEES, PELVIS, SHOULDERS, WRISTS, Body
 from glsplat.tracking.solve.limits import clamp_joint, violation

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from glsplat.errors import PoseError
-from glsplat.extras.learned.expected import FARTHEST, ExpectedError
 from glsplat.extras.learned.hints import FootHint
-from glsplat.extras.learned.seat import LONG, Seat
-from glsplat.extras.learned.stance import NETWORK, Stance
+from glsplat.extras.learned.seat import OVER_CHAIR_S, Seat
+from glsplat.extras.learned.stance import NETWORK_SHARE, Stance
+from glsplat.extras.learned.uncertainty import MAX_ERROR_M, ExpectedError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.calibration import Calibration
@@ -56,7 +56,7 @@ def test_a_lone_wild_guess_of_a_standing_foot_is_outvoted(body: Body) -> None:
     sane = (0.15, 0.02, -0.1)
     stance, hint = stood(body, lambda t: (0.0, 0.0, 0.0), (0.15, 0.02, 1.0), sane)
     assert stance.share == 1
-    assert hint.ball[2] < NETWORK * 1.0 + 0.05
+    assert hint.ball[2] < NETWORK_SHARE * 1.0 + 0.05
     assert hint.ball[1] == 0.02  # only over the ground
     # a wild analytic foot changes nothing that the other two agree on
     home = stance.home[0]
@@ -173,7 +173,7 @@ def test_who_gets_up_stands(stage: Stage, track: Track) -> None:
 )
 def test_who_walks_bobs_stands_or_kneels_sits_on_no_chair(body: Body, high: float, pace: float, dips: float) -> None:
     seat = Seat(body)
-    for t in seconds(2 * LONG, 1 / RATE):
+    for t in seconds(2 * OVER_CHAIR_S, 1 / RATE):
         eye = (pace * t, high * body.eye_height + dips * np.sin(4 * t), 0.0)
         assert seat.update((eye[0], 0.97 * seat.size, -0.1), eye, (1.0, 0.0, 0.0, 0.0), 1 / RATE) is None
     assert not seat.sits
@@ -304,4 +304,4 @@ def test_any_gap_gives_finite_metres(body: Body) -> None:
     expected = ExpectedError(body.eye_height)
     for gap in (0.0, 1e-9, 1e3, 1e30):
         out = expected.update(Targets((0.0, 1e6, 0.0), (1.0, 0.0, 0.0, 0.0)), gap, 1e-4)
-        assert np.isfinite(out).all() and 0 <= min(out) and max(out) <= FARTHEST * expected.unit + 1e-9
+        assert np.isfinite(out).all() and 0 <= min(out) and max(out) <= MAX_ERROR_M * expected.size + 1e-9

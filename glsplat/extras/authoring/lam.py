@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Container, Mesh, item, parse
+from glsplat.formats.gltf.container import Container, item, parse
 from glsplat.formats.gltf.morphs import read_morphs, shape_names
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of
 from glsplat.formats.gltf.rig import read_skeleton, read_skin
+from glsplat.formats.gltf.schema import Mesh
 from glsplat.formats.registry import load_splats
 from glsplat.io.files import naming
 from glsplat.meshes import Morphs
@@ -177,7 +178,7 @@ def _mesh(path: Path, source: Path) -> _Mesh:
         skin = read_skin(container, instance, len(skeleton), len(vertices), {})
         morphs = read_morphs(container, mesh, instance.primitive)
         with naming(f"{source}: {path.name}"):  # where it was unpacked says nothing to anybody
-            container.tell()
+            container.warn()
         return _Mesh(vertices.astype(np.float64), skeleton, skin, morphs)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import exp, hypot, sqrt
 
 from glsplat.extras.learned.hints import FootHint
+from glsplat.extras.learned.velocity import Velocity
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.quat import (
     JointPose,
@@ -13,7 +14,6 @@ from glsplat.tracking.solve.quat import (
     Vec,
     add,
     clamp,
-    length,
     pull,
     rotate,
     scale,
@@ -25,7 +25,7 @@ from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import TIPTOE_RAD, Leg, LegPose
 from glsplat.tracking.solve.stepping.two_legs import TwoLegs
 
-__all__ = ["Feet", "HeadRest"]
+__all__ = ["Feet"]
 
 # lengths are those of a person of 1.7 m
 LIFT_BELOW, DROP_ABOVE = 0.55, 0.75  # stance of a foot: below, it is lifted; above, it is set down; at most ...
@@ -48,7 +48,6 @@ STEP_UP_M = 0.2  # over the ground: a goal that high stands on something
 CLEARANCE_M = 0.045  # of the ball over the ground while it moves
 USEFUL_STEP_M, USEFUL_TURN_RAD = 0.06, 0.25  # less does not help a strained leg
 MIN_DRAG_M = 0.1  # from below its hip, at which a leg that does not reach its foot lifts it
-REST_RADIUS_M, REST_TURN_RAD, REST_S = 0.04, 0.3, 0.4  # a head that stays within takes no step
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 SOFT = 0.05  # of its length over which a leg becomes straight: knees of feet that follow a guess tremble more
 KNEE_SMOOTHING_S = 0.06
@@ -58,32 +57,12 @@ LAG_SMOOTHING_S, CATCH_UP_GAIN, MAX_CATCH_UP_M = 0.8, 1.0, 0.15  # how feet that
 PELVIS_SPEED_SMOOTHING_S = 0.04
 
 
-class HeadRest:
-    """Whether a head rests: it has stayed in a small ball, and not turned far, for a while."""
-
-    def __init__(self, size: float) -> None:
-        self.size = size
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self._at: Vec | None = None
-        self._yaw = self._rest_s = 0.0
-
-    def update(self, eye: Vec, yaw: float, dt: float) -> bool:
-        """Return whether it rests at this moment."""
-        near = self._at is not None and length(sub(eye, self._at)) <= REST_RADIUS_M * self.size
-        if not near or abs(wrap(yaw - self._yaw)) > REST_TURN_RAD:
-            self._at, self._yaw, self._rest_s = eye, yaw, 0.0
-        self._rest_s += dt
-        return self._rest_s > REST_S
-
-
 class Feet(TwoLegs):
     """Two feet under a pelvis."""
 
     def __init__(self, body: Body) -> None:
         super().__init__(body, SOFT)
+        self._velocity = Velocity(PELVIS_SPEED_SMOOTHING_S)  # of the pelvis
         self.reset()
 
     def reset(self, feet: Sequence[Foot] | None = None) -> None:
@@ -92,8 +71,7 @@ class Feet(TwoLegs):
         self.started: bool = feet is not None
         for foot, other in zip(self.feet, feet or (), strict=feet is not None):
             foot.take_over(other, 0.0, CLEARANCE_M * self.size)
-        self._before: Vec | None = None
-        self._speed: Vec = (0.0, 0.0, 0.0)  # m/s of the pelvis
+        self._velocity.reset()
         self._lag: Vec = (0.0, 0.0, 0.0)  # metres that feet have lately been behind their hints
         self._catch_up: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
         self._knees: list[Vec | None] = [None, None]  # from the legs' middles, in the pelvis' heading
@@ -122,10 +100,7 @@ class Feet(TwoLegs):
                 if hint.stance < 0.5:
                     foot.y.put(max(y, self.sole + CLEARANCE_M * self.size))
                     foot.planted = False
-        if self._before is not None:
-            k = 1 - exp(-dt / PELVIS_SPEED_SMOOTHING_S)
-            self._speed = pull(self._speed, scale(sub(pelvis_at, self._before), 1 / dt), k)
-        self._before = pelvis_at
+        self._velocity.update(pelvis_at, dt)
         self._follow(goals, knees, dt)
         self._update_clearance(hips)
         self._update_catch_up(hints, dt)
@@ -158,7 +133,7 @@ class Feet(TwoLegs):
         k = 1 - exp(-dt / LAG_SMOOTHING_S)
         for foot, hint in zip(self.feet, hints, strict=True):
             self._lag = pull(self._lag, sub(hint.ball, foot.ball), 0.5 * k)
-        vx, _, vz = self._speed
+        vx, _, vz = self._velocity.value
         pace = hypot(vx, vz)
         along = (self._lag[0] * vx + self._lag[2] * vz) / max(pace, 1e-6)
         metres = clamp(CATCH_UP_GAIN * along, 0.0, MAX_CATCH_UP_M * self.size) * clamp(
@@ -180,7 +155,7 @@ class Feet(TwoLegs):
         patient = self._since_s[foot.index] > STRAIN_PATIENCE_S
         if foot.strained and patient and hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > MIN_DRAG_M:
             return True
-        ahead = add(hip, scale(self._speed, FORESIGHT_S))
+        ahead = add(hip, scale(self._velocity.value, FORESIGHT_S))
         strained = foot.strained or leg.strains(foot, ahead, pelvis)
         astride = hypot(ahead[0] - foot.x.at, ahead[2] - foot.z.at) > ASTRIDE * leg.length
         if strained and patient and astride:
@@ -208,7 +183,7 @@ class Feet(TwoLegs):
             foot.left = SET_DOWN_S
             lead = SET_DOWN_S - VERTICAL_S
             landing = add(add(hint.ball, self._catch_up), scale(hint.speed, 0.5 * lead * (1 - hint.stance)))
-            foot.landing = self._within(landing, leg, add(hip, scale(self._speed, SET_DOWN_S)), ground)
+            foot.landing = self._within(landing, leg, add(hip, scale(self._velocity.value, SET_DOWN_S)), ground)
         if foot.left > 0:
             foot.left -= dt
             over = foot.left - VERTICAL_S

@@ -1,7 +1,7 @@
-"""What the network sees and says, in the head's yaw frame and in eye heights; one code for training and run time.
+"""The network's inputs and outputs, in the head's yaw frame and in eye heights; training and run time share this code.
 
-Nothing in it knows where in the room somebody is, or which way is north. Lengths are in units of the body's eye height
-divided by 1.6 ("metres of a person whose eyes are at 1.6 m"), so that one network serves bodies of every size. Arrays
+No number depends on the position in the room or on its compass direction. Lengths are in units of the body's eye height
+divided by 1.6 (metres of a person whose eyes are at 1.6 m), so that one network serves bodies of every size. Arrays
 have a leading axis N: moments of a clip in training, one moment at run time.
 """
 
@@ -15,26 +15,26 @@ from numpy.typing import NDArray
 __all__ = [
     "INPUTS",
     "OUTPUTS",
-    "RATE",
-    "TICK",
-    "Guess",
+    "RATE_HZ",
+    "TICK_S",
+    "NetworkOutput",
     "TrackedFrames",
-    "inputs_of",
-    "level",
-    "slower",
+    "in_yaw_frame",
+    "network_inputs",
     "unit_of",
+    "updated_means",
     "yaw_of",
 ]
 
 F32 = NDArray[np.float32]
 
-RATE = 30.0  # Hz at which the network runs, whatever the samples' rate
-TICK = 1 / RATE
-MEMORIES = (0.3, 1.0, 3.0)  # seconds of the running means of the head's place
-HAND = 13  # numbers a hand: tracked, place, two axes, velocity
+RATE_HZ = 30.0  # of the network, whatever the samples' rate
+TICK_S = 1 / RATE_HZ
+MEAN_S = (0.3, 1.0, 3.0)  # of the running means of the head's position
+HAND_INPUTS = 13  # tracked, position, two axes, velocity
 
-INPUTS = 1 + 6 + 3 + 1 + 2 * len(MEMORIES) + 2 * HAND
-"""Numbers in: eye height, two axes of the head, its velocity, its turning, where it was lately, two hands."""
+INPUTS = 1 + 6 + 3 + 1 + 2 * len(MEAN_S) + 2 * HAND_INPUTS
+"""Numbers in: eye height, two axes of the head, its velocity, its turning, its recent positions, two hands."""
 
 POINTS = ("pelvis", "left_knee", "right_knee", "left_ankle", "right_ankle", "left_foot", "right_foot")
 OUTPUTS = 3 * len(POINTS) + 12 + 12 + 2
@@ -54,18 +54,18 @@ class TrackedFrames:
 
 
 @dataclass(slots=True)
-class Guess:
-    """What the network says of N moments, in the head's yaw frame: origin on the ground below the eyes, metres."""
+class NetworkOutput:
+    """The body at N moments as the network estimates it, in the head's yaw frame: origin below the eyes, metres."""
 
     points: F32  # [N, 7, 3] POINTS
     ahead: F32  # [N, 4, 3] ankles and feet one tick later, in the frame of now
     pelvis: F32  # [N, 3, 2] x and z axes of the pelvis, columns; not quite orthonormal
     chest: F32  # [N, 3, 2]
-    contact: F32  # [N, 2] logits: above 0, the foot stands
+    contact: F32  # [N, 2] logits: above 0 the foot stands
 
     @classmethod
-    def of(cls, numbers: F32, unit: float) -> Guess:
-        """From [N, OUTPUTS]."""
+    def of(cls, numbers: F32, unit: float) -> NetworkOutput:
+        """Return the parts of [N, OUTPUTS]."""
         n = len(numbers)
         points = numbers[:, :21].reshape(n, 7, 3) * unit
         ahead = numbers[:, 21:33].reshape(n, 4, 3) * unit
@@ -74,12 +74,12 @@ class Guess:
 
 
 def unit_of(eye_height: float) -> float:
-    """Metres that count as one."""
+    """Return the network's unit of length in metres."""
     return eye_height / 1.6
 
 
-def level(vectors: F32, yaw: F32) -> F32:
-    """World vectors [N, ..., 3] in the frames turned by ``yaw`` [N] about y."""
+def in_yaw_frame(vectors: F32, yaw: F32) -> F32:
+    """Return world vectors [N, ..., 3] in the frames turned by ``yaw`` [N] about y."""
     shape = (-1,) + (1,) * (vectors.ndim - 2)
     c, s = np.cos(yaw).reshape(shape), np.sin(yaw).reshape(shape)
     x, z = vectors[..., 0], vectors[..., 2]
@@ -87,36 +87,36 @@ def level(vectors: F32, yaw: F32) -> F32:
 
 
 def yaw_of(head: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Headings [N] of rotations [N, 3, 3]: their twist about y; undefined upside down."""
+    """Return the headings [N] of rotations [N, 3, 3]: their twist about y; undefined upside down."""
     return np.arctan2(head[..., 0, 2] - head[..., 2, 0], head[..., 0, 0] + head[..., 2, 2])
 
 
-def slower(means: F32, eye: F32) -> F32:
-    """Running means [..., 3, 2] of the head's place over the ground, one tick on with ``eye`` [..., 3]."""
-    k = np.array([1 - np.exp(-TICK / tau) for tau in MEMORIES], np.float32)[:, None]
+def updated_means(means: F32, eye: F32) -> F32:
+    """Return running means [..., 3, 2] of the head's position over the ground, one tick on with ``eye`` [..., 3]."""
+    k = np.array([1 - np.exp(-TICK_S / tau) for tau in MEAN_S], np.float32)[:, None]
     return means + (eye[..., None, [0, 2]] - means) * k
 
 
-def inputs_of(now: TrackedFrames, before: TrackedFrames, means: F32, unit: float) -> F32:
-    """[N, INPUTS] from the moments, those one tick earlier, and the running means [N, 3, 2] of ``slower``."""
+def network_inputs(now: TrackedFrames, before: TrackedFrames, means: F32, unit: float) -> F32:
+    """Return [N, INPUTS] of these moments, those one tick earlier, and the running means [N, 3, 2]."""
     n, yaw = len(now.yaw), now.yaw
     k = 1 / unit
     turned = (yaw - before.yaw + np.pi) % (2 * np.pi) - np.pi
-    velocity = level(now.eye - before.eye, yaw) * (k * RATE)
-    away = np.zeros((n, len(MEMORIES), 3), np.float32)
+    velocity = in_yaw_frame(now.eye - before.eye, yaw) * (k * RATE_HZ)
+    away = np.zeros((n, len(MEAN_S), 3), np.float32)
     away[..., [0, 2]] = means - now.eye[:, None, [0, 2]]
-    axes = level(now.head[:, :, [1, 2]].transpose(0, 2, 1), yaw)
+    axes = in_yaw_frame(now.head[:, :, [1, 2]].transpose(0, 2, 1), yaw)
     mask = now.tracked[..., None]
-    place = level(now.at - now.eye[:, None], yaw) * (k * mask)
-    moved = level(now.at - before.at, yaw) * (k * RATE * mask * before.tracked[..., None])
-    hands = level(now.hand[..., [1, 2]].transpose(0, 1, 3, 2).reshape(n, 4, 3), yaw).reshape(n, 2, 6) * mask
+    place = in_yaw_frame(now.at - now.eye[:, None], yaw) * (k * mask)
+    moved = in_yaw_frame(now.at - before.at, yaw) * (k * RATE_HZ * mask * before.tracked[..., None])
+    hands = in_yaw_frame(now.hand[..., [1, 2]].transpose(0, 1, 3, 2).reshape(n, 4, 3), yaw).reshape(n, 2, 6) * mask
     return np.concatenate(
         (
             now.eye[:, 1:2] * k,
             axes.reshape(n, 6),
             velocity,
-            turned[:, None] * RATE * 0.2,
-            level(away, yaw)[..., [0, 2]].reshape(n, -1) * k,
+            turned[:, None] * RATE_HZ * 0.2,
+            in_yaw_frame(away, yaw)[..., [0, 2]].reshape(n, -1) * k,
             np.concatenate((mask, place, hands, moved * 0.5), -1).reshape(n, -1),
         ),
         -1,

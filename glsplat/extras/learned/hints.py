@@ -1,4 +1,4 @@
-"""The network beside the samples: run at its own rate, read at any moment, in the world and without jumps."""
+"""Hints of the network in the world: it runs at a rate of its own, its outputs are interpolated for each sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import atan2, exp, hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.learned.frames import TICK, Guess, TrackedFrames, inputs_of, slower, unit_of
+from glsplat.extras.learned.frames import TICK_S, NetworkOutput, TrackedFrames, network_inputs, unit_of, updated_means
 from glsplat.extras.learned.network import PoseNetwork
 from glsplat.rotations import quaternion_matrices
 from glsplat.tracking.solve.body import ANKLES, FEET, Body
@@ -16,12 +16,14 @@ from glsplat.tracking.solve.quat import (
     Quat,
     Vec,
     add,
+    clamp,
     from_axes,
     length,
     mul,
     nlerp,
     pull,
     rotate,
+    scale,
     slerp,
     sub,
     swing_twist_y,
@@ -33,9 +35,11 @@ __all__ = ["FootHint", "Hint", "Hints"]
 
 Array = NDArray[np.float32]
 
-TORSO = (0.024, 0.024, 0.024)  # seconds: low passes, one after the other, by which torso and knees take up a guess
-JUMP = 0.04  # seconds in which a foot's goal takes up what a tick says otherwise than the one before
-NEVER = 1e-6
+TORSO_SMOOTHING_S = (0.024, 0.024, 0.024)  # of low passes, one after the other, on torso and knees
+JUMP_SMOOTHING_S = 0.04  # in which feet take up the difference between a tick and the prediction of the last one
+MISS_SHARE = 0.3  # of the newest tick in the smoothed steps and misses of feet
+CONFIDENT_MISS = 1.3  # times 1 less the miss of a foot, as a part of its step, is the confidence
+ROUNDING_S = 1e-6
 
 
 @dataclass(slots=True)
@@ -47,13 +51,13 @@ class FootHint:
     yaw: float  # radians
     pitch: float  # radians, the heel up
     stance: float  # 0 in the air .. 1 on the ground
-    confidence: float  # 0 .. 1: whether feet go where they were predicted to go
+    confidence: float  # 0 .. 1: how well the network has lately predicted this foot
     knee: Vec  # position of the knee
 
 
 @dataclass(slots=True)
 class Hint:
-    """What the network says of this moment, in the world."""
+    """The body that the network estimates for this moment, in the world."""
 
     pelvis_at: Vec
     pelvis: Quat
@@ -62,8 +66,8 @@ class Hint:
 
 
 @dataclass(slots=True)
-class _Said:
-    """A guess as plain numbers, in the world; a glance aside turns the head, not what was said of the body."""
+class _Tick:
+    """A network's output as plain numbers, in the world: a later turn of the head does not turn the body."""
 
     pelvis: Quat
     chest: Quat
@@ -71,14 +75,15 @@ class _Said:
     knees: tuple[Vec, Vec]
     now: tuple[Vec, Vec, Vec, Vec]  # ankles, feet
     ahead: tuple[Vec, Vec, Vec, Vec]  # one tick later
-    stands: tuple[float, float]
+    stance: tuple[float, float]
 
 
 _Pose = tuple[Quat, Quat, Vec, Vec, Vec, float, float]
-"""Pelvis, chest, the pelvis' place, knees, how surely feet stand; from the head."""
+"""Pelvis, chest, position of the pelvis, of both knees, stance of both feet; positions from the eyes."""
 
 
 def _towards(a: _Pose, b: _Pose, k: float) -> _Pose:
+    """Return ``a``, moved by the fraction k of the way to ``b``."""
     return (
         nlerp(a[0], b[0], k),
         nlerp(a[1], b[1], k),
@@ -91,16 +96,16 @@ def _towards(a: _Pose, b: _Pose, k: float) -> _Pose:
 
 
 class Hints:
-    """Ticks of the network under samples of any rate: 30, 72 and 90 Hz give it the same moments.
+    """Run the network at RATE_HZ under samples of any rate.
 
-    A tick sees the targets as they were at its time, interpolated between two samples. Between ticks feet go on towards
-    where the network says they will be at the next one.
+    A tick takes the targets at its own time, interpolated between two samples. Between ticks feet move towards the
+    positions that the network predicts for the next one.
     """
 
     def __init__(self, body: Body, network: PoseNetwork) -> None:
         self.network = network
         self.unit: float = unit_of(body.eye_height)
-        # how a foot lies at rest: its heading and slope from ankle to ball
+        # heading and slope of a foot at rest, from ankle to ball
         lines = [np.subtract(body.joints[FEET[i]], body.joints[ANKLES[i]]) for i in (0, 1)]
         self.rest: list[tuple[float, float]] = [(atan2(v[0], v[2]), atan2(-v[1], hypot(v[0], v[2]))) for v in lines]
         self.reset()
@@ -109,26 +114,26 @@ class Hints:
         """Forget the past."""
         self.state: Array = self.network.start()
         self._last: tuple[Targets, float] | None = None  # newest sample and its heading
-        self._before: TrackedFrames | None = None  # of the last tick
+        self._frames: TrackedFrames | None = None  # of the last tick
         self._means: Array = np.zeros((1, 3, 2), np.float32)
-        self._since = 0.0  # seconds from the last tick to the newest sample
-        self._said: _Said | None = None
-        self._steps, self._misses = [0.0, 0.0], [0.0, 0.0]  # metres a tick, smoothed: as said, and beside that
-        self._off: list[Vec] = [(0.0, 0.0, 0.0)] * 4  # what is shown of the feet, less what is said; fades
-        self._stages: list[_Pose] = []  # what the low passes hold
+        self._since_s = 0.0  # from the last tick to the newest sample
+        self._newest: _Tick | None = None
+        self._steps, self._misses = [0.0, 0.0], [0.0, 0.0]  # metres a tick, smoothed: predicted, and off that
+        self._offsets: list[Vec] = [(0.0, 0.0, 0.0)] * 4  # from the newest tick to the shown feet; they fade
+        self._stages: list[_Pose] = []  # of the low passes
 
     def update(self, targets: Targets, dt: float) -> Hint:
-        """The hint for these targets, ``dt`` seconds after the last ones."""
+        """Return the hint for these targets, ``dt`` seconds after the last ones."""
         seen = swing_twist_y(targets.head)
         yaw = self._last[1] if seen is None and self._last else (seen or 0.0)
         if self._last is None:
             self._tick(targets, yaw)
         else:
             before, turned = self._last
-            self._since += dt
-            while self._since >= TICK - NEVER:
-                self._since = max(self._since - TICK, 0.0)
-                part = 1 - self._since / dt if dt > 0 else 1.0
+            self._since_s += dt
+            while self._since_s >= TICK_S - ROUNDING_S:
+                self._since_s = max(self._since_s - TICK_S, 0.0)
+                part = 1 - self._since_s / dt if dt > 0 else 1.0
                 if part >= 1 - 1e-6:
                     self._tick(targets, yaw)
                 else:
@@ -139,58 +144,55 @@ class Hints:
         return self._hint(targets, dt)
 
     def _tick(self, targets: Targets, yaw: float) -> None:
-        now = _seen(targets, yaw)
-        if self._before is None:
-            self._before = now
+        now = _frames(targets, yaw)
+        if self._frames is None:
+            self._frames = now
             self._means = np.repeat(now.eye[:, None, [0, 2]], 3, 1)
-        self._means = slower(self._means, now.eye)
-        numbers, self.state = self.network.step(inputs_of(now, self._before, self._means, self.unit)[0], self.state)
-        self._before = now
-        old, self._said = self._said, _plain(Guess.of(numbers[None], self.unit), targets.eye, yaw)
-        if old is not None:
-            said = self._said
-            self._off = [sub(add(a, o), n) for a, o, n in zip(old.ahead, self._off, said.now, strict=True)]
-            for side in (0, 1):
-                self._trusted(side, old, said)
-
-    def _trusted(self, side: int, old: _Said, new: _Said) -> None:
-        """How far a foot has gone where the tick before said it would go; far from what it knows the network dreams."""
-        was, said, now = old.now[side + 2], old.ahead[side + 2], new.now[side + 2]
-        step, miss = self._steps[side], self._misses[side]
-        self._steps[side] = step + 0.3 * (length(sub(said, was)) - step)
-        self._misses[side] = miss + 0.3 * (length(sub(now, said)) - miss)
+        self._means = updated_means(self._means, now.eye)
+        inputs = network_inputs(now, self._frames, self._means, self.unit)[0]
+        numbers, self.state = self.network.step(inputs, self.state)
+        self._frames = now
+        old, new = self._newest, _tick(NetworkOutput.of(numbers[None], self.unit), targets.eye, yaw)
+        self._newest = new
+        if old is None:
+            return
+        self._offsets = [sub(add(a, o), n) for a, o, n in zip(old.ahead, self._offsets, new.now, strict=True)]
+        # far from its training the network predicts feet badly
+        for side in (0, 1):
+            was, predicted, ball = old.now[side + 2], old.ahead[side + 2], new.now[side + 2]
+            step, miss = self._steps[side], self._misses[side]
+            self._steps[side] = step + MISS_SHARE * (length(sub(predicted, was)) - step)
+            self._misses[side] = miss + MISS_SHARE * (length(sub(ball, predicted)) - miss)
 
     def _hint(self, targets: Targets, dt: float) -> Hint:
-        said = self._said
-        assert said is not None
-        part = min(self._since / TICK, 1.0)
-        k = exp(-dt / JUMP)
-        self._off = [(x * k, y * k, z * k) for x, y, z in self._off]
-        ankles_feet = [add(pull(a, b, part), off) for a, b, off in zip(said.now, said.ahead, self._off, strict=True)]
-        pose: _Pose = (said.pelvis, said.chest, said.pelvis_at, *said.knees, *said.stands)
-        if not self._stages:
-            self._stages = [pose] * len(TORSO)
-        for i, tau in enumerate(TORSO):
+        """Return the newest tick's body between its moment and the next tick's."""
+        tick = self._newest
+        assert tick is not None
+        part = min(self._since_s / TICK_S, 1.0)
+        self._offsets = [scale(offset, exp(-dt / JUMP_SMOOTHING_S)) for offset in self._offsets]
+        ankles_feet = [add(pull(a, b, part), o) for a, b, o in zip(tick.now, tick.ahead, self._offsets, strict=True)]
+        pose: _Pose = (tick.pelvis, tick.chest, tick.pelvis_at, *tick.knees, *tick.stance)
+        self._stages = self._stages or [pose] * len(TORSO_SMOOTHING_S)
+        for i, tau in enumerate(TORSO_SMOOTHING_S):
             self._stages[i] = pose = _towards(self._stages[i], pose, 1 - exp(-dt / tau))
-        pelvis, chest, at, left, right, *_ = pose
-        stands = self._stages[1][5:]  # a foot that waits for the torso is late
-        knees = (left, right)
+        pelvis, chest, at, *knees = pose[:5]
+        stance = self._stages[1][5:]  # one low pass less: feet would be late
         eye = targets.eye
         feet = []
         for side in (0, 1):
             ankle, ball = ankles_feet[side], ankles_feet[side + 2]
             x, y, z = sub(ball, ankle)
             rest_yaw, rest_slope = self.rest[side]
-            trust = 1.3 * (1 - self._misses[side] / max(self._steps[side], 1e-3))
-            speed = sub(said.ahead[side + 2], said.now[side + 2])
+            confidence = CONFIDENT_MISS * (1 - self._misses[side] / max(self._steps[side], 1e-3))
+            step = sub(tick.ahead[side + 2], tick.now[side + 2])
             feet.append(
                 FootHint(
                     ball,
-                    (speed[0] / TICK, speed[1] / TICK, speed[2] / TICK),
+                    (step[0] / TICK_S, step[1] / TICK_S, step[2] / TICK_S),
                     atan2(x, z) - rest_yaw,
                     atan2(-y, max(hypot(x, z), 1e-6)) - rest_slope,
-                    stands[side],
-                    max(0.0, min(1.0, trust)),
+                    stance[side],
+                    clamp(confidence, 0.0, 1.0),
                     add(eye, knees[side]),
                 )
             )
@@ -198,7 +200,7 @@ class Hints:
 
 
 def _between(a: Targets, b: Targets, part: float) -> Targets:
-    """Targets between two samples; a hand counts as seen where both see it."""
+    """Return targets between two samples; a hand is tracked where both samples have it."""
     out = Targets(pull(a.eye, b.eye, part), slerp(a.head, b.head, part))
     if a.left is not None and b.left is not None:
         out.left, out.left_hand = pull(a.left, b.left, part), slerp(a.left_hand, b.left_hand, part)
@@ -207,8 +209,8 @@ def _between(a: Targets, b: Targets, part: float) -> Targets:
     return out
 
 
-def _seen(targets: Targets, yaw: float) -> TrackedFrames:
-    """One moment as the network takes it."""
+def _frames(targets: Targets, yaw: float) -> TrackedFrames:
+    """Return the arrays of one moment."""
     at = [targets.left or targets.eye, targets.right or targets.eye]
     turns = quaternion_matrices(np.array([targets.head, targets.left_hand, targets.right_hand])).astype(np.float32)
     tracked = [targets.left is not None, targets.right is not None]
@@ -222,8 +224,9 @@ def _seen(targets: Targets, yaw: float) -> TrackedFrames:
     )
 
 
-def _plain(guess: Guess, eye: Vec, yaw: float) -> _Said:
-    points, ahead = guess.points[0].tolist(), guess.ahead[0].tolist()
+def _tick(output: NetworkOutput, eye: Vec, yaw: float) -> _Tick:
+    """Return the first moment of an output in the world."""
+    points, ahead = output.points[0].tolist(), output.ahead[0].tolist()
     facing = yaw_quat(yaw)
 
     def world(v: list[float]) -> Vec:
@@ -235,20 +238,20 @@ def _plain(guess: Guess, eye: Vec, yaw: float) -> _Said:
 
     feet = [world(v) for v in points[3:]]
     later = [world(v) for v in ahead]
-    stands = [1 / (1 + exp(-max(-30.0, min(30.0, c)))) for c in guess.contact[0].tolist()]
-    return _Said(
-        mul(facing, _rotation(guess.pelvis[0])),
-        mul(facing, _rotation(guess.chest[0])),
+    stance = [1 / (1 + exp(-max(-30.0, min(30.0, c)))) for c in output.contact[0].tolist()]
+    return _Tick(
+        mul(facing, _rotation(output.pelvis[0])),
+        mul(facing, _rotation(output.chest[0])),
         from_eye(points[0]),
         (from_eye(points[1]), from_eye(points[2])),
         (feet[0], feet[1], feet[2], feet[3]),
         (later[0], later[1], later[2], later[3]),
-        (stands[0], stands[1]),
+        (stance[0], stance[1]),
     )
 
 
 def _rotation(axes: Array) -> Quat:
-    """The rotation nearest to these x and z axes in the way of Gram and Schmidt, x first."""
+    """Return the rotation of these x and z axes, made orthonormal (Gram-Schmidt, x first)."""
     (ax, bx), (ay, by), (az, bz) = axes.tolist()
     n = max((ax * ax + ay * ay + az * az) ** 0.5, 1e-9)
     ax, ay, az = ax / n, ay / n, az / n

@@ -1,4 +1,4 @@
-"""The network itself: a layer, a gated recurrent unit, two layers; its file and the checks of it."""
+"""The network: a layer, a gated recurrent unit, two layers; and its checked file."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.formats.npz import read_arrays
-from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE
+from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE_HZ
 
 __all__ = ["VERSION", "PoseNetwork", "embedded_network", "load_network", "save_network"]
 
 F32 = NDArray[np.float32]
 
 VERSION = 1
-"""Of the file and of what the numbers in and out mean (``frames.py``); another one is refused."""
+"""Version of the file and of the network's inputs and outputs (``frames.py``); another one is refused."""
 
-MOST = 1024  # units and width at most: a file that says more is not one of these
+MAX_WIDTH = 1024  # of layers and state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseNetwork:
-    """Weights, float32; inputs as ``frames.inputs_of`` gives them (normalising is part of the first layer).
+    """Weights, float32; inputs are those of ``frames.network_inputs`` (normalising is part of the first layer).
 
     GRU as in Cho et al. 2014 with the reset gate after the product (PyTorch's and cuDNN's form).
     """
@@ -44,23 +44,23 @@ class PoseNetwork:
     skip_bias: F32  # [W]
     back: F32  # [OUTPUTS, W]
     back_bias: F32  # [OUTPUTS]
-    note: str = ""  # what it learned from
+    note: str = ""  # its training data
 
     @property
     def units(self) -> int:
-        """Numbers of the state."""
+        """Size of the state."""
         return self.cell.shape[1]
 
     def weights(self) -> dict[str, F32]:
-        """The arrays by name."""
+        """Return the arrays by name."""
         return {name: getattr(self, name) for name in ARRAYS}
 
     def start(self) -> F32:
-        """The state of somebody nothing is known of, [U]."""
+        """Return the first state [U] of a user."""
         return np.zeros(self.units, np.float32)
 
     def step(self, inputs: F32, state: F32) -> tuple[F32, F32]:
-        """[OUTPUTS] and the next state, from [INPUTS] and the state of the tick before."""
+        """Return outputs [OUTPUTS] and the next state, from inputs [INPUTS] and the last state."""
         u = self.units
         x = np.maximum(self.front @ inputs + self.front_bias, 0)
         a, b = self.cell_in @ x + self.cell_in_bias, self.cell @ state + self.cell_bias
@@ -81,7 +81,7 @@ def save_network(path: str | PathLike[str], network: PoseNetwork) -> None:
         np.savez(
             file,
             version=np.array(VERSION),
-            rate=np.array(RATE),
+            rate=np.array(RATE_HZ),
             note=np.array(network.note),
             sha256=np.array(_hash(arrays)),
             **arrays,
@@ -90,7 +90,7 @@ def save_network(path: str | PathLike[str], network: PoseNetwork) -> None:
 
 @lru_cache(maxsize=1)
 def embedded_network() -> PoseNetwork:
-    """Return the network that comes with the package; docs/tracking.md says what it learned from.
+    """Return the network that comes with the package; docs/tracking.md names its training data.
 
     Raises FormatError where the file is damaged.
     """
@@ -99,7 +99,7 @@ def embedded_network() -> PoseNetwork:
 
 
 def load_network(path: str | PathLike[str]) -> PoseNetwork:
-    """Read a model file and check it whole. Raises FormatError that says what is wrong with it."""
+    """Read and check a model file. Raises FormatError that names the mistake."""
     name = Path(path).name
     try:
         with open(path, "rb") as file:
@@ -108,11 +108,10 @@ def load_network(path: str | PathLike[str]) -> PoseNetwork:
             )
     except OSError as error:
         raise FormatError(f"{name}: cannot read the tracking model ({error.strerror or error})") from None
-    if known["version"].shape or known["version"] != VERSION or known["rate"] != RATE:
+    if known["version"].shape or known["version"] != VERSION or known["rate"] != RATE_HZ:
         raise FormatError(f"{name}: a tracking model of version {known['version']}, not {VERSION}; train it again")
     arrays = {key: known[key] for key in ARRAYS}
-    wrong = _misshapen(arrays)
-    if wrong:
+    if wrong := _misshapen(arrays):
         raise FormatError(f"{name}: a tracking model whose {wrong}; train it again")
     if str(known["sha256"]) != _hash(arrays):
         raise FormatError(f"{name}: the tracking model is damaged (its numbers do not fit its checksum)")
@@ -120,8 +119,9 @@ def load_network(path: str | PathLike[str]) -> PoseNetwork:
 
 
 def _misshapen(arrays: dict[str, F32]) -> str:
+    """Return the first mistake in shapes and types, "" without one."""
     width, units = arrays["front"].shape[:1], arrays["cell"].shape[1:]
-    if not (len(width) == len(units) == 1 and 1 <= width[0] <= MOST and 1 <= units[0] <= MOST):
+    if not (len(width) == len(units) == 1 and 1 <= width[0] <= MAX_WIDTH and 1 <= units[0] <= MAX_WIDTH):
         return f"layers have shapes {arrays['front'].shape} and {arrays['cell'].shape}"
     w, u = width[0], units[0]
     shapes = ((w, INPUTS), (w,), (3 * u, w), (3 * u,), (3 * u, u), (3 * u,), (w, u), (w,), (OUTPUTS, w), (OUTPUTS,))

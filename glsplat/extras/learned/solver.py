@@ -5,14 +5,13 @@ from __future__ import annotations
 from math import acos
 from typing import ClassVar
 
-from glsplat.extras.learned.expected import ExpectedError
-from glsplat.extras.learned.feet import Feet, HeadRest
+from glsplat.extras.learned.feet import Feet
 from glsplat.extras.learned.hints import Hint, Hints
 from glsplat.extras.learned.network import PoseNetwork, embedded_network
 from glsplat.extras.learned.seat import Seat
-from glsplat.extras.learned.stance import Stance
-from glsplat.extras.learned.steady import Steady
-from glsplat.extras.learned.uncertainty import Uncertainty
+from glsplat.extras.learned.stance import HeadRest, Stance
+from glsplat.extras.learned.uncertainty import ExpectedError, Uncertainty
+from glsplat.extras.learned.velocity import SteadyPosition
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.arms import Arms
 from glsplat.tracking.solve.body import Body
@@ -63,7 +62,7 @@ class LearnedSolver:
         self.ground: HeightLimit = HeightLimit(body.eye_height)
         self.hints: Hints = Hints(body, network)
         self.uncertainty: Uncertainty = Uncertainty(body.eye_height)
-        self.steady: Steady = Steady()
+        self.steady: SteadyPosition = SteadyPosition()
         self.analytic: AnalyticSolver = AnalyticSolver(body)
         self.stance: Stance = Stance(body)
         self.expected: ExpectedError = ExpectedError(body.eye_height)

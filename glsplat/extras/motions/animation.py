@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Container, Index, item
+from glsplat.formats.gltf.container import Container, item
 from glsplat.formats.gltf.nodes import Graph
+from glsplat.formats.gltf.schema import Index
 from glsplat.rotations import quaternion_matrices, unit_vectors
 
 __all__ = ["Animation", "Tracks", "animations_of", "names_of", "tracks_of"]

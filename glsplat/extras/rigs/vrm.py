@@ -6,7 +6,7 @@ from typing import Any
 
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.match import spine_of
-from glsplat.formats.gltf.container import Gltf
+from glsplat.formats.gltf.schema import Gltf
 
 __all__ = ["face_binds", "human_bones"]
 

@@ -13,8 +13,7 @@ from math import acos, asin, atan2, cos, degrees, exp, log, pi, radians, sin
 from random import Random
 
 from glsplat.skinning.expression import arkit_name
-from glsplat.tracking.reading import read_place, read_pose
-from glsplat.tracking.sample import Sample
+from glsplat.tracking.sample import Sample, read_pose, read_position
 from glsplat.tracking.solve.quat import (
     Quat,
     Vec,
@@ -174,7 +173,7 @@ def _noticed(place: Vec, ahead: Vec, faces: Sequence[Sequence[float]]) -> Vec | 
     """The face nearest to straight ahead, or None."""
     best, least = None, cos(NOTICED)
     for one in faces:
-        at = read_place(one, 1.0, 0.0, [])
+        at = read_position(one, 1.0, 0.0, [])
         if at is None or not NEAREST**2 < dot(away := sub(at, place), away) < FARTHEST_FACE**2:
             continue
         if (along := dot(unit(away), ahead)) > least:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.learned.frames import OUTPUTS, RATE, TrackedFrames, level, unit_of, yaw_of
+from glsplat.extras.learned.frames import OUTPUTS, RATE_HZ, TrackedFrames, in_yaw_frame, unit_of, yaw_of
 from glsplat.extras.motions.derive import truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
@@ -25,7 +25,7 @@ STILL = 0.55  # m/s below which the ball of a foot stands
 
 @dataclass(slots=True)
 class TrainingClip:
-    """One motion at RATE: what is seen, and the truth in the world."""
+    """One motion at RATE_HZ: what is seen, and the truth in the world."""
 
     group: str  # whose it is
     seen: TrackedFrames
@@ -33,7 +33,7 @@ class TrainingClip:
     pelvis: F32  # [T, 3, 3]
     chest: F32  # [T, 3, 3]
     contact: F32  # [T, 2]
-    plain: bool = False  # as it was captured: neither mirrored nor faster or slower
+    plain: bool = False  # as it was captured: neither mirrored nor at another speed
     made: bool = False  # of parts of several captures (``standing.py``)
 
 
@@ -54,7 +54,7 @@ def clips_of(
 
 
 def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> TrainingClip:
-    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps * speed, RATE)
+    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps * speed, RATE_HZ)
     body = Body.of(skeleton)
     p, f = truth.positions, truth.frames
     eye = p[:, HEAD] + f[:, HEAD] @ np.array(body.eye)
@@ -64,7 +64,7 @@ def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> Train
         *[a.astype(np.float32) for a in (eye, yaw_of(f[:, HEAD]), f[:, HEAD], p[:, wrists], f[:, wrists], tracked)]
     )
     feet = p[:, list(FEET)]
-    speed_of = np.linalg.norm(np.gradient(feet, axis=0), axis=-1) * RATE
+    speed_of = np.linalg.norm(np.gradient(feet, axis=0), axis=-1) * RATE_HZ
     contact = speed_of < STILL  # heights say little: captured floors and retargeted ankles are centimetres off
     points = p[:, [PELVIS, *KNEES, *ANKLES, *FEET]]
     of_points, pelvis, chest, stands = (a.astype(np.float32) for a in (points, f[:, PELVIS], f[:, SPINE3], contact))
@@ -104,11 +104,11 @@ def targets_of(clip: TrainingClip, unit: float) -> F32:
     """[T, OUTPUTS] that the network should say; contacts 0 or 1. The last moment repeats what is ahead."""
     t, yaw = len(clip.points), clip.seen.yaw
     ground = clip.seen.eye * np.array([1, 0, 1], np.float32)
-    points = level(clip.points - ground[:, None], yaw)
+    points = in_yaw_frame(clip.points - ground[:, None], yaw)
     later = clip.points[np.minimum(np.arange(t) + 1, t - 1), 3:]
-    ahead = level(later - ground[:, None], yaw)
+    ahead = in_yaw_frame(later - ground[:, None], yaw)
     axes = [
-        level(m[:, :, [0, 2]].transpose(0, 2, 1), yaw).transpose(0, 2, 1).reshape(t, 6)
+        in_yaw_frame(m[:, :, [0, 2]].transpose(0, 2, 1), yaw).transpose(0, 2, 1).reshape(t, 6)
         for m in (clip.pelvis, clip.chest)
     ]
     out = np.concatenate((points.reshape(t, 21) / unit, ahead.reshape(t, 12) / unit, *axes, clip.contact), -1)

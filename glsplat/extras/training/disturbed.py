@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.learned.frames import TICK, TrackedFrames, yaw_of
+from glsplat.extras.learned.frames import TICK_S, TrackedFrames, yaw_of
 from glsplat.rotations import rotation_matrices
 
 __all__ = ["disturbed"]
@@ -54,9 +54,9 @@ def disturbed(seen: TrackedFrames, rng: np.random.Generator) -> TrackedFrames:
     elif kind < HEAD_ONLY + LOSES:
         for side in (0, 1):
             when = 0.0
-            while (when := when + rng.exponential(4.0)) < t * TICK:
+            while (when := when + rng.exponential(4.0)) < t * TICK_S:
                 length = rng.exponential(LOSS)
-                tracked[int(when / TICK) : int((when + length) / TICK) + 1, side] = 0
+                tracked[int(when / TICK_S) : int((when + length) / TICK_S) + 1, side] = 0
                 when += length
     yaw = np.where(head[:, 1, 1] > -0.9, yaw_of(head), seen.yaw)
     return TrackedFrames(*[a.astype(np.float32) for a in (eye, yaw, head, at, hand, tracked)])
@@ -70,10 +70,10 @@ def _elsewhere(
     goals = np.empty((t, 2))
     first = 0
     while first < t:
-        last = first + 1 + int(rng.exponential(HELD) / TICK)
+        last = first + 1 + int(rng.exponential(HELD) / TICK_S)
         goals[first:last] = np.clip(rng.standard_normal(2) * GAZE, np.negative(MOST), MOST)
         first = last
-    k = 1 - np.exp(-TICK / SHIFT)
+    k = 1 - np.exp(-TICK_S / SHIFT)
     for _ in range(2):
         now = goals[0]
         for i in range(t):

@@ -9,7 +9,7 @@ from math import cos, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.learned.frames import INPUTS, OUTPUTS, TrackedFrames, inputs_of, slower
+from glsplat.extras.learned.frames import INPUTS, OUTPUTS, TrackedFrames, network_inputs, updated_means
 from glsplat.extras.learned.network import PoseNetwork
 from glsplat.extras.training.clips import TrainingClip, targets_of
 from glsplat.extras.training.disturbed import disturbed
@@ -59,9 +59,9 @@ def features(seen: TrackedFrames, unit: float) -> F32:
     means = np.empty((t, 3, 2), np.float32)
     now = np.repeat(seen.eye[:1, None, [0, 2]], 3, 1)[0].astype(np.float32)
     for i in range(t):
-        means[i] = now = slower(now, seen.eye[i])
+        means[i] = now = updated_means(now, seen.eye[i])
     before = TrackedFrames(*[getattr(seen, name)[back] for name in TrackedFrames.__slots__])
-    return inputs_of(seen, before, means, unit)
+    return network_inputs(seen, before, means, unit)
 
 
 def lessons_of(clips: Iterable[TrainingClip], unit: float, rng: np.random.Generator) -> list[Lesson]:

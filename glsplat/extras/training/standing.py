@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.learned.frames import RATE, yaw_of
+from glsplat.extras.learned.frames import RATE_HZ, yaw_of
 from glsplat.extras.motions.derive import truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.rotations import matrix_quaternions, quaternion_product, quaternion_vectors, rotation_matrices
@@ -53,20 +53,20 @@ class Stance:
 
 def stances_of(motion: Motion, skeleton: Skeleton) -> list[Stance]:
     """The moments of a motion in which both feet and the pelvis are still, EACH apart at least."""
-    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, RATE)
+    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, RATE_HZ)
     body = Body.of(skeleton)
     at, frames = truth.positions, truth.frames
     if len(at) < 3:
         return []
     moving = at[:, [PELVIS, *FEET]]
-    speed = np.linalg.norm(np.gradient(moving, axis=0), axis=-1).max(1) * RATE
+    speed = np.linalg.norm(np.gradient(moving, axis=0), axis=-1).max(1) * RATE_HZ
     high = body.joints[PELVIS][1] - body.ground
     stands = (speed < STILL) & (at[:, list(FEET), 1].max(1) < body.sole + FLAT) & (at[:, PELVIS, 1] > TALL * high)
     out: list[Stance] = []
     rest = [np.arctan2(*np.subtract(body.rest[FEET[i]], body.rest[ANKLES[i]])[[0, 2]]) for i in (0, 1)]
     last = -np.inf
     for i in np.flatnonzero(stands).tolist():
-        if i - last < EACH * RATE:
+        if i - last < EACH * RATE_HZ:
             continue
         last = float(i)
         yaw = float(yaw_of(frames[i, PELVIS]))
@@ -91,13 +91,13 @@ def stances_of(motion: Motion, skeleton: Skeleton) -> list[Stance]:
 
 
 def stood(motion: Motion, stances: Sequence[Stance], skeleton: Skeleton, rng: np.random.Generator) -> Motion | None:
-    """The motion's upper body on one of the stances, at RATE; None for one that would fall, or is too short."""
-    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, RATE)
+    """The motion's upper body on one of the stances, at RATE_HZ; None for one that would fall, or is too short."""
+    truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, RATE_HZ)
     at, frames = truth.positions, truth.frames
     off = at[:, SPINE3] - at[:, PELVIS]
     up = np.minimum(frames[:, PELVIS, 1, 1], frames[:, SPINE3, 1, 1])
     lean = np.hypot(off[:, 0], off[:, 2])
-    if not stances or len(at) < 2 * RATE:
+    if not stances or len(at) < 2 * RATE_HZ:
         return None
     if np.percentile(up, NEARLY) < UPRIGHT or np.percentile(lean, 100 - NEARLY) > LEANS:
         return None
@@ -113,7 +113,7 @@ def stood(motion: Motion, stances: Sequence[Stance], skeleton: Skeleton, rng: np
     for joint, quats in ({PELVIS: pelvis, SPINE1: spine} | _legs(body, stance, place, pelvis)).items():
         rotations[:, joint] = quaternion_vectors(quats)
     trans = place + [0.0, body.ground, 0.0] - body.rest[PELVIS]
-    return Motion(RATE, rotations, trans)
+    return Motion(RATE_HZ, rotations, trans)
 
 
 def _places(stance: Stance, off: Array, height: Array, rng: np.random.Generator) -> Array:
@@ -154,8 +154,8 @@ def _legs(body: Body, stance: Stance, place: Array, pelvis: Array) -> dict[int, 
 
 def _slowly(values: Array, seconds: float) -> Array:
     """Means over a Gaussian of this standard deviation, along the first axis; ends are held."""
-    reach = int(3 * seconds * RATE) + 1
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (seconds * RATE)) ** 2)
+    reach = int(3 * seconds * RATE_HZ) + 1
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (seconds * RATE_HZ)) ** 2)
     weights /= weights.sum()
     padded = np.concatenate((np.repeat(values[:1], reach, 0), values, np.repeat(values[-1:], reach, 0)))
     flat = padded.reshape(len(padded), -1)

@@ -1,9 +1,9 @@
 """Levels of detail in glTF: MSFT_lod on the node of the finest, and a node of its own for each coarser level.
 
-Nodes of coarser levels are in no scene, so that viewers which do not know the extension show the finest and nothing
-else. What MSFT_lod cannot say is in the ``extras.glsplat`` of a level's node: ``density`` in pixels a metre, ``psnr``
-in dB. Its hint MSFT_screencoverage is derived: the share of a picture of 1024 x 1024 pixels that the sphere around the
-finest covers at that density.
+Nodes of coarser levels are in no scene, so that viewers without the extension show the finest alone. The
+``extras.glsplat`` of a level's node has its ``density`` in pixels a metre and its ``psnr`` in dB. The hint
+MSFT_screencoverage is derived: the share of a picture of 1024 x 1024 pixels that the sphere around the finest covers
+at that density.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ import numpy as np
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Container, Mesh, Node, item
+from glsplat.formats.gltf.container import Container, item
 from glsplat.formats.gltf.morphs import shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.primitive import ANTIALIAS, EXTENSION, number_of, our_extras, read_splats, write_splats
 from glsplat.formats.gltf.rig import SKIN_WEIGHTS, read_skeleton, read_skin, weights_note, write_influences
+from glsplat.formats.gltf.schema import Mesh, Node
 from glsplat.formats.transform import transformed
 from glsplat.io.files import left_out
 from glsplat.splats import Level, Splats
 
-__all__ = ["LOD", "MOST_LEVELS", "finest_of", "read_levels", "write_levels"]
+__all__ = ["LOD", "MAX_LEVELS", "finest_of", "read_levels", "write_levels"]
 
 LOD = "MSFT_lod"
-MOST_LEVELS = 16
-"""Coarser levels that are read of a file."""
+MAX_LEVELS = 16  # coarser levels that are read of a file
 
 _COVERAGE = "MSFT_screencoverage"
-_PICTURE = 1024  # pixels a side of the picture that it is of
+_PICTURE_PX = 1024  # side of the picture of a coverage
 
 log: logging.Logger = logging.getLogger("glsplat.formats")
 Scene = TypeVar("Scene", bound=Splats | Avatar)
@@ -74,7 +74,7 @@ def _coverages(splats: Splats, densities: list[float]) -> list[float]:
     points = splats.means[splats.finite()].astype(np.float64)
     low, high = np.percentile(points, (1, 99), axis=0) if len(points) else np.zeros((2, 3))
     radius = float(np.linalg.norm(high - low)) / 2
-    return [float(f"{min(1.0, np.pi * (density * radius / _PICTURE) ** 2):.6g}") for density in densities] + [0.0]
+    return [float(f"{min(1.0, np.pi * (density * radius / _PICTURE_PX) ** 2):.6g}") for density in densities] + [0.0]
 
 
 def finest_of(found: list[Instance]) -> list[Instance]:
@@ -109,11 +109,11 @@ def read_levels(container: Container, graph: Graph, found: list[Instance], scene
     if not isinstance(whole, list) or len(ids) < len(whole):
         left_out(log, f"levels of detail are left out: {LOD} needs ids, a list of nodes")
         return scene
-    if len(ids) > MOST_LEVELS:
-        left_out(log, f"{len(ids)} levels of detail, the first {MOST_LEVELS} are read")
+    if len(ids) > MAX_LEVELS:
+        left_out(log, f"{len(ids)} levels of detail, the first {MAX_LEVELS} are read")
     reading = _Reading(container, graph, shown, scene)
     levels: list[tuple[int, Level[Any]]] = []
-    for number, index in enumerate(ids[:MOST_LEVELS], 1):
+    for number, index in enumerate(ids[:MAX_LEVELS], 1):
         try:
             if index in ids[: number - 1]:
                 raise FormatError(f"node {index} is another level already")

@@ -1,11 +1,10 @@
 """Morph targets of a glTF primitive (2.0, 3.7.2.2): of a mesh's vertices, and of splats, which are an avatar's shapes.
 
-Of splats POSITION holds metres as the renderer has them, so that a viewer of morph targets moves the same points as
-far: floats, or where all shapes are in 32767ths of a metre normalised signed shorts (KHR_mesh_quantization). The
-attributes _AXIS_0 and _AXIS_1 (vectors of normalised signed bytes, the fourth 0) hold what else a splat does. All are
-sparse accessors over nothing; the list of splats of the axes is that of POSITION where all of them bend, else one of
-their own. Names are in the mesh's ``extras.targetNames``;
-what viewers do not need is in the primitive's ``extras.glsplat``: ``shape_sizes`` and, where they are not 0 and 1,
+POSITION of splats is in metres, so that any viewer of morph targets moves the same points: floats, or normalised signed
+shorts (KHR_mesh_quantization) where all shapes are in 32767ths of a metre. The attributes _AXIS_0 and _AXIS_1 (vectors
+of normalised signed bytes, the fourth 0) bend a splat's long axes. All are sparse accessors without a bufferView; the
+axes share POSITION's list of splats where all of them bend, else they have their own. Names are in the mesh's
+``extras.targetNames``; the primitive's ``extras.glsplat`` has ``shape_sizes`` and, where they are not 0 and 1,
 ``shape_limits``.
 """
 
@@ -17,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Accessor, Container, Mesh, Primitive, item
+from glsplat.formats.gltf.container import Container, item
 from glsplat.formats.gltf.nodes import Instance
 from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.primitive import our_extras
+from glsplat.formats.gltf.schema import Accessor, Mesh, Primitive
 from glsplat.meshes import Morphs
 from glsplat.skinning.expression import MOST_NAMES, arkit_name
 from glsplat.skinning.shapes import BEND, LIMITS, Shapes
@@ -28,16 +28,16 @@ from glsplat.skinning.shapes import BEND, LIMITS, Shapes
 __all__ = ["QUANTIZATION", "SHORT", "Morphs", "read_morphs", "shape_names", "shapes_of", "write_shapes"]
 
 QUANTIZATION = "KHR_mesh_quantization"
-"""By which offsets may be normalised integers."""
+"""Extension that allows normalised integers as offsets."""
 
 SHORT: np.float32 = np.float32(1) / np.float32(32767)
-"""Metres a unit of ``Shapes.moves``, by which a file has them as they are: normalised signed 16 bits."""
+"""Metres a unit of ``Shapes.moves`` that a file stores unchanged: normalised signed 16 bits."""
 
-_TARGETS = 1024
-_ROWS = 1 << 23  # of all targets together, 134 MB: targets may share data, and a small file must not become a huge one
+_MAX_TARGETS = 1024
+_MAX_ROWS = 1 << 23  # of all targets, 134 MB: targets may share data, so the file's size does not bound them
 _AXES = ("_AXIS_0", "_AXIS_1")
 _SIZES, _LIMITS = "shape_sizes", "shape_limits"
-_ENTRIES = 1 << 24
+_MAX_ENTRIES = 1 << 24
 
 
 def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morphs:
@@ -47,8 +47,8 @@ def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morph
     for offsets that are not three floats for each vertex.
     """
     targets = primitive.targets
-    if len(targets) > _TARGETS:
-        raise FormatError(f"a mesh has at most {_TARGETS} morph targets, this one {len(targets)}")
+    if len(targets) > _MAX_TARGETS:
+        raise FormatError(f"a mesh has at most {_MAX_TARGETS} morph targets, this one {len(targets)}")
     count = item(container.gltf.accessors, primitive.attributes["POSITION"], "accessor of POSITION").count
     vertices: list[NDArray[np.uint32]] = [np.empty(0, np.uint32)]
     offsets: list[NDArray[np.float32]] = [np.empty((0, 3), np.float32)]
@@ -60,8 +60,8 @@ def read_morphs(container: Container, mesh: Mesh, primitive: Primitive) -> Morph
             vertices.append(rows)
             offsets.append(values)
         starts.append(starts[-1] + (len(vertices[-1]) if "POSITION" in target else 0))
-        if starts[-1] > _ROWS:
-            raise FormatError(f"the morph targets move more than {_ROWS} vertices altogether")
+        if starts[-1] > _MAX_ROWS:
+            raise FormatError(f"the morph targets move more than {_MAX_ROWS} vertices altogether")
     names = mesh.extras.get("targetNames") if isinstance(mesh.extras, dict) else None
     if not (isinstance(names, list) and len(names) == len(targets) and all(isinstance(name, str) for name in names)):
         names = [f"target_{number}" for number in range(len(targets))]
@@ -86,7 +86,7 @@ def _target(container: Container, index: int, where: str, count: int) -> tuple[N
 
 
 def write_shapes(out: Output, shapes: Shapes, mesh: Mesh, primitive: Primitive) -> None:
-    """Add targets to ``primitive``, the one of ``mesh``, and what says more of them."""
+    """Add targets to ``primitive``, the one of ``mesh``, with names, sizes and limits."""
     rows = shapes.rows
     narrow, whole = index_code(shapes.splats), bool((shapes.sizes == SHORT).all())
     for target in range(len(shapes)):
@@ -225,8 +225,8 @@ def _together(
     """Merge entries that move and entries that bend into one for each splat and target."""
     splats = np.concatenate([known[0], *(rows for rows, _, _ in more)])
     targets = np.concatenate([known[1], *(np.full(len(rows), number) for rows, number, _ in more)])
-    if len(splats) > _ENTRIES:
-        raise FormatError(f"the morph targets have more than {_ENTRIES} entries altogether")
+    if len(splats) > _MAX_ENTRIES:
+        raise FormatError(f"the morph targets have more than {_MAX_ENTRIES} entries altogether")
     keys, place = np.unique(targets * count + splats, return_inverse=True)
     moves, bends = np.zeros((len(keys), 3)), np.zeros((len(keys), 2, 3))
     moves[place[: len(known[0])]] = known[2]

@@ -1,4 +1,4 @@
-"""The scene graph of a glTF file: global matrices of its nodes, and which node shows which splats."""
+"""The scene graph of a glTF file: global matrices of its nodes, and the primitives that they show."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Gltf, Node, Primitive, item
+from glsplat.formats.gltf.container import item
+from glsplat.formats.gltf.schema import Gltf, Node, Primitive
+from glsplat.rotations import quaternion_matrices
 
 __all__ = ["Graph", "Instance", "graph_of", "instances", "only_moves"]
 
@@ -71,12 +73,8 @@ def _local(node: Node) -> F64:
         return np.array(node.matrix).reshape(4, 4).T
     out = np.eye(4)
     if node.rotation is not None:
-        x, y, z, w = np.array(node.rotation) / (np.linalg.norm(node.rotation) or 1.0)
-        out[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+        quat = np.array(node.rotation) / (np.linalg.norm(node.rotation) or 1.0)
+        out[:3, :3] = quaternion_matrices(np.roll(quat, 1))
     if node.scale is not None:
         out[:3, :3] *= node.scale
     if node.translation is not None:

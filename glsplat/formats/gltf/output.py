@@ -1,4 +1,4 @@
-"""glTF 2.0 as it is written: accessors and bufferViews of one buffer, as a GLB or as JSON with the buffer in it."""
+"""Write glTF 2.0: accessors and bufferViews of one buffer, as a GLB or as JSON with the buffer in it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC, Accessor, Asset, Buffer, BufferView, Gltf
+from glsplat.formats.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC
+from glsplat.formats.gltf.schema import Accessor, Asset, Buffer, BufferView, Gltf
 from glsplat.io.files import Source, left_out, naming, replace_file, suffix_of
 from glsplat.optional import plugin
 
 __all__ = ["CONSENT", "INDICES", "UNLIT", "VERTICES", "Output", "unlit_material"]
 
 VERTICES, INDICES = 34962, 34963
-"""What a bufferView holds: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER."""
+"""Targets of bufferViews: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER."""
 
 CONSENT = "consent"
 """In asset.extras.glsplat: a signed record (an object; docs/consent.md), or a line of text."""
@@ -49,8 +50,8 @@ class Output:
     ) -> int:
         """Add an accessor of type ``kind`` for [N, width] floats of 32 bits or integers of 8 to 32; return its index.
 
-        ``normalized`` integers stand for -1 to 1 or 0 to 1. ``target`` is the bufferView's: ``VERTICES``, ``INDICES``,
-        or None for what is neither.
+        ``normalized`` integers stand for -1 to 1 or 0 to 1. ``target`` is the bufferView's: ``VERTICES``, ``INDICES``
+        or None.
         """
         code = {"f": 5126, "b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125}[array.dtype.char]
         data = array.astype(array.dtype.newbyteorder("<")).tobytes()
@@ -63,10 +64,7 @@ class Output:
         return len(self.gltf.accessors) - 1
 
     def add_shares(self, array: NDArray[np.float32], kind: str) -> int:
-        """Add [N, 4] floats from 0 to 1, as normalised integers of 8 or 16 bits where that loses nothing.
-
-        That is where each number is exactly a whole number of them, as in a file that was made to be small.
-        """
+        """Add [N, 4] floats from 0 to 1, as normalised integers of 8 or 16 bits where that loses nothing."""
         for code in (np.uint8, np.uint16):
             full = np.float32(np.iinfo(code).max)
             with np.errstate(invalid="ignore", over="ignore"):
@@ -85,19 +83,19 @@ class Output:
         return len(self.gltf.buffer_views) - 1
 
     def needs(self, extension: str) -> None:
-        """Declare that readers have to know ``extension``."""
+        """Add an extension that readers have to support."""
         for named in (self.gltf.extensions_used, self.gltf.extensions_required):
             if extension not in named:
                 named.append(extension)
 
     def note(self, values: dict[str, Any]) -> None:
-        """Set what ``Container.note`` returns."""
+        """Set the metadata that ``Container.note`` returns."""
         self.gltf.asset = Asset(version="2.0", generator="glsplat", extras={"glsplat": values})
 
     def write(self, target: Source, *, embedded: bool | None = None) -> None:
         """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
-        A consent that was signed for another content is left out, with a warning: it would hold for nothing.
+        A consent that was signed for other content is left out, with a warning.
         """
         blob = b"".join(self.parts)
         self.gltf.buffers = [Buffer(byte_length=len(blob))]

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Container, Primitive
+from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.output import Output
+from glsplat.formats.gltf.schema import Primitive
 from glsplat.light.surface import SHADE_ONE, Surface
 from glsplat.optional import missing, plugin
 from glsplat.splats import SH_C0, Splats, normalised
@@ -38,20 +39,19 @@ __all__ = [
 
 EXTENSION = "KHR_gaussian_splatting"
 SPZ_EXTENSION = "KHR_gaussian_splatting_compression_spz_2"
-"""Of splats that lie in the file as the bytes of an SPZ."""
+"""Extension of splats that are stored as an SPZ."""
 
 ANTIALIAS = "antialias"
 """In asset.extras.glsplat: Splats.antialias of all splats in the file."""
 
 COLOUR = "colour"
-"""In asset.extras.glsplat: what the splats' colours are. "albedo", or "shaded": what a picture showed, whose light
-``_OCCLUSION`` tells; both are lit by a scene's light. "baked" and all else are not."""
+"""In asset.extras.glsplat: the kind of the splats' colours. "albedo", or "shaded" (albedo times the light in
+``_OCCLUSION``): both are lit by a scene's light. "baked" and all else are not."""
 
 _ALBEDO, _SHADED = "albedo", "shaded"
 _NORMAL, _OCCLUSION = "_NORMAL", "_OCCLUSION"  # Splats.surface: (x, y, z, 0); (occlusion, shade r, g, b)
-_CONE = (
-    "_VISIBILITY_CONE"  # Splats.cones; an attribute of an application's own starts with an underscore (glTF 2.0, 3.7.2)
-)
+# names of an application's own attributes start with an underscore (glTF 2.0, 3.7.2)
+_CONE = "_VISIBILITY_CONE"  # Splats.cones
 _CONES_PSNR = "cones_psnr"  # in the primitive's extras.glsplat: Splats.cones_psnr
 _ROTATION_ONE = np.float32(32767)
 _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
@@ -87,11 +87,10 @@ def write_splats(out: Output, splats: Splats, *, coarse: bool = False) -> Primit
 
 
 def _write_fallback(out: Output, splats: Splats, kind: type[np.uint8 | np.uint16]) -> int:
-    """Add COLOR_0 for viewers that know no splats, linear RGB and opacity; return its accessor's index.
+    """Add COLOR_0, linear RGB and opacity, for viewers without splats; return its accessor's index.
 
-    They show a cloud of points in plain colours (KHR_gaussian_splatting, "Fallback Behavior").
-    glTF wants vertex colours linear; with 8 bits the darkest sRGB colours are up to 6 levels off, with 16 bits 0.05.
-    Values outside 0 to 1 are clamped, NaN becomes 0.
+    They show points in plain colours (KHR_gaussian_splatting, "Fallback Behavior"). In 8 bits of linear light the
+    darkest sRGB colours are up to 6 levels off, in 16 bits 0.05. Values are clamped to 0 to 1, NaN becomes 0.
     """
     colours = np.empty((len(splats), 4), np.float32)
     colours[:, :3] = splats.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, PoseError
-from glsplat.formats.gltf.container import Container, Gltf, Node, item
-from glsplat.formats.gltf.container import Skin as SkinObject
+from glsplat.formats.gltf.container import Container, item
 from glsplat.formats.gltf.nodes import Graph, Instance
 from glsplat.formats.gltf.output import Output
+from glsplat.formats.gltf.schema import Gltf, Node
+from glsplat.formats.gltf.schema import Skin as SkinObject
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 
@@ -33,10 +34,9 @@ __all__ = [
 ]
 
 SKIN_WEIGHTS = "skin_weights"
-"""In our extras: what Skin.lost and Skin.repaired were."""
+"""In our extras: Skin.lost and Skin.repaired."""
 
-MAX_JOINTS = 1 << 16
-"""Of a skin: their indices have 16 bits."""
+MAX_JOINTS = 1 << 16  # of a skin: their indices have 16 bits
 
 _DROPPED, _ROOTED = "skin weights (left out)", "vertices without weights (now on the root joint)"
 
@@ -157,8 +157,11 @@ class Influences:
 
 
 def read_influences(container: Container, instance: Instance, count: int) -> Influences:
-    """The influences of ``count`` vertices or splats. One that is NaN or infinite is dropped, and counted for
-    ``Container.tell``. Raises FormatError when counts or types do not fit."""
+    """Read the influences of ``count`` vertices or splats.
+
+    Weights that are NaN or infinite are dropped, and counted for ``Container.warn``. Raises FormatError when counts or
+    types do not fit.
+    """
     attributes, where = instance.primitive.attributes, instance.name
     sets = [s for s in (0, 1) if f"JOINTS_{s}" in attributes and f"WEIGHTS_{s}" in attributes]
     if 0 not in sets:

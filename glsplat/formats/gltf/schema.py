@@ -144,7 +144,7 @@ class Scene(_Object):
 
 
 class Gltf(_Object):
-    """The root object, as far as splats and meshes need it; what colours surfaces is left as it is written."""
+    """The root object, as far as splats and meshes need it; materials and textures stay untyped."""
 
     asset: Asset = msgspec.field(default_factory=Asset)
     extensions_used: list[str] = []

@@ -1,8 +1,7 @@
 """glTF 2.0 with KHR_gaussian_splatting: static scenes, and avatars (splats with a skin, docs/conventions.md).
 
-What a primitive holds is in primitive.py, coarser levels of detail are in levels.py. The specification gives skinned
-splats no meaning; ours is plain glTF skinning of the Gaussians, which a viewer that knows only the extension shows in
-the zero pose.
+Primitives are in primitive.py, coarser levels of detail in levels.py. The specification does not define skinned splats;
+ours are plain glTF skinning of the Gaussians, which a viewer of the extension shows in the zero pose.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened
-from glsplat.formats.gltf.container import Container, Gltf, Mesh, Node, Scene, read_container
+from glsplat.formats.gltf.container import Container, read_container
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
 from glsplat.formats.gltf.morphs import QUANTIZATION, shapes_of, write_shapes
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances
@@ -39,6 +38,7 @@ from glsplat.formats.gltf.rig import (
     write_influences,
     write_skeleton,
 )
+from glsplat.formats.gltf.schema import Gltf, Mesh, Node, Scene
 from glsplat.formats.transform import transformed
 from glsplat.io.files import Source
 from glsplat.light.surface import Surface
@@ -51,7 +51,7 @@ _VERSION = 1  # of asset.extras.glsplat
 # POSITION may be stored as integers by KHR_mesh_quantization, a material means nothing to splats, levels of detail are
 # more of the same; other extensions that change the data are refused
 _KNOWN = {EXTENSION, SPZ_EXTENSION, QUANTIZATION, "KHR_materials_unlit", "MSFT_lod"}
-_INSTANCES = 64  # times the splats stored, that nodes may show them: a small file must not become a huge scene
+_MAX_INSTANCES = 64  # shown splats per stored one: a small file must not become a huge scene
 
 
 def read_gltf(start: Opened) -> Splats | Avatar:
@@ -78,8 +78,8 @@ def has_splats(gltf: Gltf) -> bool:
 def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None = None) -> None:
     """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
-    Attributes are stored exactly as they are, as float32 or what integers hold as well, joints as the smallest unsigned
-    integer that fits: 56 bytes a splat, 12 for each further coefficient, and 8 for the points that other viewers show.
+    Attributes are stored exactly, as float32 or integers of the same value, joints as the smallest unsigned integer:
+    56 bytes a splat, 12 for each further coefficient, and 8 for the points that other viewers show.
     Raises FormatError when ``target`` cannot be written or an avatar's metadata is not JSON.
     """
     out = Output()
@@ -110,9 +110,9 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
 
 
 def splats_in(container: Container) -> Splats | Avatar:
-    """Return the splats of a parsed file, as ``read_gltf`` does; what was mended is logged or, if strict, refused."""
+    """Return the splats of a parsed file, as ``read_gltf`` does; repairs are logged or, if strict, refused."""
     scene = _scene(container)
-    container.tell()
+    container.warn()
     return scene
 
 
@@ -151,8 +151,8 @@ def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats
         if key not in read:
             read[key] = read_splats(container, instance.primitive, instance.name)
         parts.append(read[key])
-    if sum(map(len, parts)) > _INSTANCES * sum(map(len, read.values())):
-        raise FormatError(f"the nodes show the same splats more than {_INSTANCES} times; bake fewer copies")
+    if sum(map(len, parts)) > _MAX_INSTANCES * sum(map(len, read.values())):
+        raise FormatError(f"the nodes show the same splats more than {_MAX_INSTANCES} times; bake fewer copies")
     parts[0] = read_levels(container, graph, found, parts[0])
     parts = [transformed(part, instance.matrix) for part, instance in zip(parts, found, strict=True)]
     if len(parts) == 1:

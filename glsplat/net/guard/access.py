@@ -1,8 +1,8 @@
-"""Who may talk to the server: bind address, TLS, token, browser origin, host name. Decisions only, no sockets.
+"""Access rules of the server: bind address, TLS, token, browser origin, host name. Decisions only, no sockets.
 
 Browsers let any page open a WebSocket to any host, localhost included, so a page's Origin has to be on a list
-(cross-site WebSocket hijacking, CWE-1385); other clients send no Origin and are let through to the token. A page may
-also let its own name lead here and then read this server as its own (DNS rebinding): names have to be known, too.
+(cross-site WebSocket hijacking, CWE-1385); other clients send no Origin, and need the token alone. A page may also
+resolve its own name to this server and then read it as its own (DNS rebinding), so host names are checked, too.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class Access:
 
     host: str = "127.0.0.1"
     token: str | None = field(default=None, repr=False)
-    accounts: Accounts | None = None  # instead of the one token: each has its own
+    accounts: Accounts | None = None  # instead of the one token: each user has one
     tls: bool = False
-    insecure: bool = False  # another address than loopback without TLS and token, on the user's own word
+    insecure: bool = False  # allow another address than loopback without TLS and token
     origins: tuple[str, ...] = ()  # further pages that may connect, e.g. "https://lab.example:8000"
-    hosts: tuple[str, ...] = ()  # names it goes by, besides addresses and localhost; "*.lab.example" for one label more
-    proxies: tuple[Network, ...] = ()  # reverse proxies that are believed whom they speak for
+    hosts: tuple[str, ...] = ()  # names besides addresses and localhost; "*.lab.example" for one more label
+    proxies: tuple[Network, ...] = ()  # trusted reverse proxies
 
     def __post_init__(self) -> None:
         if self.token is not None and self.accounts is not None:
@@ -57,18 +57,18 @@ class Access:
 
     @property
     def local(self) -> bool:
-        """True where only programs of this machine connect, and for nobody else: on loopback without a proxy."""
+        """True where only programs of this machine connect: on loopback without a proxy."""
         return is_loopback(self.host) and not self.proxies
 
     @property
     def guarded(self) -> bool:
-        """True where a token is needed: the one, or an account's."""
+        """True where a token is needed."""
         return self.token is not None or self.accounts is not None
 
     def wrong_host(self, given: Sequence[str]) -> tuple[int, str] | None:
-        """None if ``given``, the Host headers of a request, name this server, else the HTTP status and one line.
+        """Return the HTTP status and line of a refusal unless ``given``, the Host headers, name this server.
 
-        An address is always right: nobody can make it lead elsewhere. The port is not looked at: it may be forwarded.
+        An address is always allowed: it cannot be rebound. The port is ignored, as it may be forwarded.
         """
         found = _HOST.fullmatch(given[0].strip().lower()) if len(given) == 1 else None
         if found is None:
@@ -83,7 +83,7 @@ class Access:
         return 421, "this server does not go by that name: start it with --allow-host NAME to allow it"
 
     def refusal(self, headers: Mapping[str, str], public: bool = False) -> tuple[int, str] | None:
-        """None to let a request in, else the HTTP status and one line of text. ``public``: no token is needed."""
+        """Return the HTTP status and line of a refusal; None lets a request in. ``public``: no token is needed."""
         if not self._origin_allowed(headers.get("Origin"), headers.get("Host", "")):
             return 403, "this page may not use the server: start it with --origin to allow it"
         if not public and self.token is not None and not self._token_given(headers):
@@ -95,19 +95,19 @@ class Access:
             return True
         try:
             page = urlsplit(origin)
-            if is_loopback(self.host):  # a name that resolves to loopback (DNS rebinding) is not our own host
+            if is_loopback(self.host):  # a name that resolves to loopback (DNS rebinding) is not this host
                 return page.hostname in _LOOPBACK_NAMES and _port(page) == _port(urlsplit(f"{page.scheme}://{host}"))
             return page.netloc.lower() == host.lower() and page.scheme == ("https" if self.tls else "http")
         except ValueError:
             return False
 
     def offers_token(self, headers: Mapping[str, str]) -> bool:
-        """True if a request brings any token, right or wrong."""
+        """Return whether a request has any token, right or wrong."""
         protocols = headers.get("Sec-WebSocket-Protocol", "")
         return "Authorization" in headers or any(p.strip().startswith(TOKEN_PREFIX) for p in protocols.split(","))
 
     def tokens(self, headers: Mapping[str, str]) -> list[str]:
-        """The tokens that a request brings; what was typed once into a browser's dialog last."""
+        """Return the tokens of a request; the one of a browser's password dialog is the last."""
         kind, _, value = headers.get("Authorization", "").partition(" ")
         offered = [value.strip()] if kind.lower() == "bearer" else []
         protocols = headers.get("Sec-WebSocket-Protocol", "").split(",")
@@ -119,13 +119,12 @@ class Access:
     def _token_given(self, headers: Mapping[str, str]) -> bool:
         assert self.token is not None
         offered = self.tokens(headers)
-        # every comparison takes the same time, whatever it finds
-        # (bytes that are not UTF-8 arrive as surrogates, which encode() would refuse)
+        # constant-time comparisons; bytes that are not UTF-8 arrive as surrogates, which encode() would refuse
         return any([hmac.compare_digest(v.encode(errors="replace"), self.token.encode()) for v in offered[:4]])
 
 
 def is_loopback(host: str) -> bool:
-    """True for addresses that only this machine can reach."""
+    """Return whether only this machine can reach an address."""
     if host == "localhost":
         return True
     try:
@@ -135,9 +134,9 @@ def is_loopback(host: str) -> bool:
 
 
 def certificate_names(cert: str | Path, server: ssl.SSLContext) -> tuple[str, ...]:
-    """The DNS names a certificate is for; none if they cannot be read (it has expired, say).
+    """Return the DNS names of a certificate; none if they cannot be read (an expired one, for example).
 
-    Python shows only a peer's certificate, so a client shakes hands with ``server`` in memory.
+    Python reads only a peer's certificate, so a client shakes hands with ``server`` in memory.
     """
     try:
         client = ssl.create_default_context(cafile=cert)
@@ -158,7 +157,7 @@ def certificate_names(cert: str | Path, server: ssl.SSLContext) -> tuple[str, ..
 
 
 def read_token(path: str | Path) -> str:
-    """The token in a file: one line of 16 or more letters, digits or -._~. Raises GlsplatError naming the file."""
+    """Read a token: one line of 16 or more letters, digits or -._~. Raises GlsplatError naming the file."""
     try:
         token = Path(path).read_text(encoding="utf-8").strip()
     except OSError as error:
@@ -172,15 +171,15 @@ def read_token(path: str | Path) -> str:
 
 
 def server_tls(cert: str | Path, key: str | Path) -> ssl.SSLContext:
-    """A TLS context for the server. Raises GlsplatError naming the file that is missing or does not fit."""
+    """Return a TLS context for the server. Raises GlsplatError naming the missing or wrong file."""
     for path in (cert, key):
         if not Path(path).is_file():
             raise GlsplatError(f"{path}: expected a PEM file for TLS, found none")
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
-        context.load_cert_chain(cert, key, password=lambda: "-")  # an encrypted key is refused, not asked about
-    except (ssl.SSLError, OSError):  # OpenSSL's own words name lines of its source
+        context.load_cert_chain(cert, key, password=lambda: "-")  # without it OpenSSL would ask for a passphrase
+    except (ssl.SSLError, OSError):  # OpenSSL's message names lines of its source
         message = f"{cert}, {key}: expected a certificate and the key that belongs to it in PEM, without a passphrase"
         raise GlsplatError(message) from None
     warn_if_exposed(key)

@@ -1,7 +1,7 @@
 """One TCP connection under aiohttp: its bytes are counted before HTTP and WebSocket parsers see them.
 
-aiohttp answers pings, and throws away what it cannot use, before the server's own loop hears of it, and logs what
-strangers send with their words in it. Both are stopped here, by overriding methods of its request handler.
+aiohttp answers pings and discards unusable data before the server's own loop sees them, and logs text that strangers
+sent. This overrides methods of its request handler to prevent both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["GuardedConnection"]
 
 
 class _MeteredReader:
-    """aiohttp's WebSocket parser behind a meter. After a breach nothing is read on."""
+    """aiohttp's WebSocket parser behind a meter. After a breach nothing more is read."""
 
     def __init__(
         self, reader: Any, meter: FrameMeter, clock: Callable[[], float], broke: Callable[[Breach], None]
@@ -43,9 +43,10 @@ class _MeteredReader:
 
 
 class GuardedConnection(web.RequestHandler):
-    """``meter`` is set by the gate once the connection is a client's, before its handshake is answered.
+    """A connection with limits on its bytes.
 
-    ``key`` is the address that its newest request counts for: the peer's, or what a trusted proxy says (``proxied``).
+    The gate sets ``meter`` before it answers a client's handshake. ``key`` is the address of the newest request: the
+    peer's, or the one that a trusted proxy names (``proxied``).
     """
 
     __slots__ = (
@@ -69,17 +70,17 @@ class GuardedConnection(web.RequestHandler):
             loop=asyncio.get_running_loop(),
             access_log=None,  # type: ignore[arg-type]  # which switches it off
             keepalive_timeout=timeout,
-            lingering_time=0,  # else it reads on, for ten seconds and at any rate, what is sent behind an answer
-            auto_decompress=False,  # bodies are taken as they are sent, or refused: nothing is unpacked for strangers
+            lingering_time=0,  # else it reads on behind an answer, for ten seconds and at any rate
+            auto_decompress=False,  # bodies are never unpacked
         )
         self.peer: str = peer  # key of the address at the other end
         self.proxied: bool = proxied  # the peer is a trusted proxy
         self.key: str = peer
         self.meter: FrameMeter | None = None
         self.breached: asyncio.Future[Breach] = asyncio.get_running_loop().create_future()
-        self.busy: bool = False  # while a request of it is answered
+        self.busy: bool = False  # while a request is answered
         self._head, self._head_most = 0, limits.head
-        self._body = 0  # bytes that are expected beyond that
+        self._body = 0  # bytes expected beyond that
         self._notices, self._clock, self._gone = notices, clock, gone
         self._socket: asyncio.Transport | None = None  # until it is closed; aiohttp's ``transport`` ends earlier
 
@@ -89,13 +90,13 @@ class GuardedConnection(web.RequestHandler):
         return self._socket is not None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The socket is connected, and TLS agreed on."""
+        """Record the socket, which is connected (after TLS)."""
         assert isinstance(transport, asyncio.Transport)
         self._socket = transport
         super().connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
-        """Bytes from the socket (after TLS)."""
+        """Count bytes from the socket (after TLS), and pass them on."""
         if self.meter is None:
             self._head += len(data)
             if self._head > self._head_most + self._body:
@@ -114,13 +115,13 @@ class GuardedConnection(web.RequestHandler):
                 self.abort()
 
     def connection_lost(self, exc: BaseException | None) -> None:
-        """The socket is closed."""
+        """Report that the socket is closed."""
         self._socket = None
         self._gone(self)
         super().connection_lost(exc)
 
     def set_parser(self, parser: Any, data_received_cb: Callable[[], None] | None = None) -> None:
-        """aiohttp calls this with its WebSocket parser right after the handshake."""
+        """Put the meter before the WebSocket parser, which aiohttp passes right after the handshake."""
         if self.meter is not None:
             parser = _MeteredReader(parser, self.meter, self._clock, self._broke)
         super().set_parser(parser, data_received_cb)
@@ -144,7 +145,7 @@ class GuardedConnection(web.RequestHandler):
         return response
 
     def log_exception(self, *args: Any, **kw: Any) -> None:
-        """One line with the kind of error and its place: tracebacks and messages may hold what a peer sent."""
+        """Log one line with the error's type and place: tracebacks and messages may hold a peer's text."""
         error = kw.get("exc_info")
         if not isinstance(error, BaseException):
             self._notices("fault", "a request failed in the server")
@@ -156,15 +157,15 @@ class GuardedConnection(web.RequestHandler):
         self._notices("fault", f"a request failed in the server: {type(error).__name__}{place}")
 
     def request_done(self) -> None:
-        """A request was answered: the bytes of the next are counted anew."""
+        """Count the next request's bytes anew."""
         self._head = self._body = 0
 
     def expect(self, nbytes: int) -> None:
-        """The request in hand has a body of at most that many bytes."""
+        """Allow the current request a body of ``nbytes``."""
         self._body = nbytes
 
     def abort(self) -> None:
-        """Close at once, whatever is under way or not yet sent."""
+        """Close at once; unsent data is dropped."""
         if self._socket is not None:
             self._socket.abort()
 
@@ -172,4 +173,4 @@ class GuardedConnection(web.RequestHandler):
         if not self.breached.done():
             self.breached.set_result(breach)
         if self.transport is not None:
-            self.transport.pause_reading()  # what it goes on sending stays on its side
+            self.transport.pause_reading()  # further data stays with the sender

@@ -1,4 +1,4 @@
-"""Objects that give a key twice, which JSON decoders silently read as its last value."""
+"""Detect duplicate keys in JSON objects, of which decoders silently take the last value."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def _once(pairs: list[tuple[str, Any]]) -> None:
 
 
 _plain = msgspec.json.Decoder()
-# numbers are not looked at: a whole number of 5000 digits would be an error of Python's own
+# numbers are not parsed: Python refuses integers of 5000 digits
 _exact = json.JSONDecoder(object_pairs_hook=_once, parse_int=len, parse_float=len, strict=False)
 
 
 def has_duplicates(data: str | bytes) -> bool:
-    """True if an object of this valid JSON text gives a key twice, however the key is escaped.
+    """Return whether an object of this valid JSON text has a key twice, however the key is escaped.
 
-    Every pair has one colon, so a text whose objects, once read, hold as many keys as it has colons has no pair too
-    many: that costs a tenth of what reading pair by pair does. Colons in strings only lead to the slow way.
+    Every pair has one colon: where decoded objects have as many keys as the text has colons, no pair was lost. That
+    costs a tenth of the exact check, which colons in strings make necessary.
     """
     text = data if isinstance(data, str) else data.decode("utf-8", "replace")
     if _keys(_plain.decode(text)) == text.count(":"):
@@ -41,7 +41,7 @@ def has_duplicates(data: str | bytes) -> bool:
 
 
 def _keys(value: Any) -> int:
-    """Keys of the objects in ``value``; those in lists that begin with something else are left out."""
+    """Return the number of keys in ``value``, except in lists whose first member is no object."""
     if type(value) is dict:
         return len(value) + sum(_keys(v) for v in value.values() if type(v) is dict or type(v) is list)
     if type(value) is list and value and type(value[0]) is dict:

@@ -17,19 +17,17 @@ __all__ = ["FORWARDED", "MAX_CHARACTERS", "Network", "TrustedProxies", "proxy_ne
 Address: TypeAlias = ipaddress.IPv4Address | ipaddress.IPv6Address
 Network: TypeAlias = ipaddress.IPv4Network | ipaddress.IPv6Network
 
-FORWARDED = ("X-Forwarded-For", "Forwarded")
-"""The headers."""
-MAX_CHARACTERS = 2048
-"""Longest X-Forwarded-For or Forwarded, all its lines together: some forty IPv6 hops."""
+FORWARDED = ("X-Forwarded-For", "Forwarded")  # headers
+MAX_CHARACTERS = 2048  # of all lines of a header: some forty IPv6 hops
 
 _PORT = r"(?::(?:[0-9]{1,5}|_[A-Za-z0-9._-]{1,32}))?"
 _NODE = re.compile(rf"\[([0-9A-Fa-f:.]{{2,45}})\]{_PORT}|([0-9.]{{7,15}}){_PORT}|([0-9A-Fa-f:.]{{2,45}})")
-# what repeats gives nothing back: no header takes longer than its length
+# possessive quantifiers: matching takes time linear in the header's length
 _PAIR = re.compile(r"""[ \t]*+(?:([!#$%&'*+.^_`|~0-9A-Za-z-]++)=("(?:[^"\\]|\\.)*+"|[^ \t",;]++))?[ \t]*+([,;]|$)""")
 
 
 class TrustedProxies:
-    """Reverse proxies, by their networks, whose word on their clients' addresses counts."""
+    """Reverse proxies, by their networks, that name their clients' addresses."""
 
     def __init__(self, networks: Sequence[Network]) -> None:
         self._networks = tuple(networks)
@@ -42,9 +40,9 @@ class TrustedProxies:
     def client(self, headers: CIMultiDictProxy[str]) -> str | None:
         """Return the address of the client that a trusted proxy forwards a request for.
 
-        It is the rightmost hop that is no trusted proxy: proxies append, so what is left of it may be made up. None
-        where no header names one: absent, malformed, too long, "unknown", an obfuscated identifier (RFC 7239, section
-        6.3: a new one each time), or two headers that differ, of which the client may have sent one.
+        It is the rightmost hop that is no trusted proxy: proxies append, so hops left of it may be forged. None where
+        no header names one: absent, malformed, too long, "unknown", an obfuscated identifier (RFC 7239, section 6.3: a
+        new one each time), or two headers that differ, of which the client may have sent one.
         """
         found = set()
         for name, read in zip(FORWARDED, (_listed, _forwarded), strict=True):

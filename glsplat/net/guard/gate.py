@@ -1,4 +1,4 @@
-"""The way in: every connection and request passes here before the server hears of it (access.py, addresses.py)."""
+"""The gate: checks every connection and request before the server handles it (access.py, addresses.py)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Gate", "connection_of"]
 
-_MOST_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
+_MAX_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
 _CONTINUE = "100-continue"
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -38,7 +38,7 @@ RequestHandler = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
 
 class Gate:
-    """Accepts connections, refuses requests. ``max_clients`` is the server's, of which one address may have a part."""
+    """Accept connections and refuse requests. ``max_clients`` is the server's; one address may have half of them."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Gate:
         self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
         self.rights: Rights = rights
         self.refused = 0  # requests
-        self.is_trusted: Callable[[web.Request], bool] = lambda request: False  # counts like a file of the page
+        self.is_trusted: Callable[[web.Request], bool] = lambda request: False  # counted like a file of the page
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
         self._proxies, self._unnamed = TrustedProxies(access.proxies), False
@@ -92,12 +92,12 @@ class Gate:
         self._listener.start()
 
     async def close(self) -> None:
-        """Accept nothing more; what is connected stays."""
+        """Accept nothing more; open connections stay."""
         if self._listener is not None:
             await self._listener.stop()
 
     def status(self) -> dict[str, int]:
-        """Numbers for /stats."""
+        """Return the numbers for /stats."""
         listener = self._listener
         return {
             "refused": self.refused,
@@ -107,7 +107,7 @@ class Gate:
         }
 
     async def receive(self, request: web.BaseRequest) -> web.StreamResponse:
-        """Answer a request, before aiohttp routes it. What is refused, by whichever part, closes its connection."""
+        """Answer a request, before aiohttp routes it. Every refusal closes its connection."""
         connection = connection_of(request)
         connection.busy = True
         try:
@@ -134,10 +134,10 @@ class Gate:
         return await handler(request) if refusal is None else self._refused(refusal)
 
     def enter(self, request: web.Request, ws: web.WebSocketResponse) -> ClientQuota | web.Response:
-        """What a new client may spend once it is accepted, or why it may not come in."""
+        """Return the quota of a new client, or the refusal."""
         connection = connection_of(request)
         offered = [name.strip() for name in request.headers.get("Sec-WebSocket-Protocol", SUBPROTOCOL).split(",")]
-        if SUBPROTOCOL not in offered:  # aiohttp would log what was offered, a token perhaps
+        if SUBPROTOCOL not in offered:  # aiohttp would log the offer, perhaps a token
             return self._refused(
                 web.Response(status=400, text=f"the subprotocol here is {SUBPROTOCOL}: offer it, or none\n")
             )
@@ -151,7 +151,7 @@ class Gate:
         return quota
 
     async def accept(self, request: web.Request, ws: web.WebSocketResponse, quota: ClientQuota) -> None:
-        """Answer a client's handshake: its connection is metered, and waits no longer."""
+        """Answer a client's handshake; its connection is metered from now on."""
         connection = connection_of(request)
         connection.meter = FrameMeter(quota, self.limits)
         await ws.prepare(request)
@@ -159,37 +159,37 @@ class Gate:
             self._listener.release(connection)
 
     def leave(self, request: web.Request, quota: ClientQuota) -> None:
-        """The client that ``enter`` let in is gone, or was refused after all."""
+        """Take back the quota of a client that left, or was refused after ``enter``."""
         connection = connection_of(request)
         self.addresses.leave(connection.key, quota, self._clock())
         if self._listener is not None:
             self._listener.take_back(connection)
 
     def upload(self, request: web.Request) -> float:
-        """Count a request to make an avatar; seconds until its address may ask again, 0 if it may now."""
+        """Count a request to make an avatar; return the seconds until its address may ask again, 0 for now."""
         return self.addresses.upload(connection_of(request).key, self._clock())
 
     def unfinished_upload(self, request: web.Request, seconds: float) -> None:
-        """Such a request took so long and ended without its pictures."""
+        """Count the seconds of an upload that ended incomplete."""
         self.addresses.unfinished_upload(connection_of(request).key, self._clock(), seconds)
 
     def breach(self, request: web.Request, reason: str) -> None:
-        """A client broke a limit: its address is held off for a while."""
+        """Hold off the address of a client that broke a limit."""
         self.addresses.breach(connection_of(request).key, self._clock())
         self.notices("breach", f"a client broke a limit ({reason}); its address is held off")
 
     def _refused(self, response: web.Response) -> web.Response:
-        """Count it."""
+        """Count a refusal and return it."""
         self.refused += 1
         return response
 
     def _client_key(self, request: web.BaseRequest, connection: GuardedConnection) -> str:
-        """The key of the address that a trusted proxy sends a request for, else the proxy's."""
+        """Return the key of the address that a trusted proxy names, else the proxy's."""
         client = self._proxies.client(request.headers)
         if client is None:
             if any(name in request.headers for name in FORWARDED):
                 self.notices("forwarded", "a trusted proxy's header names no client; the proxy's own address counts")
-            elif not self._unnamed:  # a proxy that says nothing, or its machine's own monitor
+            elif not self._unnamed:  # a proxy without headers, or a monitor on its machine
                 self._unnamed = True
                 self.notices(
                     "unnamed", f"a request of a trusted proxy has no {' or '.join(FORWARDED)}; its address counts"
@@ -198,7 +198,7 @@ class Gate:
         return address_key(client)
 
     def _refused_early(self, request: web.BaseRequest, connection: GuardedConnection) -> web.StreamResponse | None:
-        """Refuse what aiohttp would fail on, or answer uncounted."""
+        """Refuse requests that aiohttp would fail on, or answer uncounted."""
         wrong = self._access.wrong_host(request.headers.getall("Host", []))
         if wrong is None and not _has_address(request):
             wrong = 400, "the Host header and the request's target make no URL"
@@ -211,7 +211,7 @@ class Gate:
 
     async def _refusal(self, request: web.Request, connection: GuardedConnection) -> web.Response | None:
         now, key, addresses, access = self._clock(), connection.key, self.addresses, self._access
-        health = request.path == "/healthz"  # says nothing about the scene or the clients, to held off addresses too
+        health = request.path == "/healthz"  # tells nothing of scene and clients; answered while held off, too
         if not health and (seconds := addresses.held_off(key, now)) > 0:
             return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
         public = _is_page(request)
@@ -220,7 +220,7 @@ class Gate:
         if health:
             return None
         guesses = not public and access.guarded and access.offers_token(request.headers)
-        if guesses and (seconds := addresses.no_guess(key, now)) > 0:
+        if guesses and (seconds := addresses.guess_wait(key, now)) > 0:
             return _later(seconds, "too many wrong tokens from this address")
         refusal = access.refusal(request.headers, public)
         if refusal is None:
@@ -231,18 +231,18 @@ class Gate:
         return _asked(refusal[1]) if refusal[0] == 401 else web.Response(status=refusal[0], text=refusal[1] + "\n")
 
     async def _identify(self, request: web.Request, key: str, accounts: Accounts) -> web.Response | None:
-        """Note in the request whose it is, or refuse it."""
+        """Record the account of a request, or return a refusal."""
         token = next(iter(self._access.tokens(request.headers)), None)
         if token is None:
             return _asked("an account's token is needed: Authorization: Bearer NAME.SECRET, or as a subprotocol")
         user = accounts.known(token)
         if user is None:
-            if self._logins >= _MOST_LOGINS:
+            if self._logins >= _MAX_LOGINS:
                 return _later(1.0, "too many tokens are looked at just now")
             self._logins += 1
             try:
-                async with self._login:  # one at a time: what is guessed at once is counted one by one
-                    if (seconds := self.addresses.no_guess(key, self._clock())) > 0:
+                async with self._login:  # one at a time, so that parallel guesses are all counted
+                    if (seconds := self.addresses.guess_wait(key, self._clock())) > 0:
                         return _later(seconds, "too many wrong tokens from this address")
                     user = await accounts.verified(token)
                     if user is None:
@@ -257,14 +257,14 @@ class Gate:
 
 
 def connection_of(request: web.BaseRequest) -> GuardedConnection:
-    """The connection a request came by."""
+    """Return the connection of a request."""
     connection = request.protocol
     assert isinstance(connection, GuardedConnection)
     return connection
 
 
 def _has_address(request: web.BaseRequest) -> bool:
-    """Return whether aiohttp can read the URL that pages link to: it raises for ports and IDNA that are none."""
+    """Return whether aiohttp can read the URL: it raises for invalid ports and IDNA names."""
     try:
         return request.url.host is not None
     except ValueError:
@@ -272,7 +272,7 @@ def _has_address(request: web.BaseRequest) -> bool:
 
 
 def _is_page(request: web.Request) -> bool:
-    """Whether a file of the page will answer: by what the address led to, not by how it is spelled."""
+    """Return whether a file of the page will answer, by the route, not by the path's spelling."""
     resource = request.match_info.route.resource
     return resource is not None and resource.canonical in ("/vr", "/vr/{path}")
 

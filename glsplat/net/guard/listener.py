@@ -1,6 +1,6 @@
-"""The listening socket: accepts connections at a bounded rate and keeps a bounded number of those that are no clients.
+"""The listening socket: accepts connections at a bounded rate, and keeps a bounded number that are not clients (yet).
 
-asyncio's own server logs a traceback for each attempt once no file descriptor is left, and accepts without bound.
+asyncio's own server accepts without bound, and logs a traceback for each attempt once no file descriptor is left.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from glsplat.net.guard.notices import Notices
 __all__ = ["Listener", "bind"]
 
 _BACKLOG = 64
-_PAUSE = 1.0  # seconds without accepting when no descriptor is left and none can be freed
-_RESERVE = 12  # descriptors kept for what the server opens itself: a renderer started anew, files, wake-ups
-_FEWEST = 2  # connections in the handshake, however few descriptors there are
+_PAUSE_S = 1.0  # without accepting when no descriptor is left and none can be freed
+_RESERVED = 12  # descriptors for the server itself: a restarted renderer, files, wake-ups
+_MIN_WAITING = 2  # connections, however few descriptors there are
 _EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 Make = Callable[[str, bool, Callable[[GuardedConnection], None]], GuardedConnection]
-"""Makes the protocol of a connection: its peer's key, whether that is a trusted proxy, what to call when it is gone."""
+"""Makes the protocol of a connection: its peer's key, whether that is a trusted proxy, a callback when it closes."""
 
 
 class Listener:
-    """Accepts for ``make``. ``clients`` descriptors are left for clients, which are counted elsewhere."""
+    """Accept connections for ``make``. ``clients`` descriptors are reserved for clients."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Listener:
         self._socket, self._make, self._addresses, self._notices = listening, make, addresses, notices
         self._clock, self._clients, self._tls, self._handshake = clock, clients, tls, handshake
         self._proxies = proxies
-        # no clients (in the handshake, asking for a page, idle, closing), the oldest first, and what opens them
+        # not clients: in the handshake, loading a page, idle, closing; oldest first, with the tasks that open them
         self._waiting: dict[GuardedConnection, asyncio.Task[None] | None] = {}
         self._task: asyncio.Task[None] | None = None
         self.room: int = 0  # connections that may wait
@@ -59,17 +59,17 @@ class Listener:
 
     @property
     def waiting(self) -> int:
-        """Connections that are no clients."""
+        """Number of connections that are not clients."""
         return len(self._waiting)
 
     def start(self) -> None:
-        """Accept from now on."""
+        """Begin to accept."""
         self.room = self._room()
         self._socket.setblocking(False)
         self._task = asyncio.create_task(self._accept(), name="accept")
 
     async def stop(self) -> None:
-        """Accept nothing more and close the socket; what is connected stays."""
+        """Accept nothing more and close the socket; open connections stay."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -79,11 +79,11 @@ class Listener:
                 opening.cancel()
 
     def release(self, connection: GuardedConnection) -> None:
-        """Count it here no longer, nor close it to make room: it is an accepted client's, or closed."""
+        """Stop counting a connection, or closing it to make room: it is an accepted client's, or closed."""
         self._waiting.pop(connection, None)
 
     def take_back(self, connection: GuardedConnection) -> None:
-        """Count it until its socket is closed: its client has left, but may not take what is still to be sent."""
+        """Count a connection until its socket is closed: its client has left, but may not read unsent data."""
         if connection.open:
             self._waiting.setdefault(connection, None)
 
@@ -97,13 +97,13 @@ class Listener:
             except OSError as error:
                 kind = "are used up" if error.errno in _EXHAUSTED else f"cannot be had ({error.strerror})"
                 self._notices("descriptors", f"file descriptors {kind}: idle connections are closed first")
-                await asyncio.sleep(0 if self._make_room() else _PAUSE)
+                await asyncio.sleep(0 if self._make_room() else _PAUSE_S)
                 continue
             self._admit(accepted, peer[0])
-            await asyncio.sleep(0)  # sock_accept does not, while there is something to accept
+            await asyncio.sleep(0)  # sock_accept does not yield while connections are pending
 
     def _admit(self, accepted: socket.socket, host: str) -> None:
-        # a trusted proxy's connections carry requests of many addresses: each request counts for its own
+        # a trusted proxy's connections carry requests of many addresses, which are counted one by one
         key, proxied = address_key(host), self._proxies.trusts(host)
         if not proxied and not self._addresses.visit(key, self._clock()):
             self._notices("visits", "an address connects too often; closed unanswered")
@@ -130,7 +130,7 @@ class Listener:
             accepted.close()
 
     def _make_room(self) -> bool:
-        """Close the oldest idle connection of the address that has most, or False where nobody has too many.
+        """Close the oldest idle connection of the address with most; return False where there is none.
 
         A busy one is closed where none is idle and its address has more than half of all.
         """
@@ -152,15 +152,15 @@ class Listener:
     def _room(self) -> int:
         limit = _descriptors_left()
         wanted = self._addresses.limits.waiting
-        if limit is None or limit - self._clients - _RESERVE >= wanted:
+        if limit is None or limit - self._clients - _RESERVED >= wanted:
             return wanted
-        room = max(_FEWEST, limit - self._clients - _RESERVE)
+        room = max(_MIN_WAITING, limit - self._clients - _RESERVED)
         self._notices("few", f"few file descriptors (ulimit -n): {room} connections may wait, not {wanted}")
         return room
 
 
 def bind(host: str, port: int, kind: int = socket.SOCK_STREAM) -> socket.socket:
-    """A listening socket, or one of datagrams. Raises GlsplatError (port in use, no such address)."""
+    """Return a listening socket, or one of datagrams. Raises GlsplatError (port in use, no such address)."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, kind)
     try:
@@ -182,7 +182,7 @@ def bind(host: str, port: int, kind: int = socket.SOCK_STREAM) -> socket.socket:
 
 
 def _descriptors_left() -> int | None:
-    """How many more files this process may open; None where that cannot be told."""
+    """Return the number of files that this process may still open; None where that is unknown."""
     try:
         import resource  # not on Windows
     except ImportError:

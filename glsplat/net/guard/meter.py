@@ -1,4 +1,4 @@
-"""A client's WebSocket frames counted by their headers alone (RFC 6455, section 5.2), before anything reads them."""
+"""Count a client's WebSocket frames by their headers alone (RFC 6455, section 5.2), before any parser."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ POLICY_VIOLATION = 1008
 
 @dataclass(frozen=True, slots=True)
 class Breach:
-    """Why a connection ends. ``reason`` is told to the client."""
+    """Why a connection ends. The client receives ``reason``."""
 
     code: int  # of the close
     reason: str
 
 
 class FrameMeter:
-    """Follows the frames of one connection through the stream of its bytes and takes each from the client's quota.
+    """Follow the frames in one connection's bytes, and take each from the client's quota.
 
-    A limit is noticed at the first header beyond it: what a client sent in one go after that is never looked at.
+    A breach is found at the first header beyond a limit; bytes behind it are never read.
     """
 
     def __init__(self, quota: ClientQuota, limits: Limits) -> None:
         self._quota, self._limits = quota, limits
-        self._head = bytearray()  # of a header that is not whole yet
+        self._head = bytearray()  # of an incomplete header
         self._skip = 0  # bytes of payload to come
 
     def expect_answer(self, now: float) -> None:
-        """A ping goes out: its pong is nothing that the client sends of its own."""
+        """Allow the pong of a ping that is sent."""
         self._quota.control.charge(now, -1.0)
 
     def feed(self, data: bytes, now: float) -> tuple[int, Breach | None]:
-        """How many bytes of ``data`` may be read on, and what is wrong with those behind them."""
+        """Return the number of bytes of ``data`` that may be read, and the breach behind them."""
         if not self._quota.bytes.take(now, len(data)):
             return 0, Breach(POLICY_VIOLATION, f"more than {self._limits.bytes / 1024:g} KiB a second")
         position, size = 0, len(data)
         if self._head and size:
             # the first bytes complete the header that the last ones began
-            wanted = min(_LONGEST - len(self._head), size)
+            wanted = min(_MAX_HEADER - len(self._head), size)
             known = len(self._head)
             self._head += data[:wanted]
             breach = self._refused(self._head, 0, now) if known < 2 <= len(self._head) else None
@@ -72,7 +72,7 @@ class FrameMeter:
             self._skip = length[1]
 
     def _refused(self, data: bytes | bytearray, at: int, now: float) -> Breach | None:
-        """Judge and count the frame whose two first bytes are at ``at``."""
+        """Count the frame whose two first bytes are at ``at``; return its breach."""
         if not data[at + 1] & 0x80:
             return Breach(PROTOCOL_ERROR, "a client's frames need a mask")
         control = bool(data[at] & 0x08)
@@ -82,11 +82,11 @@ class FrameMeter:
         return Breach(POLICY_VIOLATION, f"more than {rate:g} {kind} a second")
 
 
-_LONGEST = 14  # bytes of a header: 2, 8 of length, 4 of mask
+_MAX_HEADER = 14  # bytes: 2, 8 of length, 4 of mask
 
 
 def _header(data: bytes | bytearray, at: int, end: int) -> tuple[int, int] | None:
-    """Bytes of the header at ``at`` and of the payload behind it, or None where it is not whole before ``end``."""
+    """Return the bytes of the header at ``at`` and of its payload; None where it is incomplete at ``end``."""
     if end - at < 2:
         return None
     short = data[at + 1] & 0x7F

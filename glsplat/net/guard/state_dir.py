@@ -1,4 +1,4 @@
-"""The folder of what a server keeps between its starts: only its user can read it; a lock, and the token."""
+"""The state folder of a server, which only its user can read: a lock, and the token."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from glsplat.net.guard.access import read_token
 
 __all__ = ["TOKEN", "kept_token", "lock_of", "state_folder"]
 
-TOKEN = "token"
-"""The name of the token's file in the folder."""
-_BYTES = 18  # of chance in a token, 144 bits: 24 characters
-_PATIENCE = 10.0  # seconds; who holds the lock makes a key meanwhile, which takes some milliseconds
+TOKEN = "token"  # name of its file
+_TOKEN_BYTES = 18  # 144 random bits: 24 characters
+_LOCK_TIMEOUT_S = 10.0  # a process holds it for some milliseconds, to make a key
 
 
 def state_folder() -> Path:
-    """``$XDG_STATE_HOME/glsplat`` (``~/.local/state/glsplat``), made where it is absent; nobody else can look into it.
+    """Return ``$XDG_STATE_HOME/glsplat`` (``~/.local/state/glsplat``); it is made with mode 0700 where it is absent.
 
-    Raises GlsplatError when it cannot be made, or is somebody else's.
+    Raises GlsplatError when it cannot be made, or belongs to another user.
     """
     base = Path(os.environ.get("XDG_STATE_HOME", ""))
     if not base.is_absolute():  # as the XDG Base Directory Specification says
@@ -47,16 +46,16 @@ def state_folder() -> Path:
 
 
 def lock_of(folder: Path) -> AbstractContextManager[None]:
-    """One process at a time: of two servers that start together, the second finds what the first made."""
-    return locked(folder / "lock", _PATIENCE)
+    """Lock the folder: of two servers that start together, the second finds the files of the first."""
+    return locked(folder / "lock", _LOCK_TIMEOUT_S)
 
 
 def kept_token(folder: Path) -> str:
-    """The token in the folder, made at the first call. Raises GlsplatError naming the file."""
+    """Return the token in the folder, made at the first call. Raises GlsplatError naming the file."""
     path = folder / TOKEN
     with lock_of(folder):
         if not path.exists():
-            replace_file(path, [secrets.token_urlsafe(_BYTES).encode() + b"\n"], private=True)
+            replace_file(path, [secrets.token_urlsafe(_TOKEN_BYTES).encode() + b"\n"], private=True)
         try:
             return read_token(path)
         except GlsplatError as error:

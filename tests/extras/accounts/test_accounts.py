@@ -138,7 +138,7 @@ async def test_only_so_many_tokens_wait_to_be_looked_at(serve, made, monkeypatch
     """And who was let in before does not wait behind them."""
     config, tokens, _ = made
     hashed, opened = users._hashed, threading.Event()
-    monkeypatch.setattr(gate, "_MOST_LOGINS", 2)
+    monkeypatch.setattr(gate, "_MAX_LOGINS", 2)
     async with serve(config=config, offered=OFFERED) as server:
         first = (await get(server, "/session", tokens["boss"]))[0]
         monkeypatch.setattr(users, "_hashed", lambda *words: opened.wait(HANG) and hashed(*words))

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.learned import network as module
-from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE, Guess, TrackedFrames
+from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE_HZ, NetworkOutput, TrackedFrames
 from glsplat.extras.learned.hints import Hints
 from glsplat.extras.learned.network import ARRAYS, PoseNetwork, embedded_network, load_network, save_network
-from glsplat.extras.learned.steady import Steady
+from glsplat.extras.learned.velocity import SteadyPosition
 from glsplat.extras.motions.batch import forward_all, resample
 from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.extras.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
@@ -113,7 +113,7 @@ def test_broken_files_are_told_in_a_line(tmp_path: Path, rng: np.random.Generato
     save_network(path, replace(n, cell=n.cell.astype(np.float64)))  # type: ignore[arg-type]
     says("cell is float64")
     arrays = {name: getattr(n, name) for name in ARRAYS}
-    parts = {"version": np.array(module.VERSION), "rate": np.array(RATE), "sha256": np.array(module._hash(arrays))}
+    parts = {"version": np.array(module.VERSION), "rate": np.array(RATE_HZ), "sha256": np.array(module._hash(arrays))}
     with open(path, "wb") as file:
         np.savez(file, **(parts | arrays | {"front_bias": n.front_bias + 1}))
     says("do not fit its checksum")
@@ -179,7 +179,7 @@ def test_targets_say_where_the_body_is(skeleton: Skeleton) -> None:
     motion = load_motion("walk", skeleton)
     clip = clips_of("somebody", motion, skeleton, (1.0,))[0]
     unit = unit_of_skeleton(skeleton)
-    guess = Guess.of(targets_of(clip, unit), unit)
+    guess = NetworkOutput.of(targets_of(clip, unit), unit)
     for i in (0, 7, len(clip.points) - 2):
         c, s = np.cos(clip.seen.yaw[i]), np.sin(clip.seen.yaw[i])
         turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
@@ -197,7 +197,7 @@ def test_devices_that_are_off_do_not_move_the_body(skeleton: Skeleton, rng: np.r
     np.testing.assert_allclose(_seen_from(truth, clip.seen, clip.seen, unit), truth, atol=1e-6)
     for _ in range(4):
         odd: TrackedFrames = disturbed(clip.seen, rng)
-        guess = Guess.of(_seen_from(truth, clip.seen, odd, unit), unit)
+        guess = NetworkOutput.of(_seen_from(truth, clip.seen, odd, unit), unit)
         c, s = np.cos(odd.yaw), np.sin(odd.yaw)
         zero, one = np.zeros_like(c), np.ones_like(c)
         turn = np.stack((c, zero, s, zero, one, zero, -s, zero, c), -1).reshape(-1, 3, 3)
@@ -292,7 +292,7 @@ def test_an_upper_body_stands_on_feet_that_stay(skeleton: Skeleton, rng: np.rand
 
 
 def test_a_steady_place_trembles_less_and_is_not_behind(rng: np.random.Generator) -> None:
-    steady, dt = Steady(), 1 / 72
+    steady, dt = SteadyPosition(), 1 / 72
     walks = [(1.4 * i * dt, 0.9, 0.0) for i in range(200)]
     shown = [steady.update(place, dt) for place in walks]
     assert abs(shown[-1][0] - walks[-1][0]) < 1e-3

@@ -182,7 +182,7 @@ ROWS = {
     "bytes of pictures a second, of a sender": (f"{UPLOADS.rate:g} at least", f"{UPLOADS.stall:g} s behind"),
     "seconds for the pictures of an avatar": (f"{UPLOADS.receive:g}", ""),
     "seconds for a whole request, or a TLS handshake": (f"{SESSION.handshake:g}", ""),
-    "tokens of accounts whose hash is waited for": (f"{gate._MOST_LOGINS}", ""),
+    "tokens of accounts whose hash is waited for": (f"{gate._MAX_LOGINS}", ""),
     "wrong tokens of an address": (f"{LIMITS.guesses + 1}, then one after 1, 2, 4 ... {LIMITS.hold_off_most:g} s", ""),
     "text and binary frames of a client": (f"{LIMITS.frames:g} a second", f"{LIMITS.frames_burst:g}"),
     "pings, pongs and closes of a client": (f"{LIMITS.control:g} a second", f"{LIMITS.control_burst:g}"),

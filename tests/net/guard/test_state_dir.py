@@ -66,7 +66,7 @@ def test_a_damaged_token_is_said_and_left_alone(state):
 
 def test_a_lock_that_is_held_is_waited_for_and_then_said(state, monkeypatch):
     folder = state_folder()
-    monkeypatch.setattr(kept, "_PATIENCE", 0.1)
+    monkeypatch.setattr(kept, "_LOCK_TIMEOUT_S", 0.1)
     with lock_of(folder):
         start = time.monotonic()
         with pytest.raises(GlsplatError, match="lock: another process holds it"), lock_of(folder):

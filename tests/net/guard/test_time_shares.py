@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.net.backend import Solved
-from glsplat.net.guard.limits import ClientQuota, CpuBudget, Limits
-from glsplat.net.guard.reading import Reading
+from glsplat.net.guard.limits import ClientQuota, CpuBudget, Limits, MessageThrottle
 from glsplat.net.messages import Request
 from glsplat.net.pose_queue import PoseQueue
 from glsplat.skinning.pose import Pose
@@ -19,7 +18,7 @@ from glsplat.tracking.sample import Sample
 def test_beyond_its_part_of_the_time_only_the_newest_message_is_read():
     """Two clients, one that sends what takes all the time there is; the other's messages are all read."""
     budget, now = CpuBudget(0.2, 0.0), 0.0
-    greedy, good = Reading(budget.open(0.0)), Reading(budget.open(0.0))
+    greedy, good = MessageThrottle(budget.open(0.0)), MessageThrottle(budget.open(0.0))
     read = {greedy: [], good: []}
     for i in range(2000):  # 20 s
         now += 0.01

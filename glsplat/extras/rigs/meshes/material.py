@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.formats.texture import decode_texture
-from glsplat.formats.gltf.container import Accessor, Container
+from glsplat.formats.gltf.container import Container
+from glsplat.formats.gltf.schema import Accessor
 from glsplat.pictures import to_linear, to_srgb
 
 __all__ = ["Material", "material_of"]

@@ -61,7 +61,7 @@ def read_gltf_person(
         if not shown:
             raise FormatError(_NO_SKIN)
         mesh = _rigged(container, graph, shown, Path(start.name).name, own_joints, rig_map or {}, scale)
-        container.tell()
+        container.warn()
         return mesh
 
 
@@ -88,7 +88,7 @@ def mesh_of(container: Container, source: str) -> RiggedMesh:
                 parts.append(_part(surface, first))
                 first += len(surface.points)
             mesh = standing(np.concatenate(vertices), tuple(parts), source)
-        container.tell()
+        container.warn()
         return mesh
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.meshes.material import Material, material_of
 from glsplat.extras.rigs.meshes.vertex_colours import painted
-from glsplat.formats.gltf.container import Container, Primitive
+from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Instance
+from glsplat.formats.gltf.schema import Primitive
 
 __all__ = ["Materials", "Surface", "surface_of"]
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.formats.gltf.container import Mesh, Node, Primitive, Scene
 from glsplat.formats.gltf.morphs import add_sparse, index_code
 from glsplat.formats.gltf.output import INDICES, UNLIT, Output, unlit_material
 from glsplat.formats.gltf.rig import write_influences, write_skeleton
+from glsplat.formats.gltf.schema import Mesh, Node, Primitive, Scene
 from glsplat.io.files import Source
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import INFLUENCES, Skin
