@@ -5,7 +5,7 @@
 FROM debian:12-slim AS build
 RUN apt-get update && apt-get install -y --no-install-recommends python3-venv && rm -rf /var/lib/apt/lists/*
 COPY . /src
-RUN python3 -m venv /opt/glsplat && /opt/glsplat/bin/pip install --no-cache-dir /src
+RUN python3 -m venv /opt/glsplat && /opt/glsplat/bin/pip install --no-cache-dir '/src[server]'
 
 FROM debian:12-slim
 RUN apt-get update \

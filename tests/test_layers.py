@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 # Lower floors first. A room is a folder or a module right in glsplat/, or a folder of extras. A module of the core
 # imports from floors below its own, or from its own room; rooms on one floor do not see each other.
 FLOORS = [
-    ["errors", "optional", "timing", "rotations"],
-    ["arrays", "io"],
+    ["errors", "timing", "rotations"],
+    ["arrays", "io", "optional"],
     ["light"],
     ["splats", "camera", "config", "pictures"],
     ["skinning", "shaders"],

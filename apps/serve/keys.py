@@ -15,6 +15,7 @@ from glsplat.extras.watermark.state import kept_watermark
 from glsplat.net.guard.access import is_loopback, read_token
 from glsplat.net.guard.machine import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
+from glsplat.optional import require_package
 
 from ..usage import UsageError
 
@@ -70,6 +71,7 @@ def keys_of(args: argparse.Namespace) -> Keys:
             None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file, accounts=accounts
         )
 
+    require_package("--self-signed", "cryptography", "server", "give --tls-cert and --tls-key")
     from glsplat.extras.operations.certificate import holds, kept_certificate  # here: it loads what others do not need
 
     folder = state_folder()

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.models.catalogue import PHOTO
-from glsplat.extras.authoring.models.store import path_of
 from glsplat.extras.uploads.job import LowConfidenceError, Order, Progress, UploadConfig
 from glsplat.net.guard.access import is_loopback
 
@@ -39,6 +37,9 @@ def upload_config(args: argparse.Namespace) -> UploadConfig | None:
         return None
     if args.cull_hidden:
         raise UsageError("--cull-hidden needs avatars with cones, those of --allow-upload have none: leave one out")
+    from glsplat.extras.authoring.models.catalogue import PHOTO  # here: other servers run without scipy
+    from glsplat.extras.authoring.models.store import path_of
+
     for model in PHOTO.models:
         path_of(model.name)
     # on its user's own machine drawing steps back (net/server.py); elsewhere others look on meanwhile, and go first

@@ -13,6 +13,7 @@ from typing import TextIO
 from glsplat.extras.operations import qr
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.optional import has_package, missing_package
 
 from .keys import Keys
 
@@ -94,6 +95,9 @@ def announce(place: Place, out: TextIO, show_qr: bool, status: bool = True) -> N
 
 
 def _print_qr(address: str, out: TextIO, person: bool) -> None:
+    if not has_package("segno"):
+        print(f"  ({missing_package('a QR code', 'segno', 'server')})", file=out)
+        return
     lines, columns = qr.terminal(address)
     if person and shutil.get_terminal_size().columns < columns:
         print(f"  (no QR code: it needs a terminal of {columns} columns)", file=out)

@@ -8,8 +8,6 @@ import sys
 from importlib import import_module, resources
 from pathlib import Path
 
-from tqdm import tqdm
-
 from glsplat.errors import FormatError
 from glsplat.extras.study.design import Study, read_study
 from glsplat.extras.study.export import export
@@ -19,6 +17,7 @@ from glsplat.extras.study.questionnaires import embedded
 from glsplat.extras.study.store import remove
 from glsplat.io.files import replace_file
 
+from ..progress import Progress
 from ..usage import UsageError
 from .files import avatar_files, data_of
 
@@ -172,11 +171,11 @@ def run_study(args: argparse.Namespace) -> int:
 def run_export(args: argparse.Namespace) -> int:
     """Write the tables, say what has to be known of them."""
     study, made = _planned(args)
-    with tqdm(desc="participants", disable=not sys.stderr.isatty(), leave=False) as bar:
+    with Progress(0, "participants") as bar:
 
         def progress(done: int, of: int) -> None:
             bar.total = of
-            bar.update(done - bar.n)
+            bar.show(done)
 
         done = export(study, made, data_of(args.study, args.data), args.output, progress)
     for name, count in done.rows.items():

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ABSENT = {"cv2", "trimesh", "scipy", "PIL", "glfw", "tqdm", "cryptography", "segno"}
+ABSENT = {"cv2", "trimesh", "scipy", "PIL", "glfw", "cryptography", "segno"}
 
 
 def loaded_by(script: str) -> set[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from importlib import util
+import sys
 
 import pytest
 
@@ -34,10 +34,8 @@ def test_what_it_takes(monkeypatch):
 
 
 def test_without_ray(monkeypatch):
-    monkeypatch.setattr(
-        "glsplat.extras.workers.cluster.find_spec", lambda name: None if name == "ray" else util.find_spec(name)
-    )
-    with pytest.raises(GlsplatError, match=r'^Ray is not installed; pip install "glsplat\[ray\]"'):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(GlsplatError, match=r"^work on a cluster needs ray: pip install 'glsplat\[ray\]'"):
         asked("--workers", "ray:2")
     assert asked("--workers", "2") == Workers(count=2)
 

@@ -194,7 +194,7 @@ async def test_who_leaves_takes_it_along_and_the_server_stops_in_order(serve: An
 
 
 def test_without_what_it_needs_a_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "glsplat.extras.far_links.datagrams.listener", None)
+    monkeypatch.setitem(sys.modules, "aioquic", None)
     with pytest.raises(GlsplatError, match=r"pip install 'glsplat\[webtransport\]'"):
         server_of(FakeBackend(), CONFIG)
 
