@@ -7,10 +7,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from apps.serve.settings import MATTER, parsed
 
 from apps import cli
 from apps.serve import command as serve
-from apps.serve.settings import MATTER, parsed
 from apps.usage import CommandParser
 from tests.apps.cli import mistake
 
