@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import shutil
 import threading
@@ -17,7 +16,7 @@ from glsplat.optional import has_package, missing_package
 
 from .keys import Keys
 
-__all__ = ["Place", "add_ready", "announce", "open_page"]
+__all__ = ["Place", "announce", "open_page"]
 
 log: logging.Logger = logging.getLogger("glsplat.serve")
 
@@ -55,13 +54,6 @@ class Place:
     def page(self, name: str, *, token: bool = False) -> str:
         """The page's address under a name; with the token behind ``#``, which browsers keep to themselves."""
         return self.url(name, "/vr") + (f"#token={self.keys.token}" if token and self.keys.token else "")
-
-
-def add_ready(parser: argparse.ArgumentParser) -> None:
-    """--open, --qr, --json."""
-    parser.add_argument("--open", action="store_true", help="open the page in this machine's browser once ready")
-    parser.add_argument("--qr", action="store_true", help="print the page's address as a QR code (a terminal gets one)")
-    parser.add_argument("--json", action="store_true", help="print addresses and driver as a JSON line once ready")
 
 
 def announce(place: Place, out: TextIO, show_qr: bool, status: bool = True) -> None:
@@ -124,7 +116,7 @@ def open_page(place: Place) -> threading.Thread:
         except (webbrowser.Error, OSError):
             opened = False
         if not opened:
-            log.warning("--open: no browser could be started here; the page is %s", address)
+            log.warning("open: no browser could be started here; the page is %s", address)
 
     thread = threading.Thread(target=work, name="open", daemon=True)
     thread.start()

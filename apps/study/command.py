@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     command = commands.add_parser(
         "run",
-        help="serve the study to one participant: glsplat serve --study STUDY --participant N, and its options",
+        help="serve the study to one participant: glsplat serve with its options",
     )
     _add_study(command)
     command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
@@ -151,21 +152,15 @@ def plan(args: argparse.Namespace) -> int:
 
 
 def run_study(args: argparse.Namespace) -> int:
-    """``glsplat serve --study ...``, with its options."""
+    """Run ``glsplat serve`` for one participant, with the flags of serve behind the number."""
     from ..serve import command as serve
     from ..usage import CommandParser
 
     parser = CommandParser(prog="glsplat serve", description=serve.HELP)
     serve.add_arguments(parser)
-    words = [
-        "--study",
-        str(args.study),
-        "--participant",
-        str(args.participant),
-        "--study-data",
-        str(data_of(args.study, args.data)),
-    ]
-    return serve.run(serve.parsed(parser, [*words, *args.options]))
+    options = serve.parsed(parser, args.options)
+    study = {"study": args.study, "participant": args.participant, "study_data": data_of(args.study, args.data)}
+    return serve.run(replace(options, **study))
 
 
 def run_export(args: argparse.Namespace) -> int:

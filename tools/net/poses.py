@@ -16,6 +16,7 @@ import json
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -278,8 +279,14 @@ def main() -> None:
     listeners(args.listeners, 3.0, 72.0)
     if args.no_server:
         return
-    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--max-clients", "64"]
-    command += ["--room", "lab:64", "--watermark", "off"]
+    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--room", "lab:64"]
+    with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
+        print('max-clients = 64\nwatermark = "off"', file=file, flush=True)
+        measured([*command, "--config", file.name], args)
+
+
+def measured(command: list[str], args: argparse.Namespace) -> None:
+    """Print a row for each number of people and rate in the room of a server."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None

@@ -203,5 +203,5 @@ def test_a_port_in_use_is_told_in_a_line() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
-        with pytest.raises(GlsplatError, match=rf"UDP port {port} .*leave --webtransport out"):
+        with pytest.raises(GlsplatError, match=rf"UDP port {port} .*leave webtransport out"):
             udp.bind_udp("127.0.0.1", port)
