@@ -136,8 +136,8 @@ def running_server(avatar: str | None, rendering: RenderConfig = LEAN) -> Iterat
 
 def _serve(connection: Connection, avatar: str | None, rendering: RenderConfig) -> None:
     """The child: tells its URL, or one line of what went wrong."""
-    from glsplat.net.gl_server import make_server
     from glsplat.net.options import ServerConfig
+    from glsplat.net.served_scene import make_server
 
     from .args import load_avatar
 

@@ -55,13 +55,13 @@ WITHIN = {
         ["conversation"],
         ["server"],
         ["standard_server"],
-        ["gl_server"],
+        ["served_scene"],
     ],
 }
 # Modules of the core that still import extras, and from which.
 STILL = {
     "net.conversation": {"browser"},
-    "net.gl_server": {"browser", "consent", "speech", "uploads", "workers"},
+    "net.served_scene": {"browser", "consent", "speech", "uploads", "workers"},
     "net.pages.routes": {"browser", "operations", "speech"},
     "net.server": {"browser"},
     "net.session": {"far_links"},

@@ -15,11 +15,11 @@ from glsplat.data import DEFAULT, PEOPLE, embedded_file
 from glsplat.extras.speech.face.feed import FaceFeed
 from glsplat.extras.speech.face.listener import FaceListener
 from glsplat.extras.watermark.mark import WatermarkKey
-from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.options import ServerConfig
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from glsplat.scene import Rigged

@@ -28,7 +28,7 @@ import json
 import numpy as np
 from apps.serve import command as serve
 from apps.args import open_scene
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.messages import Decoder
 

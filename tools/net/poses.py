@@ -36,9 +36,9 @@ from glsplat.extras.rooms.room import Room
 from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec import body
-from glsplat.net.gl_server import offered
 from glsplat.net.messages import Decoder, Request
 from glsplat.net.pose_queue import PoseQueue
+from glsplat.net.served_scene import offered
 from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording

@@ -23,10 +23,10 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import encode_picture
-from glsplat.net.gl_server import make_server
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder, eye_fields
 from glsplat.net.reply import decode_picture
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
 from tests.apps.cli import mistake, serving

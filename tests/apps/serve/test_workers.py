@@ -13,7 +13,7 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.extras.workers.options import Workers
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from tests.apps.cli import serving
 
