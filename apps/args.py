@@ -43,6 +43,7 @@ __all__ = [
     "add_up",
     "colour",
     "degrees",
+    "detail_level",
     "detail_of",
     "driven",
     "expression",
@@ -84,7 +85,7 @@ def add_light(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _lit(file: SceneFile, args: argparse.Namespace) -> SceneFile:
+def _lit(file: SceneFile, args: Any) -> SceneFile:
     """The scene under --light, where that is an option and given."""
     asked = getattr(args, "light", None)
     if asked is not None:
@@ -130,7 +131,7 @@ def add_solver(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def open_scene(args: argparse.Namespace) -> SceneFile:
+def open_scene(args: Any) -> SceneFile:
     """All that the arguments name, turned so that --up is up: a scene file, or one thing as a scene."""
     if args.scene is None:
         return _lit(SceneFile.of(default_avatar()), args)
@@ -228,7 +229,7 @@ def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
     unasked = "auto" if lean else "0"
     parser.add_argument(
         "--level",
-        type=_level,
+        type=detail_level,
         metavar="N",
         help="level of detail of what has several: 0 the finest, higher numbers coarser ones, auto: by the pixels it "
         f"covers (default {unasked})",
@@ -252,7 +253,7 @@ def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
 _LEAN = ("level", "cull_hidden", "max_sigma")  # where LEAN differs from the pixel contract
 
 
-def detail_of(args: argparse.Namespace) -> dict[str, Any]:
+def detail_of(args: Any) -> dict[str, Any]:
     """What those options say, as fields of RenderConfig. Raises UsageError where they contradict each other."""
     exact = getattr(args, "exact", False)
     given = [name for name in ("level", "lod_bias") if getattr(args, name) is not None]
@@ -275,7 +276,7 @@ def detail_of(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _level(text: str) -> int | str:
+def detail_level(text: str) -> int | str:
     """argparse type: a number of a level, or auto."""
     if text == "auto":
         return text

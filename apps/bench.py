@@ -7,8 +7,6 @@ import json
 import sys
 from typing import Any
 
-from tqdm import tqdm
-
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.extras.evaluate.frames import WARM_UP, Bench
@@ -24,6 +22,7 @@ from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
 
 from .args import add_detail, add_scene, detail_of, motion_of, open_scene, positive, single, size
+from .progress import Progress
 from .usage import UsageError
 
 HELP = (
@@ -74,15 +73,14 @@ def run(args: argparse.Namespace) -> int:
         if args.profile or args.budget is not None:
             return _other(args, bench, context, config, kinds[-1], file)
         settings = [(kind, pixels, views) for kind in kinds for pixels in args.sizes for views in args.views]
-        progress = tqdm(total=len(settings) + 1, unit="setting", disable=args.json or not sys.stderr.isatty())
-        rows = []
-        for (kind, model, poses), pixels, views in settings:
-            progress.set_description(f"{kind} {views} x {pixels[0]}x{pixels[1]}")
-            rows.append(bench.setting(kind, model, poses, pixels, views, file.pose_at if model is file.scene else None))
-            progress.update()
-        skins = bench.influences(scene, motion, args.sizes[0]) if isinstance(scene, Avatar) and motion else []
-        progress.update()
-        progress.close()
+        rows: list[dict[str, Any]] = []
+        with Progress(len(settings) + 1, quiet=args.json) as progress:
+            for (kind, model, poses), pixels, views in settings:
+                progress.show(len(rows), f"{kind} {views} x {pixels[0]}x{pixels[1]}")
+                pose_at = file.pose_at if model is file.scene else None
+                rows.append(bench.setting(kind, model, poses, pixels, views, pose_at))
+            progress.show(len(rows), "influences")
+            skins = bench.influences(scene, motion, args.sizes[0]) if isinstance(scene, Avatar) and motion else []
         result = {**machine(), "driver": context.driver, "backend": context.backend, "frames": args.frames}
         result |= {"settings": rows, "influences": skins}
         print(json.dumps(result) if args.json else table(result))
@@ -111,7 +109,7 @@ def _other(
         if args.profile:
             rows.append(profile(context, model, views, poses, config))
             continue
-        with tqdm(total=len(poses), unit="frame", disable=args.json or not sys.stderr.isatty(), leave=False) as bar:
+        with Progress(len(poses), "frames", quiet=args.json) as bar:
             found = search(context, model, views, poses, args.budget, config, lambda bar=bar: bar.update())  # type: ignore[misc]
         rows.append({"size": list(pixels), "views": len(views[0])} | found)
     result = {**machine(), "driver": context.driver, "frames": args.frames, "kind": name, "rows": rows}

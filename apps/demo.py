@@ -13,7 +13,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from glsplat.config import LEAN, RenderConfig
 from glsplat.data import default_avatar
@@ -22,6 +21,7 @@ from glsplat.io.files import replace_file
 from glsplat.net.client import Client
 
 from .args import add_detail, detail_of, size
+from .progress import Progress
 from .replay.command import load_drive, save_clip, save_sheet
 from .replay.stage_table import frame_text, table_markdown, table_text
 from .replay.streaming import Drive, Result, observer, stream
@@ -93,7 +93,7 @@ async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tup
         name = f"{pixels[0]}x{pixels[1]}"
         async with Client(url, timeout=30.0) as client:
             await client.render(observer(0.0, np.zeros(3), pixels))  # a new size makes new targets: not measured
-            with tqdm(total=frames, desc=name, unit="frame", disable=not bars, leave=False) as bar:
+            with Progress(frames, name, quiet=not bars) as bar:
                 result = await stream(
                     client,
                     drive,
@@ -136,8 +136,8 @@ def running_server(avatar: str | None, rendering: RenderConfig = LEAN) -> Iterat
 
 def _serve(connection: Connection, avatar: str | None, rendering: RenderConfig) -> None:
     """The child: tells its URL, or one line of what went wrong."""
-    from glsplat.net.gl_server import make_server
     from glsplat.net.options import ServerConfig
+    from glsplat.net.served_scene import make_server
 
     from .args import load_avatar
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
@@ -13,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
@@ -48,6 +46,7 @@ from .args import (
 )
 from .clip import CLIPS, Clip
 from .output import joined_views, save_depth, save_npy, save_png, side_by_side
+from .progress import each
 from .usage import UsageError, output_kind
 
 HELP = (
@@ -304,7 +303,7 @@ def _view(args: argparse.Namespace, scene: SceneFile, angle: float = 0.0) -> lis
 
 
 def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], count: int, sound: Sound | None) -> None:
-    frames = tqdm(pictures, total=count, unit="frame", disable=args.json or not sys.stderr.isatty())
+    frames = each(pictures, "frames", total=count, quiet=args.json)
     path = Path(args.output)
     if path.suffix.lower() in CLIPS:
         with Clip(path, args.fps, sound) as clip:

@@ -1,4 +1,4 @@
-"""Extras by name: the core looks them up here and never imports one, so that each folder of extras may be absent."""
+"""Extras and optional packages by name: the core imports neither, so that each may be absent."""
 
 from __future__ import annotations
 
@@ -6,15 +6,49 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 
-__all__ = ["extra_module", "has_extra", "missing", "plugin"]
+from glsplat.errors import GlsplatError
+
+__all__ = [
+    "MissingPackageError",
+    "extra_module",
+    "has_extra",
+    "has_package",
+    "missing",
+    "missing_package",
+    "plugin",
+    "require_package",
+]
+
+
+class MissingPackageError(GlsplatError, ImportError):
+    """A package that pip installs with one of glsplat's extras is not installed; the message has the command."""
+
+
+def has_package(name: str) -> bool:
+    """Return whether a Python package is installed; it is not imported."""
+    try:
+        return find_spec(name) is not None
+    except ModuleNotFoundError:  # its parent is not
+        return False
+
+
+def missing_package(what: str, package: str, extra: str) -> str:
+    """Return the message for something that needs an absent package: ``missing_package("video", "av", "video")``."""
+    return f"{what} needs {package}: pip install 'glsplat[{extra}]'"
+
+
+def require_package(what: str, package: str, extra: str, instead: str = "") -> None:
+    """Raise MissingPackageError unless ``package`` is installed, with the pip extra that has it.
+
+    ``instead``: what else the user can do, such as "leave --video out".
+    """
+    if not has_package(package):
+        raise MissingPackageError(missing_package(what, package, extra) + (f", or {instead}" if instead else ""))
 
 
 def has_extra(name: str) -> bool:
     """Return whether the folder ``glsplat/extras/NAME`` is installed."""
-    try:
-        return find_spec(f"glsplat.extras.{name}") is not None
-    except ModuleNotFoundError:  # no extras at all
-        return False
+    return has_package(f"glsplat.extras.{name}")
 
 
 def extra_module(name: str) -> ModuleType:

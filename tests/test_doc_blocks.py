@@ -27,14 +27,29 @@ import glsplat
 from apps import cli
 from glsplat.data import person
 from glsplat.extras.speech.sound import Sound, wav_bytes
+from tests.apps.cli import run as run_command
 
 pytestmark = pytest.mark.check
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROGRAMS = {
-    *("glsplat", "python", "python3", "make", "pip", "docker", "sudo", "adb", "curl", "xvfb-run", "export", "for"),
-    *("ray", "monado-service", ".venv/bin/pytest", "su", "git"),
+    *(
+        "glsplat",
+        "python",
+        "python3",
+        "make",
+        "pip",
+        "docker",
+        "sudo",
+        "adb",
+        "curl",
+        "xvfb-run",
+        "export",
+        "for",
+        "echo",
+    ),
+    *("ray", "monado-service", ".venv/bin/pytest", "su", "git", "echo"),
 }
 """A block whose lines begin with none of these, and that is not fenced as a language, is a figure or a quotation."""
 WHOLE = {"python.md": "tests/api/test_examples.py", "extending.md": "tests/formats/test_own_format.py"}
@@ -122,7 +137,16 @@ def read_command(command: str, block: Block) -> None:
         try:
             cli.parsed(words[1], words[2:end])
         except (SystemExit, glsplat.GlsplatError) as error:
-            pytest.fail(f"{block.page.name}:{block.line}: {command}: {error}")
+            if not isinstance(error, SystemExit) or error.code:
+                pytest.fail(f"{block.page.name}:{block.line}: {command}: {error}")
+
+
+def is_written(command: str) -> bool:
+    """Write the file of a line such as ``echo 'TEXT' > FILE`` into the current folder; False for other lines."""
+    found = re.fullmatch(r"echo '(.*)' >>? ([a-z.]+)(?: +#.*)?", command)
+    if found is not None:
+        Path(found[2]).write_text(found[1])
+    return found is not None
 
 
 @pytest.mark.gl
@@ -136,6 +160,8 @@ def test_the_blocks_of_a_page(page: Path, tmp_path: Path, monkeypatch: pytest.Mo
         read(block)
         if block.kind == "shell":
             for command in commands_of(block.text):
+                if is_written(command):
+                    continue
                 read_command(command, block)
                 if block.why_not(command) is None:
                     run(command, block)
@@ -157,7 +183,7 @@ def run(command: str, block: Block) -> None:
     out = io.StringIO()
     words, target = (words[:-2], words[-1]) if words[-2] == ">" else (words, None)
     with contextlib.redirect_stdout(out):
-        assert cli.main(words[1:]) == 0, where
+        assert run_command(*words[1:]) == 0, where
     if target:
         Path(target).write_text(out.getvalue(), encoding="utf-8")
 

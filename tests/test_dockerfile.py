@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -15,6 +14,7 @@ import pytest
 
 from apps.serve import command as serve
 from tests import needs
+from tests.apps.cli import serving
 
 pytestmark = pytest.mark.check
 
@@ -33,10 +33,11 @@ def test_it_installs_what_drawing_needs():
 
 def test_its_command_is_one_that_serve_understands():
     words = json.loads(re.search(r"^CMD (\[.*\])$", TEXT, re.M)[1])
-    assert words[0] == "serve"
-    parser = argparse.ArgumentParser()
-    serve.add_arguments(parser)
-    config = serve.server_config(parser.parse_args(words[1:]))
+    option, path = re.search(r"echo '(.*)' > (/etc/glsplat/server.toml)", TEXT).groups()
+    assert words[0] == "serve" and words[-2:] == ["--config", path]
+    options = serving(*words[1:-2], option.replace(" = ", "=").replace('"', ""))
+    config = serve.server_config(options)
+    assert options.log_format == "json"
     assert f"EXPOSE {config.port}" in TEXT and config.access.host == "0.0.0.0"
 
 

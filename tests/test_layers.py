@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 # Lower floors first. A room is a folder or a module right in glsplat/, or a folder of extras. A module of the core
 # imports from floors below its own, or from its own room; rooms on one floor do not see each other.
 FLOORS = [
-    ["errors", "optional", "timing", "rotations"],
-    ["arrays", "io"],
+    ["errors", "timing", "rotations"],
+    ["arrays", "io", "optional"],
     ["light"],
     ["splats", "camera", "config", "pictures"],
     ["skinning", "shaders"],
@@ -55,13 +55,13 @@ WITHIN = {
         ["conversation"],
         ["server"],
         ["standard_server"],
-        ["gl_server"],
+        ["served_scene"],
     ],
 }
 # Modules of the core that still import extras, and from which.
 STILL = {
     "net.conversation": {"browser"},
-    "net.gl_server": {"browser", "consent", "speech", "uploads", "workers"},
+    "net.served_scene": {"browser", "consent", "speech", "uploads", "workers"},
     "net.pages.routes": {"browser", "operations", "speech"},
     "net.server": {"browser"},
     "net.session": {"far_links"},

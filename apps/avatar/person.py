@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
@@ -110,6 +109,8 @@ def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, scale
         return
     if len(avatar.splats) < _FEW * asked:
         yield f"{len(avatar.splats)} splats where {asked} were asked for"
+    from scipy.spatial import cKDTree  # here: other commands read persons without it
+
     near = cKDTree(avatar.splats.means)
     for part in mesh.parts:
         corners = mesh.vertices[np.unique(part.faces)]

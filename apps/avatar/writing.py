@@ -12,8 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
@@ -21,6 +19,7 @@ from glsplat.formats import all_formats, save, suffixes
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
+from ..progress import Progress
 from ..usage import UsageError
 
 __all__ = ["add_notes", "check_name", "notes_of", "progress_bar", "write", "write_mesh"]
@@ -46,12 +45,10 @@ def notes_of(args: argparse.Namespace) -> dict[str, str]:
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """A bar for (stage, share done); none where nobody watches."""
-    with tqdm(total=100, disable=None, leave=False, bar_format="{desc}: {bar} {n:.0f} %") as bar:
+    with Progress(1.0) as bar:
 
         def show(stage: str, done: float) -> None:
-            bar.set_description(stage)
-            bar.n = 100 * done
-            bar.refresh()
+            bar.show(done, stage)
 
         yield show
 

@@ -12,8 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from glsplat.data import default_avatar, participants_folder
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.evaluate.comparison.method import OWN, MadeElsewhere, method_of
@@ -28,6 +26,7 @@ from glsplat.motion.loading import embedded_motions, split_choice
 
 from ..args import motion_of
 from ..farming import add_ray, on_ray
+from ..progress import Progress
 from ..usage import UsageError
 from .html import page
 from .outcome import outcome, plots, table_lines
@@ -45,7 +44,6 @@ _QUICK_TASKS = ("waving", "turning")
 _QUICK_VIEWS = ("front", "back")
 _QUICK_PEOPLE = 4
 _QUICK_SIZE = 256
-_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
 _WORKER = 1.6e9  # bytes that a process takes at most
 # a container's own limit, as it sees it: of cgroups' second version, and of the first
 _LIMITS = "/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"
@@ -145,24 +143,22 @@ def _results(tasks: Sequence[Task], jobs: int, ray: str | None) -> list[Result]:
         print(f"{len(kept)} of {sum(len(task.methods) for task in tasks)} results lie in the folder already")
     shares = [0.0] * len(left)
     began, ended = time.monotonic(), 0
-    with tqdm(total=max(len(left), 1), bar_format=_BAR, disable=None) as bar:
+    with Progress(max(len(left), 1)) as bar:
 
         def show(index: int, step: str, done: float) -> None:
             shares[index] = max(shares[index], done)
-            bar.set_description(step, refresh=False)
-            bar.n = sum(shares)
-            bar.refresh()
+            bar.show(sum(shares), step)
 
         for results in run_tasks(left, jobs, show) if ray is None else _on_ray(left, ray):
             kept += results
             for result in results:
                 if result.failed:
-                    tqdm.write(f"{result.participant}, {result.method}: {result.failed}", file=sys.stderr)
+                    bar.write(f"{result.participant}, {result.method}: {result.failed}")
             if results:
                 place = [task.participant.name for task in left].index(results[0].participant)
                 show(place, results[0].participant, 1.0)
             ended += 1
-            if bar.disable:  # no terminal: a line a participant, not a bar
+            if not bar.shown:  # no terminal: a line a participant, not a bar
                 passed = time.monotonic() - began
                 left_over = passed / ended * (len(left) - ended)
                 times = f"{passed / 60:.0f} min passed, about {left_over / 60:.0f} to go"

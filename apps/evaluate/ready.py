@@ -9,6 +9,7 @@ from glsplat.extras.authoring.models.catalogue import PHOTO
 from glsplat.extras.authoring.models.store import state_of
 from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.optional import require_package
 
 __all__ = ["check_ready"]
 
@@ -22,10 +23,6 @@ def check_ready(methods: Sequence[str], protocol: Protocol) -> None:
     Lpips("alex")
     if "lpips-vgg" in protocol.extra_measures:
         Lpips("vgg")
-    try:
-        import matplotlib  # noqa: F401
-
-        if "flip" in protocol.extra_measures:
-            import flip_evaluator  # noqa: F401
-    except ImportError as error:
-        raise GlsplatError(f"this needs {error.name}; install it with: pip install 'glsplat[evaluate]'") from None
+    require_package("the plots", "matplotlib", "evaluate")
+    if "flip" in protocol.extra_measures:
+        require_package("FLIP", "flip_evaluator", "evaluate")

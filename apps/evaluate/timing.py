@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from glsplat.extras.evaluate.comparison.control import true_poses
 from glsplat.extras.evaluate.comparison.participant import Participant
@@ -23,6 +22,7 @@ from glsplat.formats.registry import load
 from glsplat.gl.context import create_context
 from glsplat.scene import Rigged, is_rigged
 
+from ..progress import Progress
 from ..report import latency
 
 __all__ = ["timed"]
@@ -45,7 +45,7 @@ def timed(
             figures[method] = loaded
     sizes = SIZES[:1] if quick else SIZES
     frames = _FRAMES[quick]
-    with tqdm(total=len(figures) * len(sizes) * (WARM_UP + frames), desc="timing", leave=False, disable=None) as bar:
+    with Progress(len(figures) * len(sizes) * (WARM_UP + frames), "timing") as bar:
         context = create_context()
         try:
             rows = [cost.row() for cost in costs(context, figures, sizes, frames, tick=bar.update)]

@@ -17,8 +17,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from tqdm import tqdm
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
@@ -37,6 +35,7 @@ from glsplat.tracking.sample import Sample
 from ..args import load_avatar, motion_of, size, tracked
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, side_by_side, stack
+from ..progress import Progress
 from ..usage import UsageError, output_kind
 from .crowd import add_crowd, check_crowd, crowd_text, names_of, stream_crowd
 from .link import Link, link, over
@@ -205,7 +204,7 @@ async def _stream(
     async with over(simulated, args.url) as url:
         options = {"window": args.window, "mirror": args.mirror, "cafile": args.tls_ca, "adapt": not args.fixed}
         async with Client(url, token, **options) as client:
-            with tqdm(total=frames, desc=policy, unit="frame", disable=not bars, leave=False) as bar:
+            with Progress(frames, policy, quiet=not bars) as bar:
                 return await stream(
                     client,
                     drive,
@@ -305,7 +304,9 @@ def _recording(samples: Iterable[Sample], name: str) -> Recording:
     if not tracked:
         raise FormatError(f"{name}: expected tracking samples, a JSON object a line, found none")
     heads = np.array([(fields.get("head") or (0.0, 0.0, 0.0))[:3] for fields in tracked]) * (1, 0, 1)
-    roots = uniform_filter1d(heads, round(_STANDS * _TRACKING_RATE), axis=0, mode="nearest")
+    width = round(_STANDS * _TRACKING_RATE)
+    padded = np.pad(heads, ((width // 2, width - 1 - width // 2), (0, 0)), mode="edge")
+    roots = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
     return Recording([max(0.0, t - times[0]) for t in times], tracked, roots)
 
 

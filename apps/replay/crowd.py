@@ -8,13 +8,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tqdm import tqdm
-
 from glsplat.camera import Camera, head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.pace.stages import median_p95
 
+from ..progress import Progress
 from ..usage import UsageError
 from .streaming import Drive, Driven, Result, stream
 
@@ -88,7 +87,7 @@ async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive
         )
         for name in names
     ]
-    with tqdm(total=frames * len(clients), desc=args.room, unit="frame", disable=not bars, leave=False) as bar:
+    with Progress(frames * len(clients), args.room, quiet=not bars) as bar:
         try:
             for client in clients:
                 await client.connect()

@@ -14,8 +14,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.extras.evaluate.difference import require_extra
@@ -36,6 +34,7 @@ from glsplat.gl.context import Context, create_context
 from glsplat.io.files import replace_file
 from glsplat.skinning.driven import why_not_driven
 
+from ..progress import Progress
 from ..usage import UsageError
 from . import latency as report_latency
 from .html import LOADED, page, verdict
@@ -52,7 +51,6 @@ NOT_MEASURED = {
 }
 _CASE = 60.0  # milliseconds of a stability case
 _REQUEST = 1000 / 72  # milliseconds between requests of the latency section
-_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} passed, about {remaining} to go"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -147,12 +145,12 @@ def measured(
     total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
     total += (WARM_UP + fewer) * (feature_cost * (len(features) + 0.5) + sum(pair_cost.values()))
     if context.software:
-        tqdm.write(f"about {math.ceil(total / 60e3)} minutes on two cores that do nothing else", file=sys.stderr)
+        print(f"about {math.ceil(total / 60e3)} minutes on two cores that do nothing else", file=sys.stderr)
     seconds: dict[str, float] = {}
-    with tqdm(total=total, bar_format=_BAR, disable=not sys.stderr.isatty()) as bar:
+    with Progress(total) as bar:
 
         def section(name: str, text: str = "") -> None:
-            bar.set_description(text or name)
+            bar.show(bar.done, text or name)
             seconds[name] = seconds.get(name, 0.0) - time.perf_counter()
 
         def end(name: str) -> None:

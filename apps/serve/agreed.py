@@ -1,14 +1,12 @@
-"""Who agreed to be shown by this server: ``--trust``, ``--without-consent``, and the records of the files."""
+"""Consent to be shown by this server: the records of the files, and the options trust and without-consent."""
 
 from __future__ import annotations
 
-import argparse
 import logging
 import time
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 from glsplat.errors import GlsplatError
 from glsplat.extras.consent.document import ANYBODY
@@ -22,33 +20,18 @@ from glsplat.net.guard.state_dir import state_folder
 from glsplat.scene import is_rigged
 from glsplat.scenes.scene_file import SceneFile
 
-__all__ = ["add_consent", "policy_of", "signing"]
+from .options import ServeOptions
+
+__all__ = ["policy_of", "signing"]
 
 _LASTS = timedelta(days=365)  # the consent to an avatar that a client has made
 _SUBJECT, _SENDER = "the person of the photograph", "whoever sent the photograph"
 _PURPOSE = "to be shown and driven as an avatar by this server; the sender said: this is me, or this person agreed"
 
 
-def add_consent(parser: argparse.ArgumentParser) -> None:
-    """--trust, --without-consent."""
-    parser.add_argument(
-        "--trust",
-        type=Path,
-        action="append",
-        metavar="KEY",
-        help="public key whose signatures of consent count (glsplat avatar consent --new-key); may be repeated; "
-        "without it every signature that fits does, and whose it is is said",
-    )
-    parser.add_argument(
-        "--without-consent",
-        action="store_true",
-        help='show avatars without a valid consent, too; "no consent on file" then stands in all their pictures',
-    )
-
-
-def policy_of(args: argparse.Namespace, scene: SceneFile, name: str) -> ConsentPolicy:
-    """What the files say of the ``scene``, called ``name``, and of --avatar. Raises GlsplatError where one says no."""
-    trusted = None if args.trust is None else [public_key(path) for path in args.trust]
+def policy_of(args: ServeOptions, scene: SceneFile, name: str) -> ConsentPolicy:
+    """Return the consent to ``scene``, called ``name``, and of --avatar. Raises GlsplatError where one is missing."""
+    trusted = [public_key(path) for path in args.trust] or None
     policy = ConsentPolicy(trusted=trusted, without=args.without_consent)
     own = None
     if trusted is None and args.users is None and is_loopback(args.host):

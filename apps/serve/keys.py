@@ -1,8 +1,7 @@
-"""What proves the server to its clients and its clients to it: files that the user names, or that are made and kept."""
+"""Certificate, token, accounts and watermark key of a server: files that the user names, or that are made and kept."""
 
 from __future__ import annotations
 
-import argparse
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,10 +14,12 @@ from glsplat.extras.watermark.state import kept_watermark
 from glsplat.net.guard.access import is_loopback, read_token
 from glsplat.net.guard.machine import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
+from glsplat.optional import require_package
 
 from ..usage import UsageError
+from .options import ServeOptions
 
-__all__ = ["Keys", "add_keys", "keys_of", "watermark_of"]
+__all__ = ["Keys", "keys_of", "watermark_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,44 +33,22 @@ class Keys:
     accounts: Accounts | None = None
 
 
-def add_keys(parser: argparse.ArgumentParser) -> None:
-    """--self-signed, --tls-cert, --tls-key, --token-file, --watermark."""
-    parser.add_argument(
-        "--self-signed",
-        action="store_true",
-        help="make and keep a certificate for https and wss, and beyond this machine a token "
-        "($XDG_STATE_HOME/glsplat, ~/.local/state/glsplat); browsers ask once whether to trust it",
-    )
-    parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="certificate; makes it wss:// and https://")
-    parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key")
-    parser.add_argument("--token-file", type=Path, metavar="FILE", help="clients need the token in this file")
-    parser.add_argument(
-        "--users", type=Path, metavar="FILE", help="clients need the token of an account in this file (glsplat users)"
-    )
-    parser.add_argument(
-        "--watermark",
-        metavar="on|off|FILE",
-        help="mark the pictures of each session invisibly, so that `glsplat watermark detect` tells from a clip whose "
-        "it was (docs/watermark.md); the key is in FILE, else made and kept in $XDG_STATE_HOME/glsplat (default on)",
-    )
-
-
-def keys_of(args: argparse.Namespace) -> Keys:
-    """What the arguments ask for, made where they say so. Raises UsageError, GlsplatError naming the file."""
+def keys_of(args: ServeOptions) -> Keys:
+    """Return the keys that the options name; some are made here. Raises UsageError, GlsplatError naming the file."""
     if args.self_signed and (args.tls_cert or args.tls_key):
-        raise UsageError("--self-signed makes a certificate of its own; leave it out, or --tls-cert and --tls-key")
+        raise UsageError("--self-signed makes a certificate of its own; leave it out, or tls-cert and tls-key")
     if (args.tls_cert is None) != (args.tls_key is None):
-        raise UsageError("TLS needs both --tls-cert and --tls-key")
+        raise UsageError("TLS needs both tls-cert and tls-key")
     if args.users and args.token_file:
-        raise UsageError("a server has one token (--token-file) or accounts (--users), not both; leave one out")
+        raise UsageError("a server has one token (token-file) or accounts (--users), not both; leave one out")
     accounts = None if args.users is None else Accounts(args.users)
     token_file: Path | None = args.token_file
     token = None if token_file is None else read_token(token_file)
     if not args.self_signed:
-        return Keys(
-            None if args.tls_cert is None else (args.tls_cert, args.tls_key), token, token_file, accounts=accounts
-        )
+        tls = None if args.tls_cert is None or args.tls_key is None else (args.tls_cert, args.tls_key)
+        return Keys(tls, token, token_file, accounts=accounts)
 
+    require_package("--self-signed", "cryptography", "server", "give tls-cert and tls-key")
     from glsplat.extras.operations.certificate import holds, kept_certificate  # here: it loads what others do not need
 
     folder = state_folder()
@@ -83,19 +62,19 @@ def keys_of(args: argparse.Namespace) -> Keys:
     return Keys((kept.path, kept.path), token, token_file, kept.fingerprint, accounts)
 
 
-def watermark_of(args: argparse.Namespace) -> WatermarkKey | None:
-    """What pictures are marked with: read, or made and kept; None with a warning where that cannot be.
+def watermark_of(args: ServeOptions) -> WatermarkKey | None:
+    """Return the key that marks pictures: read, or made and kept; None with a warning where that fails.
 
-    Raises GlsplatError naming the file, for --watermark on too.
+    Raises GlsplatError naming the file, for watermark = "on" too.
     """
     if args.watermark == "off":
         return None
     if args.watermark not in (None, "on"):
-        return read_watermark(args.watermark)
+        return read_watermark(Path(args.watermark))
     try:
         return kept_watermark(state_folder())
     except GlsplatError as error:
         if args.watermark == "on":
             raise
-        logging.getLogger("glsplat.serve").warning("pictures are not marked: %s, or say --watermark off", error)
+        logging.getLogger("glsplat.serve").warning("pictures are not marked: %s, or set watermark to off", error)
         return None

@@ -2,43 +2,35 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.models.catalogue import PHOTO
-from glsplat.extras.authoring.models.store import path_of
 from glsplat.extras.uploads.job import LowConfidenceError, Order, Progress, UploadConfig
 from glsplat.net.guard.access import is_loopback
 
 from ..usage import UsageError
+from .options import ServeOptions
 
-__all__ = ["add_photos", "make_avatar", "upload_config"]
+__all__ = ["make_avatar", "upload_config"]
 
 _CONSENT = "whoever sent the photograph said: this is me, or this person agreed"
 
 
-def add_photos(parser: argparse.ArgumentParser) -> None:
-    """--allow-upload."""
-    parser.add_argument(
-        "--allow-upload",
-        type=Path,
-        metavar="DIR",
-        help="let clients (those with the token, where there is one) send photographs of a person and have avatars "
-        "made of them, which are kept in DIR and offered to all clients; needs the networks of 'glsplat models get'",
-    )
+def upload_config(args: ServeOptions) -> UploadConfig | None:
+    """Return how avatars are made of uploads; None where clients may not send any.
 
-
-def upload_config(args: argparse.Namespace) -> UploadConfig | None:
-    """What clients may send; None: nothing. Raises UsageError, or GlsplatError where a network is missing."""
+    Raises UsageError, or GlsplatError where a network is missing.
+    """
     if args.allow_upload is None:
         return None
     if args.cull_hidden:
-        raise UsageError("--cull-hidden needs avatars with cones, those of --allow-upload have none: leave one out")
+        raise UsageError("cull-hidden needs avatars with cones, those of --allow-upload have none: leave one out")
+    from glsplat.extras.authoring.models.catalogue import PHOTO  # here: other servers run without scipy
+    from glsplat.extras.authoring.models.store import path_of
+
     for model in PHOTO.models:
         path_of(model.name)
     # on its user's own machine drawing steps back (net/server.py); elsewhere others look on meanwhile, and go first

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import shutil
 import threading
@@ -13,10 +12,11 @@ from typing import TextIO
 from glsplat.extras.operations import qr
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.optional import has_package, missing_package
 
 from .keys import Keys
 
-__all__ = ["Place", "add_ready", "announce", "open_page"]
+__all__ = ["Place", "announce", "open_page"]
 
 log: logging.Logger = logging.getLogger("glsplat.serve")
 
@@ -56,13 +56,6 @@ class Place:
         return self.url(name, "/vr") + (f"#token={self.keys.token}" if token and self.keys.token else "")
 
 
-def add_ready(parser: argparse.ArgumentParser) -> None:
-    """--open, --qr, --json."""
-    parser.add_argument("--open", action="store_true", help="open the page in this machine's browser once ready")
-    parser.add_argument("--qr", action="store_true", help="print the page's address as a QR code (a terminal gets one)")
-    parser.add_argument("--json", action="store_true", help="print addresses and driver as a JSON line once ready")
-
-
 def announce(place: Place, out: TextIO, show_qr: bool, status: bool = True) -> None:
     """Print how to get to the page. The token is shown to people only: on a terminal, or with ``show_qr``.
 
@@ -94,6 +87,9 @@ def announce(place: Place, out: TextIO, show_qr: bool, status: bool = True) -> N
 
 
 def _print_qr(address: str, out: TextIO, person: bool) -> None:
+    if not has_package("segno"):
+        print(f"  ({missing_package('a QR code', 'segno', 'server')})", file=out)
+        return
     lines, columns = qr.terminal(address)
     if person and shutil.get_terminal_size().columns < columns:
         print(f"  (no QR code: it needs a terminal of {columns} columns)", file=out)
@@ -120,7 +116,7 @@ def open_page(place: Place) -> threading.Thread:
         except (webbrowser.Error, OSError):
             opened = False
         if not opened:
-            log.warning("--open: no browser could be started here; the page is %s", address)
+            log.warning("open: no browser could be started here; the page is %s", address)
 
     thread = threading.Thread(target=work, name="open", daemon=True)
     thread.start()

@@ -1,10 +1,8 @@
-"""``serve --study``: a server that leads one participant through a study."""
+"""The option study: a server that leads one participant through a study."""
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import TextIO
 
 from glsplat.extras.study.design import read_study
@@ -15,9 +13,10 @@ from glsplat.extras.study.serving.live import Live
 
 from ..study.files import DEFAULT, avatar_files, data_of
 from ..usage import UsageError
+from .options import ServeOptions
 from .ready import Place
 
-__all__ = ["Running", "add_study", "study_of"]
+__all__ = ["Running", "study_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +24,7 @@ class Running:
     """A study that is served, and how its two pages are reached."""
 
     lead: StudyLead
+    options: ServeOptions  # of the server, with the study's avatars
 
     def pages(self, place: Place, *, secret: bool) -> dict[str, str]:
         """The participant's and the experimenter's address, with what lets them in behind ``#``."""
@@ -48,50 +48,34 @@ class Running:
         out.flush()
 
 
-def add_study(parser: argparse.ArgumentParser) -> None:
-    """--study, --participant, --study-data."""
-    parser.add_argument(
-        "--study",
-        type=Path,
-        metavar="TOML",
-        help="lead a participant through this study (docs/study.md); its conditions say which avatars are served",
-    )
-    parser.add_argument("--participant", type=int, metavar="N", help="of the study: the number, from 1")
-    parser.add_argument(
-        "--study-data", type=Path, metavar="FOLDER", help="of the study's plan and data (default: data beside TOML)"
-    )
-
-
-def study_of(args: argparse.Namespace) -> Running | None:
-    """The study that is asked for, its participant's folder opened; ``args.scene`` and ``args.avatar`` are its avatars.
+def study_of(args: ServeOptions) -> Running:
+    """Open the folder of the study's participant.
 
     Raises UsageError for options that do not fit, GlsplatError where the study is not as it was planned.
     """
-    if args.study is None:
-        if args.participant is not None or args.study_data is not None:
-            raise UsageError("--participant and --study-data are for --study TOML")
-        return None
+    assert args.study is not None
     if args.participant is None:
-        raise UsageError("--study needs --participant N")
+        raise UsageError("a study needs its participant's number (participant)")
     if args.scene is not None or args.avatar or args.room or args.allow_upload is not None:
-        raise UsageError("--study says itself what is served: leave out SCENE, --avatar, --room and --allow-upload")
+        raise UsageError("a study says itself what is served: leave out SCENE, --avatar, --room and --allow-upload")
     study = read_study(args.study)
     if args.workers is not None and any(one.light != FULL for one in study.conditions):
-        raise UsageError("--study: light below 1 is for pictures that this process draws: leave out --workers")
+        raise UsageError("a study's light below 1 is for pictures that this process draws: leave --workers out")
     data = data_of(args.study, args.study_data)
     plan = checked_plan(data, study)
     if not 1 <= args.participant <= len(plan.orders):
-        raise UsageError(f"--participant needs 1 to {len(plan.orders)}, not {args.participant}")
+        raise UsageError(f"participant needs 1 to {len(plan.orders)}, not {args.participant}")
     files = avatar_files(study, label(args.participant))
     paths = dict.fromkeys(files.values())
     stems = [path.stem for path in paths if path is not None]
     if len(set(stems)) < len(stems) or DEFAULT in stems:
-        raise UsageError(f"--study: two avatars have the same file name, or one is called {DEFAULT}: rename one")
+        raise UsageError(f"study: two avatars have the same file name, or one is called {DEFAULT}: rename one")
     for path in paths:
         if path is not None and not path.is_file():
-            raise UsageError(f"--study: no such avatar: {path}")
+            raise UsageError(f"study: no such avatar: {path}")
     first, *others = sorted(paths, key=lambda path: path is not None)  # the embedded one can only be the scene
-    args.scene = None if first is None else str(first)
-    args.avatar = [path for path in others if path is not None]
+    avatars = tuple(path for path in others if path is not None)
+    served = replace(args, scene=None if first is None else str(first), avatar=avatars)
     live = Live(study, plan, args.participant, data)
-    return Running(StudyLead(live, {name: DEFAULT if path is None else path.stem for name, path in files.items()}))
+    lead = StudyLead(live, {name: DEFAULT if path is None else path.stem for name, path in files.items()})
+    return Running(lead, served)

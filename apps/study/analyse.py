@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -11,16 +10,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from glsplat.errors import FormatError
 from glsplat.extras.study.analysis.analysis import Analysis, analyse
 from glsplat.extras.study.analysis.codebook import Codebook, Measure, item_answers, read_codebook, wide_items
 from glsplat.extras.study.analysis.reliability import Reliability, reliability
 from glsplat.extras.study.analysis.table import Table, read_rows, read_table
 from glsplat.io.files import replace_file
+from glsplat.optional import has_package, missing_package
 
 from ..args import natural
+from ..progress import each
 from ..usage import UsageError
 from .r_script import r_script
 from .results_text import results_text
@@ -71,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         read_table(path, factors, participant=args.participant, response=args.response, measure=measure)
         for measure in wanted
     ]
-    bar = tqdm(tables, unit="response", disable=not sys.stderr.isatty(), leave=False)
+    bar = each(tables, "responses")
     analyses = [analyse(table, args.model, args.seed) for table in bar]
     scales = dict(_scales(path, args.items, book, analyses))
     text = results_text(analyses, scales)
@@ -87,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
     }
     written = {"results.md": text.encode(), "analysis.R": script.encode()}
     written["results.json"] = json.dumps(numbers, indent=1, ensure_ascii=False).encode() + b"\n"
-    if importlib.util.find_spec("matplotlib") is None:
-        print('no boxplots: they need matplotlib; pip install "glsplat[report]"', file=sys.stderr)
+    if not has_package("matplotlib"):
+        print(f"no plots: {missing_package('a boxplot', 'matplotlib', 'study')}", file=sys.stderr)
     else:
         from .boxplots import boxplots  # here: matplotlib takes a second
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
-
-from tqdm import tqdm
 
 from glsplat.errors import FormatError
 from glsplat.extras.study.design import Study, read_study
@@ -19,6 +18,7 @@ from glsplat.extras.study.questionnaires import embedded
 from glsplat.extras.study.store import remove
 from glsplat.io.files import replace_file
 
+from ..progress import Progress
 from ..usage import UsageError
 from .files import avatar_files, data_of
 
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     command = commands.add_parser(
         "run",
-        help="serve the study to one participant: glsplat serve --study STUDY --participant N, and its options",
+        help="serve the study to one participant: glsplat serve with its options",
     )
     _add_study(command)
     command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
@@ -152,31 +152,25 @@ def plan(args: argparse.Namespace) -> int:
 
 
 def run_study(args: argparse.Namespace) -> int:
-    """``glsplat serve --study ...``, with its options."""
+    """Run ``glsplat serve`` for one participant, with the flags of serve behind the number."""
     from ..serve import command as serve
     from ..usage import CommandParser
 
     parser = CommandParser(prog="glsplat serve", description=serve.HELP)
     serve.add_arguments(parser)
-    words = [
-        "--study",
-        str(args.study),
-        "--participant",
-        str(args.participant),
-        "--study-data",
-        str(data_of(args.study, args.data)),
-    ]
-    return serve.run(serve.parsed(parser, [*words, *args.options]))
+    options = serve.parsed(parser, args.options)
+    study = {"study": args.study, "participant": args.participant, "study_data": data_of(args.study, args.data)}
+    return serve.run(replace(options, **study))
 
 
 def run_export(args: argparse.Namespace) -> int:
     """Write the tables, say what has to be known of them."""
     study, made = _planned(args)
-    with tqdm(desc="participants", disable=not sys.stderr.isatty(), leave=False) as bar:
+    with Progress(0, "participants") as bar:
 
         def progress(done: int, of: int) -> None:
             bar.total = of
-            bar.update(done - bar.n)
+            bar.show(done)
 
         done = export(study, made, data_of(args.study, args.data), args.output, progress)
     for name, count in done.rows.items():

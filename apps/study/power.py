@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-from tqdm import tqdm
 
 from glsplat.extras.study.analysis.codebook import read_codebook
 from glsplat.extras.study.analysis.power import Planned, Power, from_pilot, power
@@ -17,6 +14,7 @@ from glsplat.extras.study.analysis.table import read_table
 from glsplat.extras.study.design import read_study
 
 from ..args import natural
+from ..progress import Progress
 from ..usage import UsageError
 
 __all__ = ["EXAMPLE", "HELP", "add_arguments", "run"]
@@ -75,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("name the factors by --within and --between, or give --study or --pilot")
     effects = dict(_effect(text) for text in args.effect)
     results: list[tuple[int, list[Power]]] = []
-    with tqdm(total=args.runs * len(counts), unit="study", disable=not sys.stderr.isatty(), leave=False) as bar:
+    with Progress(args.runs * len(counts), "studies") as bar:
         for count in counts:
             if args.pilot:
                 draws, table = from_pilot(_pilot(args), count)

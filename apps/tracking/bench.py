@@ -7,13 +7,11 @@ import json
 import platform
 import re
 import shlex
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from glsplat.errors import FormatError
 from glsplat.extras.evaluate.tracking_rows import SOLVERS, Row, rows_of
@@ -24,6 +22,7 @@ from glsplat.motion.loading import embedded_motions
 from glsplat.tracking.tracker import TrackerConfig
 
 from ..args import motion_of
+from ..progress import each
 from ..usage import UsageError
 from .options import add_skeleton, pattern_of, skeleton_of
 
@@ -65,7 +64,7 @@ def bench(args: argparse.Namespace) -> int:
     motions = [(Path(name).stem, motion_of(name, skeleton, "MOTION")) for name in args.motions or embedded_motions()]
     rows: list[Row] = []
     jobs = [(name, motion, rate) for rate in rates for name, motion in motions]
-    for name, motion, rate in tqdm(jobs, unit="clip", disable=not sys.stderr.isatty(), leave=False):
+    for name, motion, rate in each(jobs, "clips"):
         rows += rows_of(name, motion, rate, skeleton, config, network)
     text = table(rows, args.brief, groups, {Path(name).stem: name for name in args.motions})
     if args.table:

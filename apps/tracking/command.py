@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from glsplat.errors import PoseError
 from glsplat.extras.evaluate.tracking_score import TrackingScore, score
@@ -31,6 +29,7 @@ from glsplat.tracking.solve.body import Body
 from glsplat.tracking.tracker import Tracker
 
 from ..args import motion_of, natural, not_negative, positive
+from ..progress import each
 from ..usage import UsageError
 from .bench import add_bench
 from .options import add_recording, add_skeleton, samples_of, skeleton_of, tracker_of
@@ -170,7 +169,7 @@ def solve(args: argparse.Namespace) -> int:
     tracker = tracker_of(args, skeleton)
     _different(args.output, args.recording)
     samples = samples_of(args.recording)
-    bar = tqdm(samples, unit="sample", disable=not sys.stderr.isatty(), leave=False)
+    bar = each(samples, "samples")
     count = write_lines(args.output, (solved(tracker, sample) for sample in bar))
     print(f"{args.output}: {count} poses")
     return 0

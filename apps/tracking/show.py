@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
@@ -28,6 +26,7 @@ from glsplat.tracking.tracker import Tracker
 from ..args import load_avatar, motion_of, not_negative, positive, size
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, stack
+from ..progress import each
 from ..usage import UsageError, output_kind
 from .options import add_recording, samples_of, skeleton_of, tracker_of
 
@@ -88,7 +87,7 @@ def show(args: argparse.Namespace) -> int:
     samples, part = _until(samples, args.first, args.seconds)
     frames = {part + i for i in _chosen(samples[part:], args.fps, TILES if kind == ".png" else None)}
     painter = Painter(args, tracker, others)
-    bar = tqdm(enumerate(samples), total=len(samples), unit="sample", disable=not sys.stderr.isatty(), leave=False)
+    bar = each(enumerate(samples), "samples", total=len(samples))
     pictures: list[Image] = []
     with painter.drawing() as draw:
         if kind in CLIPS:

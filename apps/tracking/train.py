@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from glsplat.errors import FormatError
 from glsplat.extras.learned.network import load_network, save_network
@@ -20,6 +19,7 @@ from glsplat.extras.training.standing import Stance, stances_of, stood
 from glsplat.motion.loading import load_motion
 from glsplat.motion.motion import Motion
 
+from ..progress import Progress, each
 from ..usage import UsageError
 from .options import add_skeleton, pattern_of, skeleton_of
 
@@ -62,12 +62,11 @@ def train(args: argparse.Namespace) -> int:
     start = load_network(args.start) if args.start else None
     skeleton = skeleton_of(args.avatar)
     unit = unit_of_skeleton(skeleton)
-    quiet = not sys.stderr.isatty()
     clips: list[TrainingClip] = []
     dropped: list[str] = []
     kept: list[tuple[str, Motion]] = []
     stances: dict[str, list[Stance]] = {}
-    for path in tqdm(_files(args.motions), unit="motion", disable=quiet, leave=False):
+    for path in each(_files(args.motions), "motions"):
         match = groups.match(path.stem)
         group = match[1] if match and match.groups() else path.stem
         motion = load_motion(str(path), skeleton)
@@ -89,12 +88,11 @@ def train(args: argparse.Namespace) -> int:
     seen = [clip for clip in clips if clip.group not in out]
     if not seen:
         raise FormatError("no motion of a second or more is left to learn from")
-    heard = lessons_of(tqdm(seen, unit="clip", disable=quiet, leave=False), unit, rng)
-    with tqdm(total=args.steps, unit="step", disable=quiet, leave=False) as bar:
+    heard = lessons_of(each(seen, "clips"), unit, rng)
+    with Progress(args.steps) as bar:
 
         def show(_: int, loss: float) -> None:
-            bar.update()
-            bar.set_postfix(loss=f"{loss:.3f}")
+            bar.show(bar.done + 1, f"loss {loss:.3f}")
 
         config = TrainingConfig(steps=args.steps, units=args.units, seed=args.seed)
         network = fit(heard, config, start, show, args.note)

@@ -7,9 +7,9 @@ from .backend import Solved as Solved
 from .client.client import Client as Client
 from .feature import Feature as Feature
 from .fields import PictureOptions as PictureOptions
-from .gl_server import make_server as make_server
 from .messages import Request as Request
 from .options import ServerConfig as ServerConfig
 from .reply import Reply as Reply
+from .served_scene import make_server as make_server
 from .server import Server as Server
 from .standard_server import server_of as server_of

@@ -15,8 +15,8 @@ from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
 from glsplat.net.messages import Ack, Decoder, WireOptions, eye_fields
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose

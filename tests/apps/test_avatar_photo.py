@@ -27,7 +27,7 @@ from glsplat.extras.consent.state import known_key
 from glsplat.formats import load
 from glsplat.meshes import RiggedMesh
 from glsplat.net.guard.state_dir import state_folder
-from tests.apps.cli import parsed
+from tests.apps.cli import parsed, serving
 from tests.extras.authoring.reconstruct.stubs import Meshed, Plain, replace_check
 
 STUBS = "tests.extras.authoring.reconstruct.stubs"
@@ -243,7 +243,7 @@ def test_what_is_mine_is_signed_where_the_command_runs(people, tmp_path, monkeyp
 
 
 def policy(*words: object) -> ConsentPolicy:
-    args = parsed(serve, *words)
+    args = serving(*words)
     return policy_of(args, open_scene(args), serve.scene_name(args))
 
 

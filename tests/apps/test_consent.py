@@ -17,14 +17,14 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.consent.file import on_file
 from glsplat.extras.consent.keys import public_key
 from glsplat.formats import save
-from tests.apps.cli import parsed, run
+from tests.apps.cli import run, serving
 from tests.scenes import limb
 
 LATER = (datetime.now(UTC).date() + timedelta(days=30)).isoformat()
 
 
 def policy(*words):
-    args = parsed(serve, *words)
+    args = serving(*words)
     return policy_of(args, open_scene(args), serve.scene_name(args))
 
 
@@ -88,21 +88,21 @@ def test_what_converting_does_to_it(ann, capsys):
 def test_serve_asks_for_consent(ann, caplog):
     folder = ann.parent
     for words in ((ann,), ("--avatar", ann)):
-        with pytest.raises(GlsplatError, match=r'"ann": no consent on file; sign one .*--without-consent'):
+        with pytest.raises(GlsplatError, match=r'"ann": no consent on file; sign one .*without-consent = true'):
             policy(*words)
-    assert policy(ann, "--without-consent").label("ann") == "no consent on file"
+    assert policy(ann, "without-consent=true").label("ann") == "no consent on file"
     assert sign(ann) == 0
     assert not caplog.messages
     assert policy(ann).refusal("ann", "", datetime.now(UTC).timestamp()) is None
     assert len(caplog.messages) == 1 and "nobody told this server to trust" in caplog.text
     caplog.clear()
-    assert policy(ann, "--trust", folder / "key.pub", "--without-consent").label("ann") == ""
+    assert policy(ann, f"trust={folder / 'key.pub'}", "without-consent=true").label("ann") == ""
     assert not caplog.messages
     assert run("avatar", "consent", "--new-key", folder / "other") == 0
     with pytest.raises(GlsplatError, match="which this server does not trust"):
-        policy(ann, "--trust", folder / "other.pub")
+        policy(ann, f"trust={folder / 'other.pub'}")
     with pytest.raises(GlsplatError, match="a private key"):
-        policy(ann, "--trust", folder / "key")
+        policy(ann, f"trust={folder / 'key'}")
     assert sign(ann, "--from", "2020-01-01", until="2020-01-31") == 0
     with pytest.raises(GlsplatError, match="ended on 2020-01-31"):
         policy(ann)
@@ -113,7 +113,7 @@ def test_serve_asks_for_consent(ann, caplog):
 
 def test_serve_says_that_drivers_need_accounts(ann, caplog):
     assert sign(ann, drivers="ann") == 0
-    asked = policy(ann, "--trust", ann.parent / "key.pub")
+    asked = policy(ann, f"trust={ann.parent / 'key.pub'}")
     assert "that is not you" in asked.refusal("ann", "", datetime.now(UTC).timestamp())
     assert asked.refusal("ann", "ann", datetime.now(UTC).timestamp()) is None
     assert [logging.getLevelName(record.levelno) for record in caplog.records] == ["WARNING"]

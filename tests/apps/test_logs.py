@@ -12,7 +12,7 @@ import pytest
 
 from apps.logs import start_logging
 from apps.serve import command as serve
-from tests.apps.cli import parsed
+from tests.apps.cli import serving
 
 STAMP = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z"
 
@@ -62,6 +62,6 @@ def test_the_server_logs_as_asked(capsys, monkeypatch):
             logging.getLogger("glsplat.net").warning("here")
 
     monkeypatch.setattr(serve, "make_server", lambda *_, **__: Quiet())
-    assert serve.run(parsed(serve, "--log-format", "json", "--host", "192.0.2.1", "--insecure")) == 0
+    assert serve.run(serving("log-format=json", "--host", "192.0.2.1", "--insecure")) == 0
     messages = [json.loads(line)["message"] for line in capsys.readouterr().err.splitlines()]
     assert messages == ["anybody who reaches this port can use it (--insecure)", "here"]

@@ -12,7 +12,7 @@ import pytest
 from apps import cli
 from glsplat.extras.authoring.reconstruct import registry
 from glsplat.formats import save
-from tests.apps.cli import mistake
+from tests.apps.cli import mistake, serve_words
 from tests.extras.authoring.reconstruct.stubs import replace_check
 from tests.extras.study.designs import SMALL, write
 from tests.formats.scenes import splats_with_levels
@@ -201,34 +201,35 @@ MISTAKES = {
     """,
     "serve": """
         serve nowhere.glb                   : glsplat serve: nowhere.glb: no such file
-        serve --exact --level 1             : --exact and --level contradict each other
-        serve --fps 0                       : --fps needs 1 to 240 pictures a second, not 0
-        serve --host 0.0.0.0                : --tls-cert, --tls-key and --token-file
-        serve --size 4096                   : raise --max-size
-        serve --fov 180                     : --fov 1 to 170
-        serve --tls-cert a.pem              : TLS needs both --tls-cert and --tls-key
-        serve --tls-cert a.pem --tls-key b.pem : a.pem: expected a PEM file for TLS
-        serve --self-signed --tls-cert a.pem --tls-key b.pem : --self-signed makes a certificate
-        serve --token-file nowhere          : nowhere: cannot read the token
-        serve --bitrate 8 --fixed           : leave one out
-        serve --bitrate 0                   : 0.1 to 100000
-        serve --video --workers 2           : --workers out
-        serve --webtransport --fixed        : --fixed the same to all: leave one out
+        serve exact=true level=1            : --exact and --level contradict each other
+        serve fps=0                         : server.toml: fps: needs 1 to 240 pictures a second, not 0
+        serve --host 0.0.0.0                : tls-cert, tls-key and token-file
+        serve --size 4096                   : raise max-size
+        serve fov=180                       : fov: needs 1 to 170 degrees
+        serve tls-cert=a.pem                : TLS needs both tls-cert and tls-key
+        serve tls-cert=a.pem tls-key=b.pem  : a.pem: expected a PEM file for TLS
+        serve --self-signed tls-cert=a.pem tls-key=b.pem : --self-signed makes a certificate
+        serve token-file=nowhere            : nowhere: cannot read the token
+        serve bitrate=8 fixed=true          : leave one out
+        serve bitrate=0                     : 0.1 to 100000
+        serve video=true --workers 2        : --workers out
+        serve webtransport=true fixed=true  : fixed sends the same to all: leave one out
         serve --room lab --room lab:3       : two rooms
-        serve --room lab:20                 : 20 people need --max-clients 20
+        serve --room lab:20                 : 20 people need max-clients = 20
         serve --avatar ../in/cloud.ply      : found splats without a skeleton
         serve --avatar ../in/limb.glb --avatar ../in/limb.glb : there is a "limb" already
         serve ../in/limb.glb                : "limb": no consent on file; sign one
         serve --workers ray:65              : --workers needs
-        serve --ray-address gpu1:6379       : --ray-address is for --workers ray
-        serve --allow-upload . --cull-hidden : --cull-hidden needs avatars with cones
-        serve --participant 1               : --study TOML
-        serve --study ../in/study.toml      : --participant N
-        serve --study ../in/study.toml --participant 7 : 1 to 6
-        serve --study ../in/study.toml --participant 1 x.glb : leave out SCENE
-        serve --study none.toml --participant 1 : none.toml
-        serve --study ../in/study.toml --participant 1 --study-data nowhere : no plan yet
-        serve --study ../in/study.toml --participant 1 --video : --study out
+        serve ray-address=gpu1:6379         : ray-address is for --workers ray
+        serve --allow-upload . cull-hidden=true : cull-hidden needs avatars with cones
+        serve participant=1                 : are for a study
+        serve --fps 45                      : fps is no flag: write it into the file of --config
+        serve study=../in/study.toml        : its participant's number
+        serve study=../in/study.toml participant=7 : 1 to 6
+        serve study=../in/study.toml participant=1 x.glb : leave out SCENE
+        serve study=none.toml participant=1 : none.toml
+        serve study=../in/study.toml participant=1 study-data=nowhere : no plan yet
+        serve study=../in/study.toml participant=1 video=true : the study out
         study run ../in/study.toml 2        : no such avatar
     """,
     "another rig": """
@@ -288,13 +289,13 @@ def here(given: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.gl
 @pytest.mark.parametrize("group", MISTAKES)
 def test_mistakes_are_one_line_and_leave_nothing(
-    here: Path, given: Path, capsys: pytest.CaptureFixture[str], group: str
+    here: Path, given: Path, capsys: pytest.CaptureFixture[str], group: str, tmp_path: Path
 ) -> None:
     before = sorted(path.name for path in given.iterdir())
     for row in MISTAKES[group].strip().splitlines():
         line, _, message = row.partition(" : ")
         words = [str(SPOKEN) if word == "SPOKEN" else word for word in line.split()]
-        found = mistake(capsys, *words)
+        found = mistake(capsys, *(serve_words(tmp_path, words) if words[0] == "serve" else words))
         assert message.strip().replace("LACKS", LACKS) in found, row
         assert not list(here.iterdir()), row
     assert sorted(path.name for path in given.iterdir()) == before

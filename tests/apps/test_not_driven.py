@@ -17,7 +17,7 @@ from glsplat.formats import load, save
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.apps.cli import parsed
+from tests.apps.cli import serving
 from tests.apps.conftest import Stripes, running
 from tests.formats.scenes import random_avatar
 
@@ -138,6 +138,6 @@ def test_a_server_says_it_before_it_listens(
     monkeypatch.setattr("glsplat.net.server.Server.run", run)
     monkeypatch.setattr("apps.serve.command.start_logging", lambda *args: None)
     with caplog.at_level(logging.WARNING), pytest.raises(StopError):
-        serve.run(parsed(serve, name, "--without-consent"))
+        serve.run(serving(name, "without-consent=true"))
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.startswith(f'"{Path(name).stem}": ') and text in line

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from apps.cli import main
 from apps.preview.player import players_of
 from apps.replay.command import load_drive
 from apps.serve.command import other_avatars
+from apps.serve.options import ServeOptions
 from apps.tracking.options import skeleton_of
 from apps.usage import UsageError
 from glsplat.formats import save
@@ -60,7 +60,7 @@ def test_players(folder: Path) -> None:
 def test_what_an_option_takes_for_an_avatar(folder: Path) -> None:
     me = folder / "me.npz"
     assert len(load_avatar(me, "--avatar").skeleton) == len(skeleton_of(str(me))) == 55
-    named = other_avatars(Namespace(scene=None, avatar=[me], strict=False))
+    named = other_avatars(ServeOptions(avatar=(me,)))
     assert list(named) == ["me"]
     drive, seconds = load_drive("walk", str(me))
     assert seconds > 0.5 and drive.at(0.1).pose is not None

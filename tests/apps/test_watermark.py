@@ -20,7 +20,7 @@ from glsplat.extras.watermark.keys import text_of
 from glsplat.extras.watermark.mark import Watermark, WatermarkKey, marked
 from glsplat.extras.watermark.state import WATERMARK, kept_watermark
 from glsplat.net.guard.state_dir import state_folder
-from tests.apps.cli import mistake, parsed
+from tests.apps.cli import mistake, serving
 
 OWNER = WatermarkKey(0x1A2B, b"sixteen bytes 01")
 
@@ -79,14 +79,14 @@ def test_pictures_do_too_by_the_key_that_serve_keeps(tmp_path, pictures, state, 
 
 
 def test_serve_marks_unless_told_otherwise(state, key, caplog):
-    assert watermark_of(parsed(serve, "--watermark", "off")) is None and not state.exists()
-    made = watermark_of(parsed(serve))
+    assert watermark_of(serving("watermark=off")) is None and not state.exists()
+    made = watermark_of(serving())
     file = state / "glsplat" / WATERMARK
     assert stat.S_IMODE(file.stat().st_mode) == 0o600 and not caplog.records
-    assert made == watermark_of(parsed(serve, "--watermark", "on")) == kept_watermark(state_folder())
-    assert watermark_of(parsed(serve, "--watermark", key)) == OWNER != made
-    config = serve.server_config(parsed(serve), watermark=OWNER)
-    assert config.session.watermark == OWNER and serve.server_config(parsed(serve)).session.watermark is None
+    assert made == watermark_of(serving("watermark=on")) == kept_watermark(state_folder())
+    assert watermark_of(serving(f"watermark={key}")) == OWNER != made
+    config = serve.server_config(serving(), watermark=OWNER)
+    assert config.session.watermark == OWNER and serve.server_config(serving()).session.watermark is None
 
 
 def test_serve_goes_on_unmarked_where_nothing_can_be_kept(tmp_path, monkeypatch, caplog):
@@ -94,8 +94,8 @@ def test_serve_goes_on_unmarked_where_nothing_can_be_kept(tmp_path, monkeypatch,
     blocked.write_text("")
     monkeypatch.setenv("XDG_STATE_HOME", str(blocked))
     with caplog.at_level(logging.WARNING):
-        assert watermark_of(parsed(serve)) is None
+        assert watermark_of(serving()) is None
     (line,) = [record.getMessage() for record in caplog.records]
-    assert line.startswith("pictures are not marked: ") and line.endswith("or say --watermark off")
+    assert line.startswith("pictures are not marked: ") and line.endswith("or set watermark to off")
     with pytest.raises(GlsplatError, match="cannot be made"):
-        watermark_of(parsed(serve, "--watermark", "on"))
+        watermark_of(serving("watermark=on"))

@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 import glsplat
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from tests import needs
 from tests.browser.conftest import OpenPage
 from tests.browser.served import Served

@@ -11,9 +11,9 @@ import numpy as np
 
 from glsplat.data import default_avatar
 from glsplat.extras.operations.certificate import kept_certificate
-from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.state_dir import kept_token, state_folder
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import offered

@@ -17,8 +17,8 @@ from glsplat.extras.speech.analysis import Analysis
 from glsplat.extras.speech.mouth import Mouth
 from glsplat.extras.speech.sound import Sound, wav_bytes
 from glsplat.extras.speech.table import table, table_json
-from glsplat.net.gl_server import make_server
 from glsplat.net.options import ServerConfig
+from glsplat.net.served_scene import make_server
 from glsplat.skinning.expression import ARKIT
 from tests import needs
 from tests.browser.conftest import _FLAGS, OpenPage

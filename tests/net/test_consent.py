@@ -15,8 +15,8 @@ from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.net import rights
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from tests.extras.accounts.test_accounts import WS
 from tests.net.wire import until

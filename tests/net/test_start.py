@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ABSENT = {"cv2", "trimesh", "scipy", "PIL", "glfw", "tqdm", "cryptography", "segno"}
+ABSENT = {"cv2", "trimesh", "scipy", "PIL", "glfw", "cryptography", "segno"}
 
 
 def loaded_by(script: str) -> set[str]:
@@ -24,17 +24,16 @@ def loaded_by(script: str) -> set[str]:
 def test_the_serving_process():
     """The command and its options, the scene, tracking, a picture encoded whole and cropped, alpha too."""
     loaded = loaded_by("""
-import argparse, json
+import json
 import numpy as np
 from apps.serve import command as serve
 from apps.args import open_scene
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.messages import Decoder
 
-parser = argparse.ArgumentParser()
-serve.add_arguments(parser)
-args = parser.parse_args([])
+from apps.serve.options import ServeOptions
+args = ServeOptions()
 server = make_server(open_scene(args), serve.server_config(args))
 head = {"head": [0, 1.5, 0, 0, 0, 0, 1]}
 request = Decoder().decode(json.dumps({"v": 1, "frame_id": 1, "t": 0.0, "tracking": head}))

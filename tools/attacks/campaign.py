@@ -167,7 +167,7 @@ def main() -> None:
     parser.add_argument("--datagrams", action="store_true", help="the good client has its pictures by them, 127.0.0.1")
     parser.add_argument("--files", type=int, help="descriptors the server may have")
     parser.add_argument("--hour", type=float, metavar="SECONDS", help="all attacks for so long, memory as it goes")
-    parser.add_argument("--options", default="", help="further ones of glsplat serve")
+    parser.add_argument("--options", default="", help="further ones of glsplat serve, name=value for those of its file")
     parser.add_argument("--json", help="write the rows to this file")
     parser.add_argument("--light", action="store_true", help="serve one splat in three of the default avatar")
     args = parser.parse_args()
@@ -179,7 +179,7 @@ def main() -> None:
     options = args.options.split()
     if args.datagrams:
         args.good = "127.0.0.1"  # which is where its QUIC comes from
-        options.append("--webtransport")
+        options.append("webtransport=true")
     if args.light:
         options.append(str(light_avatar(Path(tempfile.mkdtemp()))))
     if args.hour:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from apps.progress import each
 from glsplat.extras.speech.cepstra import Cepstra
 from glsplat.extras.speech.table import Framing
 from tools.data.spoken import DEVELOPED, LEARNED
@@ -122,7 +122,7 @@ def heard(said: Said, rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]
 def examples(rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
     """Everything that is learned from."""
     found = []
-    for text in tqdm((*LEARNED, *DEVELOPED), unit="sentence"):
+    for text in each((*LEARNED, *DEVELOPED), "sentences"):
         for voice in ESPEAK:
             found.append(heard(espeak(text, voice, int(rng.integers(120, 210)), int(rng.integers(35, 70))), rng))
         found += [heard(flite(text, voice), rng) for voice in FLITE for _ in range(3)]
@@ -139,9 +139,8 @@ def learned(x: F32, y: NDArray[np.int64], rng: np.random.Generator) -> list[F32]
     first, second = ([np.zeros_like(one) for one in net] for _ in range(2))
     cost = np.where(np.arange(len(VISEMES)) == list(VISEMES).index("PP"), CLOSES, 1.0).astype(np.float32)
     steps = EPOCHS * (len(x) // BATCH)
-    progress = tqdm(range(1, steps + 1), unit="step")
     order, right = rng.permutation(len(x)), 0.0
-    for step in progress:
+    for step in each(range(1, steps + 1), "steps"):
         if len(order) < BATCH:
             order = rng.permutation(len(x))
         rows, order = order[:BATCH], order[BATCH:]
@@ -161,7 +160,7 @@ def learned(x: F32, y: NDArray[np.int64], rng: np.random.Generator) -> list[F32]
             v += 0.001 * (slope**2 - v)
             one -= rate * (m / (1 - 0.9**step)) / (np.sqrt(v / (1 - 0.999**step)) + 1e-8)
         if step % 50 == 0:
-            progress.set_postfix(right=f"{right:.3f}")
+            print(f"step {step}: {right:.3f} right")
     net[1] = net[1] - (mean / spread) @ net[0]
     net[0] = net[0] / spread[:, None]
     return net

@@ -20,7 +20,7 @@ import cv2
 
 import glsplat
 from glsplat.net import ServerConfig
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from tools.docs.site.public import ROOT
 
 PICTURES = {

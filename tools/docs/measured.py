@@ -185,7 +185,7 @@ def links() -> Iterator[Table]:
     about = (
         "**Simulated**: the server's control of a link in front of a model of renderer, TCP and client\n"
         "(tools/net/simulated_link.py says what is modelled, and that TCP's own window is not). 2 x 1024^2, 20 pairs\n"
-        "a second at full size. Three times the columns: with `serve --fixed` (two under way), without, and by\n"
+        "a second at full size. Three times the columns: with `fixed` (two under way), without, and by\n"
         "who knows rate and round trip (oracle). `used`: of the rate; where all that can be seen passes (LPIPS .008),\n"
         "there is nothing more to spend it on. LPIPS by the table of [ladder.md](ladder.md)."
     )
@@ -204,7 +204,7 @@ def links() -> Iterator[Table]:
     )
     yield "video", note, "\n".join(video())
     note = (
-        "Pictures by datagrams (`serve --webtransport`) beside TCP. Simulated as above; headers and parity count\n"
+        "Pictures by datagrams (`webtransport`) beside TCP. Simulated as above; headers and parity count\n"
         "for datagrams, headers of TCP do not. Requests and answers are not lost in either."
     )
     yield "datagrams", note, "\n".join(datagrams())

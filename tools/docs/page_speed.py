@@ -15,7 +15,7 @@ import sys
 from typing import Any
 
 import glsplat
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from tests.browser.markers import offered
 from tests.browser.served import Served
 from tests.browser.stored import StoredPairs

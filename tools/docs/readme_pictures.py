@@ -25,8 +25,8 @@ import glsplat
 from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
 from glsplat.motion.loading import load_motion
-from glsplat.net.gl_server import make_server
 from glsplat.net.options import ServerConfig
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import Server
 from glsplat.rotations import FLIP_YZ
 from tests.browser.served import Served

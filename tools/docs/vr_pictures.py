@@ -23,7 +23,7 @@ import numpy as np
 
 import glsplat
 from glsplat.data import PEOPLE, participants_folder
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from tests.browser.opened import Opened
 from tests.browser.served import Served
 from tests.browser.vr import enter, fresh, hands, pose, see, settings, steer

@@ -16,6 +16,7 @@ import json
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -35,9 +36,9 @@ from glsplat.extras.rooms.room import Room
 from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec import body
-from glsplat.net.gl_server import offered
 from glsplat.net.messages import Decoder, Request
 from glsplat.net.pose_queue import PoseQueue
+from glsplat.net.served_scene import offered
 from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording
@@ -278,8 +279,14 @@ def main() -> None:
     listeners(args.listeners, 3.0, 72.0)
     if args.no_server:
         return
-    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--max-clients", "64"]
-    command += ["--room", "lab:64", "--watermark", "off"]
+    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--room", "lab:64"]
+    with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
+        print('max-clients = 64\nwatermark = "off"', file=file, flush=True)
+        measured([*command, "--config", file.name], args)
+
+
+def measured(command: list[str], args: argparse.Namespace) -> None:
+    """Print a row for each number of people and rate in the room of a server."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None

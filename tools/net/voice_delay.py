@@ -3,7 +3,7 @@
     python -m tools.net.voice_delay                          # pictures of what `glsplat serve` draws
     python -m tools.net.voice_delay --here                   # drawn by the page from poses
     python -m tools.net.voice_delay --beside ../before --turns 4     # another checkout, in turns with this one
-    python -m tools.net.voice_delay -- --exact --fixed       # the server's options
+    python -m tools.net.voice_delay -- --config exact.toml   # the server's options
 
 The microphone says "aa" for half a second, then nothing for a second, again and again. A listener of its own in the
 page, which hears nothing but how loud a piece of 128 samples is, notes when each begins; what is sent is looked at for

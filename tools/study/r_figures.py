@@ -15,8 +15,7 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from tqdm import tqdm
-
+from apps.progress import each
 from glsplat.io.files import replace_file
 from tests.extras.study.analysis.designs import COUNT, design
 
@@ -43,7 +42,7 @@ def figures(numbers: Iterable[int], folder: Path) -> dict[str, dict[str, dict[st
 def main(first: int = 0, last: int = COUNT) -> None:
     """All of them, or those from the first to before the last."""
     known = json.loads(TARGET.read_text()) if TARGET.exists() else {}
-    for begin in tqdm(range(first, last, BATCH), unit="batch", disable=not sys.stderr.isatty()):
+    for begin in each(range(first, last, BATCH), "batches"):
         with tempfile.TemporaryDirectory() as folder:
             known |= figures(range(begin, min(begin + BATCH, last)), Path(folder))
         rows = [f"{json.dumps(number)}: {json.dumps(known[number])}" for number in sorted(known, key=int)]

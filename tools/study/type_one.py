@@ -10,8 +10,8 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from tqdm import tqdm
 
+from apps.progress import each
 from glsplat.extras.study.analysis.align import ranked, spread_ranks
 from glsplat.extras.study.analysis.effects import effects_of
 from glsplat.extras.study.analysis.mixed import fit, test
@@ -43,7 +43,7 @@ def with_gaps(table: Table, draws: Draws, runs: int, share: float, seed: int, st
     effects = effects_of(len(table.factors))
     found = dict.fromkeys(effects, 0)
     answers = draws(rng, runs)
-    for own in tqdm(answers, unit="study", disable=not sys.stderr.isatty()):
+    for own in each(answers, "studies"):
         kept = rng.random(len(own)) >= share
         few = replace(table, participant=table.participant[kept], codes=table.codes[kept], values=own[kept])
         for effect in effects:

@@ -119,7 +119,8 @@ def _real(service: Service) -> list[str]:
         str(service.study),
         str(service.participant),
     ]
-    return [*words, "--port", str(service.port), "--json", "--without-consent"]
+    (service.data / "server.toml").write_text("without-consent = true")
+    return [*words, "--port", str(service.port), "--json", "--config", str(service.data / "server.toml")]
 
 
 def main() -> int:

@@ -1,1 +1,5 @@
 """Making avatars: from meshes, scans and other makers' files, offline; nothing here runs with a frame."""
+
+from glsplat.optional import require_package
+
+require_package("making avatars", "scipy", "authoring")

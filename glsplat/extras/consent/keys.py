@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular, replace_file
 from glsplat.io.secret_files import warn_if_exposed
+from glsplat.optional import require_package
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -44,6 +45,7 @@ def new_key(path: Path) -> PrivateKey:
 
     Raises FormatError where one of the two files is there already, or cannot be written.
     """
+    require_package("a key that signs consent", "cryptography", "server")
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
@@ -65,6 +67,7 @@ def new_key(path: Path) -> PrivateKey:
 
 def private_key(path: Path) -> PrivateKey:
     """The key in a file. Raises FormatError for anything but an Ed25519 private key in PEM without a passphrase."""
+    require_package("a key that signs consent", "cryptography", "server")
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
@@ -83,16 +86,17 @@ def private_key(path: Path) -> PrivateKey:
 
 def public_key(path: Path) -> str:
     """The public key in a file (PEM, or its 64 hexadecimal digits), as digits. Raises FormatError naming the file."""
-    from cryptography.exceptions import UnsupportedAlgorithm
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-    from cryptography.hazmat.primitives.serialization import load_pem_public_key
-
     data = _read(path)
     text = data.decode("ascii", "replace").strip()
     if _HEX.fullmatch(text):
         return text
     if "PRIVATE KEY" in text:
         raise FormatError(f"{path}: a private key; give the public one, {public_path(path).name}, and keep this to you")
+    require_package("a key in PEM", "cryptography", "server", "give its 64 hexadecimal digits")
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
     try:
         key = load_pem_public_key(data)
     except (ValueError, UnsupportedAlgorithm):
@@ -109,6 +113,7 @@ def signature_of(key: PrivateKey, data: bytes) -> str:
 
 def signed_by(key: str, signature: str, data: bytes) -> bool:
     """Whether the private key of the public ``key`` made ``signature``, both hexadecimal, over ``data``."""
+    require_package("checking a signature of consent", "cryptography", "server")
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 

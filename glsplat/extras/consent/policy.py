@@ -70,8 +70,8 @@ class ConsentPolicy:
         """Raises GlsplatError in one line where nobody may be shown ``avatar``, whoever drives."""
         if not self.without and (why := self._refusal(avatar, None, now)):
             raise GlsplatError(
-                f"{why}; sign one (glsplat avatar consent), or serve it with --without-consent, which says so in every "
-                "picture"
+                f"{why}; sign one (glsplat avatar consent), or serve it with without-consent = true, which says so in "
+                "every picture"
             )
 
     def doubts(self, avatar: str, *, accounts: bool) -> list[str]:
@@ -81,7 +81,7 @@ class ConsentPolicy:
             if self.trusted is None and consent.key != self._own:
                 said.append(
                     f'"{avatar}": its consent is signed by {short(consent.key)}, which nobody told this server to '
-                    "trust (--trust KEY.pub)"
+                    "trust (trust = KEY.pub)"
                 )
             if self._driven[avatar] and not accounts and not consent.lets(""):
                 said.append(f'"{avatar}": its consent names who may drive it, and without --users nobody has a name')

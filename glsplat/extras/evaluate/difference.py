@@ -16,6 +16,7 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.metrics.flip import flip as mean_flip
 from glsplat.extras.evaluate.metrics.pixels import decibel
+from glsplat.optional import require_package
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
@@ -105,12 +106,9 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def require_extra() -> None:
-    """Raises GlsplatError with what to install where the plots or FLIP are missing."""
-    try:
-        import flip_evaluator  # noqa: F401
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise GlsplatError(f"the report needs {error.name}; install it with: pip install 'glsplat[report]'") from None
+    """Raise GlsplatError where a package of the report is not installed."""
+    for package in ("flip_evaluator", "matplotlib"):
+        require_package("the report", package, "report")
 
 
 def _shown(views: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import GlsplatError
 from glsplat.io.machine import cores
 from glsplat.net.codec.encode import Box, Encoded
 from glsplat.net.codec.straight import straightened
+from glsplat.optional import require_package
 
 if TYPE_CHECKING:
     from av import VideoCodecContext
@@ -70,10 +70,9 @@ _601, _709, _SRGB, _LIMITED = 6, 1, 13, 1  # matrix, primaries, transfer and ran
 
 def available() -> tuple[str, ...]:
     """The names of CODECS that this machine's PyAV has. Raises GlsplatError where there is no PyAV."""
-    try:
-        import av
-    except ImportError:
-        raise GlsplatError("video needs PyAV: pip install 'glsplat[video]', or leave --video out") from None
+    require_package("video", "av", "video", "leave video out")
+    import av
+
     found = []
     for name, coder in CODECS.items():
         with suppress(av.error.FFmpegError, ValueError):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
+from glsplat.optional import require_package
 
 if TYPE_CHECKING:
     from av import VideoCodecContext
@@ -25,10 +26,9 @@ class VideoReader:
     """Of one connection. Raises GlsplatError where there is no PyAV, or it decodes nothing that a server codes."""
 
     def __init__(self) -> None:
-        try:
-            import av
-        except ImportError:
-            raise GlsplatError("video needs PyAV: pip install 'glsplat[video]', or leave video out") from None
+        require_package("video", "av", "video", "leave video out")
+        import av
+
         self._codecs: list[str] = []
         for name in _NAMES:
             with suppress(av.error.FFmpegError, ValueError):

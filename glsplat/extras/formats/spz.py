@@ -13,6 +13,7 @@ import struct
 import sys
 import zlib
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from itertools import accumulate
 from types import ModuleType
 from typing import BinaryIO
@@ -25,6 +26,7 @@ from glsplat.extras.formats.spz_packing import HALF_TURN, Bytes, SpzHeader, lost
 from glsplat.formats.format import Format, Opened, clamped_opacities
 from glsplat.formats.transform import transformed
 from glsplat.io.files import Source, replace_file
+from glsplat.optional import has_package, missing_package
 from glsplat.splats import Splats
 
 __all__ = ["SPZ", "read_spz", "save_spz", "spz_splats"]
@@ -190,14 +192,10 @@ def _stream(file: BinaryIO, left: int, size: int) -> bytearray:
 
 
 def _zstd() -> ModuleType:
-    try:
-        if sys.version_info >= (3, 14):
-            from compression import zstd
-        else:
-            from backports import zstd
-    except ImportError:
-        raise FormatError("SPZ version 4 needs zstd: pip install backports.zstd; or convert it to version 3") from None
-    return zstd
+    name = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+    if not has_package(name):
+        raise FormatError(missing_package("SPZ version 4", name, "spz") + ", or convert it to version 3")
+    return import_module(name)
 
 
 def _header(data: Bytes, newest: int) -> tuple[SpzHeader, int]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
+from glsplat.optional import has_package, require_package
+
 __all__ = ["QrCodes", "svg", "terminal"]
 
 _BORDER = 4  # modules of quiet zone, as ISO/IEC 18004 asks
@@ -16,13 +18,13 @@ _LONGEST = 1000  # characters of an address; a code holds 2,900 at most
 
 
 class QrCodes:
-    """SVG codes of the few addresses that a page is asked by; "" for more of them.
+    """SVG codes of the few addresses that a page is requested by; "" for more of them, and where segno is absent.
 
-    Drawing one takes 10 ms, and strangers may ask under any address: without a bound they had a core of ours.
+    Drawing one takes 10 ms, and strangers may request any address: without a bound they would occupy a core.
     """
 
     def __init__(self, most: int = 16) -> None:
-        self._most = most
+        self._most = most if has_package("segno") else 0
         self._drawn: dict[str, str] = {}
         self._once = asyncio.Semaphore(1)
 
@@ -35,7 +37,7 @@ class QrCodes:
 
     async def secret(self, text: str) -> str:
         """The code of an address that holds a token that was checked: drawn each time, one at a time, never kept."""
-        if len(text) > _LONGEST:
+        if len(text) > _LONGEST or not self._most:
             return ""
         async with self._once:
             return await asyncio.to_thread(svg, text)
@@ -43,6 +45,7 @@ class QrCodes:
 
 def svg(text: str) -> str:
     """An <svg> element to stand in HTML, black on white, four pixels a module; ``text`` is its title."""
+    require_package("a QR code", "segno", "server")
     import segno
 
     code = segno.make(text, micro=False)
@@ -54,6 +57,7 @@ def svg(text: str) -> str:
 
 def terminal(text: str) -> tuple[list[str], int]:
     """Lines for a terminal, two rows of modules each, with escape codes for their colours; and their columns."""
+    require_package("a QR code", "segno", "server")
     import segno
 
     rows = [[bool(module) for module in row] for row in segno.make(text, micro=False).matrix_iter(border=_BORDER)]

@@ -20,7 +20,6 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
-from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -28,6 +27,7 @@ from glsplat.errors import ContextError, GlsplatError
 from glsplat.extras.workers.wire import WorkerLostError, greet
 from glsplat.extras.workers.work import GREETING, work
 from glsplat.net.backend import Backend
+from glsplat.optional import require_package
 
 __all__ = ["RayCluster", "RayLauncher", "require_ray"]
 
@@ -42,9 +42,8 @@ _UNHEARD = 2000  # milliseconds in which the other machine's kernel has to confi
 
 
 def require_ray() -> None:
-    """Raises GlsplatError where Ray is not installed."""
-    if find_spec("ray") is None:
-        raise GlsplatError('Ray is not installed; pip install "glsplat[ray]", on every machine of the cluster')
+    """Raise GlsplatError where Ray is not installed."""
+    require_package("work on a cluster", "ray", "ray", "leave Ray out; every machine of the cluster needs it")
 
 
 class RayCluster:

@@ -39,7 +39,7 @@ class Client:
     degrees about y (None: where there is a free place). ``cafile`` is the certificate to trust on wss.
     ``timeout`` is in seconds, of connecting and of each picture. ``adapt`` tells the server when each arrives; one
     that adapts, as ``glsplat serve`` does, fits them to the link: smaller, cropped, coarser (``Reply.info`` says so).
-    ``video`` takes video where the server has it (``serve --video``) and decodes it, which needs PyAV.
+    ``video`` takes video where the server has it (serve's option ``video``) and decodes it, which needs PyAV.
 
     May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
     In a room, ``connect`` after a connection that broke brings the same person back, to their name and place.

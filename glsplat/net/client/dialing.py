@@ -92,7 +92,7 @@ def _refused(url: str, status: int) -> str:
         403: "it does not serve this origin, or this account may not have this avatar, room or name now",
         404: "there is no such room, which /session lists, or no WebSocket at this path, which is /ws",
         409: "somebody of this name is in the room, or was a moment ago; choose another",
-        421: "it does not go by this name; start it with --allow-host",
+        421: "it does not go by this name; start it with allow-host in its options",
         429: "this address has too many clients there, or broke a limit; try again later",
         503: "it, or the room, is full, or it stops; try again later",
     }

@@ -48,11 +48,11 @@ class Access:
 
     def __post_init__(self) -> None:
         if self.token is not None and self.accounts is not None:
-            raise GlsplatError("a server has one token (--token-file) or accounts (--users), not both; leave one out")
+            raise GlsplatError("a server has one token (token-file) or accounts (--users), not both; leave one out")
         if not is_loopback(self.host) and not self.insecure and not (self.tls and self.guarded):
             raise GlsplatError(
-                f"{self.host} can be reached from other machines: give --self-signed, or --tls-cert, --tls-key and "
-                "--token-file or --users, or accept the risk with --insecure"
+                f"{self.host} can be reached from other machines: give --self-signed, or tls-cert, tls-key and "
+                "token-file or --users, or accept the risk with --insecure"
             )
 
     @property
@@ -80,12 +80,12 @@ class Access:
             own = own.lower().removesuffix(".")
             if name == own or (own.startswith("*.") and name.partition(".")[2] == own[2:]):
                 return None
-        return 421, "this server does not go by that name: start it with --allow-host NAME to allow it"
+        return 421, "this server does not go by that name: start it with allow-host = NAME to allow it"
 
     def refusal(self, headers: Mapping[str, str], public: bool = False) -> tuple[int, str] | None:
         """Return the HTTP status and line of a refusal; None lets a request in. ``public``: no token is needed."""
         if not self._origin_allowed(headers.get("Origin"), headers.get("Host", "")):
-            return 403, "this page may not use the server: start it with --origin to allow it"
+            return 403, "this page may not use the server: start it with origin = PAGE to allow it"
         if not public and self.token is not None and not self._token_given(headers):
             return 401, "a token is needed: Authorization: Bearer TOKEN, or the subprotocols glsplat.v1, token.TOKEN"
         return None

@@ -173,7 +173,7 @@ def bind(host: str, port: int, kind: int = socket.SOCK_STREAM) -> socket.socket:
         listening.close()
         if getattr(error, "errno", None) == errno.EADDRINUSE:
             if kind == socket.SOCK_DGRAM:
-                hint = "choose another with --port, or leave --webtransport out"
+                hint = "choose another with --port, or leave webtransport out"
                 raise GlsplatError(f"UDP port {port} is in use; {hint}") from None
             raise GlsplatError(f"port {port} is in use; choose another with --port") from None
         reason = getattr(error, "strerror", None) or str(error)

@@ -25,9 +25,9 @@ from glsplat.extras.rooms.rooms import Rooms
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from glsplat.net.backend import AvatarInfo, Rendered
-from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.standard_server import server_of
 from glsplat.renderer import Renderer

@@ -19,7 +19,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.formats import save
 from glsplat.gl.context import Context
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats

@@ -21,7 +21,7 @@ from glsplat.extras.accounts.users import new_user, write_users
 from glsplat.extras.operations import certificate
 from glsplat.net.client import Client
 from glsplat.net.guard.access import certificate_names, read_token, server_tls
-from tests.apps.cli import mistake, parsed
+from tests.apps.cli import mistake, serving
 
 ROOT = Path(__file__).parents[3]
 BEYOND = ("--host", "0.0.0.0", "--self-signed")
@@ -32,11 +32,11 @@ def names_of(path):
 
 
 def test_on_this_machine_a_certificate_is_made_where_it_is_asked_for_and_no_token(state):
-    assert keys.keys_of(parsed(command)) == keys.Keys()
+    assert keys.keys_of(serving()) == keys.Keys()
     with pytest.raises(UsageError):
-        command.run(parsed(command, *BEYOND, "--port", 70000))
+        command.run(serving(*BEYOND, "--size", 4096))
     assert not state.exists()
-    found = keys.keys_of(parsed(command, "--self-signed"))
+    found = keys.keys_of(serving("--self-signed"))
     assert found.tls == (state / "glsplat" / certificate.KEY,) * 2
     assert (found.token, found.token_file) == (None, None) and not (state / "glsplat" / "token").exists()
     assert "localhost" in names_of(found.tls[0])
@@ -45,12 +45,12 @@ def test_on_this_machine_a_certificate_is_made_where_it_is_asked_for_and_no_toke
 def test_beyond_it_a_token_too_and_both_stay(state, monkeypatch, caplog):
     monkeypatch.setattr(keys, "machine_names", lambda: ("Box", "box.local", "näme"))
     monkeypatch.setattr(keys, "reachable_at", lambda host: ("192.0.2.7",) if host == "0.0.0.0" else ())
-    args = parsed(command, *BEYOND, "--allow-host", "lab.example")
+    args = serving(*BEYOND, "allow-host=lab.example")
     found = keys.keys_of(args)
     assert found.token_file == state / "glsplat" / "token" and found.token == read_token(found.token_file)
     assert names_of(found.tls[0]) == ("localhost", "lab.example", "box", "box.local")
     assert keys.keys_of(args) == found and caplog.messages == []
-    keys.keys_of(parsed(command, *BEYOND, "--allow-host", "other.example"))
+    keys.keys_of(serving(*BEYOND, "allow-host=other.example"))
     assert "lacks other.example" in caplog.text  # browsers will ask once more
     assert found.token not in repr(found)
     config = command.server_config(args)
@@ -60,7 +60,7 @@ def test_beyond_it_a_token_too_and_both_stay(state, monkeypatch, caplog):
 def test_ones_own_token_is_taken(state, tmp_path):
     path = tmp_path / "token"
     path.write_text("correct-horse-battery\n")
-    found = keys.keys_of(parsed(command, *BEYOND, "--token-file", path))
+    found = keys.keys_of(serving(*BEYOND, f"token-file={path}"))
     assert (found.token, found.token_file) == ("correct-horse-battery", path)
     assert not (state / "glsplat" / "token").exists()
 
@@ -94,20 +94,20 @@ def test_accounts_stand_in_for_the_token(state, tmp_path):
     user, token = new_user("ann")
     write_users(tmp_path / "users.json", {"ann": user})
     words = ("--host", "0.0.0.0", "--self-signed", "--users", tmp_path / "users.json")
-    made = keys.keys_of(parsed(command, *words))
+    made = keys.keys_of(serving(*words))
     assert made.token is None and made.accounts is not None and made.tls is not None
     assert not (state / "glsplat" / "token").exists()
-    assert command.server_config(parsed(command, *words), made).access.accounts is made.accounts
+    assert command.server_config(serving(*words), made).access.accounts is made.accounts
     assert token not in repr(made)
     out = io.StringIO()
     announce(Place("127.0.0.1", 8000, made), out, show_qr=True)
     assert "each account has its own" in out.getvalue() and "#token" not in out.getvalue()
     (tmp_path / "token").write_text("0123456789abcdef")
     with pytest.raises(UsageError, match="not both"):
-        keys.keys_of(parsed(command, *words, "--token-file", tmp_path / "token"))
+        keys.keys_of(serving(*words, f"token-file={tmp_path / 'token'}"))
     (tmp_path / "users.json").write_text("[]")
     with pytest.raises(GlsplatError, match=r"users\.json: no file of accounts"):
-        keys.keys_of(parsed(command, *words))
+        keys.keys_of(serving(*words))
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(monkeypatch, capsys):

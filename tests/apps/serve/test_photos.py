@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import signal
@@ -15,13 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from apps.serve import command as serve
 from apps.serve.photos import upload_config
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.models.catalogue import PHOTO
 from glsplat.extras.authoring.models.store import state_of
 from glsplat.extras.uploads.job import Job
 from glsplat.formats import load
+from tests.apps.cli import serve_words, serving
 
 ROOT = Path(__file__).parents[3]
 needs_networks = pytest.mark.skipif(
@@ -29,29 +28,23 @@ needs_networks = pytest.mark.skipif(
 )
 
 
-def arguments(*words: object) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    serve.add_arguments(parser)
-    return parser.parse_args([str(word) for word in words])
-
-
 def test_it_is_off_unless_it_is_asked_for() -> None:
-    assert upload_config(arguments()) is None
+    assert upload_config(serving()) is None
 
 
 @needs_networks
 def test_the_folder_is_the_one_that_is_named(tmp_path: Path) -> None:
-    config = upload_config(arguments("--allow-upload", tmp_path))
+    config = upload_config(serving("--allow-upload", tmp_path))
     assert config is not None and config.folder == tmp_path and config.nice == 0
-    for words in (("--host", "0.0.0.0"), ("--trusted-proxy", "127.0.0.1")):
-        shared = upload_config(arguments("--allow-upload", tmp_path, *words))
+    for words in (("--host", "0.0.0.0"), ("trusted-proxy=127.0.0.1",)):
+        shared = upload_config(serving("--allow-upload", tmp_path, *words))
         assert shared is not None and shared.nice > 0  # those who look on go first
 
 
 def test_without_the_networks_it_does_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path))
     with pytest.raises(GlsplatError, match="run: glsplat models get"):
-        upload_config(arguments("--allow-upload", tmp_path))
+        upload_config(serving("--allow-upload", tmp_path))
 
 
 def test_errors_that_fall_are_one_step() -> None:
@@ -77,7 +70,7 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
     capture = shared_data / "participants" / "capture" / "p01.jpg"
     folder, token = tmp_path / "avatars", tmp_path / "token"
     token.write_text("0123456789abcdef")
-    options = ["--port", "0", "--json", "--allow-upload", str(folder), "--token-file", str(token)]
+    options = serve_words(tmp_path, ["--port", "0", "--json", "--allow-upload", folder, f"token-file={token}"])
     process = subprocess.Popen(
         [sys.executable, "-c", "from tests.apps.serve.quick import main; main()", "serve", *options],
         cwd=ROOT,

@@ -12,14 +12,15 @@ import pytest
 from apps.args import open_scene
 from apps.replay import command as replay
 from apps.serve import command as serve
-from apps.serve.rooms import RoomChoice, open_rooms, room_choice
+from apps.serve.options import RoomChoice, room_choice
+from apps.serve.rooms import open_rooms
 from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.messages import Request
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.apps.cli import parsed
+from tests.apps.cli import parsed, serving
 from tests.browser.served import Served
 from tests.net.conftest import FakeBackend
 
@@ -42,7 +43,7 @@ def test_what_a_room_is_called_and_holds() -> None:
 
 def test_what_stands_in_a_room(tmp_path: Path) -> None:
     (tmp_path / "empty.json").write_text('{"version": 1, "items": []}')
-    args = parsed(serve, "--room", "lab", "--room", f"hall:2={tmp_path}/empty.json")
+    args = serving("--room", "lab", "--room", f"hall:2={tmp_path}/empty.json")
     rooms = open_rooms(args)
     assert list(rooms) == ["lab", "hall"] and len(rooms["lab"].scene) == 0
     config = serve.server_config(args)

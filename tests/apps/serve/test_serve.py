@@ -23,27 +23,27 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import encode_picture
-from glsplat.net.gl_server import make_server
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder, eye_fields
 from glsplat.net.reply import decode_picture
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
-from tests.apps.cli import mistake, parsed
+from tests.apps.cli import mistake, serving
 from tests.scenes import limb
 
 ROOT = Path(__file__).parents[3]
 
 
 def test_options_are_settings_and_defaults_are_loopback_and_the_papers():
-    config = serve.server_config(parsed(serve))
+    config = serve.server_config(serving())
     assert (config.access.host, config.port, config.max_clients) == ("127.0.0.1", 8000, 8)
     assert (config.wire.size, config.wire.quality, config.wire.ipd, config.wire.fov) == ((1024, 1024), 80, 0.055, 65)
     assert not config.wire.mirror and config.tls is None and config.access.token is None
     assert config.limits == Limits() and config.access.hosts == () and not config.video and not config.webtransport
     assert config.session.adapt and config.session.bitrate is None  # pictures fit links unless they are fixed
-    words = ("--max-per-address", 3, "--max-waiting", 9, "--allow-host", "a.example", "--allow-host", "*.b.example")
-    config = serve.server_config(parsed(serve, *words, "--max-size", 256, "--bitrate", 8, "--video", "--webtransport"))
+    words = ("max-per-address=3", "max-waiting=9", "allow-host=a.example", "allow-host=*.b.example")
+    config = serve.server_config(serving(*words, "max-size=256", "bitrate=8", "video=true", "webtransport=true"))
     assert config.limits == Limits(per_address=3, waiting=9) and config.access.hosts == ("a.example", "*.b.example")
     assert (config.wire.size, config.session.bitrate, config.video, config.webtransport) == (
         (256,) * 2,
@@ -51,16 +51,16 @@ def test_options_are_settings_and_defaults_are_loopback_and_the_papers():
         True,
         True,
     )
-    for fixed in (("--fixed",), ("--study", "plan.toml")):
-        assert not serve.server_config(parsed(serve, *fixed)).session.adapt
+    for fixed in ("fixed=true", "study=plan.toml"):
+        assert not serve.server_config(serving(fixed)).session.adapt
 
 
 def test_further_avatars_are_called_like_their_files(tmp_path):
     for name in ("ann.glb", "ben.glb"):
         save(limb(20), tmp_path / name)
-    args = parsed(serve, "--avatar", tmp_path / "ann.glb", "--avatar", tmp_path / "ben.glb")
+    args = serving("--avatar", tmp_path / "ann.glb", "--avatar", tmp_path / "ben.glb")
     assert list(serve.other_avatars(args)) == ["ann", "ben"] and serve.scene_name(args) == "default"
-    assert serve.scene_name(parsed(serve, tmp_path / "ben.glb")) == "ben" and serve.other_avatars(parsed(serve)) == {}
+    assert serve.scene_name(serving(tmp_path / "ben.glb")) == "ben" and serve.other_avatars(serving()) == {}
 
 
 def start(*words):

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
-from importlib import util
+import sys
 
 import pytest
 
 import glsplat
-from apps.serve.workers import add_workers, workers_of
+from apps.serve.workers import workers_of
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.extras.workers.options import Workers
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
+from tests.apps.cli import serving
 
 
 def asked(*words: str) -> Workers | None:
-    parser = argparse.ArgumentParser()
-    add_workers(parser)
-    return workers_of(parser.parse_args(words))
+    return workers_of(serving(*words))
 
 
 def test_what_it_takes(monkeypatch):
@@ -29,15 +27,13 @@ def test_what_it_takes(monkeypatch):
     assert asked() is None
     assert asked("--workers", "2") == Workers(count=2)
     assert asked("--workers", "ray") == Workers(count=None, ray=True)
-    words = ("--worker-gpus", "0.25", "--worker-cpus", "4", "--ray-address", "gpu1:6379")
+    words = ("worker-gpus=0.25", "worker-cpus=4", "ray-address=gpu1:6379")
     assert asked("--workers", "ray:8", *words) == Workers(count=8, ray=True, cpus=4, gpus=0.25, address="gpu1:6379")
 
 
 def test_without_ray(monkeypatch):
-    monkeypatch.setattr(
-        "glsplat.extras.workers.cluster.find_spec", lambda name: None if name == "ray" else util.find_spec(name)
-    )
-    with pytest.raises(GlsplatError, match=r'^Ray is not installed; pip install "glsplat\[ray\]"'):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(GlsplatError, match=r"^work on a cluster needs ray: pip install 'glsplat\[ray\]'"):
         asked("--workers", "ray:2")
     assert asked("--workers", "2") == Workers(count=2)
 

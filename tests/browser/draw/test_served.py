@@ -10,7 +10,7 @@ import numpy as np
 import glsplat
 from glsplat.extras.consent.file import OnFile
 from glsplat.extras.consent.policy import ConsentPolicy
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from tests.browser.draw.conftest import Bench, shot
 from tests.browser.opened import Opened

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import glsplat
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.gl_server import offered
+from glsplat.net.served_scene import offered
 from tests.browser.conftest import OpenPage
 from tests.browser.vr import SIDE, enter, fresh, hands, pose, see, steer, visit
 

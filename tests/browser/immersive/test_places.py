@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.net.backend import Rendered, RenderJob
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.tracking.sample import Sample
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import Markers, marked_avatar, offered, samples

@@ -44,7 +44,7 @@ def test_keys_that_are_trusted(ann, key):
     asked = ConsentPolicy(trusted=["0" * 64])
     asked.add("ann", [ann])
     assert "which this server does not trust" in asked.refusal("ann", "ann", DURING)
-    with pytest.raises(GlsplatError, match="--without-consent"):
+    with pytest.raises(GlsplatError, match="without-consent = true"):
         asked.check("ann", DURING)
     for policy in (ConsentPolicy(trusted=[key.public]), asked):
         policy.add("ann", [ann])
@@ -103,7 +103,7 @@ def test_what_an_operator_is_told(ann, key):
     policy = ConsentPolicy()
     policy.add("ann", [ann])
     told = policy.doubts("ann", accounts=False)
-    assert key.public[:16] in told[0] and "--trust" in told[0] and "--users" in told[1] and len(told) == 2
+    assert key.public[:16] in told[0] and "trust = " in told[0] and "--users" in told[1] and len(told) == 2
     assert ConsentPolicy(trusted=[key.public]).doubts("ann", accounts=True) == []
     assert policy.maker("ann") == ""
     policy.trust_own(key.public)

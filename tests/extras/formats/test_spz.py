@@ -42,7 +42,7 @@ try:
         import backports.zstd as _zstd
 except ImportError:
     _zstd = None
-needs_zstd = pytest.mark.skipif(_zstd is None, reason="no zstd: pip install backports.zstd")
+needs_zstd = pytest.mark.skipif(_zstd is None, reason="no zstd: pip install 'glsplat[spz]'")
 
 KHR = "KHR_gaussian_splatting"
 COMPRESSION = f"{KHR}_compression_spz_2"
@@ -438,7 +438,7 @@ def test_refuses_a_broken_stream(tmp_path: Path, frame: bytes, message: str) -> 
 def test_without_zstd_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("compression.zstd", "backports.zstd", "backports"):
         monkeypatch.setitem(sys.modules, name, None)
-    refused(tmp_path, spz_streams(gzip.compress(PAYLOAD)), "pip install backports.zstd")
+    refused(tmp_path, spz_streams(gzip.compress(PAYLOAD)), r"pip install 'glsplat\[spz\]'")
 
 
 @pytest.mark.parametrize("count", [2, 10_000])

@@ -20,9 +20,9 @@ from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.gl_server import offered
 from glsplat.net.reply import Reply
 from glsplat.net.room_view import VisiblePerson
+from glsplat.net.served_scene import offered
 from glsplat.scene import Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
 from tests.extras.rooms.hostile import Hostile

@@ -18,11 +18,11 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.lettering import draw_labels
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
 from glsplat.net.labels import Label, driven_by
 from glsplat.net.messages import WireOptions
 from glsplat.net.reply import Reply
 from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.scene import Scene, similarity
 from glsplat.scenes.scene_file import SceneFile

@@ -18,8 +18,8 @@ from glsplat.extras.uploads.job import UploadConfig
 from glsplat.extras.uploads.routes import Uploads
 from glsplat.formats import save
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
 from glsplat.net.guard.access import Access
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from tests.extras.uploads.conftest import described
 from tests.extras.uploads.makers import PICTURE, make

@@ -18,8 +18,8 @@ from glsplat.extras.uploads.job import UploadConfig
 from glsplat.formats import save
 from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.client import Client as Streaming
-from glsplat.net.gl_server import make_server
 from glsplat.net.messages import WireOptions
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import Server, ServerConfig
 from tests.extras.uploads.conftest import GUARD, LIMITS, Client
 from tests.extras.uploads.makers import PICTURE, make

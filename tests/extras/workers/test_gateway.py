@@ -17,7 +17,7 @@ import glsplat
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.extras.workers.options import Workers
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from tests.extras.workers.fakes import GUARD, until
 from tests.net.running import running

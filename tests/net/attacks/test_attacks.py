@@ -41,7 +41,7 @@ addresses = itertools.count(10)
 def server(tmp_path_factory):
     """``glsplat serve`` with a light scene and all that clients may ask for, and its attackers."""
     avatar = str(light_avatar(tmp_path_factory.mktemp("attacks")))
-    with victim(avatar, "--video", "--webtransport") as running, attackers(running.port) as raiders:
+    with victim(avatar, "video=true", "webtransport=true") as running, attackers(running.port) as raiders:
         yield running, raiders
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import psutil
 
+from tests.apps.cli import serve_words
 from tests.net.attacks.sockets import Target
 
 __all__ = ["Victim", "victim"]
@@ -77,14 +78,18 @@ class Victim:
 
 @contextlib.contextmanager
 def victim(*options: str, files: int | None = None, start: float = 90.0) -> Iterator[Victim]:
-    """A server on a free port. ``files``: the descriptors it may have (``ulimit -n``)."""
+    """A server on a free port.
+
+    Of the ``options``, ``name=value`` go into its file. ``files``: the descriptors it may have (``ulimit -n``).
+    """
 
     def limit() -> None:
         if files is not None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
 
-    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--without-consent", *options]
+    command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json"]
     with tempfile.TemporaryDirectory() as folder:
+        command += serve_words(Path(folder), ["without-consent=true", *options])
         log = Path(folder) / "log"
         with log.open("w") as errors:
             process = subprocess.Popen(

@@ -17,8 +17,8 @@ from glsplat.net.backend import Rendered, RenderJob, Solved
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import MAX_RENDERERS
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
 from glsplat.net.messages import PictureOptions
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, SceneLike, similarity

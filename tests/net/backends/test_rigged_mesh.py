@@ -14,7 +14,7 @@ from glsplat.net.backend import Rendered
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose

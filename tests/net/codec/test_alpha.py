@@ -15,9 +15,9 @@ from glsplat.errors import ProtocolError
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import pack_reply, parse_reply
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import similarity

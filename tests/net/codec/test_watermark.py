@@ -14,7 +14,7 @@ from glsplat.extras.watermark.detect import detect
 from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.client import Client
-from glsplat.net.gl_server import make_server
+from glsplat.net.served_scene import make_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.net.running import running

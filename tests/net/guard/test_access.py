@@ -29,7 +29,7 @@ def test_loopback(host, expected):
 
 def test_another_address_needs_tls_and_a_token():
     for options in ({}, {"tls": True}, {"token": TOKEN}):
-        with pytest.raises(GlsplatError, match=r"--self-signed, or --tls-cert, --tls-key and --token-file.*--insecure"):
+        with pytest.raises(GlsplatError, match=r"--self-signed, or tls-cert, tls-key and token-file.*--insecure"):
             Access(host="0.0.0.0", **options)
     Access(host="0.0.0.0", tls=True, token=TOKEN)
     Access(host="0.0.0.0", insecure=True)

@@ -166,9 +166,9 @@ PAGE = (Path(__file__).parents[3] / "docs" / "deploying.md").read_text(encoding=
 SERVER, SESSION = ServerConfig(), SessionConfig()
 UPLOADS = UploadConfig(folder=Path(), make=lambda order, progress: None)
 ROWS = {
-    "clients (`--max-clients`)": (f"{SERVER.max_clients}", ""),
-    "clients of one address (`--max-per-address`)": ("half of them; on loopback without `--trusted-proxy` all", ""),
-    "connections that are no clients (`--max-waiting`)": (f"{LIMITS.waiting}", ""),
+    "clients (`max-clients`)": (f"{SERVER.max_clients}", ""),
+    "clients of one address (`max-per-address`)": ("half of them; on loopback without `trusted-proxy` all", ""),
+    "connections that are no clients (`max-waiting`)": (f"{LIMITS.waiting}", ""),
     "connections and HTTP requests of an address": (f"{LIMITS.visits:g} a second", f"{LIMITS.visits_burst:g}"),
     "files of the viewer (`/vr/…`)": ("a tenth of a request each", ""),
     "bytes before or between requests": (f"{LIMITS.head / 1024:g} KiB", ""),

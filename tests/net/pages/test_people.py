@@ -16,7 +16,7 @@ from glsplat.data import PEOPLE, default_avatar, person
 from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import WithPeople
-from glsplat.net.gl_server import make_server, offered
+from glsplat.net.served_scene import make_server, offered
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.standard_server import server_of
 from tests.net.conftest import FakeBackend

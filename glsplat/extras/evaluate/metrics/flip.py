@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import GlsplatError
+from glsplat.optional import require_package
 
 from .pixels import WHOLE, Box, checked
 
@@ -18,10 +18,9 @@ def flip(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = 
     Raises GlsplatError where the package flip-evaluator is missing.
     """
     picture, truth = checked(picture, truth)
-    try:
-        import flip_evaluator
-    except ImportError:
-        raise GlsplatError("FLIP needs flip-evaluator; install it with: pip install 'glsplat[evaluate]'") from None
+    require_package("FLIP", "flip_evaluator", "evaluate")
+    import flip_evaluator
+
     pair = [np.ascontiguousarray(one, np.float32) for one in (truth, picture)]
     errors, mean, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
     return float(mean) if box == WHOLE else float(np.asarray(errors)[box].mean())

@@ -1,1 +1,1 @@
-"""Pictures by datagrams (WebTransport) beside the WebSocket: ``serve --webtransport``."""
+"""Pictures by datagrams (WebTransport) beside the WebSocket: serve's option webtransport."""

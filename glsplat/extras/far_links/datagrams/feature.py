@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from glsplat.errors import GlsplatError
 from glsplat.extras.far_links.datagrams.way import SecondWay
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.options import RequestedOptions
+from glsplat.optional import require_package
 
 if TYPE_CHECKING:
     from glsplat.net.rights import User
@@ -22,10 +22,9 @@ class Datagrams(Feature):
     """Listens to UDP at the number of the server's TCP port. Raises GlsplatError where aioquic is not installed."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        try:
-            from glsplat.extras.far_links.datagrams.listener import DatagramListener  # here: most servers have none
-        except ImportError:
-            raise GlsplatError("--webtransport needs aioquic: pip install 'glsplat[webtransport]'") from None
+        require_package("WebTransport", "aioquic", "webtransport", "leave it out")
+        from glsplat.extras.far_links.datagrams.listener import DatagramListener
+
         self.listener: DatagramListener = DatagramListener(clock)
         self._clock = clock
 
