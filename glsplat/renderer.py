@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from types import NoneType
-from typing import Any, Literal, Self, overload
+from typing import Literal, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,20 +31,20 @@ from glsplat.passes.step import ResolveStep, StepTextures, checked_step
 from glsplat.passes.target import FORMATS, Target
 from glsplat.passes.target_pool import TargetPool
 from glsplat.passes.views import Depths, Images, Views
-from glsplat.renderer_thread import ThreadProxy
 from glsplat.scene import Item, Scene, SceneLike
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
 
-__all__ = ["FrameStats", "Prepared", "Renderer", "RendererThread"]
+__all__ = ["FrameStats", "Prepared", "Renderer"]
 
 
 class Renderer:
     """Renders one scene or avatar for any number of views; create, use and release it on one thread.
 
-    Whatever OpenGL context is current before a call is current after it. ``run_in_thread()`` serves many threads.
+    Whatever OpenGL context is current before a call is current after it. Programs with many threads give a renderer
+    one thread of its own: docs/python.md, Threads.
 
     >>> eyes = glsplat.stereo_cameras(np.eye(4), size=(320, 240))
     >>> with glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), views=2) as renderer:
@@ -97,17 +97,6 @@ class Renderer:
         except BaseException:
             self.release()
             raise
-
-    @classmethod
-    def run_in_thread(cls, scene: SceneLike, **options: Any) -> RendererThread:
-        """A renderer on a thread of its own, with the options of ``Renderer()``: all threads may call it.
-
-        ::
-
-            with Renderer.run_in_thread(avatar, size=(512, 512)) as renderer:
-                images = await asyncio.to_thread(renderer.render, [camera], pose)
-        """
-        return RendererThread(cls, scene, options)
 
     @property
     def driver(self) -> str:
@@ -390,11 +379,3 @@ class Prepared:
             raise GlsplatError("the renderer did something else since prepare(), or drew this already; prepare() again")
         with renderer._entered("render"):
             return renderer._pictures(self._views, out, slices=Slices(between, slice_cost))[0]
-
-
-class RendererThread(ThreadProxy[Renderer], Renderer, of=Renderer):
-    """Made by ``Renderer.run_in_thread()``: all that a Renderer has, on a thread of its own. Any thread may use it.
-
-    Calls are done one by one; reading or setting an attribute is a call, too. What is called on the renderer's own
-    thread, by a function given to ``submit``, is done at once: it would wait for itself.
-    """

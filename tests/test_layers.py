@@ -25,7 +25,6 @@ FLOORS = [
     ["motion", "data"],
     ["scenes", "tracking"],
     ["passes"],
-    ["renderer_thread"],
     ["renderer"],
     ["net"],
     ["extras"],

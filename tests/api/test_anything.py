@@ -166,7 +166,6 @@ CALLS: dict[str, Any] = {
     "Renderer.config": lambda v: Renderer(sp, size=(8, 8), config=v).release(),
     "Renderer.context": lambda v: Renderer(sp, size=(8, 8), context=v).release(),
     "Renderer.timed": lambda v: Renderer(sp, size=(8, 8), timed=v).release(),
-    "run_in_thread": lambda v: Renderer.run_in_thread(v, size=(8, 8)).release(),
     "render": lambda v: held().render(v),
     "render.in": lambda v: held().render([v]),
     "render.pose": lambda v: held().render([cam], v),

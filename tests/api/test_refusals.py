@@ -101,7 +101,6 @@ def test_numbers_that_are_none_or_out_of_range(name: str) -> None:
 def test_sizes(size: Any) -> None:
     refused(lambda: glsplat.stereo_cameras(EYE, size=size), "size")
     refused(lambda: Renderer(cloud(5), size=size), "size")
-    refused(lambda: Renderer.run_in_thread(cloud(5), size=size), "size")
 
 
 @pytest.mark.parametrize("switch", NO_SWITCHES)
