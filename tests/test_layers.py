@@ -20,11 +20,10 @@ FLOORS = [
     ["splats", "camera", "config", "pictures"],
     ["skinning", "shaders"],
     ["avatar", "meshes", "gl"],
-    ["scene", "reference", "detail"],
+    ["scene", "reference"],
     ["formats", "views"],
     ["motion", "data"],
     ["scenes", "tracking"],
-    ["passes"],
     ["renderer"],
     ["net"],
     ["extras"],
@@ -32,11 +31,17 @@ FLOORS = [
 ]
 # Within a room its modules may have an order of their own; modules that are not named come last.
 WITHIN = {
-    "passes": [
-        ["stats", "views", "block", "lru_cache"],
-        ["item", "step"],
-        ["arena", "target"],
-        ["frame", "target_pool", "present"],
+    "renderer": [
+        ["cells", "checks", "frame_block", "lru_cache", "sort", "stats"],
+        ["proxy", "resolve_step", "shape_buffers"],
+        ["levels", "stage", "targets"],
+        ["arena", "draw", "level_buffers", "present", "project", "target_pool"],
+        ["gpu_sort", "key", "mesh_buffers", "reach"],
+        ["mesh_pass"],
+        ["pipeline"],
+        ["drawable"],
+        ["gpu_scene"],
+        ["renderer"],
     ],
     "tracking": [["solve"]],
     "net": [
@@ -173,10 +178,10 @@ def test_imports_go_down() -> None:
     ("module", "line"),
     [
         ("glsplat.camera", "from glsplat import Renderer"),  # from the root, which has all names
-        ("glsplat.skinning.skin", "def f():\n    from ..passes.frame import key"),
+        ("glsplat.skinning.skin", "def f():\n    from ..renderer import key"),
         ("glsplat.net.session", "import moderngl"),
-        ("glsplat.passes.arena", "from glsplat import reference"),
-        ("glsplat.passes.item.buffers", "from glsplat.passes.arena import Arena"),  # up within a room
+        ("glsplat.renderer.arena", "from glsplat import reference"),
+        ("glsplat.renderer.stage", "from glsplat.renderer.arena import Arena"),  # up within a room
         ("glsplat.net.session", "from glsplat.net.client_stream import ClientStream"),
         ("glsplat.net.session", "from glsplat.extras.uploads.job import UploadConfig"),  # the core, an extra
         ("glsplat.extras.evaluate.frames", "from glsplat_apps.output import label"),

@@ -13,11 +13,10 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import chosen
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.passes import gpu_scene
-from glsplat.renderer import Renderer
+from glsplat.renderer import Renderer, gpu_scene
+from glsplat.renderer.levels import chosen
+from glsplat.renderer.proxy import Proxy
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Level, Splats

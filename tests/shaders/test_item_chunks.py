@@ -15,8 +15,8 @@ from glsplat.extras.watermark.mark import Watermark, marked
 from glsplat.extras.watermark.pattern import TILE
 from glsplat.gl.context import Context
 from glsplat.light import Light, Surface
-from glsplat.passes.block import FrameBlock, frame_dtype
-from glsplat.passes.item.buffers import ROW
+from glsplat.renderer.frame_block import FrameBlock, frame_dtype
+from glsplat.renderer.stage import ROW
 from glsplat.rotations import rodrigues_parameters, rotation_matrices, signed_axes
 from glsplat.scene import similarity
 from glsplat.shaders import SkinVariant, Variant

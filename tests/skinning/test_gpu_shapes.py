@@ -12,8 +12,7 @@ from glsplat import reference
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.passes.item import shape_buffers
-from glsplat.renderer import Renderer
+from glsplat.renderer import Renderer, shape_buffers
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level

@@ -17,9 +17,9 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.figure_bounds import FigureBounds
 from glsplat.net.backends.room import LABEL_SIGMAS, RoomRenderer, label_of, selectors
 from glsplat.net.labels import Label
-from glsplat.passes.lru_cache import LruCache
-from glsplat.passes.views import checked_pose
 from glsplat.renderer import Prepared, Renderer
+from glsplat.renderer.checks import checked_pose
+from glsplat.renderer.lru_cache import LruCache
 from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.skeleton import Skeleton

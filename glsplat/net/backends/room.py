@@ -13,13 +13,13 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.detail.selector import Selector
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import others_share
 from glsplat.net.backends.figure_bounds import FigureBounds
 from glsplat.net.labels import Label
 from glsplat.renderer import Prepared, Renderer
+from glsplat.renderer.levels import Selector
 from glsplat.scene import Item, Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
 

@@ -22,7 +22,7 @@ from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.swapchains import fitting
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context, create_context
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 from glsplat.scene import Item, Scene
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.splats import Splats

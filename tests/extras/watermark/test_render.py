@@ -14,8 +14,8 @@ from glsplat.camera import Camera, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.mark import Watermark, marked
 from glsplat.extras.watermark.pattern import TILE
-from glsplat.passes import step
 from glsplat.renderer import Renderer
+from glsplat.renderer import resolve_step as step
 from tests.scenes import cloud
 
 Make = Callable[..., Renderer]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import ContextError
-from glsplat.passes.step import ResolveStep
+from glsplat.renderer.resolve_step import ResolveStep
 from glsplat.shaders import Programs, ResolveVariant, Variant
 from glsplat.shaders.slots import UNITS
 

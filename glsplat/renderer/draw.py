@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import moderngl
 
 from glsplat.gl.context import Context
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 from glsplat.shaders import Programs, Variant, record_layout
 
 __all__ = ["PULLED", "DrawPass", "Slices", "corners_of", "fits"]

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from glsplat.gl.context import Context
-from glsplat.passes import target_pool
-from glsplat.passes.item.buffers import ItemBuffers
-from glsplat.passes.item.reach import reach_of
-from glsplat.passes.lru_cache import LruCache
-from glsplat.passes.stats import union
-from glsplat.passes.target_pool import SIZES, TargetPool
+from glsplat.renderer import target_pool
+from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.reach import reach_of
+from glsplat.renderer.stage import ItemBuffers
+from glsplat.renderer.stats import union
+from glsplat.renderer.target_pool import SIZES, TargetPool
 from glsplat.shaders import Programs
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
-from glsplat.passes.lru_cache import LruCache
+from glsplat.renderer.lru_cache import LruCache
 
 __all__ = ["ResolveStep", "StepTextures", "checked_step"]
 

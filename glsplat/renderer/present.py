@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
 from glsplat.gl.owner import ContextGuard, owner_of
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 from glsplat.shaders import Variant, flatten, link
 
 __all__ = ["Layout", "Present", "view_size"]

@@ -19,10 +19,10 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
-from glsplat.passes.block import FrameBlock
-from glsplat.passes.item.buffers import Placement, near_eye
-from glsplat.passes.item.mesh_buffers import INFLUENCES, MeshBuffers
-from glsplat.passes.item.reach import depth_range, fitted, reach_of
+from glsplat.renderer.frame_block import FrameBlock
+from glsplat.renderer.mesh_buffers import INFLUENCES, MeshBuffers
+from glsplat.renderer.reach import depth_range, fitted, reach_of
+from glsplat.renderer.stage import Placement, near_eye
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
 from glsplat.skinning.skin import Skin

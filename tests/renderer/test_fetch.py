@@ -15,9 +15,7 @@ from glsplat.config import RenderConfig
 from glsplat.errors import BudgetError, ContextError
 from glsplat.gl.context import Context
 from glsplat.net.backends.budget import PictureBudget
-from glsplat.passes import gpu_scene
-from glsplat.passes.frame import draw, pipeline
-from glsplat.renderer import Renderer
+from glsplat.renderer import Renderer, draw, gpu_scene, pipeline
 from glsplat.scene import Item, Scene
 from glsplat.shaders import Variant
 from tests.api.variants import bent, coned, sheet

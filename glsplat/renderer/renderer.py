@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 from glsplat.arrays import count, flag, instance, pixels
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
-from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import ContextGuard, release_later
-from glsplat.passes import views as checks
-from glsplat.passes.frame.draw import Slices
-from glsplat.passes.frame.pipeline import Pipeline
-from glsplat.passes.gpu_scene import GpuScene
-from glsplat.passes.stats import FrameStats
-from glsplat.passes.step import ResolveStep, StepTextures, checked_step
-from glsplat.passes.target import FORMATS, Target
-from glsplat.passes.target_pool import TargetPool
-from glsplat.passes.views import Depths, Images, Views
+from glsplat.renderer import checks
+from glsplat.renderer.checks import Depths, Images, Views
+from glsplat.renderer.draw import Slices
+from glsplat.renderer.gpu_scene import GpuScene
+from glsplat.renderer.levels import Selector
+from glsplat.renderer.pipeline import Pipeline
+from glsplat.renderer.resolve_step import ResolveStep, StepTextures, checked_step
+from glsplat.renderer.stats import FrameStats
+from glsplat.renderer.target_pool import TargetPool
+from glsplat.renderer.targets import FORMATS, Target
 from glsplat.scene import Item, Scene, SceneLike
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS

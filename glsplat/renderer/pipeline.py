@@ -15,18 +15,18 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.light.light import Light
-from glsplat.passes.arena import Arena
-from glsplat.passes.block import FrameBlock
-from glsplat.passes.frame.draw import DrawPass, Slices, corners_of, fits
-from glsplat.passes.frame.gpu_sort import GpuSorter
-from glsplat.passes.frame.key import BLOCK_PIXELS, KeyPass
-from glsplat.passes.frame.project import ProjectPass
-from glsplat.passes.frame.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
-from glsplat.passes.item.mesh_pass import MeshPass
-from glsplat.passes.stats import FrameStats
-from glsplat.passes.step import ResolveStep
-from glsplat.passes.target import Box, ByteTarget, Clear, Resolve, Target
 from glsplat.pictures import lifted
+from glsplat.renderer.arena import Arena
+from glsplat.renderer.draw import DrawPass, Slices, corners_of, fits
+from glsplat.renderer.frame_block import FrameBlock
+from glsplat.renderer.gpu_sort import GpuSorter
+from glsplat.renderer.key import BLOCK_PIXELS, KeyPass
+from glsplat.renderer.mesh_pass import MeshPass
+from glsplat.renderer.project import ProjectPass
+from glsplat.renderer.resolve_step import ResolveStep
+from glsplat.renderer.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
+from glsplat.renderer.stats import FrameStats
+from glsplat.renderer.targets import Box, ByteTarget, Clear, Resolve, Target
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 

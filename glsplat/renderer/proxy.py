@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from glsplat.arrays import frozen
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.detail.cells import cells
+from glsplat.renderer.cells import cells
 from glsplat.splats import Splats
 
 __all__ = ["Proxy"]

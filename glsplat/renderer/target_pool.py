@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 
 from glsplat.gl.context import Context
-from glsplat.passes.target import ByteTarget, Target
+from glsplat.renderer.targets import ByteTarget, Target
 
 __all__ = ["TargetPool"]
 

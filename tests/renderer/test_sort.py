@@ -12,9 +12,9 @@ import pytest
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
-from glsplat.passes.frame.gpu_sort import GpuSorter
-from glsplat.passes.frame.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.renderer import Renderer
+from glsplat.renderer.gpu_sort import GpuSorter
+from glsplat.renderer.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.shaders import Programs
 from glsplat.splats import Splats
 from tests.scenes import camera, cloud, eyes

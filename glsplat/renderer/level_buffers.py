@@ -9,8 +9,8 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.detail.proxy import Proxy
-from glsplat.passes.item.buffers import ItemBuffers, Placement
+from glsplat.renderer.proxy import Proxy
+from glsplat.renderer.stage import ItemBuffers, Placement
 from glsplat.splats import Splats
 
 __all__ = ["LevelBuffers"]

@@ -8,7 +8,7 @@ import pytest
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import BudgetError
 from glsplat.net.backends.budget import PictureBudget
-from glsplat.passes.frame.draw import DrawPass
+from glsplat.renderer.draw import DrawPass
 from glsplat.splats import Splats
 
 SIZE = (160, 96)

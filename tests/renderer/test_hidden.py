@@ -16,8 +16,8 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.authoring.cones import ConeConfig, hidden, with_cones
 from glsplat.extras.authoring.posed import posed_splats
 from glsplat.gl.context import Context
-from glsplat.passes.present import Layout, Present
 from glsplat.renderer import Renderer
+from glsplat.renderer.present import Layout, Present
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests.compare import Difference

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
-from glsplat.passes.item.shape_buffers import ShapeBuffers
+from glsplat.renderer.shape_buffers import ShapeBuffers
 from glsplat.rotations import is_rigid, rodrigues_parameters, signed_axes
 from glsplat.shaders import Programs, SkinVariant, Variant
 from glsplat.shaders.slots import UNITS

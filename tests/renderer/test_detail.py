@@ -7,8 +7,8 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.detail.cells import cells
-from glsplat.detail.proxy import Proxy
+from glsplat.renderer.cells import cells
+from glsplat.renderer.proxy import Proxy
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.passes.item.buffers import NEAR, ROW, ItemBuffers, Placement, near_eye, numbers_of, upload_rows, write_rows
+from glsplat.renderer.stage import NEAR, ROW, ItemBuffers, Placement, near_eye, numbers_of, upload_rows, write_rows
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 

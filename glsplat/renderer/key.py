@@ -8,8 +8,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.passes.arena import Arena
-from glsplat.passes.frame.sort import NOT_SHOWN
+from glsplat.renderer.arena import Arena
+from glsplat.renderer.sort import NOT_SHOWN
 from glsplat.shaders import Programs, Variant
 
 __all__ = ["BLOCK_PIXELS", "KeyPass"]

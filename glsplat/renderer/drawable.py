@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from glsplat.passes.arena import Arena
-from glsplat.passes.frame.pipeline import Pipeline
-from glsplat.passes.lru_cache import LruCache
+from glsplat.renderer.arena import Arena
+from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.pipeline import Pipeline
 from glsplat.shaders import Variant
 
 __all__ = ["PASSES", "Drawable", "Part"]

@@ -14,21 +14,21 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import CULL_PSNR, RenderConfig
-from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh
-from glsplat.passes.arena import Arena
-from glsplat.passes.drawable import PASSES, Drawable, Part
-from glsplat.passes.frame.draw import PULLED
-from glsplat.passes.frame.pipeline import Pipeline, view_state
-from glsplat.passes.item.buffers import ItemBuffers, Placement
-from glsplat.passes.item.levels import LevelBuffers
-from glsplat.passes.item.mesh_pass import MeshItem, MeshPass, MeshPassKind
-from glsplat.passes.lru_cache import LruCache
-from glsplat.passes.stats import FrameStats
-from glsplat.passes.views import checked_pose
+from glsplat.renderer.arena import Arena
+from glsplat.renderer.checks import checked_pose
+from glsplat.renderer.draw import PULLED
+from glsplat.renderer.drawable import PASSES, Drawable, Part
+from glsplat.renderer.level_buffers import LevelBuffers
+from glsplat.renderer.levels import Selector
+from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.mesh_pass import MeshItem, MeshPass, MeshPassKind
+from glsplat.renderer.pipeline import Pipeline, view_state
+from glsplat.renderer.stage import ItemBuffers, Placement
+from glsplat.renderer.stats import FrameStats
 from glsplat.scene import Item, Scene, is_rigged
 from glsplat.shaders import Programs, variant_for
 from glsplat.skinning.pose import Pose

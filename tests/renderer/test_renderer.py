@@ -307,7 +307,7 @@ def test_clear_errors(renderer_of: Make, context: Context) -> None:
 
 
 def test_a_pass_that_cannot_be_made_leaves_nothing(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    from glsplat.passes.frame import pipeline
+    from glsplat.renderer import pipeline
 
     def fail(*_: object) -> None:
         raise ContextError("no more")

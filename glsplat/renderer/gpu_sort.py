@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 
 from glsplat.errors import ContextError
-from glsplat.passes.frame.sort import CULL_REASONS
+from glsplat.renderer.sort import CULL_REASONS
 from glsplat.shaders import Programs
 
 __all__ = ["GpuSorter"]
