@@ -30,7 +30,7 @@ T = TypeVar("T")
 class Level(Generic[T]):
     """A coarser stand-in for Splats or an Avatar: fewer splats that look the same from afar.
 
-    ``density`` is in pixels a metre (glsplat.renderer.proxy: focal length over depth, of what a view shows); a picture
+    ``density`` is in pixels a metre (glsplat.renderer.levels: focal length over depth, of what a view shows); a picture
     in which it is larger wants a finer level. ``psnr`` is what the worst picture looked at kept at that density, in dB
     against the finest.
     """

@@ -32,14 +32,11 @@ FLOORS = [
 # Within a room its modules may have an order of their own; modules that are not named come last.
 WITHIN = {
     "renderer": [
-        ["cells", "checks", "frame_block", "lru_cache", "sort", "stats"],
-        ["proxy", "resolve_step", "shape_buffers"],
-        ["levels", "stage", "targets"],
-        ["arena", "draw", "level_buffers", "present", "project", "target_pool"],
-        ["gpu_sort", "key", "mesh_buffers", "reach"],
-        ["mesh_pass"],
+        ["checks", "frame_block", "levels", "lru_cache", "mesh_buffers", "project", "reach", "sort", "stage", "stats"],
+        ["gpu_sort", "skin", "targets"],
+        ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],
+        ["key"],
         ["pipeline"],
-        ["drawable"],
         ["gpu_scene"],
         ["renderer"],
     ],

@@ -18,7 +18,7 @@ from glsplat.skinning.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from glsplat.net.room_view import RoomView
-    from glsplat.renderer.resolve_step import ResolveStep
+    from glsplat.renderer.resolve import ResolveStep
 
 __all__ = [
     "AvatarInfo",

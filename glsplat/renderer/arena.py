@@ -1,16 +1,15 @@
-"""Arena: all visible splats of a scene in one index space, a range an item. Key, sort, project and draw see only this.
+"""Arena: all visible splats of a scene in one index space. Key, sort, project and draw see only this.
 
-An item has a range for each of its levels of detail that are in use; a picture shows some of the ranges.
-
-One texture holds the geometry (as loaded, three texels a splat, if a single item stands where it was loaded; else
-posed, four texels), one the colours. Ranges begin with a row of ROW splats; what is left of a row has opacity 0.
+Each item has a range for each of its levels of detail in use; a picture shows some of the ranges. One texture holds
+the geometry (as loaded, three texels a splat, if a single item stands where it was loaded; else posed, four texels),
+one the colours. Ranges begin with a row of ROW splats; the padding at the end of a row has opacity 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -18,58 +17,62 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.renderer.stage import NEAR, ROW, ItemBuffers, Placement, near_eye, numbers_of, upload_rows, write_rows
+from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.skin import Placement, SkinPass, near_eye
+from glsplat.renderer.stage import NEAR_M, ROW, ItemBuffers, numbers_of, rows_of, upload_rows, write_rows
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 
-__all__ = ["Arena"]
+__all__ = ["Arena", "Part"]
 
-_RUN = 64
-"""Rows that are posed at a time: bounds the scratch buffer to 4 MB."""
+_MAX_PIPELINES = 8
+_MAX_PIPELINE_BYTES = 256 * 2**20  # of those that are not in use
 
-_POSED_BYTES = 64
+Part = tuple[int, int]
+"""Number of a visible item, and its level of detail."""
 
 
 class Arena:
-    """The splats of some items, in their order. Made anew when an item comes or goes; the items are borrowed."""
+    """The splats of some items, in their order, and the pipelines that draw them. The items are borrowed."""
 
     def __init__(
         self,
         context: Context,
+        parts: Sequence[Part],  # the items' numbers and levels; a picture shows one level of each number at most
         items: Sequence[ItemBuffers],
         *,
         posed: bool,  # False: a single item without a skeleton, where it was loaded
         degree: int,  # of the colours
         signed: bool = False,  # some items ask for opacity compensation and some do not (variant.antialias 2)
-        culled: Sequence[bool] = (),  # of which items the hidden splats are left out, by their cones
-        kinds: Sequence[int] = (),  # of items that are the same number a picture shows one at most; default: all
+        culled: Sequence[bool] = (),  # of which items hidden splats are left out, by their cones
     ) -> None:
         ctx = context.ctx
-        self.items, self.posed, self.degree = tuple(items), posed, degree
+        self.parts, self.items, self.posed, self.degree = tuple(parts), tuple(items), posed, degree
         self.version = 0  # grows with every movement
-        self.runs = 0  # of item passes so far
+        self.runs = 0  # of the skin pass so far
         self.origin = np.zeros(3)  # world position of the scene's zero
+        self.shown: tuple[int, ...] = tuple(range(len(items)))
+        # by variant, size and place in the call; loosely typed, as a Pipeline borrows its arena
+        self.pipelines: LruCache[Any, Any] = LruCache(_MAX_PIPELINES, _MAX_PIPELINE_BYTES)
         self._signs = [-1.0 if signed and item.splats.antialias else 1.0 for item in items]
-        self._scratch_target = context.scratch
-        rows = [max(1, -(-item.count // ROW)) for item in items]
+        self._written: list[Placement | None] = [None] * len(items)
+        rows = [rows_of(item.count) for item in items]
         self.first = np.concatenate([[0], np.cumsum(rows)])  # [I + 1] first row of each item, and the end
         height = int(self.first[-1])
         alone = len(items) == 1
         self.count: int = items[0].count if alone else height * ROW
-        self.shown: tuple[int, ...] = tuple(range(len(items)))
-        largest: dict[int, int] = {}
-        for kind, size in zip(kinds or range(len(items)), rows, strict=True):
-            largest[kind] = max(size, largest.get(kind, 0))
+        largest: dict[int, int] = {}  # rows by the item's number
+        for (number, _), size in zip(parts, rows, strict=True):
+            largest[number] = max(size, largest.get(number, 0))
         self.most: int = self.count if alone else sum(largest.values()) * ROW  # indices that a picture shows at most
-        self._written: list[Placement | None] = [None] * len(items)
+        texels, components = COLOUR_TEXELS[degree], 4 if degree else 3
         limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-        if max(height, ROW * COLOUR_TEXELS[degree]) > limit:
+        if max(height, ROW * texels) > limit:
             raise ContextError(
                 f"{self.count} splats of SH degree {degree} need textures larger than the {limit} texels of "
                 f"{ctx.info['GL_RENDERER']}; use fewer splats or a lower sh_degree"
             )
-        with ExitStack() as stack:
-            texels, components = COLOUR_TEXELS[degree], 4 if degree else 3
+        with ExitStack() as stack:  # releases what was made if a later allocation fails
             if alone:
                 self.colours = upload_rows(ctx, items[0].colours(degree), texels, components, stack)
             else:
@@ -79,28 +82,31 @@ class Arena:
             self.cones = _own(stack, ctx.buffer(self._packed_cones(culled))) if any(culled) else None
             self.numbers = None if context.vertex_ids else _own(stack, numbers_of(ctx, self.count))
             self.splats: moderngl.Texture
-            self._run: moderngl.Buffer | None = None
+            self._skin: SkinPass | None = None
             if posed:
                 self.splats = _own(stack, ctx.texture((ROW * 4, max(1, height)), 4, dtype="f4"))
                 self.splats.filter = (moderngl.NEAREST, moderngl.NEAREST)
-                self._run = _own(stack, ctx.buffer(reserve=min(_RUN, max(rows, default=1)) * ROW * _POSED_BYTES))
+                self._skin = _own(stack, SkinPass(context, max(rows, default=1)))
             else:
                 (item,) = items
                 assert item.rest is not None
                 self.splats, self.origin = item.rest, item.centre
-            self._surfaces: moderngl.Texture | None = None  # made once there is light
+            self._surfaces: moderngl.Texture | None = None  # made with the first light
             self._ctx, self._height = ctx, height
             self._owned = stack.pop_all()
 
     @property
     def nbytes(self) -> int:
+        """GPU bytes of the arena and its pipelines."""
+        return self.geometry_nbytes + self.colour_nbytes + self.pipelines.nbytes
+
+    @property
+    def geometry_nbytes(self) -> int:
         """GPU bytes of the posed geometry, the scratch buffer, the cones and the surfaces."""
-        posed = self.splats.width * self.splats.height * 16 if self.posed else 0
-        surfaces = 0 if self._surfaces is None else self._surfaces.width * self._surfaces.height * 16
-        return (
-            posed
-            + surfaces
-            + sum(buffer.size for buffer in (self._run, self.cones, self.numbers) if buffer is not None)
+        textures = [self.splats if self.posed else None, self._surfaces]
+        buffers = [self._skin.scratch if self._skin else None, self.cones, self.numbers]
+        return sum(t.width * t.height * 16 for t in textures if t is not None) + sum(
+            buffer.size for buffer in buffers if buffer is not None
         )
 
     @property
@@ -110,7 +116,7 @@ class Arena:
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
-        """First index and number of indices of what is shown, adjacent ranges in one, with what fills up their rows."""
+        """First index and number of indices of what is shown, padding included; adjacent ranges are joined."""
         if len(self.shown) == len(self.items):
             return ((0, self.count),)
         found: list[tuple[int, int]] = []
@@ -123,6 +129,11 @@ class Arena:
         return tuple(found)
 
     @property
+    def shown_items(self) -> list[ItemBuffers]:
+        """The items that this frame shows, each at one level of detail."""
+        return [self.items[index] for index in self.shown]
+
+    @property
     def shown_starts(self) -> NDArray[np.intp]:
         """[S] where each shown item begins among the indices of ``ranges``, taken one after the other."""
         rows = np.diff(self.first)[list(self.shown)]
@@ -131,33 +142,38 @@ class Arena:
     @property
     def shown_splats(self) -> int:
         """Splats of what is shown."""
-        return sum(self.items[index].count for index in self.shown)
+        return sum(item.count for item in self.shown_items)
 
     @property
     def padding(self) -> int:
-        """Indices in ``ranges`` that are nobody's splat."""
+        """Indices in ``ranges`` without a splat."""
         return sum(count for _, count in self.ranges) - self.shown_splats
 
-    def place(self, places: Mapping[int, Placement], eye: NDArray[np.float64]) -> bool:
-        """Show the items of these numbers, in their order; pose and place what moved. True if anything moved.
+    @property
+    def surfaced(self) -> bool:
+        """Whether any splats know the surface they lie on."""
+        return any(item.splats.surface is not None for item in self.items)
+
+    def place(self, places: Mapping[Part, Placement], eye: NDArray[np.float64]) -> bool:
+        """Show these parts, in the arena's order; pose and place what moved. Return whether anything moved.
 
         ``eye`` [3]: where they are looked at from, in the world.
         """
-        self.shown = tuple(places)
+        placed = {self.parts.index(part): place for part, place in places.items()}
+        self.shown = tuple(placed)
         if not self.posed:
             return False
         before = self.version
-        origin = self._origin(places, eye)
+        origin = self._origin(placed, eye)
         if not np.array_equal(origin, self.origin):
             self._written = [None] * len(self.items)
             self.origin = origin
-        for index, place in places.items():
-            if place.same(self._written[index]):
-                continue
-            self._written[index] = None  # until it is there: what is half written must not be taken for finished
-            self.version += 1
-            self._write(index, place)
-            self._written[index] = place
+        for index, place in placed.items():
+            if not place.same(self._written[index]):
+                self._written[index] = None  # until it is written: an interrupted write must not count
+                self.version += 1
+                self._write(index, place)
+                self._written[index] = place
         return self.version != before
 
     def use(self) -> None:
@@ -165,13 +181,8 @@ class Arena:
         self.splats.use(UNITS["splats"])
         self.colours.use(UNITS["colours"])
 
-    @property
-    def surfaced(self) -> bool:
-        """Whether any of its splats know the surface they lie on."""
-        return any(item.splats.surface is not None for item in self.items)
-
     def use_surfaces(self) -> None:
-        """Bind what light falls on (light.glsl), uploaded the first time: without light nobody pays for it."""
+        """Bind the surfaces that light falls on (light.glsl); uploaded the first time, so that only light costs it."""
         if self._surfaces is None:
             with ExitStack() as stack:
                 made = upload_rows(self._ctx, np.empty((0, 1), np.float32), 2, 4, stack, self._height)
@@ -182,47 +193,41 @@ class Arena:
         self._surfaces.use(UNITS["surfaces"])
 
     def written(self, index: int = 0) -> bool:
-        """Whether the range of an item holds what it was last asked to hold."""
+        """Return whether the range of an item holds its last placement."""
         return self._written[index] is not None
 
     def read(self, index: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """World means [N, 3] and shapes [N, 3, 3] of a posed item, on the host."""
+        """Read back world means [N, 3] and shapes [N, 3, 3] of a posed item."""
         first, item = int(self.first[index]), self.items[index]
         rows = np.frombuffer(self.splats.read(), np.float32).reshape(-1, 16)[first * ROW :][: item.count]
         shapes = np.stack([rows[:, 4 + 4 * i : 7 + 4 * i] for i in range(3)], axis=-1)
         return rows[:, :3] + self.origin, shapes
 
     def release(self) -> None:
-        """Delete textures and buffers, not the items."""
+        """Delete pipelines, textures and buffers, not the items. May be called twice."""
+        self.pipelines.release()
         self._owned.close()
 
+    def _write(self, index: int, place: Placement) -> None:
+        assert self._skin is not None
+        first, opacity = int(self.first[index]), self._signs[index] * place.opacity
+        self.runs += 1
+        self._skin.run(
+            self.items[index], place, self.splats, first, self.origin, turned=self.degree > 0, opacity=opacity
+        )
+
     def _origin(self, places: Mapping[int, Placement], eye: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Near the items: float32 has no bits left for splats far from it."""
-        anchors = np.array([self.items[index].anchor(place) for index, place in places.items()])
+        """Return an origin [3] near the items, as float32 coordinates are too coarse far from it."""
+        anchors = np.array([place.anchor(self.items[index].centre) for index, place in places.items()])
         if len(self.items) == 1 == len(anchors):  # nothing else has to move with it
-            return anchors[0] if np.abs(anchors[0]).max() > NEAR else np.zeros(3)
+            return anchors[0] if np.abs(anchors[0]).max() > NEAR_M else np.zeros(3)
         middle = np.median(anchors, axis=0) if len(anchors) else np.zeros(3)
         middle = near_eye(middle, anchors, eye)
-        wanted = np.rint(middle / NEAR) * NEAR if np.abs(middle).max() > NEAR else np.zeros(3)
-        return wanted if np.abs(wanted - self.origin).max() > 2 * NEAR else self.origin
-
-    def _write(self, index: int, place: Placement) -> None:
-        item, first = self.items[index], int(self.first[index])
-        array = item.prepare(place, self.origin, self.degree > 0, self._signs[index] * place.opacity)
-        assert self._run is not None
-        self._scratch_target.use()  # without a complete framebuffer transform feedback silently writes nothing
-        self.runs += 1
-        for start in range(0, max(item.count, 1), _RUN * ROW):
-            count = min(_RUN * ROW, item.count - start)
-            rows = max(1, -(-count // ROW))
-            if count:
-                array.transform(self._run, moderngl.POINTS, vertices=count, first=start)
-            if count < rows * ROW:
-                self._run.write(bytes((rows * ROW - count) * _POSED_BYTES), offset=count * _POSED_BYTES)
-            self.splats.write(self._run, (0, first + start // ROW, ROW * 4, rows))
+        wanted = np.rint(middle / NEAR_M) * NEAR_M if np.abs(middle).max() > NEAR_M else np.zeros(3)
+        return wanted if np.abs(wanted - self.origin).max() > 2 * NEAR_M else self.origin
 
     def _packed_cones(self, culled: Sequence[bool]) -> NDArray[np.int8]:
-        """[count, 4]; the other items get one that hides nothing."""
+        """Return visibility cones [count, 4]; items that are not culled get cones that hide nothing."""
         out = np.zeros((max(1, self.count), 4), np.int8)
         out[:, 3] = -127  # the smallest cosine there is
         for item, first, mine in zip(self.items, self.first, culled, strict=False):
@@ -231,7 +236,7 @@ class Arena:
         return out
 
 
-T = TypeVar("T", moderngl.Texture, moderngl.Buffer)
+T = TypeVar("T", moderngl.Texture, moderngl.Buffer, SkinPass)
 
 
 def _own(stack: ExitStack, item: T) -> T:

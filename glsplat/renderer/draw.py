@@ -1,4 +1,4 @@
-"""DrawPass: one draw of quads or triangles, both eyes through gl_Layer, premultiplied over."""
+"""Draw: fill the background, then blend all records in one draw of quads or triangles, both eyes through gl_Layer."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from dataclasses import dataclass
 
 import moderngl
 
+from glsplat.camera import Camera
 from glsplat.gl.context import Context
-from glsplat.renderer.targets import Target
+from glsplat.renderer.targets import Box, Target
 from glsplat.shaders import Programs, Variant, record_layout
 
-__all__ = ["PULLED", "DrawPass", "Slices", "corners_of", "fits"]
+__all__ = ["MAX_PULLED", "BackgroundPass", "DrawPass", "Slices", "corners_of", "fits"]
 
-PULLED = 500_000
-"""Records up to which software rasterizers pull them unasked: 0.8 of the draw up to 320,000, 1.1 of a million."""
+MAX_PULLED = 500_000
+"""Records up to which software rasterizers pull by default: 0.8 of the draw's time up to 320,000, 1.1 at a million."""
 
-PART, PARTS = 4096, 10
-"""Records, at least, and parts, at most, in which a software rasterizer is handed what is pulled: it bins a part while
-it draws the one before, and a small part's bins stay in the cache; but each part costs what the picture covers."""
+MIN_PART_RECORDS, MAX_PARTS = 4096, 10
+"""How a software rasterizer gets pulled records: it bins one part while it draws the one before, and bins of a small
+part stay in the cache; but each part costs as much as the picture covers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,15 +32,42 @@ class Slices:
 
 
 def corners_of(variant: Variant) -> int:
-    """Vertices of a record in one view: of a strip that is an instance, or of triangles where records are pulled."""
+    """Return the vertices of a record in one view: of a strip as an instance, or of triangles if records are pulled."""
     return 3 if variant.triangle else 6 if variant.pulled else 4
 
 
 def fits(ctx: moderngl.Context, variant: Variant, count: int) -> bool:
-    """Whether that many records can be pulled: a storage buffer has a limit, and a vertex's number has 31 bits."""
+    """Return whether ``count`` records can be pulled: storage buffers have a limit, and a vertex number has 31 bits."""
     vertices = count * variant.views * corners_of(variant)
     limit = int(ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
     return count * variant.record_floats * 4 <= limit and vertices < 2**31
+
+
+class BackgroundPass:
+    """Fills what lies behind the splats: by one clear, or by a draw for several backgrounds, meshes and depth."""
+
+    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
+        self._ctx, self._programs, self._variant = ctx, programs, variant
+        self._array: moderngl.VertexArray | None = None
+
+    def run(self, target: Target, cameras: Sequence[Camera], box: Box) -> None:
+        """Fill ``box`` of all layers with each view's background and alpha 0."""
+        colours = {camera.background for camera in cameras}
+        variant = self._variant
+        if len(colours) == 1 and not (variant.depth or variant.occluded or variant.sampled):
+            target.framebuffer.clear(*colours.pop(), 0.0, viewport=box)
+            return
+        if self._array is None:
+            program = self._programs.draw("screen", "background", self._variant)
+            self._array = self._ctx.vertex_array(program, [])
+        target.framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        self._array.render(moderngl.TRIANGLES, vertices=3, instances=self._variant.views)
+
+    def release(self) -> None:
+        """Delete the vertex array."""
+        if self._array is not None:
+            self._array.release()
 
 
 class DrawPass:
@@ -66,11 +94,11 @@ class DrawPass:
         self._begin_at(0)
 
     def run(self, target: Target, count: int, indirect: moderngl.Buffer | None = None) -> None:
-        """Blend ``count`` records, first to last; ``indirect`` holds the number where only the GPU knows it."""
+        """Blend ``count`` records in order; ``indirect`` holds the number if only the GPU knows it."""
         self._run(target, 0, count, indirect)
 
     def run_slices(self, target: Target, ends: Sequence[int], between: Callable[[], None]) -> None:
-        """The same picture in several draws, each up to one of the record numbers ``ends``, growing.
+        """Draw the same picture in several draws, each up to the next of the record numbers ``ends``.
 
         Waits for each and calls ``between``. Raises what that raises; the target is then half drawn.
         """
@@ -104,14 +132,14 @@ class DrawPass:
 
     def _pull(self, begin: int, end: int) -> None:
         vertices = self._corners * self._variant.views
-        part = max(PART, -((begin - end) // PARTS)) if self._flushed else end - begin
+        part = max(MIN_PART_RECORDS, -((begin - end) // MAX_PARTS)) if self._flushed else end - begin
         for first in range(begin, end, part):
             if self._flushed and first > begin:
                 self._flushed.clear()  # llvmpipe draws what it has when it gets another target; moderngl has no glFlush
             self._array.render(self._mode, vertices=(min(first + part, end) - first) * vertices, first=first * vertices)
 
     def _begin_at(self, record: int) -> None:
-        """Let instance 0 be that record; a base instance would need OpenGL 4.2."""
+        """Make ``record`` instance 0; a base instance would need OpenGL 4.2."""
         stride, views = self._variant.record_floats * 4, self._variant.views
         for location, floats, offset in self._attributes:
             start = record * stride + offset

@@ -1,4 +1,4 @@
-"""LruCache: what was made for a key stays for the next time, as long as it is among the few used last."""
+"""LruCache: keeps owners of GL objects by key and releases those that were not used for longest."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ V = TypeVar("V", bound=_Owner)
 
 
 class LruCache(Generic[K, V]):
-    """Owners of GL objects by key. A call that is broken off at any line leaves it whole."""
+    """Owners of GL objects by key. A call that is interrupted at any line leaves it consistent."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         self._most, self.most_bytes = most, most_bytes  # owners, and bytes of those that are not in use
         self._owners: dict[K, V] = {}
-        self._used: dict[K, int] = {}  # the larger the later
+        self._last_use: dict[K, int] = {}
         self._uses = 0
 
     def __len__(self) -> int:
@@ -40,21 +40,32 @@ class LruCache(Generic[K, V]):
         return sum(owner.nbytes for owner in self._owners.values())
 
     def get(self, key: K, make: Callable[[], V]) -> V:
-        """What is kept for ``key``, or what ``make`` makes; lets go what was not used for longest."""
+        """Return the owner for ``key``, made by ``make`` if there is none, and trim the others."""
+        owner = self.use(key, make)
+        self.trim(key)
+        return owner
+
+    def use(self, key: K, make: Callable[[], V]) -> V:
+        """Return the owner for ``key`` as ``get()`` does, and trim nothing."""
         owner = self._owners.get(key)
         if owner is None:
             owner = make()
             self._owners[key] = owner
         self._uses += 1
-        self._used[key] = self._uses
-        while len(self) > 1 and (len(self) > self._most or self.nbytes - owner.nbytes > self.most_bytes):
-            oldest = min((other for other in self._owners if other != key), key=lambda other: self._used.get(other, 0))
-            self._owners.pop(oldest).release()
-            self._used.pop(oldest, None)
+        self._last_use[key] = self._uses
         return owner
 
+    def trim(self, key: K) -> None:
+        """Release owners above the limits, the least recently used first, but not the one for ``key``."""
+        used = self._owners[key]
+        while len(self) > 1 and (len(self) > self._most or self.nbytes - used.nbytes > self.most_bytes):
+            others = (other for other in self._owners if other != key)
+            oldest = min(others, key=lambda other: self._last_use.get(other, 0))
+            self._owners.pop(oldest).release()
+            self._last_use.pop(oldest, None)
+
     def release(self) -> None:
-        """Delete all; forgotten first, so that what is broken off is not used again."""
-        owners, self._owners, self._used = self._owners, {}, {}
+        """Release all owners; forgotten first, so that none is used half released."""
+        owners, self._owners, self._last_use = self._owners, {}, {}
         for owner in owners.values():
             owner.release()

@@ -22,7 +22,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.mesh_buffers import INFLUENCES, MeshBuffers
 from glsplat.renderer.reach import depth_range, fitted, reach_of
-from glsplat.renderer.stage import Placement, near_eye
+from glsplat.renderer.skin import Placement, near_eye
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
 from glsplat.skinning.skin import Skin
@@ -44,11 +44,6 @@ class MeshItem:
         self._bones = np.zeros((len(mesh.skeleton), 3, 4))
         self.buffers: MeshBuffers = MeshBuffers(context.ctx, mesh, skin, min(anisotropy, context.ctx.max_anisotropy))
         self._arrays: dict[MeshVariant, moderngl.VertexArray] = {}
-
-    def anchor(self, place: Placement) -> NDArray[np.float64]:
-        """[3] world position near which it lies."""
-        assert place.bones is not None
-        return place.size * (place.turn @ place.bones[0, :, 3]) + place.offset
 
     def place(self, place: Placement, origin: NDArray[np.float64]) -> None:
         """Write the bones, about ``origin`` (world)."""
@@ -116,7 +111,7 @@ class MeshPass:
         if state == self._drawn:
             return
         self._drawn = None
-        anchors = np.array([item.anchor(place) for item, place in items])
+        anchors = np.array([place.anchor() for _, place in items])
         origin = near_eye(anchors[0], anchors, cameras[0].position)  # float32 has no bits left far from zero
         for item, place in items:
             item.place(place, origin)

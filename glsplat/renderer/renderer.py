@@ -1,7 +1,4 @@
-"""Renderer: a scene, a context and the passes of a frame.
-
-``render()`` is the frame; what each step is for is in docs/frame.md.
-"""
+"""Renderer: draws a scene for any number of views. docs/frame.md explains the steps of a frame."""
 
 from __future__ import annotations
 
@@ -27,10 +24,10 @@ from glsplat.renderer.draw import Slices
 from glsplat.renderer.gpu_scene import GpuScene
 from glsplat.renderer.levels import Selector
 from glsplat.renderer.pipeline import Pipeline
-from glsplat.renderer.resolve_step import ResolveStep, StepTextures, checked_step
+from glsplat.renderer.read_back import read_depth
+from glsplat.renderer.resolve import ResolveStep, StepTextures, checked_step
 from glsplat.renderer.stats import FrameStats
-from glsplat.renderer.target_pool import TargetPool
-from glsplat.renderer.targets import FORMATS, Target
+from glsplat.renderer.targets import FORMATS, Target, TargetPool
 from glsplat.scene import Item, Scene, SceneLike
 from glsplat.shaders import Programs, Variant
 from glsplat.shaders.variant import MAX_VIEWS
@@ -41,7 +38,7 @@ __all__ = ["FrameStats", "Prepared", "Renderer"]
 
 
 class Renderer:
-    """Renders one scene or avatar for any number of views; create, use and release it on one thread.
+    """Draws one scene or avatar for any number of views; create, use and release it on one thread.
 
     Whatever OpenGL context is current before a call is current after it. Programs with many threads give a renderer
     one thread of its own: docs/python.md, Threads.
@@ -63,14 +60,14 @@ class Renderer:
         context: Context | None = None,
         timed: bool = False,  # wait for the GPU at every stage mark: exact stages, slower frames
     ) -> None:
-        # all arguments first: what is refused must leave nothing behind, a context least of all
+        # check all arguments first, so that a refused one leaves no context behind
         views, (width, height) = count(views, "views", GlsplatError, 1), pixels(size, error=GlsplatError)
         config = RenderConfig() if config is None else config
         self.config: RenderConfig = instance(config, RenderConfig, "config", GlsplatError)
         instance(context, (Context, NoneType), "context", GlsplatError, "create_context(given=...) makes one")
         waits, scene = flag(timed, "timed", GlsplatError), Scene.of(scene)
-        self.selector: Selector = Selector()  # who looks; where several do in turn each has their own
-        self.step: ResolveStep | None = None  # drawn into 8-bit pictures before they are rounded, such as a Watermark
+        self.selector: Selector = Selector()  # of the viewer; each of several viewers has its own
+        self.step: ResolveStep | None = None  # draws into 8-bit pictures, such as a Watermark
         self._staged: GpuScene | None = None
         self.stats: FrameStats = FrameStats(0, 0, 0)
         self.variant: Variant = Variant()  # of the last pass
@@ -82,7 +79,7 @@ class Renderer:
         self.timer: StageTimer = StageTimer(self.context.ctx.finish if waits else None)
         self._targets = TargetPool(self.context, self.target_dtype)
         self._textures = StepTextures(self.context)
-        self._prepared: Prepared | None = None  # nothing was drawn since
+        self._prepared: Prepared | None = None  # valid until the next call
         self._released = False
         if self.context.state is not None and (self.config.sorter != "cpu" or self.config.fetch != "attributes"):
             self.context.state.look_after_storage()
@@ -105,12 +102,12 @@ class Renderer:
 
     @property
     def timings(self) -> dict[str, float]:
-        """Milliseconds a stage of the last frame: skin, key, sort, project, draw, resolve, read, total."""
+        """Milliseconds per stage of the last frame: skin, key, sort, project, draw, resolve, read, total."""
         return self.timer.ms
 
     @property
     def target_dtype(self) -> str:
-        """moderngl dtype of the float target: f4 on software rasterizers, f2 on GPUs, unless the config says."""
+        """moderngl dtype of the float target: the configured one, else f4 on software rasterizers and f2 on GPUs."""
         if self.config.target == "auto":
             return FORMATS["32f" if self.context.software else "16f"]
         return FORMATS[self.config.target]
@@ -121,21 +118,21 @@ class Renderer:
         return len(self._programs)
 
     def nbytes(self) -> dict[str, int]:
-        """GPU bytes: splats, sh, work (keys, order, records, posed; one set a variant in use), targets.
+        """Return GPU bytes: splats, meshes, sh, work (keys, order, records; one set per variant in use), targets.
 
-        Not counted: the bone texture and the uniform blocks, which do not grow with the splats.
+        Bone textures and uniform blocks are not counted; they do not grow with the splats.
         """
         self._check("nbytes")
         staged = self._staged.nbytes() if self._staged else dict.fromkeys(("splats", "meshes", "sh", "work"), 0)
         return staged | {"targets": self._targets.nbytes + self._textures.nbytes}
 
     def load(self, scene: SceneLike) -> None:
-        """Replace the scene. The old one is kept until the new one is on the GPU, and stays if that fails."""
+        """Replace the scene. If uploading the new one fails, the old one stays."""
         with self._entered("load"):
             self._load(Scene.of(scene))
 
     def resize(self, width: int, height: int) -> None:
-        """Set the size of all views in pixels. Targets of a few sizes used before are kept: see drop_targets()."""
+        """Set the size of all views in pixels. Targets of the last few sizes are kept: see drop_targets()."""
         self._check("resize")
         self._resize(*pixels((width, height), error=ContextError))
 
@@ -147,7 +144,7 @@ class Renderer:
         self._prepared = None
 
     def drop_targets(self) -> None:
-        """Give back the memory of all targets; the next frame makes its own."""
+        """Release all targets; the next frame makes new ones."""
         with self._entered("drop_targets"):
             self._targets.release()
 
@@ -166,59 +163,59 @@ class Renderer:
         views: Views,
         pose: Pose | None = None,  # of the one avatar; default: the item's own, else zero; ignored without a skeleton
         *,
-        depth: bool = False,  # return expected depths beside the images
+        depth: bool = False,  # also return expected depths
         out: Images | None = None,  # [V, H, W, 4] where the images go; default: a new array
     ) -> Images | tuple[Images, Depths]:
-        """The images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
+        """Return the images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
-        [V, H, W] float32: camera z in metres, the mean of what a pixel shows by its weight in the picture, meshes
-        included; 0 where alpha is 0; a 16F target is centimetres off where alpha is small, and one of 8 bits has none.
-        The arrays are new with each call, but for ``out``. Raises PoseError for a pose that does not fit, GlsplatError
-        for all else: the next one is drawn as if it had not been asked.
+        [V, H, W] float32: camera z in metres, the mean of the splats and meshes of a pixel by their weight; 0 where
+        alpha is 0. A 16F target is centimetres off where alpha is small; an 8-bit target has no depth. The arrays are
+        new with each call, except ``out``. Raises PoseError for a pose that does not fit, GlsplatError for all else; a
+        failed call leaves the renderer unchanged.
         """
-        depth, asked = checks.checked_depth(depth, self.target_dtype), self._views(views)
+        depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(views)
         with self._entered("render"):
-            self._follow(asked, pose)
-            both = self._pictures(asked, out, depth)
-        return both if depth else both[0]
+            self._update(cameras, pose)
+            images, depths = self._pictures(cameras, out, depth)
+        return (images, depths) if depth else images
 
     def prepare(self, views: Views, pose: Pose | None = None, itemised: bool = False) -> Prepared:
-        """Do all of ``render()`` before the draw, and say what drawing costs, in all or ``itemised``. Raises the same.
+        """Do the steps of ``render()`` before the draw; return what drawing costs, in total or per item (``itemised``).
 
         >>> with glsplat.Renderer(glsplat.default_avatar(), size=(32, 24), views=2) as renderer:
         ...     prepared = renderer.prepare(glsplat.stereo_cameras(np.eye(4), size=(32, 24)))
         ...     image = prepared.render() if prepared.cost < 1e9 else None
         """
-        asked, costed = self._views(views), 1 + flag(itemised, "itemised", GlsplatError)
+        cameras, costed = self._views(views), 1 + flag(itemised, "itemised", GlsplatError)
         with self._entered("prepare"):
-            self._follow(asked, pose)
-            self._prepared = prepared = Prepared(self, asked)
-            for ordinal, batch in enumerate(self._passes(asked)):
-                some = [asked[i] for i in batch]
-                self._scene.ground(some, ordinal, self.target_dtype, self.timer)
-                prepared.cost += self._scene.add_costs(self._ordered(some, ordinal, costed=costed), prepared.items)
+            self._update(cameras, pose)
+            self._prepared = prepared = Prepared(self, cameras)
+            for ordinal, indices in enumerate(self._passes(cameras)):
+                batch = [cameras[i] for i in indices]
+                self._scene.mesh_pass(batch, ordinal, self.target_dtype, self.timer)
+                prepared.cost += self._scene.add_costs(self._sorted(batch, ordinal, costed=costed), prepared.items)
             return prepared
 
     def draw(self, views: Views, pose: Pose | None = None, *, depth: bool = False) -> Target:
-        """Draw one view or a pair and leave it on the GPU: the float target, layer 0 the left eye, row 0 at the top.
+        """Draw one view or a pair; return the float target on the GPU, layer 0 the left eye, row 0 at the top.
 
-        For windows and headsets: nothing is read back. The layers hold what ``render()`` makes of the same views, with
-        ``depth`` also its sums (``Target.depth``). The target belongs to the renderer and is overwritten by the next
-        call. Where hidden splats were left out it is not lifted yet (``Target.lift``; who shows it does it).
+        For windows and headsets. The layers hold the pictures of ``render()``, with ``depth`` also its sums
+        (``Target.depth``). The target belongs to the renderer and is overwritten by the next call. If hidden splats
+        were left out, the caller has to compensate for them (``Target.lift``, lift.glsl).
         """
-        depth, asked = checks.checked_depth(depth, self.target_dtype), self._views(views)
-        if len(asked) > 2:
-            raise GlsplatError(f"draw() takes one view or a pair, not {len(asked)}; render() takes any number")
+        depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(views)
+        if len(cameras) > 2:
+            raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
         with self._entered("draw"):
-            self._follow(asked, pose)
-            for mine, views, _, target in self._drawn(asked, depth):
-                if len(views) < len(asked):  # eyes that do not share an order: drawn one by one into the pair's layers
-                    pair = self._targets.float_target(self.size, len(asked), depth)
-                    pair.copy_layer(self.context.ctx, mine.start, target)
+            self._update(cameras, pose)
+            for layers, batch, _, target in self._drawn(cameras, depth):
+                if len(batch) < len(cameras):  # eyes that do not share an order: copied one by one into a pair
+                    pair = self._targets.float_target(self.size, len(cameras), depth)
+                    pair.copy_layer(self.context.ctx, layers.start, target)
                     target = pair
-            target.lift = tuple(view.background for view in asked) if self.variant.cull_hidden else None
+            target.lift = tuple(camera.background for camera in cameras) if self.variant.cull_hidden else None
             self.timer.stop()
             return target
 
@@ -260,7 +257,7 @@ class Renderer:
         return self._staged
 
     def _check(self, call: str) -> None:
-        """Raise what a call raises that cannot be done here and now."""
+        """Raise GlsplatError for a released renderer, ContextError on a wrong thread or within another call."""
         if self._released:
             raise GlsplatError("this renderer was released; make a new one")
         self.context.owner.check(f"Renderer.{call}()")
@@ -273,82 +270,80 @@ class Renderer:
     def _views(self, views: Views) -> list[Camera]:
         return checks.checked_views(views, self.size, "; call resize() first")
 
-    def _passes(self, views: Sequence[Camera]) -> list[list[int]]:
-        """Which of the views are drawn together."""
-        return passes_of(views, self.config.order == "shared")
+    def _passes(self, cameras: Sequence[Camera]) -> list[list[int]]:
+        """Return the indices of the views of each pass."""
+        return passes_of(cameras, self.config.order == "shared")
 
-    def _order(self, views: Sequence[Camera]) -> NDArray[np.float64]:
-        """[4, 4] the viewmat by whose z the splats of a pass are sorted."""
-        return sorting_camera(views)
+    def _order(self, cameras: Sequence[Camera]) -> NDArray[np.float64]:
+        """Return the viewmat [4, 4] whose z orders the splats of a pass."""
+        return sorting_camera(cameras)
 
-    def _follow(self, views: Sequence[Camera], pose: Pose | None) -> None:
-        """Begin a frame: what came, went, moved; which level of detail who looks gets of it."""
+    def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> None:
+        """Begin a frame: upload, pose and place what changed in the scene."""
         self.timer.start()
         selector = instance(self.selector, Selector, "selector", GlsplatError)
-        self.stats = self._scene.update(views, pose, selector, self.timer)
+        self.stats = self._scene.update(cameras, pose, selector, self.timer)
 
     def _pictures(
-        self, asked: Sequence[Camera], out: Images | None, depth: bool = False, slices: Slices | None = None
+        self, cameras: Sequence[Camera], out: Images | None, depth: bool = False, slices: Slices | None = None
     ) -> tuple[Images, Depths]:
-        """The frame (docs/frame.md) after what moved was posed: drawn, and brought to the host."""
+        """Draw, resolve and read back (docs/frame.md), once the scene is up to date."""
         boxed, size, timer = self.config.output == "uint8", self.size, self.timer
-        out = checks.checked_out(out, (len(asked), size[1], size[0], 4), np.uint8 if boxed else np.float32)
+        out = checks.checked_out(out, (len(cameras), size[1], size[0], 4), np.uint8 if boxed else np.float32)
         depths = np.empty(out.shape[:3] if depth else 0, np.float32)
         step = checked_step(self.step, boxed)
         texture = None if step is None else self._textures.of(step)
-        for mine, views, pipeline, target in self._drawn(asked, depth, boxed, slices):
-            byte_target = self._targets.byte_target(size, len(views)) if boxed else None
-            if byte_target is not None:  # 5 resolve: to 8 bits, by way of the owner's step
-                pipeline.resolve(target, byte_target, views, timer, step, texture)
-            pipeline.read(target, byte_target, views, out[mine], timer)  # 6 read: to the host
+        for layers, batch, pipeline, target in self._drawn(cameras, depth, boxed, slices):
+            byte_target = self._targets.byte_target(size, len(batch)) if boxed else None
+            if byte_target is not None:
+                pipeline.resolve(target, byte_target, batch, timer, step, texture)  # 5
+            pipeline.read(target, byte_target, batch, out[layers], timer)  # 6
             if depth:
-                depths[mine] = target.read_depth()
+                depths[layers] = read_depth(target)
                 timer.mark("read")
         timer.stop()
         return out, depths
 
     def _drawn(
-        self, asked: Sequence[Camera], depth: bool = False, boxed: bool = False, slices: Slices | None = None
+        self, cameras: Sequence[Camera], depth: bool = False, boxed: bool = False, slices: Slices | None = None
     ) -> Iterator[tuple[slice, list[Camera], Pipeline, Target]]:
-        """Pass by pass, of one view or both eyes. With ``slices`` it was prepared: most records are there."""
+        """Draw pass by pass, each of one view or a pair. ``slices``: prepare() made most records already."""
         scene = self._scene
-        for ordinal, batch in enumerate(self._passes(asked)):
-            views, mine = [asked[i] for i in batch], slice(batch[0], batch[0] + len(batch))
-            # meshes, opaque, by a depth buffer: what the splats are drawn over and tested against
-            ground = scene.ground(views, ordinal, self.target_dtype, self.timer, depth)
-            # 1 key, 2 sort, 3 project: what these views show of the arena, as records from far to near
-            pipeline = self._ordered(views, ordinal, depth, slices is not None, done=slices is not None)
-            # 4 draw: all records in one instanced draw, an eye a layer
-            target = self._targets.float_target(self.size, len(views), depth)
-            pipeline.draw(target, views, self.timer, boxed, ground, slices)
-            yield mine, views, pipeline, target
+        for ordinal, indices in enumerate(self._passes(cameras)):
+            batch, layers = [cameras[i] for i in indices], slice(indices[0], indices[0] + len(indices))
+            # meshes by a depth buffer: splats are drawn over them and tested against them
+            mesh_pass = scene.mesh_pass(batch, ordinal, self.target_dtype, self.timer, depth)
+            pipeline = self._sorted(batch, ordinal, depth, slices is not None, done=slices is not None)  # 1 to 3
+            target = self._targets.float_target(self.size, len(batch), depth)
+            pipeline.draw(target, batch, self.timer, boxed, mesh_pass, slices)  # 4
+            yield layers, batch, pipeline, target
             self.stats = pipeline.added(self.stats)
 
-    def _ordered(
-        self, views: Sequence[Camera], ordinal: int, depth: bool = False, costed: int = 0, done: bool = False
+    def _sorted(
+        self, cameras: Sequence[Camera], ordinal: int, depth: bool = False, costed: int = 0, done: bool = False
     ) -> Pipeline:
-        """What draws these views as pass number ``ordinal`` of a call, steps 1 to 3 done."""
-        pipeline, shared = self._scene.pipeline(views, ordinal, depth), self._scene.shared(ordinal)
+        """Do steps 1 to 3 (key, sort, project) of pass number ``ordinal``, and return its pipeline."""
+        pipeline, shared = self._scene.pipeline(cameras, ordinal, depth), self._scene.shared(ordinal)
         if shared or not done:
             light = self._scene.light
-            resorted = pipeline.geometry(views, self._order(views), self.timer, costed, shared, light)
+            resorted = pipeline.make_records(cameras, self._order(cameras), self.timer, costed, shared, light)
             self.stats = replace(self.stats, sorted=self.stats.sorted or resorted)
         self.variant = pipeline.variant
         return pipeline
 
     def _drop_scene(self) -> None:
-        staged, self._staged = self._staged, None  # forgotten first: what is broken off must not be used again
+        staged, self._staged = self._staged, None  # first: a half-released scene must not be used again
         if staged is not None:
             staged.release()
 
     def _free(self, stack: ExitStack) -> None:
-        """Delete what this renderer made, whatever fails, when ``stack`` closes."""
+        """Add to ``stack`` the release of everything that this renderer made."""
         for owner in (self._programs, self._textures, self._targets):
             stack.callback(owner.release)
         stack.callback(self._drop_scene)
 
     def _forget(self) -> None:
-        """Release what was dropped. A context of its own goes with whoever still holds it."""
+        """Release a renderer that was dropped. Its own context lives on while others hold it."""
         if not self._released and not self.context.released:
             with self.context.entered("Renderer.release()"), ExitStack() as stack:
                 self._free(stack)
@@ -358,24 +353,25 @@ class Renderer:
 
 
 class Prepared:
-    """Pictures of which all but the drawing is done; until the renderer does something else. ``Renderer.prepare()``."""
+    """Pictures ready to be drawn, until the renderer's next call. Made by ``Renderer.prepare()``."""
 
-    def __init__(self, renderer: Renderer, views: Sequence[Camera]) -> None:
-        self._renderer, self._views = renderer, views
+    def __init__(self, renderer: Renderer, cameras: Sequence[Camera]) -> None:
+        self._renderer, self._cameras = renderer, cameras
         self.cost: int = 0
-        """Covered pixels: of all views and splats drawn those of the box around the splat, in whole blocks of 4x4."""
-        self.items: dict[Item, int] = {}  # the same of each item of splats that the views show, if ``itemised``
+        """Covered pixels: summed over views and splats, those of the box around the splat in whole blocks of 4x4."""
+        self.items: dict[Item, int] = {}
+        """Covered pixels of each shown item of splats, if ``itemised``."""
 
     def render(
         self,
         *,
-        out: Images | None = None,  # as that of Renderer.render()
+        out: Images | None = None,  # as of Renderer.render()
         between: Callable[[], None] | None = None,  # called between two slices; what it raises ends the picture
-        slice_cost: float = math.inf,  # covered pixels of a pass; what costs more is drawn in slices of about that much
+        slice_cost: float = math.inf,  # covered pixels of a pass; a costlier pass is drawn in slices of about that
     ) -> Images:
-        """What ``Renderer.render()`` gives, to the same bytes, whatever the slices."""
+        """Return the images of ``Renderer.render()``, the same bytes whatever the slices."""
         renderer = self._renderer
         if renderer._prepared is not self:
             raise GlsplatError("the renderer did something else since prepare(), or drew this already; prepare() again")
         with renderer._entered("render"):
-            return renderer._pictures(self._views, out, slices=Slices(between, slice_cost))[0]
+            return renderer._pictures(self._cameras, out, slices=Slices(between, slice_cost))[0]

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
 
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
 
-from glsplat.camera import Camera
 from glsplat.errors import ContextError
-from glsplat.renderer.resolve_step import ResolveStep
-from glsplat.shaders import Programs, ResolveVariant, Variant
-from glsplat.shaders.slots import UNITS
+from glsplat.gl.context import Context
+from glsplat.renderer.lru_cache import LruCache
 
-__all__ = ["FORMATS", "Box", "ByteTarget", "Clear", "Resolve", "Target"]
+__all__ = ["FORMATS", "Box", "ByteTarget", "Target", "TargetPool"]
 
 FORMATS = {"8": "f1", "16f": "f2", "32f": "f4"}
 """RenderConfig.target -> moderngl dtype."""
+
+MAX_SIZES = 4
+"""Sizes whose targets are kept."""
+
+MAX_BYTES = 256 * 2**20
+"""Of targets of sizes other than the current one."""
 
 Box = tuple[int, int, int, int]
 """Pixels: x, y, width, height, from the top left corner."""
@@ -53,24 +55,6 @@ class Target:
             self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, *attached)
             stack.callback(self.framebuffer.release)
             self._owned = stack.pop_all()
-
-    def read_depth(self) -> NDArray[np.float32]:
-        """[V, H, W] expected camera z in metres, 0 where nothing was drawn."""
-        assert self.depth is not None
-        colour = np.empty(self.shape, np.float32)
-        self.read(colour)
-        total = np.frombuffer(self.depth.read(), np.float32).reshape(self.shape[:3])
-        alpha = colour[..., 3]
-        return np.divide(total, alpha, out=np.zeros_like(total), where=alpha > 0)
-
-    def read(self, out: NDArray[np.float32]) -> None:
-        """Copy all layers to ``out`` [V, H, W, 4] as floats, row 0 first (the top row of the image)."""
-        if self.numpy_dtype == out.dtype:
-            self.texture.read_into(out)
-            return
-        pixels = np.empty(self.shape, self.numpy_dtype)
-        self.texture.read_into(pixels)
-        np.multiply(pixels, 1 / 255 if self.numpy_dtype == np.uint8 else 1, out=out, dtype=np.float32, casting="unsafe")
 
     def copy_layer(self, ctx: moderngl.Context, layer: int, single: Target) -> None:
         """Make ``layer`` a copy of a target of one view, depth included where both have it; it stays on the GPU."""
@@ -107,23 +91,6 @@ class ByteTarget:
             stack.callback(self.framebuffer.release)
             self._owned = stack.pop_all()
 
-    def read(self, out: NDArray[np.uint8], box: Box) -> None:
-        """Copy the pixels of ``box`` of every view into ``out`` [V, H, W, 4] and fill the rest with the background.
-
-        The background is taken from the box's rim (sort.covered_box), as the driver rounded it: no seam.
-        """
-        views, rows, columns, _ = self.shape
-        x, y, width, height = box
-        if (width, height) == (columns, rows):
-            self.framebuffer.read_into(out, components=4)
-            return
-        part = np.empty((height, width, 4), np.uint8)
-        for view in range(views):
-            self.framebuffer.read_into(part, viewport=(x, view * rows + y, width, height), components=4)
-            background = part[0, 0] if x or y else part[-1, -1]
-            out[view].view(np.uint32).fill(background.copy().view(np.uint32)[0])  # whole pixels: 30 times as fast
-            out[view, y : y + height, x : x + width] = part
-
     @property
     def nbytes(self) -> int:
         """GPU bytes of the texture."""
@@ -134,80 +101,71 @@ class ByteTarget:
         self._owned.close()
 
 
-class Clear:
-    """What lies behind the splats: one plain clear, or a pass where backgrounds differ, for meshes and depth."""
+class TargetPool:
+    """Targets of the sizes used last, so that clients of several sizes that take turns do not make them anew.
 
-    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
-        self._ctx, self._programs, self._variant = ctx, programs, variant
-        self._array: moderngl.VertexArray | None = None
+    moderngl restores the bound framebuffer when it makes or deletes another. That must not be one that goes, so the
+    scratch framebuffer is bound before.
+    """
 
-    def run(self, target: Target, cameras: Sequence[Camera], box: Box) -> None:
-        """Fill ``box`` of all layers with each view's background and alpha 0."""
-        colours = {camera.background for camera in cameras}
-        variant = self._variant
-        if len(colours) == 1 and not (variant.depth or variant.occluded or variant.sampled):
-            target.framebuffer.clear(*colours.pop(), 0.0, viewport=box)
-            return
-        if self._array is None:
-            program = self._programs.draw("screen", "background", self._variant)
-            self._array = self._ctx.vertex_array(program, [])
-        target.framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
-        self._array.render(moderngl.TRIANGLES, vertices=3, instances=self._variant.views)
+    def __init__(self, context: Context, dtype: str) -> None:
+        self._context, self._dtype = context, dtype
+        self._sizes: LruCache[tuple[int, int], _SizeTargets] = LruCache(MAX_SIZES, MAX_BYTES)
 
-    def release(self) -> None:
-        """Delete the vertex array."""
-        if self._array is not None:
-            self._array.release()
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of all targets that are kept."""
+        return self._sizes.nbytes
 
+    def float_target(self, size: tuple[int, int], views: int, depth: bool = False) -> Target:
+        """Return the float target of ``size`` (width, height); releases sizes that were not used for longest."""
+        made = self._of(size).floats
+        if (views, depth) not in made:
+            self._context.scratch.use()
+            made[views, depth] = Target(self._context.ctx, *size, views, self._dtype, depth)
+            self._sizes.trim(size)
+        return made[views, depth]
 
-class Resolve:
-    """Clamps and rounds the float target to 8 bit, inside the covered box only, after the step of its owner."""
-
-    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
-        self._ctx, self._programs = ctx, programs
-        self._cull_hidden = variant.cull_hidden
-        self._ways: dict[str, tuple[moderngl.Program, moderngl.VertexArray]] = {}  # by the step's source
-        self._way("")
-
-    def run(
-        self,
-        source: Target,
-        into: ByteTarget,
-        cameras: Sequence[Camera],
-        box: Box,
-        step: ResolveStep | None = None,
-        texture: moderngl.Texture | None = None,  # of the step
-    ) -> None:
-        """Convert the pixels of ``box`` of every view."""
-        x, y, width, height = box
-        program, array = self._way("" if step is None else step.source)
-        if texture is not None:
-            texture.use(UNITS["step_texture"])
-        into.framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
-        source.texture.use(UNITS["target"])
-        views, rows, _, _ = into.shape
-        background = program.get("background", None)
-        for view in range(views):
-            if isinstance(background, moderngl.Uniform):
-                background.value = cameras[view].background
-            program["view"] = view, 0, view * rows
-            self._ctx.viewport = (x, view * rows + y, width, height)
-            array.render(moderngl.TRIANGLES, vertices=3)
-        self._ctx.viewport = (0, 0, into.shape[2], views * rows)
-
-    def _way(self, source: str) -> tuple[moderngl.Program, moderngl.VertexArray]:
-        if source not in self._ways:
-            variant = ResolveVariant(cull_hidden=self._cull_hidden)
-            program = self._programs.draw("screen", "resolve", variant, {"step.glsl": source} if source else {})
-            self._ways[source] = program, self._ctx.vertex_array(program, [])
-        return self._ways[source]
+    def byte_target(self, size: tuple[int, int], views: int) -> ByteTarget:
+        """Return the target of the 8-bit picture of that size."""
+        made = self._of(size).bytes
+        if views not in made:
+            self._context.scratch.use()
+            made[views] = ByteTarget(self._context.ctx, *size, views)
+            self._sizes.trim(size)
+        return made[views]
 
     def release(self) -> None:
-        """Delete the vertex arrays."""
-        for _, array in self._ways.values():
-            array.release()
+        """Delete all targets; they are made again when needed."""
+        self._sizes.release()
+
+    def _of(self, size: tuple[int, int]) -> _SizeTargets:
+        return self._sizes.use(size, lambda: _SizeTargets(self._context))
+
+
+class _SizeTargets:
+    """Targets of one size: float ones by views and depth, 8-bit ones by views."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self.floats: dict[tuple[int, bool], Target] = {}
+        self.bytes: dict[int, ByteTarget] = {}
+
+    @property
+    def _all(self) -> list[Target | ByteTarget]:
+        return [*self.floats.values(), *self.bytes.values()]
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes."""
+        return sum(target.nbytes for target in self._all)
+
+    def release(self) -> None:
+        """Delete all targets."""
+        self._context.scratch.use()
+        targets, self.floats, self.bytes = self._all, {}, {}
+        for target in targets:
+            target.release()
 
 
 def _framebuffer(ctx: moderngl.Context, *textures: moderngl.Texture | moderngl.TextureArray) -> moderngl.Framebuffer:

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from glsplat.gl.context import Context
-from glsplat.renderer import target_pool
 from glsplat.renderer.lru_cache import LruCache
 from glsplat.renderer.reach import reach_of
 from glsplat.renderer.stage import ItemBuffers
 from glsplat.renderer.stats import union
-from glsplat.renderer.target_pool import SIZES, TargetPool
+from glsplat.renderer.targets import MAX_SIZES, TargetPool
 from glsplat.shaders import Programs
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
@@ -95,7 +94,7 @@ def test_a_size_used_again_is_not_made_again(pool: TargetPool) -> None:
 
 @pytest.mark.gl
 def test_the_size_unused_for_longest_goes(pool: TargetPool) -> None:
-    made = [pool.float_target((8 + i, 4), 1) for i in range(SIZES)]
+    made = [pool.float_target((8 + i, 4), 1) for i in range(MAX_SIZES)]
     pool.float_target((8, 4), 1)  # the first was used again, so the second goes
     pool.byte_target((99, 4), 1)
     pool.float_target((99, 4), 1)
@@ -105,8 +104,8 @@ def test_the_size_unused_for_longest_goes(pool: TargetPool) -> None:
 
 
 @pytest.mark.gl
-def test_large_sizes_are_not_kept(pool: TargetPool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(target_pool, "KEPT_BYTES", 1000)
+def test_large_sizes_are_not_kept(pool: TargetPool) -> None:
+    pool._sizes.most_bytes = 1000
     small, large = pool.float_target((4, 4), 1), pool.float_target((64, 64), 1)
     assert (
         pool.float_target((4, 4), 1) is small and pool.float_target((64, 64), 1) is large

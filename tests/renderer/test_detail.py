@@ -7,8 +7,7 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.renderer.cells import cells
-from glsplat.renderer.proxy import Proxy
+from glsplat.renderer.levels import Proxy, cells
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats

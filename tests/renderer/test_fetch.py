@@ -85,8 +85,8 @@ def test_parts_and_slices(renderer_of: Make, storage: None, monkeypatch: pytest.
     """A draw in parts, and a costly one in slices that are drawn in parts, blend every record once and in order."""
     scene, views = cloud(1000), eyes()
     expected = renderer_of(scene, views=2, fetch="attributes").render(views)
-    monkeypatch.setattr(draw, "PART", 7)
-    monkeypatch.setattr(draw, "PARTS", 1000)
+    monkeypatch.setattr(draw, "MIN_PART_RECORDS", 7)
+    monkeypatch.setattr(draw, "MAX_PARTS", 1000)
     renderer = renderer_of(scene, views=2, fetch="storage")
     assert np.array_equal(renderer.render(views), expected)
     asked: list[int] = []
@@ -108,7 +108,7 @@ def test_who_pulls(renderer_of: Make, context: Context, monkeypatch: pytest.Monk
     automatic.render(eyes()[:1])
     assert automatic.variant.pulled == int(context.software and context.vertex_storage)
     with monkeypatch.context() as patched:
-        patched.setattr(gpu_scene, "PULLED", 19)
+        patched.setattr(gpu_scene, "MAX_PULLED", 19)
         many = renderer_of(cloud(20))
         many.render(eyes()[:1])
         assert many.variant.pulled == 0

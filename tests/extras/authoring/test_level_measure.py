@@ -12,7 +12,7 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.detail.measure import MeasureConfig, difference, measured
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
-from glsplat.renderer.proxy import Proxy
+from glsplat.renderer.levels import Proxy
 from glsplat.splats import Splats
 from tests.scenes import cloud, limb
 

@@ -27,7 +27,7 @@ from glsplat.extras.authoring.posed import posed_splats
 from glsplat.extras.authoring.visibility import probe_poses, sphere, sphere_around
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
-from glsplat.renderer.proxy import Proxy
+from glsplat.renderer.levels import Proxy
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
 
