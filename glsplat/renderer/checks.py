@@ -27,11 +27,11 @@ Depths = NDArray[np.float32]
 def check_driver(config: RenderConfig, context: Context) -> None:
     """Raises ContextError where the driver cannot do what the config asks for by name."""
     driver = context.driver
-    if config.layers == "vertex" and not context.vertex_layers:
+    if config.debug.layers == "vertex" and not context.vertex_layers:
         raise ContextError(f"{driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
     if config.sorter == "gpu" and not context.compute:
         raise ContextError(f"the GPU sorter needs OpenGL 4.3, this is {driver}; use sorter='cpu'")
-    if config.fetch == "storage" and not context.vertex_storage:
+    if config.debug.fetch == "storage" and not context.vertex_storage:
         raise ContextError(f"{driver} has no storage buffers in the vertex shader; use fetch='attributes'")
 
 

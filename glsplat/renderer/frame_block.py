@@ -69,7 +69,7 @@ class FrameBlock:
         record["sort_row"][3] = sort_viewmat[2, :3] @ origin + sort_viewmat[2, 3]
         width, height = cameras[0].width, cameras[0].height
         record["size"] = width, height, 2 / width, 2 / height
-        record["knobs"][:4] = config.eps2d, config.max_sigma, 0.0, config.cull_margin
+        record["knobs"][:4] = config.debug.eps2d, config.max_sigma, 0.0, config.debug.cull_margin
         self.buffer.write(record)
         self.buffer.bind_to_uniform_block(FRAME_BLOCK)
 

@@ -53,11 +53,11 @@ class GpuScene:
     def __init__(self, context: Context, programs: Programs, scene: Scene, config: RenderConfig) -> None:
         self.scene = scene
         self._context, self._programs, self._config = context, programs, config
-        self._geometry = config.layers == "geometry" or not context.vertex_layers
-        self._triangle = config.shape == "triangle" or (config.shape == "auto" and context.software)
-        automatic = config.fetch == "auto" and context.software and context.vertex_storage and self._triangle
-        self._pulled = config.fetch == "storage" or automatic
-        self._samples = config.mesh_samples if context.ctx.max_samples >= config.mesh_samples else 1
+        self._geometry = config.debug.layers == "geometry" or not context.vertex_layers
+        self._triangle = config.debug.shape == "triangle" or (config.debug.shape == "auto" and context.software)
+        automatic = config.debug.fetch == "auto" and context.software and context.vertex_storage and self._triangle
+        self._pulled = config.debug.fetch == "storage" or automatic
+        self._samples = config.debug.mesh_samples if context.ctx.max_samples >= config.debug.mesh_samples else 1
         self._levels: dict[Item, ItemLevels] = {}
         self._buffers: dict[tuple[Item, int], ItemBuffers] = {}  # by level
         self._arenas: LruCache[tuple[Part, ...], Arena] = LruCache(_MAX_ARENAS, _MAX_BYTES)
@@ -167,7 +167,7 @@ class GpuScene:
             antialias=frozenset(item.splats.antialias for item in arena.items) or frozenset({False}),
             geometry=self._geometry,
             triangle=self._triangle,
-            pulled=self._pulled and (self._config.fetch == "storage" or arena.shown_splats <= MAX_PULLED),
+            pulled=self._pulled and (self._config.debug.fetch == "storage" or arena.shown_splats <= MAX_PULLED),
             depth=depth,
             occluded=self._occluded,
             sampled=self._samples if self._placed_meshes and self._samples > 1 else 0,
@@ -275,9 +275,9 @@ class GpuScene:
                 joints, skin = len(content.skeleton), content.skin
                 if joints > context.max_size:
                     raise ContextError(f"{joints} joints, but a texture of {context.driver} holds {context.max_size}")
-                if config.influences:
-                    skin = skin.reduced(config.influences).anchored(content.skeleton.parents)
-                raw, shapes = config.rotation == "raw", content.shapes
+                if config.debug.influences:
+                    skin = skin.reduced(config.debug.influences).anchored(content.skeleton.parents)
+                raw, shapes = config.debug.rotation == "raw", content.shapes
                 made = ItemBuffers(context, programs, content.splats, skin, joints, raw, shapes)
             else:
                 made = ItemBuffers(context, programs, content)
@@ -312,7 +312,7 @@ class GpuScene:
             if item not in self._hidden:
                 if item not in self._meshes:
                     assert isinstance(item.content, RiggedMesh)
-                    self._meshes[item] = MeshItem(self._context, item.content, self._config.mesh_anisotropy)
+                    self._meshes[item] = MeshItem(self._context, item.content, self._config.debug.mesh_anisotropy)
                 placed.append((self._meshes[item], self._placement(item, pose)))
         same = len(placed) == len(self._placed_meshes) and all(
             mesh is old and place.same(before)

@@ -61,7 +61,7 @@ class Pipeline:
         self._order: NDArray[np.uint32] = np.empty(0, np.uint32)  # indices among the shown ranges, far to near
         self._recorded = self._order  # those of them that have records
         self._shown: tuple[int, ...] = ()  # parts of the arena that the order is of
-        self._order_age = config.sort_period  # moved frames since the sort; at first more than allowed
+        self._order_age = config.debug.sort_period  # moved frames since the sort; at first more than allowed
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
         self.cost: int | None = None  # covered pixels of the current records, if counted
@@ -82,7 +82,7 @@ class Pipeline:
             self._key = own(KeyPass(ctx, programs, variant, arena, self._keys, records))
             self._sorter: GpuSorter | None = None
             if self._keys is not None:
-                settings = (count, variant.views, config.sort_bits, corners_of(variant), bool(variant.pulled))
+                settings = (count, variant.views, config.debug.sort_bits, corners_of(variant), bool(variant.pulled))
                 self._sorter = own(GpuSorter(ctx, programs, self._keys, order, records, *settings))
             self._draw = own(DrawPass(context, programs, variant, self._project.records))
             self._background = own(BackgroundPass(ctx, programs, variant))
@@ -129,13 +129,13 @@ class Pipeline:
         resort = (
             shared
             or not moved
-            or self._order_age + 1 >= self._config.sort_period
+            or self._order_age + 1 >= self._config.debug.sort_period
             or self._shown != arena.shown  # the old order is of other splats
             or bool(self._sorter and costed)  # the sorter adds up the costs
         )
         age = 0 if resort else self._order_age + 1
         # set again when the records are there, so that an interrupted frame leaves nothing to go by
-        self._seen, self._order_age = None, self._config.sort_period
+        self._seen, self._order_age = None, self._config.debug.sort_period
         self.cost, self._costs, self.item_costs = None, None, ()
         self._shown = arena.shown
         if self._sorter is None:
@@ -172,7 +172,7 @@ class Pipeline:
         self.culled = self._without_padding(count_culled(keys))
         self.covered = covered_box(tiles[keys < FIRST_CULLED], view.width, view.height)
         if resort:
-            self._order = self._recorded = sorted_indices(keys, self._config.sort_bits)
+            self._order = self._recorded = sorted_indices(keys, self._config.debug.sort_bits)
         else:  # an old order without splats culled since: they lie outside of the covered box
             self._recorded = self._order[keys[self._order] < FIRST_CULLED]
         self._project.write_order(_in_arena(self._recorded, ranges))

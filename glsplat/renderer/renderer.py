@@ -81,7 +81,7 @@ class Renderer:
         self._textures = StepTextures(self.context)
         self._prepared: Prepared | None = None  # valid until the next call
         self._released = False
-        if self.context.state is not None and (self.config.sorter != "cpu" or self.config.fetch != "attributes"):
+        if self.context.state is not None and (self.config.sorter != "cpu" or self.config.debug.fetch != "attributes"):
             self.context.state.look_after_storage()
         try:
             with self.context.entered("Renderer()"):
@@ -272,7 +272,7 @@ class Renderer:
 
     def _passes(self, cameras: Sequence[Camera]) -> list[list[int]]:
         """Return the indices of the views of each pass."""
-        return passes_of(cameras, self.config.order == "shared")
+        return passes_of(cameras, self.config.debug.order == "shared")
 
     def _order(self, cameras: Sequence[Camera]) -> NDArray[np.float64]:
         """Return the viewmat [4, 4] whose z orders the splats of a pass."""

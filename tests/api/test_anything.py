@@ -25,6 +25,7 @@ from glsplat import (
     Skin,
     Splats,
 )
+from glsplat.config import DebugConfig
 from glsplat.extras.evaluate.probe import Probe
 
 pytestmark = [pytest.mark.gl, pytest.mark.timeout(60)]
@@ -150,6 +151,7 @@ CALLS: dict[str, Any] = {
     "RiggedMesh.p": lambda v: RiggedMesh(np.eye(3), sk, np.zeros((3, 1), int), np.ones((3, 1)), v),
     "RiggedMesh.m": lambda v: RiggedMesh(np.eye(3), sk, np.zeros((3, 1), int), np.ones((3, 1)), (), v),
     **{f"Config.{n}": (lambda v, n=n: RenderConfig(**{n: v})) for n in RenderConfig.__dataclass_fields__},
+    **{f"Debug.{n}": (lambda v, n=n: DebugConfig(**{n: v})) for n in DebugConfig.__dataclass_fields__},
     "straight": glsplat.straight,
     "load": glsplat.load,
     "load.format": lambda v: glsplat.load(io.BytesIO(b""), format=v),

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import BudgetError, ContextError
 from glsplat.gl.context import Context
 from glsplat.net.backends.budget import PictureBudget
@@ -133,7 +133,7 @@ def test_what_does_not_fit_is_not_pulled(
 def test_where_there_is_no_storage(context: Context) -> None:
     lacking = replace(context, vertex_storage=False)
     with pytest.raises(ContextError, match="fetch='attributes'"):
-        Renderer(cloud(5), size=(8, 8), config=RenderConfig(fetch="storage"), context=lacking)
+        Renderer(cloud(5), size=(8, 8), config=with_fields(RenderConfig(), fetch="storage"), context=lacking)
     with Renderer(cloud(5), size=(64, 64), context=lacking) as renderer:
         renderer.render(eyes()[:1])
         assert renderer.variant.pulled == 0

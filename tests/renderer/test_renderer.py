@@ -13,7 +13,7 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, sorting_camera
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -47,7 +47,7 @@ def test_skinned_pair_matches_the_reference(renderer_of: Make, influences: int, 
     views, pose = eyes(), bent(avatar)
     image = renderer_of(avatar, views=2, rotation=rotation).render(views, pose)
     expected = reference.render(
-        avatar.splats, views, avatar.skin, pose.bones(avatar.skeleton), RenderConfig(rotation=rotation)
+        avatar.splats, views, avatar.skin, pose.bones(avatar.skeleton), with_fields(RenderConfig(), rotation=rotation)
     )
     assert expected[..., 3].max() > 0.9
     assert_contract(image, expected)
@@ -168,7 +168,7 @@ def test_long_lists_of_views(renderer_of: Make) -> None:
 
 def test_order_per_view(renderer_of: Make) -> None:
     scene, views = cloud(), eyes(ipd=1.5)
-    config = RenderConfig(order="per_view")
+    config = with_fields(RenderConfig(), order="per_view")
     assert_contract(
         renderer_of(scene, views=2, order="per_view").render(views), reference.render(scene, views, config=config)
     )

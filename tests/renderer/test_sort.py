@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera, look_at
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.renderer.gpu_sort import GpuSorter
@@ -151,7 +151,7 @@ def test_orders_are_written_into_new_memory(
     real = moderngl.Buffer.orphan
     monkeypatch.setattr(moderngl.Buffer, "orphan", lambda self, size=-1: orphaned.append(self) or real(self, size))
     expected = [renderer_of(cloud(800), views=2).render(eyes(distance=d)) for d in (2.0, 3.0, 2.5)]
-    config = RenderConfig(output="float32", target="32f", shape="triangle", sorter="cpu")
+    config = with_fields(RenderConfig(), output="float32", target="32f", shape="triangle", sorter="cpu")
     gpu = replace(context, software=software)  # as if
     with Renderer(cloud(800), size=(64, 64), views=2, config=config, context=gpu) as renderer:
         for distance, wanted in zip((2.0, 3.0, 2.5), expected, strict=True):
