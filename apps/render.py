@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
-from glsplat.config import RenderConfig
+from glsplat.config import DebugConfig, RenderConfig
 from glsplat.errors import FormatError
 from glsplat.extras.speech.sound import Sound, read_wav
 from glsplat.extras.speech.speaking import Speaking
@@ -130,11 +130,10 @@ def run(args: argparse.Namespace) -> int:
     config = RenderConfig(
         target=args.float_target,
         output="float32" if exact or args.alpha else "uint8",  # bytes divided by a small alpha would be coarse
-        layers=args.layers,
         sorter=args.sorter,
-        rotation=args.rotation,
         sh_degree=args.sh_degree,
         antialias=args.antialias,
+        debug=DebugConfig(layers=args.layers, rotation=args.rotation),
         **detail_of(args),
     )
     context = create_context(args.device)

@@ -1,4 +1,4 @@
-"""Meshes: textured triangles on a skeleton. Values; readers are in making/, what draws them in mesh/ and passes/."""
+"""Meshes: textured triangles on a skeleton. Values; extras/rigs reads them, renderer/ draws them."""
 
 from __future__ import annotations
 

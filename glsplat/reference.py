@@ -266,7 +266,7 @@ def project(
         x, y, z = (posed.means @ R.T + t).T
         fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
         width, height = camera.width, camera.height
-        a, b, c, det, dilated = dilated_covariances(jacobians(x, y, z, camera) @ R @ posed.shapes, config.eps2d)
+        a, b, c, det, dilated = dilated_covariances(jacobians(x, y, z, camera) @ R @ posed.shapes, config.debug.eps2d)
 
         alphas = np.minimum(splats.opacities.astype(np.float64), 1.0)
         compensation = np.sqrt(np.maximum(det / dilated, AA_FLOOR))
@@ -347,9 +347,9 @@ def render(
     config = config or RenderConfig()
     posed = rest(splats)
     if binding is not None and bones is not None:
-        posed = skin(splats, binding, bones, config.rotation, shapes, expression)
+        posed = skin(splats, binding, bones, config.debug.rotation, shapes, expression)
     images = []
-    for indices in passes_of(cameras, config.order == "shared"):
+    for indices in passes_of(cameras, config.debug.order == "shared"):
         views = [cameras[i] for i in indices]
         order = depth_order(posed.means, sorting_camera(views) if sort_viewmat is None else sort_viewmat)
         images += [composite(project(posed, splats, view, config, light=light), order, view)[..., :4] for view in views]
@@ -367,7 +367,7 @@ def render_scene(
     config = config or RenderConfig()
     posed, splats, antialias = joined(parts)
     layers = []
-    for indices in passes_of(cameras, config.order == "shared"):
+    for indices in passes_of(cameras, config.debug.order == "shared"):
         order = depth_order(posed.means, sorting_camera([cameras[i] for i in indices]))
         for i in indices:
             view = project(posed, splats, cameras[i], config, antialias, light)

@@ -127,7 +127,7 @@ def gl(context: Context) -> Iterator[Context]:
 @pytest.fixture
 def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     """Makes renderers on the shared context and releases them after the test."""
-    from glsplat.config import RenderConfig
+    from glsplat.config import RenderConfig, with_fields
     from glsplat.extras.evaluate.probe import Probe
 
     made: list[Probe] = []
@@ -135,7 +135,7 @@ def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     def make(scene: Splats | Avatar, size: tuple[int, int] = (64, 64), views: int = 1, **config: Any) -> Probe:
         config.setdefault("output", "float32")
         config.setdefault("target", "32f")
-        renderer = Probe(scene, size=size, views=views, config=RenderConfig(**config), context=context)
+        renderer = Probe(scene, size=size, views=views, config=with_fields(RenderConfig(), **config), context=context)
         made.append(renderer)
         return renderer
 

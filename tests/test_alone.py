@@ -34,11 +34,12 @@ GOLDEN = """
 import json
 import cv2, numpy as np
 import glsplat
+from glsplat.config import with_fields
 from tests.golden.test_goldens import CASES, FOLDER
 name = "sh3_pair"
 scene, cameras, pose, config = CASES[name]()
 size = cameras[0].width, cameras[0].height
-settings = glsplat.RenderConfig(target="32f", shape="triangle", **config)
+settings = with_fields(glsplat.RenderConfig(), target="32f", shape="triangle", **config)
 with glsplat.Renderer(scene, size=size, views=len(cameras), config=settings) as renderer:
     image = np.concatenate(list(renderer.render(cameras, pose)), axis=1)
     driver = renderer.driver

@@ -20,12 +20,10 @@ FLOORS = [
     ["splats", "camera", "config", "pictures"],
     ["skinning", "shaders"],
     ["avatar", "meshes", "gl"],
-    ["scene", "reference", "detail"],
+    ["scene", "reference"],
     ["formats", "views"],
     ["motion", "data"],
     ["scenes", "tracking"],
-    ["passes"],
-    ["renderer_thread"],
     ["renderer"],
     ["net"],
     ["extras"],
@@ -33,11 +31,14 @@ FLOORS = [
 ]
 # Within a room its modules may have an order of their own; modules that are not named come last.
 WITHIN = {
-    "passes": [
-        ["stats", "views", "block", "lru_cache"],
-        ["item", "step"],
-        ["arena", "target"],
-        ["frame", "target_pool", "present"],
+    "renderer": [
+        ["checks", "frame_block", "levels", "lru_cache", "mesh_buffers", "project", "reach", "sort", "stage", "stats"],
+        ["gpu_sort", "skin", "targets"],
+        ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],
+        ["key"],
+        ["pipeline"],
+        ["gpu_scene"],
+        ["renderer"],
     ],
     "tracking": [["solve"]],
     "net": [
@@ -174,10 +175,10 @@ def test_imports_go_down() -> None:
     ("module", "line"),
     [
         ("glsplat.camera", "from glsplat import Renderer"),  # from the root, which has all names
-        ("glsplat.skinning.skin", "def f():\n    from ..passes.frame import key"),
+        ("glsplat.skinning.skin", "def f():\n    from ..renderer import key"),
         ("glsplat.net.session", "import moderngl"),
-        ("glsplat.passes.arena", "from glsplat import reference"),
-        ("glsplat.passes.item.buffers", "from glsplat.passes.arena import Arena"),  # up within a room
+        ("glsplat.renderer.arena", "from glsplat import reference"),
+        ("glsplat.renderer.stage", "from glsplat.renderer.arena import Arena"),  # up within a room
         ("glsplat.net.session", "from glsplat.net.client_stream import ClientStream"),
         ("glsplat.net.session", "from glsplat.extras.uploads.job import UploadConfig"),  # the core, an extra
         ("glsplat.extras.evaluate.frames", "from glsplat_apps.output import label"),

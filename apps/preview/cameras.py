@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
-from glsplat.passes.present import Layout, view_size
+from glsplat.renderer.present import Layout, view_size
 from glsplat.rotations import FLIP_YZ
 
 __all__ = ["Options", "View", "cameras_of"]

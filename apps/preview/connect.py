@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 from glsplat.scene import SceneLike
 from glsplat.skinning.pose import EXPRESSION, Pose
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -24,7 +24,7 @@ from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 from glsplat.rotations import FLIP_X
 
 from .feed import Feed, Picture, Wish

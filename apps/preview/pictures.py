@@ -12,8 +12,8 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
-from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
+from glsplat.renderer.targets import Target
 from glsplat.scene import SceneLike
 from glsplat.timing import StageTimer
 

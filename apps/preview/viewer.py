@@ -17,7 +17,7 @@ from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.motion.motion import Motion
-from glsplat.passes.present import Layout, Present, view_size
+from glsplat.renderer.present import Layout, Present, view_size
 from glsplat.scene import SceneLike
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose

@@ -85,7 +85,7 @@ class Owner:
         if self.thread != threading.get_ident():
             raise ContextError(
                 f"{call} was called on thread {threading.current_thread().name!r}, but its OpenGL context belongs to "
-                f"thread {self._name!r}; call it there, or use Renderer.run_in_thread()"
+                f"thread {self._name!r}; call it there, or make and use the renderer in one ThreadPoolExecutor(1)"
             )
         if self._busy is None:
             return

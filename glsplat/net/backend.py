@@ -20,7 +20,7 @@ from glsplat.skinning.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from glsplat.net.room_view import RoomView
-    from glsplat.passes.step import ResolveStep
+    from glsplat.renderer.resolve import ResolveStep
 
 __all__ = [
     "AvatarInfo",

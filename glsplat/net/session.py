@@ -20,7 +20,7 @@ from glsplat.net.messages import MAX_ID, Ack, Arrival, Decoder, Request, error_t
 
 if TYPE_CHECKING:
     from glsplat.net.pace.ladder import Rung
-    from glsplat.passes.step import ResolveStep
+    from glsplat.renderer.resolve import ResolveStep
 
     class Watermark(ResolveStep, Protocol):
         """A mark that leads from a picture to its session (extras/watermark)."""

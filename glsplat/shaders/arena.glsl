@@ -1,4 +1,4 @@
-// The arena: all splats of a scene in textures of 2^ROW_BITS splats a row, fetched by index. Twin: passes/arena.py.
+// The arena: all splats of a scene in textures of 2^ROW_BITS splats a row, fetched by index. Twin: renderer/arena.py.
 // Textures, because the project pass gathers in sorted order, and OpenGL ES and WebGL forbid index buffers there.
 #if NUMBERED
 in uint number;  // where gl_VertexID cannot be trusted (Context.vertex_ids)

@@ -1,4 +1,4 @@
-// The per-frame block. One numpy record writes it: frame_dtype in passes/block.py (a test compares the sizes).
+// The per-frame block. One numpy record writes it: frame_dtype in renderer/frame_block.py (a test compares the sizes).
 struct View {
     vec4 rows[3];     // camera from scene, rows of [R | t]; the scene's origin is already subtracted (float64, host)
     vec4 intrinsics;  // fx, fy, cx, cy in pixels

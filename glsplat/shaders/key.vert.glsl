@@ -10,7 +10,7 @@
 
 flat out uint key;
 // x: tiles of 1/256 of the image that the splat touches in any view: x0, y0, x1, y1, a byte each;
-// y: blocks of 4x4 pixels that its box covers, summed over the views (passes/frame/key.py)
+// y: blocks of 4x4 pixels that its box covers, summed over the views (renderer/key.py)
 flat out uvec2 cover;
 
 void main() {

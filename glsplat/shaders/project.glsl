@@ -6,7 +6,7 @@ struct Footprint {
     float z;       // of the mean, in metres
 };
 
-// Why a splat is not drawn; 0 = it is. Codes are counted on the host: CULL_REASONS in passes/frame/sort.py.
+// Why a splat is not drawn; 0 = it is. Codes are counted on the host: CULL_REASONS in renderer/sort.py.
 const uint VISIBLE = 0u;
 const uint OUT_OF_RANGE = 1u;
 const uint TRANSPARENT = 2u;

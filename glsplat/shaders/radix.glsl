@@ -1,4 +1,4 @@
-// Buffers of the radix sort (twin: passes/frame/gpu_sort.py). Shared memory only: subgroup operations are missing on some
+// Buffers of the radix sort (twin: renderer/gpu_sort.py). Shared memory only: subgroup operations are missing on some
 // drivers and differ in width on others. 4 bits a pass, stable, no atomics that could reorder: same bytes on repeat.
 layout(std430, binding = 0) buffer Keys { uint keys[]; };
 layout(std430, binding = 1) buffer Order { uint order[]; };

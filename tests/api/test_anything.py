@@ -25,6 +25,7 @@ from glsplat import (
     Skin,
     Splats,
 )
+from glsplat.config import DebugConfig
 from glsplat.extras.evaluate.probe import Probe
 
 pytestmark = [pytest.mark.gl, pytest.mark.timeout(60)]
@@ -150,6 +151,7 @@ CALLS: dict[str, Any] = {
     "RiggedMesh.p": lambda v: RiggedMesh(np.eye(3), sk, np.zeros((3, 1), int), np.ones((3, 1)), v),
     "RiggedMesh.m": lambda v: RiggedMesh(np.eye(3), sk, np.zeros((3, 1), int), np.ones((3, 1)), (), v),
     **{f"Config.{n}": (lambda v, n=n: RenderConfig(**{n: v})) for n in RenderConfig.__dataclass_fields__},
+    **{f"Debug.{n}": (lambda v, n=n: DebugConfig(**{n: v})) for n in DebugConfig.__dataclass_fields__},
     "straight": glsplat.straight,
     "load": glsplat.load,
     "load.format": lambda v: glsplat.load(io.BytesIO(b""), format=v),
@@ -166,7 +168,6 @@ CALLS: dict[str, Any] = {
     "Renderer.config": lambda v: Renderer(sp, size=(8, 8), config=v).release(),
     "Renderer.context": lambda v: Renderer(sp, size=(8, 8), context=v).release(),
     "Renderer.timed": lambda v: Renderer(sp, size=(8, 8), timed=v).release(),
-    "run_in_thread": lambda v: Renderer.run_in_thread(v, size=(8, 8)).release(),
     "render": lambda v: held().render(v),
     "render.in": lambda v: held().render([v]),
     "render.pose": lambda v: held().render([cam], v),

@@ -21,8 +21,8 @@ import glsplat
 from glsplat.camera import Camera, look_at
 from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import create_context
-from glsplat.passes.arena import Arena
 from glsplat.renderer import Renderer
+from glsplat.renderer.arena import Arena
 from tests.api.current_context import asked, nothing_current
 from tests.api.variants import KINDS, SIZE, VIEWS, Kind, bent, splats
 from tests.scenes import limb
@@ -167,7 +167,7 @@ def test_a_load_that_is_broken_off_leaves_the_old_scene(monkeypatch: pytest.Monk
             renderer.load(7)  # type: ignore[union-attr]
         assert np.array_equal(kind.draw(renderer), picture)
         with monkeypatch.context() as patch:
-            patch.setattr("glsplat.passes.gpu_scene.ItemBuffers", broken)
+            patch.setattr("glsplat.renderer.gpu_scene.ItemBuffers", broken)
             with pytest.raises(Broken):
                 renderer.load(limb())  # type: ignore[union-attr]
         assert np.array_equal(kind.draw(renderer), picture)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import subprocess
 import sys
 import threading
 import warnings
@@ -55,73 +54,6 @@ def within(seconds: float, call: Callable[[], Any]) -> Any:
 
     threading.Thread(target=run, daemon=True).start()
     return done.result(seconds)
-
-
-# ------------------------------------------------------------------------------------------------- a thread of its own
-
-
-def test_rendering_inside_of_submit_does_not_wait_for_itself(picture: np.ndarray[Any, Any]) -> None:
-    def program() -> Any:
-        with Renderer.run_in_thread(SPLATS, size=(SIZE, SIZE)) as thread:
-            inner = thread.submit(lambda renderer: thread.render(VIEWS)).result()
-            twice = thread.submit(lambda renderer: thread.submit(lambda r: r.render(VIEWS)).result()).result()
-            with pytest.raises(ZeroDivisionError):
-                thread.submit(lambda renderer: thread.submit(lambda r: 1 / 0).result()).result()
-            return inner, twice, thread.render(VIEWS)
-
-    assert all(np.array_equal(one, picture) for one in within(30, program))
-
-
-def test_leaving_the_block_inside_of_submit_does_not_wait_for_itself(picture: np.ndarray[Any, Any]) -> None:
-    def program() -> Any:
-        thread = Renderer.run_in_thread(SPLATS, size=(SIZE, SIZE))
-        started = threading.Event()
-
-        def leave(renderer: Renderer) -> Any:
-            started.wait(10)
-            with thread:
-                return thread.render(VIEWS)
-
-        first = thread.submit(leave)
-        asked_before = thread.submit(Renderer.render, VIEWS)  # what was asked for is finished
-        started.set()
-        pictures = first.result(), asked_before.result()
-        thread.release()
-        with pytest.raises(GlsplatError, match="released"):
-            thread.render(VIEWS)
-        return pictures
-
-    assert all(np.array_equal(one, picture) for one in within(30, program))
-
-
-def test_release_and_calls_of_other_threads_end_in_one_line() -> None:
-    """Whoever comes too late is told so; nobody waits for ever and nobody sees an error of the pool."""
-
-    def program() -> list[BaseException]:
-        others: list[BaseException] = []
-        for _ in range(5):
-            thread = Renderer.run_in_thread(SPLATS, size=(SIZE, SIZE))
-
-            def ask(of: Any = thread) -> None:
-                try:
-                    for _ in range(1000):
-                        of.render(VIEWS)
-                except GlsplatError as error:
-                    assert "released" in str(error)
-                except BaseException as error:
-                    others.append(error)
-
-            asking = [threading.Thread(target=ask) for _ in range(3)]
-            for one in asking:
-                one.start()
-            thread.render(VIEWS)
-            thread.release()
-            for one in asking:
-                one.join(20)
-                assert not one.is_alive()
-        return others
-
-    assert within(100, program) == []
 
 
 def test_items_come_and_go_while_another_thread_draws(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,14 +212,3 @@ def test_two_renderers_of_one_context_do_not_draw_within_each_other() -> None:
         assert all(np.array_equal(call, expected) for call in calls if not isinstance(call, ContextError))
         assert len(calls) >= 2 and all("Renderer.render()" in str(error) for error in refusals)
     context.release()
-
-
-def test_an_interpreter_that_ends_inside_of_submit_ends(tmp_path: Path) -> None:
-    program = tmp_path / "program.py"
-    program.write_text(
-        "import glsplat\n"
-        "splats = glsplat.Splats.create([[0, 0, 0]], [[1, 0, 0, 0]], [[.1, .1, .1]], [.9], rgb=[[1, 0, 0]])\n"
-        "thread = glsplat.Renderer.run_in_thread(splats, size=(8, 8))\n"
-        "thread.submit(lambda renderer: thread.release())\n"
-    )
-    subprocess.run([sys.executable, "-W", "error", program], cwd=ROOT, timeout=60, check=True)

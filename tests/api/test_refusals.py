@@ -12,6 +12,7 @@ import pytest
 
 import glsplat
 from glsplat import Avatar, Camera, Item, Pose, RenderConfig, Renderer, Scene, Skeleton, Skin, Splats
+from glsplat.config import DebugConfig
 from glsplat.net.client import Client
 from glsplat.tracking import Tracker
 from tests.api.test_values import VIEW, K, one_splat, refused, two_bones
@@ -84,8 +85,8 @@ SCALARS: dict[str, tuple[Callable[[Any], Any], list[Any]]] = {
     "scale": (lambda v: glsplat.similarity(scale=v), [np.nan, np.inf, 0, -1, 1e-7, 1e7]),
     "joint_count": (lambda v: Skin.create([[0]], [[1.0]], v), [0.5, 0, -1]),
     "zero": (Pose.zero, [-1, 0.5]),
-    "eps2d": (lambda v: RenderConfig(eps2d=v), [np.nan]),
-    "sort_period": (lambda v: RenderConfig(sort_period=v), [2.0]),
+    "eps2d": (lambda v: DebugConfig(eps2d=v), [np.nan]),
+    "sort_period": (lambda v: DebugConfig(sort_period=v), [2.0]),
     "timeout": (lambda v: Client(URL, timeout=v), [0, -1, -0.5, np.nan, np.inf]),
 }
 
@@ -101,7 +102,6 @@ def test_numbers_that_are_none_or_out_of_range(name: str) -> None:
 def test_sizes(size: Any) -> None:
     refused(lambda: glsplat.stereo_cameras(EYE, size=size), "size")
     refused(lambda: Renderer(cloud(5), size=size), "size")
-    refused(lambda: Renderer.run_in_thread(cloud(5), size=size), "size")
 
 
 @pytest.mark.parametrize("switch", NO_SWITCHES)
@@ -213,7 +213,12 @@ MANY: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "transl of NaN": (lambda: Pose.from_smplx({"root_pose": [0, 0, 0], "transl": [np.nan, 0, 0]}), ()),
     "transl of two": (lambda: Pose.from_smplx({"root_pose": [0, 0, 0], "transl": [0, 0]}), ()),
     "a switch as 1": (lambda: RenderConfig(cull_hidden=1), ("cull_hidden",)),  # type: ignore[arg-type]
-    "no influences": (lambda: RenderConfig(influences=False), ("influences",)),
+    "no influences": (lambda: DebugConfig(influences=False), ("influences",)),
+    "complex influences": (lambda: DebugConfig(influences=np.complex64(1)), ("influences", "0, 1, 2, 4, 8")),
+    "sort bits of a float": (lambda: DebugConfig(sort_bits=32.0), ("sort_bits",)),  # type: ignore[arg-type]
+    "a degree as True": (lambda: RenderConfig(sh_degree=True), ("sh_degree",)),
+    "a switch as a number": (lambda: RenderConfig(antialias=np.int64(1)), ("antialias",)),  # type: ignore[arg-type]
+    "a debug setting": (lambda: RenderConfig(debug={"fetch": "auto"}), ("debug needs a DebugConfig",)),  # type: ignore[arg-type]
     "targets": (lambda: RenderConfig(target=["8"]), ("target",)),  # type: ignore[arg-type]
     "a level": (lambda: RenderConfig(level=17), ("level",)),
     "half a level": (lambda: RenderConfig(level=1.5), ("level",)),  # type: ignore[arg-type]

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.gl.context import create_context
-from glsplat.passes.present import Present
 from glsplat.renderer import Renderer
+from glsplat.renderer.present import Present
 from tests.api.current_context import GL, nothing_current
 from tests.api.variants import KINDS, SIZE, VIEWS
 from tests.scenes import cloud

@@ -12,18 +12,14 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from glsplat.config import RenderConfig
-from glsplat.detail.selector import Selector
 from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.extras.evaluate.mesh import MeshRenderer
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
-from glsplat.scene import Item
 from tests.api.current_context import GL, asked, nothing_current
 from tests.api.variants import KINDS, SIZE, VIEWS, bent
 from tests.scenes import cloud, limb
@@ -71,7 +67,7 @@ def test_another_thread_is_told_so(kind: object) -> None:
     for call in calls:
         error = on_thread(call)
         assert isinstance(error, ContextError)
-        assert "'another'" in str(error) and "'MainThread'" in str(error) and "run_in_thread" in str(error)
+        assert "'another'" in str(error) and "'MainThread'" in str(error) and "ThreadPoolExecutor(1)" in str(error)
         assert "\n" not in str(error)
         assert np.array_equal(kind.draw(renderer), picture)  # type: ignore[attr-defined]
     renderer.release()
@@ -95,33 +91,27 @@ def test_a_renderer_a_thread() -> None:
         assert all(pool.map(work, range(len(kinds))))
 
 
-def test_run_in_thread_from_many_threads_and_asyncio() -> None:
+def test_one_worker_thread_draws_for_many_threads_and_asyncio() -> None:
+    """The recipe of docs/python.md: a renderer is made, used and released on the one thread of a pool."""
     poses = [bent(angle=0.1 * i) for i in range(6)]
     with Renderer(limb(), size=(SIZE, SIZE)) as renderer:
         expected = [renderer.render(VIEWS, pose) for pose in poses]
-    with Renderer.run_in_thread(limb(), size=(SIZE, SIZE), config=RenderConfig()) as shared:
-        assert np.array_equal(shared.render(VIEWS, poses[0]), expected[0])
+    with ThreadPoolExecutor(1) as worker:
+        shared = worker.submit(lambda: Renderer(limb(), size=(SIZE, SIZE))).result()
         with ThreadPoolExecutor(6) as pool:
-            pictures = list(pool.map(lambda pose: shared.render(VIEWS, pose), poses * 3))
+            pictures = list(pool.map(lambda pose: worker.submit(shared.render, VIEWS, pose).result(), poses * 3))
         assert all(np.array_equal(p, e) for p, e in zip(pictures, expected * 3, strict=True))
 
         async def main() -> list[object]:
-            jobs = [asyncio.to_thread(shared.render, VIEWS, pose) for pose in poses]
-            jobs += [asyncio.wrap_future(shared.submit(Renderer.render, VIEWS, pose)) for pose in poses]
-            return await asyncio.gather(*jobs)
+            loop = asyncio.get_running_loop()
+            return await asyncio.gather(*(loop.run_in_executor(worker, shared.render, VIEWS, pose) for pose in poses))
 
         results = asyncio.run(main())
-        assert all(np.array_equal(r, e) for r, e in zip(results, expected * 2, strict=True))  # type: ignore[arg-type]
+        assert all(np.array_equal(r, e) for r, e in zip(results, expected, strict=True))  # type: ignore[arg-type]
         with pytest.raises(PoseError):
-            shared.render(VIEWS, bent(9))
-        assert shared.submit(lambda r: r.stats.splats).result() == len(limb().splats)
-        assert not asked()[0]  # nothing on this thread
-    shared.release()
-    with pytest.raises(GlsplatError, match="released"):
-        shared.render(VIEWS)
-    with pytest.raises(GlsplatError, match="an item shows Splats, an Avatar or a RiggedMesh"):
-        Renderer.run_in_thread("no scene")  # type: ignore[arg-type]
-    assert not [t for t in threading.enumerate() if t.name.startswith("glsplat renderer")]
+            worker.submit(shared.render, VIEWS, bent(9)).result()
+        assert not asked()[0]  # no context is current on this thread
+        worker.submit(shared.release).result()
 
 
 @pytest.mark.check
@@ -133,10 +123,6 @@ def test_what_was_dropped_is_freed_and_named() -> None:
         gc.collect()
     with pytest.warns(ResourceWarning, match="a context of glsplat .egl. was never released"):
         create_context()
-        gc.collect()
-    nothing_current()
-    with pytest.warns(ResourceWarning, match="a RendererThread was never released"):
-        Renderer.run_in_thread(cloud(), size=(SIZE, SIZE))
         gc.collect()
 
 
@@ -277,25 +263,3 @@ def test_mesh_and_splats_release_twice() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         del late
-
-
-def test_a_renderer_thread_renders_all_that_a_renderer_does() -> None:
-    camera = VIEWS[0].resized(8, 8)
-    item = Item(cloud(50))
-    options: dict[str, Any] = {"size": (8, 8), "config": RenderConfig(output="float32")}
-    with Renderer(item, **options) as renderer, Renderer.run_in_thread(item, **options) as thread:
-        for more in ({}, {"depth": True}):
-            one, other = renderer.render([camera], **more), thread.render([camera], **more)
-            assert all(map(np.array_equal, one, other))
-        out = np.empty((1, 8, 8, 4), np.float32)
-        assert thread.render([camera], out=out) is out and out.any()
-        assert (
-            isinstance(thread, Renderer)
-            and thread.stats.drawn == renderer.stats.drawn
-            and thread.nbytes() == renderer.nbytes()
-        )
-        assert thread.driver == renderer.driver and thread.config == options["config"]
-        thread.selector = mine = Selector(1.0)
-        assert thread.submit(lambda renderer: renderer.selector).result() is mine is thread.selector
-        thread.resize(4, 4)
-        assert thread.size == (4, 4) and thread.prepare([camera.resized(4, 4)]).cost > 0

@@ -16,6 +16,7 @@ import pytest
 
 import glsplat
 from glsplat import Avatar, Camera, GlsplatError, Pose, RenderConfig, Skeleton, Skin, Splats
+from glsplat.config import DebugConfig, with_fields
 from glsplat.meshes import RiggedMesh
 from glsplat.net.reply import Reply
 from glsplat.scenes.camera_file import camera_from_json, read_cameras
@@ -51,7 +52,7 @@ VALUES: dict[str, Callable[[], Any]] = {
     "skeleton": two_bones,
     "splats": lambda: replace(one_splat(), cones=np.array([[1, 2, 3, 4]], np.int8), antialias=True),
     "avatar": lambda: Avatar(one_splat(), two_bones(), Skin([[0, 1]], [[0.75, 0.25]]), {"source": "here"}),
-    "config": lambda: RenderConfig(cull_hidden=True, eps2d=np.float32(0.25)),
+    "config": lambda: with_fields(RenderConfig(), cull_hidden=True, eps2d=np.float32(0.25)),
 }
 
 
@@ -173,7 +174,7 @@ def test_numpy_scalars_are_numbers() -> None:
     left, right = glsplat.stereo_cameras(np.eye(4, dtype=np.float32), np.float32(0.5), size=np.array([8, 8]))
     assert right.position[0] - left.position[0] == 0.5
     assert RenderConfig(antialias=np.True_).antialias is True  # type: ignore[arg-type]
-    assert type(RenderConfig(sort_bits=np.int64(16)).sort_bits) is int  # type: ignore[arg-type]
+    assert type(DebugConfig(sort_bits=np.int64(16)).sort_bits) is int  # type: ignore[arg-type]
 
 
 def test_quaternions_of_any_length_draw_the_same(renderer_of: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -62,7 +62,9 @@ def splats(name: str, scene: Any, *views: Camera, pose: Pose | None = None, **co
         config["output"] = "float32"
 
     def make(context: Context | None = None) -> Renderer:
-        return Renderer(scene, size=(SIZE, SIZE), views=2, config=RenderConfig(**config), context=context)
+        return Renderer(
+            scene, size=(SIZE, SIZE), views=2, config=with_fields(RenderConfig(), **config), context=context
+        )
 
     return Kind(name, make, pose, *views)
 

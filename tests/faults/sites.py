@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.faults.glsl import glsl_sites
 
-PACKAGES = ("shaders", "passes", "skinning", "tracking", "net", "formats")
+PACKAGES = ("shaders", "renderer", "skinning", "tracking", "net", "formats")
 LEFT_OUT = ("glsplat/extras/training/",)
 
 # the order of their arguments says nothing, or they only name things

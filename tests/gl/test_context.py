@@ -98,10 +98,10 @@ def test_geometry_fallback_where_the_vertex_shader_cannot(context: Context) -> N
         with Renderer(cloud(), size=(64, 64), views=2, context=lame) as renderer:
             image = renderer.render(eyes())
             assert renderer.variant.geometry == 1 and image[0].any() and image[1].any()
-        from glsplat.config import RenderConfig
+        from glsplat.config import RenderConfig, with_fields
 
         with pytest.raises(ContextError, match="use layers='geometry'"):
-            Renderer(cloud(), size=(8, 8), config=RenderConfig(layers="vertex"), context=lame)
+            Renderer(cloud(), size=(8, 8), config=with_fields(RenderConfig(), layers="vertex"), context=lame)
         with pytest.raises(ContextError, match="use sorter='cpu'"):
             Renderer(cloud(), size=(8, 8), config=RenderConfig(sorter="gpu"), context=replace(context, compute=False))
 

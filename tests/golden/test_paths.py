@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from tests.scenes import camera, cloud, eyes, limb
@@ -84,7 +84,7 @@ def test_what_is_asked_for_goes_before_the_name(named: Named, name: str, fetch: 
     context = named(name)
     pulls = fetch == "auto" and context.software and context.vertex_storage
     for shape in ("quad", "triangle"):
-        config = RenderConfig(shape=shape, fetch=fetch, target="8")
+        config = with_fields(RenderConfig(), shape=shape, fetch=fetch, target="8")
         with Renderer(cloud(20), size=(32, 32), config=config, context=context) as renderer:
             renderer.render([camera(32)])
             triangle = shape == "triangle"

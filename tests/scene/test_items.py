@@ -11,10 +11,10 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.detail.selector import Selector
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
+from glsplat.renderer.levels import Selector
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats

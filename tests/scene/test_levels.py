@@ -13,11 +13,9 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import chosen
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.passes import gpu_scene
-from glsplat.renderer import Renderer
+from glsplat.renderer import Renderer, gpu_scene
+from glsplat.renderer.levels import Proxy, chosen
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Level, Splats
@@ -258,10 +256,10 @@ def test_choices_are_bounded(renderer_of: Make, monkeypatch: pytest.MonkeyPatch)
         for item, depth in zip(items, (-30 * x, -12 * x, -5 * x), strict=True):
             item.transform = similarity((0, 0, float(depth)))
         renderer.render([seen_from(2.0)])
-    assert len(renderer._staged._drawables) <= gpu_scene._KEPT
-    monkeypatch.setattr(renderer._staged._drawables, "_most", 1)
+    assert len(renderer._staged._arenas) <= gpu_scene._MAX_ARENAS
+    monkeypatch.setattr(renderer._staged._arenas, "_most", 1)
     renderer.render([seen_from(2.5)])
-    assert len(renderer._staged._drawables) == 1
+    assert len(renderer._staged._arenas) == 1
     items[0].visible = False
     renderer.render([seen_from(2.5)])
-    assert len(renderer._staged._drawables) == 1 and len(renderer.stats.levels) == 2
+    assert len(renderer._staged._arenas) == 1 and len(renderer.stats.levels) == 2

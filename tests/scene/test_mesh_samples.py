@@ -80,7 +80,7 @@ def test_a_mesh_alone_is_the_ground_truths_picture(renderer_of: Make, context: C
     mesh, pose = limb_mesh(), random_pose(3, 2)
     cameras = [replace(view, background=GREY) for view in eyes(96)[:views]]
     renderer = renderer_of(Item(mesh, pose=pose), size=(96, 96), views=2)
-    assert renderer.config.mesh_samples == 4  # the default
+    assert renderer.config.debug.mesh_samples == 4  # the default
     image, truth = renderer.render(cameras), truth_of(context, mesh, cameras, pose)
     assert 0.01 < ((truth[..., 3] > 0) & (truth[..., 3] < 1)).mean()
     difference = Difference.of(image, truth)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera, stereo_cameras
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
@@ -76,7 +76,7 @@ def test_items_interleave_as_the_concatenated_scene(
 def test_items_under_every_knob(renderer_of: Make, context: Context, settings: dict[str, object]) -> None:
     if settings.get("sorter") == "gpu" and not context.compute:
         pytest.skip("no OpenGL 4.3")
-    scene, cameras, config = mixed_scene(), list(eyes()), RenderConfig(**settings)  # type: ignore[arg-type]
+    scene, cameras, config = mixed_scene(), list(eyes()), with_fields(RenderConfig(), **settings)  # type: ignore[arg-type]
     expected, _ = reference_of(scene, cameras, config)
     assert_contract(renderer_of(scene, views=2, **settings).render(cameras), expected)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -77,7 +77,7 @@ Make = Callable[..., Renderer]
 
 def fresh(context: Context, scene: Scene, **settings: Any) -> np.ndarray:
     """The picture of a renderer that has seen nothing before."""
-    config = RenderConfig(output="float32", **settings)
+    config = with_fields(RenderConfig(), output="float32", **settings)
     with Renderer(Scene(scene.items), size=(64, 64), config=config, context=context) as renderer:
         return renderer.render(eyes())
 

@@ -47,9 +47,9 @@ def reference_of(
         if isinstance(content, Avatar):
             pose = item.pose or Pose.zero(len(content.skeleton))
             skin = content.skin
-            if config.influences:
-                skin = skin.reduced(config.influences).anchored(content.skeleton.parents)
-            posed = reference.skin(content.splats, skin, pose.bones(content.skeleton), config.rotation)
+            if config.debug.influences:
+                skin = skin.reduced(config.debug.influences).anchored(content.skeleton.parents)
+            posed = reference.skin(content.splats, skin, pose.bones(content.skeleton), config.debug.rotation)
             parts.append((reference.placed(posed, item.transform), content.splats))
         else:
             parts.append((reference.placed(reference.rest(content), item.transform), content))

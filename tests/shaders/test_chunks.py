@@ -9,8 +9,8 @@ from glsplat import reference
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
-from glsplat.passes.block import FrameBlock, frame_dtype
-from glsplat.passes.item.buffers import ROW
+from glsplat.renderer.frame_block import FrameBlock, frame_dtype
+from glsplat.renderer.stage import ROW
 from glsplat.rotations import rotation_matrices
 from glsplat.shaders import Variant
 from glsplat.shaders.variant import COLOUR_TEXELS

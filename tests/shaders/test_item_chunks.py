@@ -9,14 +9,14 @@ import pytest
 
 from glsplat import reference
 from glsplat.camera import look_at, stereo_cameras
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.extras.authoring.cones import hidden
 from glsplat.extras.watermark.mark import Watermark, marked
 from glsplat.extras.watermark.pattern import TILE
 from glsplat.gl.context import Context
 from glsplat.light import Light, Surface
-from glsplat.passes.block import FrameBlock, frame_dtype
-from glsplat.passes.item.buffers import ROW
+from glsplat.renderer.frame_block import FrameBlock, frame_dtype
+from glsplat.renderer.stage import ROW
 from glsplat.rotations import rodrigues_parameters, rotation_matrices, signed_axes
 from glsplat.scene import similarity
 from glsplat.shaders import SkinVariant, Variant
@@ -222,7 +222,9 @@ def test_cones_hide_what_the_twin_says(gl: Context, rng: np.random.Generator, vi
     head = np.linalg.inv(np.diag([1.0, -1, -1, 1]) @ look_at((0.4, 1, 5), (0, 0, 0)))
     cameras = stereo_cameras(head, 0.7, size=(64, 64))[:views]
     block = FrameBlock(gl.ctx, views)
-    block.write(cameras, cameras[0].viewmat, np.zeros(3), RenderConfig(cull_hidden=True, cull_margin=margin))
+    block.write(
+        cameras, cameras[0].viewmat, np.zeros(3), with_fields(RenderConfig(), cull_hidden=True, cull_margin=margin)
+    )
     frame = np.frombuffer(block.buffer.read(), frame_dtype(views))[0].copy()
     block.release()
     text = """

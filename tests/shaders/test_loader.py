@@ -14,7 +14,7 @@ from glsplat.errors import ShaderError
 from glsplat.extras.browser.web_shaders import page_variants
 from glsplat.extras.watermark.mark import Watermark
 from glsplat.gl.context import Context
-from glsplat.passes.block import frame_dtype
+from glsplat.renderer.frame_block import frame_dtype
 from glsplat.shaders import Programs, Variant, flatten, link, record_layout
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, variant_for

@@ -10,8 +10,8 @@ import pytest
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
-from glsplat.passes.block import FrameBlock, frame_dtype
 from glsplat.pictures import to_linear, to_srgb
+from glsplat.renderer.frame_block import FrameBlock, frame_dtype
 from glsplat.rotations import rotation_matrices
 from glsplat.shaders import MeshVariant, Variant
 from tests.glsl import run_chunk

@@ -12,8 +12,7 @@ from glsplat import reference
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.passes.item import shape_buffers
-from glsplat.renderer import Renderer
+from glsplat.renderer import Renderer, stage
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level
@@ -123,7 +122,7 @@ def test_levels_move_with_the_face_or_keep_still(renderer_of: Make) -> None:
 def test_more_entries_than_a_texture_holds(
     renderer_of: Make, context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shape_buffers, "_ROW", 1)
+    monkeypatch.setattr(stage, "_ENTRIES_PER_ROW", 1)
     count = context.ctx.info["GL_MAX_TEXTURE_SIZE"] + 1
     shapes = Shapes.create(
         ["grin"], count, splats=np.arange(count), targets=np.zeros(count, int), moves=np.ones((count, 3))

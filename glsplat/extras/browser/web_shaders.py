@@ -88,7 +88,7 @@ def page_programs() -> dict[str, Any]:
         "frame_block": FRAME_BLOCK,
         "row_bits": ROW_BITS[_ES],
         "colour_texels": COLOUR_TEXELS,
-        "knobs": [config.eps2d, config.max_sigma, 0.0, config.cull_margin],
+        "knobs": [config.debug.eps2d, config.max_sigma, 0.0, config.debug.cull_margin],
     }
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat import reference
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
-from glsplat.config import RenderConfig
+from glsplat.config import DebugConfig, RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.metrics.flip import flip as mean_flip
 from glsplat.extras.evaluate.metrics.pixels import decibel
@@ -82,7 +82,7 @@ class ReferencePictures:
         key = (order, *(v.viewmat.tobytes() + v.K.tobytes() + bytes(f"{v.width}x{v.height}", "ascii") for v in views))
         key += (b"",) if pose is None else (pose.rotations.tobytes() + pose.trans.tobytes(),)
         if key not in self._kept:
-            config = RenderConfig(order="per_view" if order == "per_view" else "shared")
+            config = RenderConfig(debug=DebugConfig(order="per_view" if order == "per_view" else "shared"))
             scene = self._scene
             if isinstance(scene, Avatar):
                 bones = (pose or Pose.zero(len(scene.skeleton))).bones(scene.skeleton)

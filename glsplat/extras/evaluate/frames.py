@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
@@ -176,7 +176,7 @@ class Bench:
                 views=2,
                 context=self._context,
                 timed=True,
-                config=replace(self._config, influences=k),  # type: ignore[arg-type]
+                config=with_fields(self._config, influences=k),
             )
             for k in counts
         }

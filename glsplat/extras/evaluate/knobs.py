@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from glsplat.avatar import Avatar, splats_of
-from glsplat.config import RenderConfig
+from glsplat.config import DebugConfig, RenderConfig, with_fields
 from glsplat.extras.evaluate.frames import WARM_UP
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
@@ -25,7 +25,7 @@ CONFIG_KNOBS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
     ("order", "order", ("shared", "per_view")),
     ("rotation", "rotation", ("polar", "raw")),
 )
-"""Knobs that are one field of RenderConfig: name, field, values. A scene that has no use for one leaves it out."""
+"""Knobs that are one field of RenderConfig or DebugConfig: name, field, values. Scenes leave out useless knobs."""
 
 LONGEST_PERIOD = 8
 """Frames after which every re-sort period of the grid has sorted again."""
@@ -55,7 +55,7 @@ class Drawn:
     @property
     def remembers(self) -> bool:
         """Whether a picture depends on the frames before it."""
-        return self.config.sort_period > 1
+        return self.config.debug.sort_period > 1
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,9 @@ class Setting:
 def base_config(context: Context) -> RenderConfig:
     """The defaults of this driver with nothing left to "auto", so that equal settings are measured once."""
     if not context.software:
-        return RenderConfig(target="16f", shape="quad", fetch="attributes")
+        return RenderConfig(target="16f", debug=DebugConfig(shape="quad", fetch="attributes"))
     fetch: Literal["storage", "attributes"] = "storage" if context.vertex_storage else "attributes"
-    return RenderConfig(target="32f", shape="triangle", sorter="cpu", fetch=fetch)
+    return RenderConfig(target="32f", sorter="cpu", debug=DebugConfig(shape="triangle", fetch=fetch))
 
 
 def settings_of(
@@ -88,19 +88,20 @@ def settings_of(
     out = [Setting("default", "default", default), Setting("default", "once more", replace(default, copy=1))]
     for knob, field, values in CONFIG_KNOBS:
         if _matters(field, subject) and not cannot.get(field):
-            for value in _some(values, few, getattr(base, field)):
-                out.append(Setting(knob, str(value), Drawn(replace(base, **{field: value}))))
+            of = base if hasattr(base, field) else base.debug
+            for value in _some(values, few, getattr(of, field)):
+                out.append(Setting(knob, str(value), Drawn(with_fields(base, **{field: value}))))
     if isinstance(subject.scene, Avatar):
         joints = subject.scene.skin.influences
         for k in (1, 2, 4, 8):
             if k < joints:
-                out.append(Setting("influences", str(k), Drawn(replace(base, influences=k))))
+                out.append(Setting("influences", str(k), Drawn(with_fields(base, influences=k))))
         out.append(Setting("influences", str(joints) if subject.right else f"all ({joints})", default))
     splats = splats_of(subject.scene)
     if splats.cones is not None:
         out.append(Setting("hidden splats", "drawn", default))
         for margin in _some(CULL_MARGINS, few):
-            culled = replace(base, cull_hidden=True, cull_margin=margin)
+            culled = with_fields(base, cull_hidden=True, cull_margin=margin)
             out.append(Setting("hidden splats", f"margin {margin:g}", Drawn(culled)))
     levels = subject.scene.levels
     for level in range(len(levels) + 1 if levels else 0):

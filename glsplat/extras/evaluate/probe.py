@@ -54,11 +54,11 @@ class Probe(Renderer):
             raise GlsplatError("redraw() takes views of one pass: one view, or a pair that looks the same way")
         with self._entered("redraw"):
             pipeline, target = self._scene.pipeline(asked, 0), self._targets.float_target(self.size, len(asked))
-            ground = self._scene.ground(asked, 0, self.target_dtype, self.timer)
+            mesh_pass = self._scene.mesh_pass(asked, 0, self.target_dtype, self.timer)
             self.context.ctx.finish()
             timer = StageTimer(self.context.ctx.finish)
             timer.start()
-            pipeline.draw(target, asked, timer, self.config.output == "uint8", ground=ground)
+            pipeline.draw(target, asked, timer, self.config.output == "uint8", mesh_pass=mesh_pass)
             return timer.ms["draw"]
 
     def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:

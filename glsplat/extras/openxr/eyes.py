@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.gl.functions import gl_functions
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 from glsplat.shaders import Variant, flatten, link
 from glsplat.shaders.slots import UNITS
 

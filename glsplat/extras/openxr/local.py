@@ -21,8 +21,8 @@ from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.extras.speech.idle import IdleFace
 from glsplat.gl.context import Context
-from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
+from glsplat.renderer.targets import Target
 from glsplat.scene import Item, Scene, SceneLike, is_rigged, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_tracked

@@ -12,7 +12,7 @@ from glsplat.errors import ContextError, ContextLostError, GlsplatError
 from glsplat.extras.openxr.eyes import DepthRange, EyeImages, EyePass, Surroundings
 from glsplat.extras.openxr.runtime import Projection, Runtime, SwapchainImages, ViewPose
 from glsplat.gl.context import Context
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 
 __all__ = ["EyeSwapchains", "fitting"]
 

@@ -11,8 +11,8 @@ from glsplat.camera import Camera
 from glsplat.errors import BudgetError
 
 if TYPE_CHECKING:
-    from glsplat.passes.views import Images
     from glsplat.renderer import Prepared
+    from glsplat.renderer.checks import Images
 
 __all__ = ["PictureBudget", "others_share"]
 

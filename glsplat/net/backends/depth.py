@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from glsplat.camera import Camera
-from glsplat.detail.selector import Selector
 from glsplat.net.codec.depth import SIDE, DepthGrid, grid_of
 from glsplat.renderer import Renderer
+from glsplat.renderer.levels import Selector
 from glsplat.skinning.pose import Pose
 
 __all__ = ["depth_grids"]

@@ -15,7 +15,7 @@ from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.budget import PictureBudget
-from glsplat.passes.stats import union
+from glsplat.renderer.stats import union
 from glsplat.scene import Rigged, SceneLike
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.net.labels import Label
-from glsplat.passes.stats import union
+from glsplat.renderer.stats import union
 
 __all__ = ["draw_labels"]
 

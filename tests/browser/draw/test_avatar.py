@@ -13,12 +13,11 @@ import pytest
 
 import glsplat
 from glsplat import Avatar, Item, Pose, Scene
-from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import chosen
 from glsplat.extras.browser.web_format.layout import HEAD
 from glsplat.extras.browser.web_format.read import decode_avatar
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.motion.loading import load_motion
+from glsplat.renderer.levels import Proxy, chosen
 from glsplat.skinning.expression import ARKIT
 from tests.browser.draw.conftest import Bench, floats, posed
 from tests.browser.draw.test_parity import eyes, psnr, thing, truth

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat import Avatar, Camera, Item, Pose, RenderConfig, Renderer, Scene
+from glsplat.config import with_fields
 from glsplat.motion.loading import load_motion
-from glsplat.passes.frame.project import ProjectPass
+from glsplat.renderer.project import ProjectPass
 from glsplat.views import view_of
 from tests import scenes
 from tests.browser.draw.conftest import Bench, bench_on, posed
@@ -26,7 +27,7 @@ def psnr(picture: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
 
 
 def truth(scene: Any, cameras: list[Camera], target: str = "32f") -> NDArray[np.float32]:
-    settings = RenderConfig(output="float32", target=target, shape="quad", level=0)
+    settings = with_fields(RenderConfig(), output="float32", target=target, shape="quad", level=0)
     with Renderer(scene, size=(cameras[0].width, cameras[0].height), views=len(cameras), config=settings) as renderer:
         picture = renderer.render(cameras)
     assert isinstance(picture, np.ndarray) and picture[..., 3].mean() > 0.005  # there is something to see

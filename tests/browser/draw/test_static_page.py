@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from apps import cli
 from glsplat import Camera, Item, Pose, Scene, similarity
-from glsplat.detail.proxy import Proxy
-from glsplat.detail.selector import chosen
 from glsplat.extras.browser.web_format.read import decode_avatar
+from glsplat.renderer.levels import Proxy, chosen
 from tests.browser.draw.conftest import shot
 from tests.browser.draw.test_parity import psnr, truth
 from tests.browser.opened import Opened

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera, pinhole
-from glsplat.detail.proxy import Proxy
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.detail.measure import MeasureConfig, difference, measured
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
+from glsplat.renderer.levels import Proxy
 from glsplat.splats import Splats
 from tests.scenes import cloud, limb
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import FormatError
 from glsplat.extras.evaluate.knobs import base_config, error_frames, settings_of
 from glsplat.extras.evaluate.sections.measure import measure
@@ -83,6 +83,6 @@ def test_old_orders_are_compared_at_their_oldest(context: Context) -> None:
 def test_exact_ties_stay_exact_under_a_given_camera(context: Context) -> None:
     """Far from the origin float32 leaves splats at equal depths: their order is that of the camera as it was given."""
     (subject,) = subjects_of(str(DATA / "huge_coords.ply"), 128)
-    settings = settings_of(subject, RenderConfig(target="32f", shape="triangle"))[:2]
+    settings = settings_of(subject, with_fields(RenderConfig(), target="32f", shape="triangle"))[:2]
     result = measure(context, subject, settings, 3, error_frames(subject, 3))
     assert result["settings"][0]["psnr"] > 110

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import glsplat
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import ContextError
 from glsplat.extras.openxr.eyes import DepthRange, EyeImages, EyePass
 from glsplat.extras.openxr.local import FAR, LocalShow
@@ -22,7 +22,7 @@ from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.swapchains import fitting
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context, create_context
-from glsplat.passes.target import Target
+from glsplat.renderer.targets import Target
 from glsplat.scene import Item, Scene
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.splats import Splats
@@ -90,7 +90,9 @@ class Worn:
         size = (self.show.cameras[0].width, self.show.cameras[0].height)
         if self._plain is None or self._plain[0] != (self.show.scene, config):
             self._release_plain()
-            made = glsplat.Renderer(self.show.scene, size=size, config=RenderConfig(**config), context=self.context)
+            made = glsplat.Renderer(
+                self.show.scene, size=size, config=with_fields(RenderConfig(), **config), context=self.context
+            )
             self._plain = (self.show.scene, config), made
         return self._plain[1].render(self.show.cameras, depth=config.get("output") == "float32")
 
@@ -156,7 +158,7 @@ def test_depth_is_the_renderers_in_the_wearers_metres(
     context: Context, person: glsplat.Avatar, known: int, order: Any, scale: float
 ) -> None:
     runtime, size = FakeRuntime(context, size=SIZE, formats=(SRGB8, known)), Calibration(scale=scale, automatic=False)
-    config = RenderConfig(order=order)
+    config = with_fields(RenderConfig(), order=order)
     with Worn(context, person, "facing", runtime, calibration=size, config=config) as worn:
         worn.frames()
         assert np.array_equal(worn.pair(), worn.rendered(order=order))

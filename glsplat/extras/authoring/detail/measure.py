@@ -4,7 +4,7 @@ What counts of a picture is the box around what it shows: the rows and columns b
 either of the two covers (alpha of 1/255 and more), before black and before grey, of which the worse counts, as
 ``glsplat avatar score`` has it. So no empty background flatters but what lies between the limbs; and the worst picture
 is mostly one of a pose and a side that fill their box. Each picture has the size at which it shows the thing as densely
-as asked for by ``glsplat.detail.proxy.Proxy``, by which levels are chosen.
+as asked for by ``glsplat.renderer.proxy.Proxy``, by which levels are chosen.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from scipy.spatial import cKDTree
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
-from glsplat.detail.proxy import Proxy
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.posed import posed_splats
 from glsplat.extras.authoring.visibility import probe_poses, sphere, sphere_around
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
+from glsplat.renderer.levels import Proxy
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
 

@@ -23,10 +23,10 @@ from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import release_later
 from glsplat.meshes import RiggedMesh
-from glsplat.passes.block import FrameBlock
-from glsplat.passes.item.mesh_buffers import INFLUENCES, MeshBuffers
-from glsplat.passes.item.reach import depth_range, fitted, reach_of
-from glsplat.passes.views import checked_pose, checked_views
+from glsplat.renderer.checks import checked_pose, checked_views
+from glsplat.renderer.frame_block import FrameBlock
+from glsplat.renderer.mesh_buffers import INFLUENCES, MeshBuffers
+from glsplat.renderer.reach import depth_range, fitted, reach_of
 from glsplat.shaders import MeshVariant, Programs, Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.skinning.pose import Pose

@@ -11,7 +11,7 @@ import moderngl
 import numpy as np
 
 from glsplat.avatar import Avatar, splats_of
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.extras.evaluate.frames import STAGES, WARM_UP, Series
 from glsplat.extras.evaluate.sections.measure import Tick
 from glsplat.extras.evaluate.subjects import Subject
@@ -53,7 +53,7 @@ def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
         Feature("8 influences", (still, config), (_bound(plain, one, 8), config), "all weight on the first of eight"),
         Feature(
             "nearest rotation",
-            (_bound(plain, one, 4), replace(config, rotation="raw")),
+            (_bound(plain, one, 4), with_fields(config, rotation="raw")),
             (_bound(plain, one, 4), config),
             "polar instead of raw, on a bone that does not turn",
         ),
@@ -65,8 +65,8 @@ def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
         ),
         Feature(
             "antialias",
-            (plain, replace(config, eps2d=0.0, antialias=False)),
-            (plain, replace(config, eps2d=0.0, antialias=True)),
+            (plain, with_fields(config, eps2d=0.0, antialias=False)),
+            (plain, with_fields(config, eps2d=0.0, antialias=True)),
             "without dilation the compensation is one",
         ),
         Feature(
@@ -89,7 +89,7 @@ def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
         )
     )
     if context.vertex_layers:
-        routed = replace(config, layers="geometry")
+        routed = with_fields(config, layers="geometry")
         out.append(Feature("geometry shader", (plain, config), (plain, routed), "this driver does not need it"))
     return out
 

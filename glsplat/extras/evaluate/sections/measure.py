@@ -89,7 +89,7 @@ def measure(
             row |= {"encode_ms": asdict(Series.of(encodes[s.jpeg][0])), "bytes": int(np.median(encodes[s.jpeg][1]))}
         else:
             error = errors[replace(s.drawn, copy=0), _order(s)]
-        period = s.drawn.config.sort_period
+        period = s.drawn.config.debug.sort_period
         ms = {**asdict(Series.of(series)), "median": round(_typical(series, period), 3)}
         row |= {"ms": ms, **asdict(error)}
         rows.append(row)

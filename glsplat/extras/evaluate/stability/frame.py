@@ -11,7 +11,7 @@ import numpy as np
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, sorting_camera, stereo_cameras
-from glsplat.config import RenderConfig
+from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.difference import Difference
 from glsplat.extras.evaluate.probe import Probe
@@ -77,7 +77,7 @@ def camera(size: int = SIZE) -> Camera:
 
 def renderer(scene: Splats | Avatar, context: Context, size: int = SIZE, views: int = 1, **config: Any) -> Probe:
     """One whose pictures are the float target."""
-    settings = RenderConfig(**{"output": "float32", "target": "32f", **config})
+    settings = with_fields(RenderConfig(output="float32", target="32f"), **config)
     return Probe(scene, size=(size, size), views=views, config=settings, context=context)
 
 

@@ -1,4 +1,4 @@
-// Which level of detail a view needs. Twins: glsplat/detail/proxy.py, cells.py and selector.py; units and reasons are there.
+// Which level of detail a view needs. Twin: glsplat/renderer/levels.py; units and reasons are there.
 
 const MOVED = 96; // points that stand for an avatar
 const STILL = 256; // for splats without a skeleton

@@ -1,5 +1,5 @@
 // The frame: posed splats into the arena, one order of all, one record a splat, one draw an eye. Twins:
-// glsplat/passes/arena.py and glsplat/passes/frame. Works on any WebGL2 context; knows no page and no headset.
+// glsplat/renderer/arena.py and pipeline.py. Works on any WebGL2 context; knows no page and no headset.
 
 import { HERE, placed } from './bones.js';
 import { cameraOf, frameBlock, sortRow } from './frame.js';

@@ -1,4 +1,4 @@
-// What a picture is taken by: cameras as the shaders' per-frame block has them. Twin: glsplat/passes/block.py.
+// What a picture is taken by: cameras as the shaders' per-frame block has them. Twin: glsplat/renderer/frame_block.py.
 
 import { apply, invert, multiply, place, viewmat } from '../space/matrix.js';
 

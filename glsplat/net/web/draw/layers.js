@@ -1,5 +1,5 @@
 // Layers that splats are blended into before they are shown, one an eye, and the pass that shows them: in a viewport, or
-// behind the glass of a mirror. Twin: glsplat/passes/target.py.
+// behind the glass of a mirror. Twin: glsplat/renderer/targets.py.
 
 import { invert, multiply } from '../space/matrix.js';
 import { bind, nearest } from './gpu.js';

@@ -1,1 +1,0 @@
-"""Levels of detail: what they are chosen by and measured against."""

@@ -1,1 +1,0 @@
-"""The passes of a frame, over the whole arena: key, sort, project, draw."""

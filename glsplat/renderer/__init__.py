@@ -1,0 +1,5 @@
+"""The renderer: a class for users, a file for each step of a frame, and what they keep on the GPU (docs/frame.md)."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

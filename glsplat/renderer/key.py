@@ -1,0 +1,97 @@
+"""KeyPass: a sortable depth a splat, or the reason why no view draws it. A vertex shader with transform feedback."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.renderer.arena import Arena
+from glsplat.renderer.sort import NOT_SHOWN
+from glsplat.shaders import Programs, Variant
+
+__all__ = ["BLOCK_PIXELS", "KeyPass"]
+
+BLOCK_PIXELS = 16
+"""Pixels of a block of 4x4: the unit in which key.vert.glsl counts costs, and the least that rasterizers work on."""
+
+_ROW_BYTES = 12  # key, tiles, cost
+
+
+class KeyPass:
+    """A sortable depth a splat, or the reason why no view draws it, the tiles it touches, and what it costs.
+
+    For the GPU sorter into two buffers. For the host into one, row by row: of two, Mesa's softpipe (22.3.6) leaves the
+    second unwritten when it was drawn from in between.
+    """
+
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        programs: Programs,
+        variant: Variant,
+        arena: Arena,  # borrowed
+        keys: moderngl.Buffer | None,  # [N] uint32, borrowed; None: the host sorts
+        spare: moderngl.Buffer,  # 12 bytes a splat or more, borrowed: the records', free until they are made
+    ) -> None:
+        program = programs.feedback("key", variant, ("key", "cover"), separate=keys is not None)
+        self._count = arena.count
+        self._outputs = [spare] if keys is None else [keys, spare]
+        content: list[tuple[object, ...]] = [] if arena.cones is None else [(arena.cones, "4i1", "cone")]
+        content += [] if arena.numbers is None else [(arena.numbers, "1u4", "number")]
+        self._array = ctx.vertex_array(program, content)
+        self._found = 0
+        self._rows = np.empty((arena.most if keys is None else 0, 3), np.uint32)
+        self._columns = np.empty((3, len(self._rows)), np.uint32)
+
+    def run(self, ranges: Sequence[tuple[int, int]]) -> None:
+        """Write keys, tiles and costs of the splats in ``ranges``, first index and number of each.
+
+        For the host one range after the other; for the GPU sorter every splat keeps its place, and the others are
+        marked as not to be drawn.
+        """
+        if len(self._outputs) == 1:
+            self._found = 0
+            for first, count in ranges:
+                place = self._found * _ROW_BYTES
+                self._array.transform(self._outputs, moderngl.POINTS, count, first=first, buffer_offset=place)
+                self._found += count
+            return
+        self._array.transform(self._outputs, moderngl.POINTS, self._count)
+        keys, spare = self._outputs
+        for first, end in _gaps(ranges, self._count):
+            keys.write(np.full(end - first, NOT_SHOWN, np.uint32), offset=4 * first)
+            spare.write(bytes(8 * (end - first)), offset=8 * first)
+
+    def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]:
+        """[N] the keys, [N] the packed tiles and [N] blocks of 4x4 pixels a splat covers (0: not drawn), on the host.
+
+        N splats of the ranges, in their order. To be read before the records are written; the arrays are reused by the
+        next call.
+        """
+        rows, columns = self._rows[: self._found], self._columns[:, : self._found]
+        if self._found:
+            self._outputs[0].read_into(rows, size=rows.nbytes)
+            columns[:] = rows.T  # what follows goes through them one by one
+        keys, tiles, costs = columns
+        return keys, tiles, costs
+
+    def read_costs(self, ranges: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:
+        """[N] the same costs where the GPU sorts: it has not begun yet. Waits for the GPU."""
+        found = np.frombuffer(self._outputs[-1].read(8 * self._count), np.uint32)[1::2]
+        return np.concatenate([found[:0], *(found[first : first + count] for first, count in ranges)])
+
+    def release(self) -> None:
+        """Delete the vertex array."""
+        self._array.release()
+
+
+def _gaps(ranges: Sequence[tuple[int, int]], count: int) -> Iterator[tuple[int, int]]:
+    """First index and end of what lies between, before and behind the ranges, up to ``count``."""
+    at = 0
+    for first, length in (*ranges, (count, 0)):
+        if first > at:
+            yield at, first
+        at = first + length

@@ -1,0 +1,71 @@
+"""LruCache: keeps owners of GL objects by key and releases those that were not used for longest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from typing import Generic, Protocol, TypeVar
+
+__all__ = ["LruCache"]
+
+
+class _Owner(Protocol):
+    @property
+    def nbytes(self) -> int: ...
+
+    def release(self) -> None: ...
+
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V", bound=_Owner)
+
+
+class LruCache(Generic[K, V]):
+    """Owners of GL objects by key. A call that is interrupted at any line leaves it consistent."""
+
+    def __init__(self, most: int, most_bytes: int) -> None:
+        self._most, self.most_bytes = most, most_bytes  # owners, and bytes of those that are not in use
+        self._owners: dict[K, V] = {}
+        self._last_use: dict[K, int] = {}
+        self._uses = 0
+
+    def __len__(self) -> int:
+        return len(self._owners)
+
+    def __iter__(self) -> Iterator[V]:
+        return iter(tuple(self._owners.values()))
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of all that is kept."""
+        return sum(owner.nbytes for owner in self._owners.values())
+
+    def get(self, key: K, make: Callable[[], V]) -> V:
+        """Return the owner for ``key``, made by ``make`` if there is none, and trim the others."""
+        owner = self.use(key, make)
+        self.trim(key)
+        return owner
+
+    def use(self, key: K, make: Callable[[], V]) -> V:
+        """Return the owner for ``key`` as ``get()`` does, and trim nothing."""
+        owner = self._owners.get(key)
+        if owner is None:
+            owner = make()
+            self._owners[key] = owner
+        self._uses += 1
+        self._last_use[key] = self._uses
+        return owner
+
+    def trim(self, key: K) -> None:
+        """Release owners above the limits, the least recently used first, but not the one for ``key``."""
+        used = self._owners[key]
+        while len(self) > 1 and (len(self) > self._most or self.nbytes - used.nbytes > self.most_bytes):
+            others = (other for other in self._owners if other != key)
+            oldest = min(others, key=lambda other: self._last_use.get(other, 0))
+            self._owners.pop(oldest).release()
+            self._last_use.pop(oldest, None)
+
+    def release(self) -> None:
+        """Release all owners; forgotten first, so that none is used half released."""
+        owners, self._owners, self._last_use = self._owners, {}, {}
+        for owner in owners.values():
+            owner.release()

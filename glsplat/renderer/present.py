@@ -1,0 +1,106 @@
+"""Present: the float layers of a frame to a window (or any 8-bit framebuffer), with text over them."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.gl.context import Context
+from glsplat.gl.owner import ContextGuard, owner_of
+from glsplat.renderer.targets import Target
+from glsplat.shaders import Variant, flatten, link
+
+__all__ = ["Layout", "Present", "view_size"]
+
+Layout = Literal["mono", "side-by-side", "anaglyph"]
+
+_TARGET_UNIT, _TEXT_UNIT = 0, 1
+
+
+def view_size(window: tuple[int, int], layout: Layout) -> tuple[int, int]:
+    """Pixels of one view in a window of ``window`` pixels; side by side an odd column stays black."""
+    width, height = window
+    return max(1, width // 2 if layout == "side-by-side" else width), max(1, height)
+
+
+class Present:
+    """Every pixel of the window is one texel of a layer: nothing is filtered, what is shown is what was rendered."""
+
+    def __init__(self, context: Context | moderngl.Context) -> None:
+        self._context = context
+        self._ctx = context.ctx if isinstance(context, Context) else context
+        self._arrays: dict[tuple[int, int, int], moderngl.VertexArray] = {}  # by (anaglyph, text, lifted)
+        with self._entered("Present()"):
+            self._text = self._ctx.texture((1, 1), 4)
+        self._box = (0, 0, 0, 0)
+
+    def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
+        """What lies over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window, or nothing."""
+        if image is None:
+            self._box = (0, 0, 0, 0)
+            return
+        height, width = image.shape[:2]
+        with self._entered("Present.write_text()"):
+            if self._text.size != (width, height):
+                old, self._text = self._text, self._ctx.texture((width, height), 4)
+                old.release()
+            self._text.write(np.ascontiguousarray(image))
+        self._box = (left, top, width, height)
+
+    def run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
+        """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; its views decide what layouts work.
+
+        Values are clamped and rounded by the fixed-point framebuffer, as in resolve.frag.glsl.
+        """
+        with self._entered("Present.run()"):
+            self._run(target, framebuffer, size, layout)
+
+    def _run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
+        views, _, width, _ = target.shape
+        framebuffer.viewport = (0, 0, *size)
+        framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        values: dict[str, Any] = {"target": _TARGET_UNIT, "window": size, "view_width": width}
+        target.texture.use(_TARGET_UNIT)
+        has_text = self._box[2] > 0
+        if has_text:
+            self._text.use(_TEXT_UNIT)
+            values |= {"text": _TEXT_UNIT, "text_box": self._box}
+        if target.lift is not None:
+            values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
+        array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
+        for name, value in values.items():
+            uniform = array.program.get(name, None)
+            if isinstance(uniform, moderngl.Uniform):
+                uniform.value = value
+        array.render(moderngl.TRIANGLES, vertices=3)
+
+    def _array(self, anaglyph: int, text: int, lifted: int) -> moderngl.VertexArray:
+        """The program of what is on show, compiled when it is first needed."""
+        key = (anaglyph, text, lifted)
+        if key not in self._arrays:
+            flags = Variant().defines()
+            own = {"ANAGLYPH": anaglyph, "TEXT": text, "LIFTED": lifted}
+            stages = {
+                "vertex_shader": flatten("screen.vert.glsl", flags),
+                "fragment_shader": flatten("present.frag.glsl", flags | own),
+            }
+            self._arrays[key] = self._ctx.vertex_array(link(self._ctx, "present", stages), [])
+        return self._arrays[key]
+
+    def release(self) -> None:
+        """Delete programs, vertex arrays and texture."""
+        with self._entered("Present.release()"):
+            arrays, self._arrays = self._arrays, {}
+            for array in arrays.values():
+                array.program.release()
+                array.release()
+            self._text.release()
+
+    def _entered(self, call: str) -> ContextGuard:
+        if isinstance(self._context, Context):
+            return self._context.entered(call)
+        return owner_of(self._context).entered(call)

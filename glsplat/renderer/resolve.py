@@ -1,0 +1,133 @@
+"""Resolve: convert the float target to 8 bits, after an optional step of the application such as a watermark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera
+from glsplat.errors import GlsplatError
+from glsplat.gl.context import Context
+from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.targets import Box, ByteTarget, Target
+from glsplat.shaders import Programs, ResolveVariant, Variant
+from glsplat.shaders.slots import UNITS
+
+__all__ = ["ResolvePass", "ResolveStep", "StepTextures", "checked_step"]
+
+MAX_TEXTURES = 64
+"""Textures of steps; of 16 KiB each, as many sessions can take turns without any being made anew."""
+
+
+class ResolveStep(Protocol):
+    """Draws into 8-bit pictures before rounding (``Renderer.step``). A hashable value: equal ones draw alike."""
+
+    @property
+    def source(self) -> str:
+        """GLSL: ``vec4 stepped(vec4 colour, ivec2 pixel)``, premultiplied; it may read ``sampler2D step_texture``.
+
+        ``pixel`` counts from the top left corner of each view.
+        """
+
+    def tile(self) -> NDArray[np.float32]:
+        """Return what ``step_texture`` holds [H, W], row 0 first; not filtered."""
+
+    def __hash__(self) -> int: ...
+
+
+def checked_step(step: ResolveStep | None, boxed: bool) -> ResolveStep | None:
+    """Return the step, which only 8-bit pictures (``boxed``) have. Raises GlsplatError."""
+    if step is None:
+        return None
+    if not isinstance(getattr(step, "source", None), str) or not callable(getattr(step, "tile", None)):
+        raise GlsplatError(
+            f"a step needs source and tile(), as glsplat.extras.watermark.Watermark has, not {type(step).__name__}"
+        )
+    if not boxed:
+        raise GlsplatError("a step is drawn into 8-bit pictures; use RenderConfig(output='uint8')")
+    return step
+
+
+class StepTextures:
+    """Owns a texture for each of the steps used last."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._textures: LruCache[ResolveStep, _Texture] = LruCache(MAX_TEXTURES, 2**30)
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes of the textures."""
+        return self._textures.nbytes
+
+    def of(self, step: ResolveStep) -> moderngl.Texture:
+        """Return the texture of a step."""
+        return self._textures.get(step, lambda: _Texture(self._context, step.tile())).texture
+
+    def release(self) -> None:
+        """Delete the textures; they are made again when needed."""
+        self._textures.release()
+
+
+class _Texture:
+    def __init__(self, context: Context, tile: NDArray[np.float32]) -> None:
+        self.texture: moderngl.Texture = context.ctx.texture(tile.shape[::-1], 1, tile, dtype="f4")
+        self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        self.nbytes = tile.nbytes
+
+    def release(self) -> None:
+        self.texture.release()
+
+
+class ResolvePass:
+    """Clamps and rounds the float target to 8 bits, inside the covered box only."""
+
+    def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
+        self._ctx, self._programs = ctx, programs
+        self._cull_hidden = variant.cull_hidden
+        self._arrays: dict[str, moderngl.VertexArray] = {}  # by the step's source
+        self._array("")
+
+    def run(
+        self,
+        source: Target,
+        into: ByteTarget,
+        cameras: Sequence[Camera],
+        box: Box,
+        step: ResolveStep | None = None,
+        texture: moderngl.Texture | None = None,  # of the step
+    ) -> None:
+        """Convert the pixels of ``box`` of every view."""
+        x, y, width, height = box
+        array = self._array("" if step is None else step.source)
+        program = array.program
+        if texture is not None:
+            texture.use(UNITS["step_texture"])
+        into.framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        source.texture.use(UNITS["target"])
+        views, rows, _, _ = into.shape
+        background = program.get("background", None)
+        for view in range(views):
+            if isinstance(background, moderngl.Uniform):
+                background.value = cameras[view].background
+            program["view"] = view, 0, view * rows
+            self._ctx.viewport = (x, view * rows + y, width, height)
+            array.render(moderngl.TRIANGLES, vertices=3)
+        self._ctx.viewport = (0, 0, into.shape[2], views * rows)
+
+    def _array(self, source: str) -> moderngl.VertexArray:
+        if source not in self._arrays:
+            variant = ResolveVariant(cull_hidden=self._cull_hidden)
+            program = self._programs.draw("screen", "resolve", variant, {"step.glsl": source} if source else {})
+            self._arrays[source] = self._ctx.vertex_array(program, [])
+        return self._arrays[source]
+
+    def release(self) -> None:
+        """Delete the vertex arrays."""
+        for array in self._arrays.values():
+            array.release()

@@ -1,0 +1,156 @@
+"""Skin: write an item's splats into the arena, posed and placed, by transform feedback.
+
+skin.vert.glsl blends an avatar's bones; place.vert.glsl moves splats without a skeleton. An item is written once a
+movement, whatever the number of views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.gl.context import Context
+from glsplat.renderer.stage import ROW, ItemBuffers, rows_of
+from glsplat.rotations import is_rigid, rodrigues_parameters
+from glsplat.shaders import SkinVariant
+from glsplat.shaders.slots import UNITS
+
+__all__ = ["Placement", "SkinPass", "near_eye"]
+
+_BATCH_ROWS = 64  # written at a time: bounds the scratch buffer to 4 MB
+_POSED_BYTES = 64  # a splat
+
+_FAR_M = 1000.0
+"""Metres from their common origin within which float32 places items finer than anybody sees: 0.06 mm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where an item stands: x -> size * turn x + offset, and the bones of its pose in its own space."""
+
+    turn: NDArray[np.float64]  # [3, 3] rotation
+    offset: NDArray[np.float64]  # [3] metres
+    size: float
+    bones: NDArray[np.float64] | None = None  # [J, 3, 4] skinning matrices; None: no skeleton
+    opacity: float = 1.0  # factor of all opacities
+    weights: NDArray[np.float64] | None = None  # [T] of the avatar's shapes; None: all 0
+
+    @property
+    def unmoved(self) -> bool:
+        """Whether the item stands where it was loaded."""
+        return self.size == 1 and not self.offset.any() and np.array_equal(self.turn, np.eye(3))
+
+    @property
+    def moved(self) -> bool:
+        """Whether splats without a skeleton look different from what was loaded."""
+        return self.opacity != 1 or not self.unmoved
+
+    @property
+    def to_world(self) -> NDArray[np.float64] | None:
+        """[4, 4] from the item's space to the world; None if unmoved."""
+        if self.unmoved:
+            return None
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.size * self.turn, self.offset
+        return matrix
+
+    def same(self, other: Placement | None) -> bool:
+        """Return whether the other one puts every splat at the same place."""
+        if other is None or (self.size, self.opacity) != (other.size, other.opacity):
+            return False
+        pairs = [(self.turn, other.turn), (self.offset, other.offset)]
+        for mine, theirs in ((self.bones, other.bones), (self.weights, other.weights)):
+            if (mine is None) != (theirs is None):
+                return False
+            if mine is not None and theirs is not None:
+                pairs.append((mine, theirs))
+        return all(np.array_equal(a, b) for a, b in pairs)
+
+    def anchor(self, centre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Return the world position [3] near which the item lies: its root joint, or its ``centre`` [3]."""
+        local = centre if self.bones is None else self.bones[0, :, 3]
+        assert local is not None
+        return self.size * (self.turn @ local) + self.offset
+
+    def local_bones(self, centre: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return bones from splats about ``centre`` to the scene about ``origin``, both [3], without the scale."""
+        assert self.bones is not None
+        local = self.bones.copy()
+        if not self.unmoved:
+            local = self.turn @ local
+            local[:, :, 3] += self.offset / self.size
+        local[:, :, 3] += local[:, :, :3] @ centre
+        local[:, :, 3] -= origin / self.size
+        return local
+
+
+class SkinPass:
+    """Writes items into rows of a texture, by way of a scratch buffer that it owns."""
+
+    def __init__(self, context: Context, rows: int) -> None:
+        self._framebuffer = context.scratch
+        self.scratch: moderngl.Buffer = context.ctx.buffer(reserve=min(_BATCH_ROWS, max(1, rows)) * ROW * _POSED_BYTES)
+
+    def run(
+        self,
+        item: ItemBuffers,
+        place: Placement,
+        into: moderngl.Texture,
+        first_row: int,
+        origin: NDArray[np.float64],  # [3] world position of the scene's zero
+        *,
+        turned: bool,  # SH colours turn with the splats
+        opacity: float,  # factor; negative marks splats that ask for opacity compensation
+    ) -> None:
+        """Write the item's splats, and zeros to the end of their last row."""
+        array = _skinned(item, place, origin, turned) if place.bones is not None else _placed(item, place, origin)
+        array.program["size"], array.program["signed_opacity"] = place.size, opacity
+        self._framebuffer.use()  # without a complete framebuffer transform feedback silently writes nothing
+        for start in range(0, max(item.count, 1), _BATCH_ROWS * ROW):
+            count = min(_BATCH_ROWS * ROW, item.count - start)
+            rows = rows_of(count)
+            if count:
+                array.transform(self.scratch, moderngl.POINTS, vertices=count, first=start)
+            if count < rows * ROW:
+                self.scratch.write(bytes((rows * ROW - count) * _POSED_BYTES), offset=count * _POSED_BYTES)
+            into.write(self.scratch, (0, first_row + start // ROW, ROW * 4, rows))
+
+    def release(self) -> None:
+        """Delete the scratch buffer."""
+        self.scratch.release()
+
+
+def near_eye(
+    origin: NDArray[np.float64], anchors: NDArray[np.float64], eye: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return ``origin`` [3] if all ``anchors`` [I, 3] are near it, else the anchor nearest to ``eye`` [3]."""
+    if len(anchors) and np.abs(anchors - origin).max() > _FAR_M:
+        return np.asarray(anchors[np.linalg.norm(anchors - eye, axis=1).argmin()])
+    return origin
+
+
+def _placed(item: ItemBuffers, place: Placement, origin: NDArray[np.float64]) -> moderngl.VertexArray:
+    array = item.array(item.variant)
+    array.program["turn"] = tuple(place.turn.T.ravel())  # columns
+    array.program["rodrigues"] = tuple(rodrigues_parameters(place.turn))
+    array.program["offset"] = tuple(place.anchor(item.centre) - origin)
+    assert item.rest is not None
+    item.rest.use(UNITS["splats"])
+    return array
+
+
+def _skinned(item: ItemBuffers, place: Placement, origin: NDArray[np.float64], turned: bool) -> moderngl.VertexArray:
+    assert isinstance(item.variant, SkinVariant) and place.bones is not None
+    shapes = item.shapes if place.weights is not None else None
+    array = item.array(replace(item.variant, turned=int(turned), shaped=int(shapes is not None)))
+    shift = array.program.get("shift", None)
+    if isinstance(shift, moderngl.Uniform):
+        shift.value = 1.0 if is_rigid(place.bones) else 3.0
+    item.bones.write(place.local_bones(item.centre, origin).astype(np.float32))
+    item.bones.use(UNITS["bones"])
+    if shapes is not None and place.weights is not None:
+        shapes.use(place.weights)
+    return array
