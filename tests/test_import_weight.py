@@ -19,7 +19,7 @@ ANY = 1000  # modules of glsplat: not bounded
 
 ROWS = [  # statement, libraries, modules of glsplat at most
     ("import glsplat", "", 1),
-    ("import glsplat.tracking.sample", "", 6),  # the names of expressions among them
+    ("import glsplat.tracking.sample", "", 8),  # the names of expressions among them
     ("import glsplat.net.messages", "", 30),
     ("from glsplat import default_avatar; default_avatar()", "", ANY),
     ("from glsplat import Renderer", "moderngl", ANY),

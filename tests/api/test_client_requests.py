@@ -228,8 +228,9 @@ def test_an_absurd_time_does_not_stop_the_clock(times):
 
 
 def test_near_and_far_follow_the_avatars_scale():
-    """A user of 1.25 times the avatar's size: the room is divided by it, and so is what lies along the axis."""
+    """A user of 1.25 times the avatar's size: in the avatar's space the axis is divided by it, too."""
     solver = TrackingSolver(default_avatar().skeleton, Calibration(scale=1.25))
     request = sample(1, 0.0)
     request = replace(request, cameras=tuple(moved(camera, near=1.0, far=5.0) for camera in request.cameras))
-    assert [(c.near, c.far) for c in solver.solve(request, 0.0).cameras] == [(0.8, 4.0)] * 2
+    seen = map(solver.solve(request, 0.0).seen, request.cameras)
+    assert [(camera.near, camera.far) for camera in seen] == [(0.8, 4.0)] * 2

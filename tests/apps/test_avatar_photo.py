@@ -266,14 +266,14 @@ def test_with_mine_one_command_and_it_is_served(seen, state, front, tmp_path, ca
 
 
 def test_elsewhere_its_key_is_nobodys(seen, state, front, tmp_path, caplog, monkeypatch) -> None:
-    """Beyond loopback, with --trust, and for another user: as before."""
+    """Beyond loopback, with ``trust``, and for another user: as before."""
     me, other = tmp_path / "me.glb", tmp_path / "other.key"
     assert photo(front, "-o", me, "--mine") == 0
     assert cli.main(["avatar", "consent", "--new-key", str(other)]) == 0
     policy(me, "--host", "0.0.0.0")
     assert "which nobody told this server to trust" in caplog.text
     with pytest.raises(GlsplatError, match="which this server does not trust"):
-        policy(me, "--trust", f"{other}.pub")
+        policy(me, f"trust={other}.pub")
     caplog.clear()
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another"))
     policy(me)
