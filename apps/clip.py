@@ -10,17 +10,18 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.speech.mp4 import add_sound
-from glsplat.extras.speech.sound import Sound
 
 from .output import Image, eight_bit
+
+if TYPE_CHECKING:
+    from glsplat.extras.speech.sound import Sound
 
 __all__ = ["CLIPS", "Clip"]
 
@@ -122,6 +123,8 @@ class Clip:
                     written.result()
                 self._verify()
                 if self._sound is not None and self._heard:
+                    from glsplat.extras.speech.mp4 import add_sound  # here: most clips are silent
+
                     add_sound(self._partial, self._sound)
                 os.replace(self._partial, self._path)
         except OSError as problem:

@@ -137,14 +137,14 @@ def running_server(avatar: str | None, rendering: RenderConfig = LEAN) -> Iterat
 def _serve(connection: Connection, avatar: str | None, rendering: RenderConfig) -> None:
     """The child: tells its URL, or one line of what went wrong."""
     from glsplat.net.options import ServerConfig
-    from glsplat.net.served_scene import make_server
+    from glsplat.net.served_scene import gl_server
 
     from .args import load_avatar
 
     try:
         scene = load_avatar(avatar, "--avatar") if avatar else default_avatar()
         config = ServerConfig(port=0, scene=avatar or "default avatar")
-        server = make_server(scene, config, rendering=rendering)
+        server = gl_server(scene, config, rendering=rendering)
         asyncio.run(server.run(lambda: connection.send((True, server.url))))
     except GlsplatError as error:
         connection.send((False, str(error)))

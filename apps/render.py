@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import DebugConfig, RenderConfig
-from glsplat.errors import FormatError
-from glsplat.extras.speech.sound import Sound, read_wav
-from glsplat.extras.speech.speaking import Speaking
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.gl.context import create_context
 from glsplat.motion.loading import KINDS
 from glsplat.motion.motion import Motion
+from glsplat.optional import missing, plugin
 from glsplat.renderer import Renderer
 from glsplat.scenes.camera_file import read_cameras
 from glsplat.scenes.scene_file import SceneFile
@@ -48,6 +47,9 @@ from .clip import CLIPS, Clip
 from .output import joined_views, save_depth, save_npy, save_png, side_by_side
 from .progress import each
 from .usage import UsageError, output_kind
+
+if TYPE_CHECKING:
+    from glsplat.extras.speech.sound import Sound
 
 HELP = (
     "Render a scene or a posed avatar: .npy holds exact floats, .png a picture, .mp4 or .webm a motion or a turntable "
@@ -123,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
     plays = bool(scene.motions) and args.frame is None and not args.motion and not args.pose and _is_sequence(output)
     sequence = args.turntable is not None or (args.motion is not None and args.frame is None) or plays
     sequence = sequence or args.speech is not None
-    sound = None if args.speech is None else read_wav(args.speech)
+    sound = None if args.speech is None else _sound_of(args.speech)
     count, shots = _shots(args, scene, plays, sound)
     _check_output(args, sequence)  # after the motion: without one, it is not the output's name that is wrong
     first = next(shots)
@@ -162,6 +164,15 @@ def run(args: argparse.Namespace) -> int:
     finally:
         context.release()
     return 0
+
+
+def _sound_of(path: str) -> Sound:
+    """Read the sound of --speech. Raises GlsplatError where it cannot be read, or extras/speech is not installed."""
+    module = plugin("speech.sound")
+    if module is None:
+        raise GlsplatError(missing("speech", "--speech"))
+    sound: Sound = module.read_wav(path)
+    return sound
 
 
 @dataclass(frozen=True)
@@ -247,6 +258,8 @@ def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool, sound: Sound
     if args.alpha:
         cameras = [replace(camera, background=(0.0, 0.0, 0.0)) for camera in cameras]
     if sound is not None:
+        from glsplat.extras.speech.speaking import Speaking
+
         speaking, says = Speaking(sound), _face(args, scene, "--speech")
         count = max(1, round(sound.seconds * args.fps))
         moves = (pose if motion is None else motion.at(i / args.fps) for i in range(count))

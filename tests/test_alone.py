@@ -1,4 +1,4 @@
-"""The core is run without what stands around it: ``render``, the preview's viewer, a golden, a server and a client."""
+"""The core runs without any extra: ``render``, the preview's viewer, a golden, a server and a client."""
 
 from __future__ import annotations
 
@@ -13,12 +13,9 @@ ROOT = Path(__file__).resolve().parents[1]
 REFUSING = """
 import importlib.abc, sys
 
-HIDDEN = ("accounts", "authoring", "consent", "evaluate", "learned", "motions", "openxr", "rigs", "rooms", "statistics",
-          "study", "training", "uploads", "watermark", "workers")
-
 class Refusing(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if any(name == f"glsplat.extras.{room}" or name.startswith(f"glsplat.extras.{room}.") for room in HIDDEN):
+        if name.startswith("glsplat.extras."):
             raise ModuleNotFoundError(f"hidden: {name}", name=name)
 
 sys.meta_path.insert(0, Refusing())
@@ -69,16 +66,22 @@ SERVER = """
 import asyncio
 import glsplat
 from glsplat.camera import head_matrix
-from glsplat.net import Client, ServerConfig, make_server
+from glsplat.net import Client, ServerConfig, gl_server
 
 async def main():
-    server = make_server(glsplat.default_avatar(), ServerConfig(port=0), own_process=False)
+    server = gl_server(glsplat.default_avatar(), ServerConfig(port=0), own_process=False)
     await server.start()
     try:
         async with Client(server.url) as client:
             eyes = glsplat.stereo_cameras(head_matrix([0, 1.6, 0], [0, 0, 0, 1]), size=(64, 64))
             reply = await client.render(eyes, tracking={"head": [0, 1.7, -2, 0, 0, 0, 1]})
             assert all(image.any() for image in reply.images())
+            try:
+                await client.poses(pose=glsplat.Pose.zero())
+            except glsplat.errors.ProtocolError as error:
+                assert "want: pose needs glsplat.extras.browser, which is not installed" in str(error), error
+            else:
+                raise AssertionError("poses without extras/browser")
     finally:
         await server.stop()
 asyncio.run(main())
@@ -93,3 +96,15 @@ def test_the_core_runs_alone(program: str, tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stdout + done.stderr
     assert program is not COMMAND or picture.stat().st_size > 500
+
+
+@pytest.mark.gl
+def test_speech_without_its_extra_is_refused_in_one_line(tmp_path: Path) -> None:
+    program = """
+from apps.cli import main
+sys.exit(main(["render", "--speech", "hello.wav", "-o", sys.argv[1]]))
+"""
+    command = [sys.executable, "-c", REFUSING + program, str(tmp_path / "a.mp4")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
+    line = "glsplat render: --speech needs glsplat.extras.speech, which is not installed\n"
+    assert (done.returncode, done.stderr) == (1, line)

@@ -77,7 +77,7 @@ def test_a_server_runs_without_them() -> None:
     [
         ("avatar photo me.jpg -o me.glb", "making avatars needs scipy: pip install 'glsplat[authoring]'"),
         ("models list", "making avatars needs scipy: pip install 'glsplat[authoring]'"),
-        ("study analyse answers.csv", "the analysis of a study needs scipy: pip install 'glsplat[study]'"),
+        ("study power --help", "the analysis of a study needs scipy: pip install 'glsplat[study]'"),
         ("serve --self-signed --port 0", f"--self-signed {SERVER}, or give tls-cert and tls-key"),
         ("avatar consent --new-key {folder}/key", f"a key that signs consent {SERVER}"),
     ],

@@ -55,18 +55,8 @@ WITHIN = {
         ["pages"],
         ["conversation"],
         ["server"],
-        ["standard_server"],
         ["served_scene"],
     ],
-}
-# Modules of the core that still import extras, and from which.
-STILL = {
-    "net.conversation": {"browser"},
-    "net.served_scene": {"browser", "consent", "speech", "uploads", "workers"},
-    "net.pages.routes": {"browser", "operations", "speech"},
-    "net.server": {"browser"},
-    "net.session": {"far_links"},
-    "net.standard_server": {"browser", "far_links", "operations", "rooms"},
 }
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
 ROOT_OWN = {"on_demand", "__version__"}  # defined by the root itself, below everything
@@ -153,8 +143,6 @@ def offences(module: str, imports: frozenset[str]) -> list[str]:
         if name == "glsplat" or name not in FILES:
             continue
         other_floor, other_level, other_part = place_of(name)
-        if room_of(name) == "extras" and name.split(".")[2] in STILL.get(module.removeprefix("glsplat."), ()):
-            continue
         if other_floor > floor or (other_floor == floor and room_of(name) != room_of(module)):
             out.append(f"{module} imports up: {name}")
         elif room_of(name) == room_of(module) and other_part != part and other_level >= level:

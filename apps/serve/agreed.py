@@ -7,6 +7,7 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
 from glsplat.extras.consent.document import ANYBODY
@@ -14,13 +15,15 @@ from glsplat.extras.consent.file import OnFile, on_file, on_file_data, sign_data
 from glsplat.extras.consent.keys import PrivateKey, public_key
 from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.extras.consent.state import kept_key, known_key
-from glsplat.extras.uploads.job import UploadConfig
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.state_dir import state_folder
 from glsplat.scene import is_rigged
 from glsplat.scenes.scene_file import SceneFile
 
 from .options import ServeOptions
+
+if TYPE_CHECKING:
+    from glsplat.extras.uploads.job import UploadConfig
 
 __all__ = ["policy_of", "signing"]
 

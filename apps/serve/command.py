@@ -9,21 +9,18 @@ import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from glsplat.config import RenderConfig
 from glsplat.data import DEFAULT, PEOPLE, embedded_file
-from glsplat.extras.speech.face.feed import FaceFeed
-from glsplat.extras.speech.face.listener import FaceListener
-from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
 from glsplat.net.options import ServerConfig
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import ServedScene, TrackingOptions
 from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from glsplat.scene import Rigged
-from glsplat.tracking.calibration import Calibration
 
 from ..args import detail_of, load_avatar, open_scene
 from ..logs import start_logging
@@ -31,10 +28,14 @@ from ..usage import UsageError
 from .agreed import policy_of, signing
 from .keys import Keys, keys_of, watermark_of
 from .options import ServeOptions, add_options, parsed
-from .photos import upload_config
 from .ready import Place, announce, open_page
 from .rooms import check_rooms, lit_rooms, open_rooms
-from .workers import workers_of
+
+if TYPE_CHECKING:
+    from glsplat.extras.speech.face.listener import FaceListener
+    from glsplat.net.session import WatermarkKey
+
+    from .study import Running
 
 HELP = (
     "Serve pictures of an avatar: a page for the browsers of headsets, phones and desktops at /vr (docs/vr.md), and a "
@@ -95,7 +96,7 @@ def server_config(args: ServeOptions, keys: Keys | None = None, watermark: Water
         ),
         limits=Limits(per_address=args.max_per_address, waiting=args.max_waiting),
         max_clients=args.max_clients,
-        scene=Path(args.scene).name if args.scene else "default avatar",
+        scene=_shown_name(args),
         fps=args.fps,
         private=args.private,
         video=args.video,
@@ -108,6 +109,11 @@ def server_config(args: ServeOptions, keys: Keys | None = None, watermark: Water
 def _pixels(args: ServeOptions) -> tuple[int, int]:
     """Width and height of an eye where requests name none."""
     return args.size or (min(1024, args.max_size),) * 2
+
+
+def _shown_name(args: ServeOptions) -> str:
+    """Return what the terminal and the status page call the scene."""
+    return Path(args.scene).name if args.scene else "default avatar"
 
 
 def scene_name(args: ServeOptions) -> str:
@@ -139,37 +145,9 @@ def run(args: ServeOptions) -> int:
         args = study.options
     elif args.participant is not None or args.study_data is not None:
         raise UsageError("participant and study-data are for a study")
-    workers = workers_of(args)
-    keys = keys_of(args)
-    config = server_config(args, keys, watermark_of(args))
     logging.getLogger("glsplat.net.session").setLevel(logging.INFO)  # a clip is traced by these lines
-    scene = open_scene(args)
-    args = replace(args, avatar=tuple(embedded_file(path) for path in args.avatar))
-    avatars = other_avatars(args)
-    policy = policy_of(args, scene, scene_name(args))
-    calibration = Calibration.load(args.calibration) if args.calibration else None
-    face = None if args.face_osc is None else FaceListener(FaceFeed(), args.face_osc)
-    server = make_server(
-        scene,
-        config,
-        args.device,
-        calibration,
-        rendering=RenderConfig(**detail_of(args)),
-        budget=(args.max_cost, args.max_time),
-        name=scene_name(args),
-        title=DEFAULT if args.scene is None and study is None else "",
-        avatars=avatars,
-        uploads=signing(upload_config(args), policy),
-        consent=policy,
-        solver=args.solver,
-        rooms=lit_rooms(open_rooms(args), scene),
-        workers=workers,
-        idle=not args.no_idle,
-        face=None if face is None else face.feed,
-        features=() if study is None else (study.lead,),
-        people=PEOPLE if args.scene is None and not args.avatar and study is None else (),
-    )
-
+    keys, face = keys_of(args), _face_listener(args)
+    server = _server(args, keys, face, study)
     tasks: list[asyncio.Future[None]] = []  # kept, or they would be dropped while they wait
 
     def started() -> None:
@@ -181,11 +159,11 @@ def run(args: ServeOptions) -> int:
             more = {} if study is None else {"study": study.fields(place)}
             print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
         else:
-            print(f"{config.scene}, drawn by {server.drawer.driver}")
+            print(f"{_shown_name(args)}, drawn by {server.drawer.driver}")
             announce(place, sys.stdout, args.qr, status=study is None)
             if study is not None:
                 study.announce(place, sys.stdout)
-            if config.fit:
+            if args.size is None and args.workers is None:
                 tasks.append(asyncio.ensure_future(_announce_size(server)))
         if args.open:
             open_page(place)
@@ -193,6 +171,67 @@ def run(args: ServeOptions) -> int:
     with face or nullcontext():
         asyncio.run(server.run(started))
     return 0
+
+
+def _face_listener(args: ServeOptions) -> FaceListener | None:
+    """Return what listens at the port of face-osc. Raises GlsplatError where it is in use."""
+    if args.face_osc is None:
+        return None
+    from glsplat.extras.speech.face.feed import FaceFeed
+    from glsplat.extras.speech.face.listener import FaceListener
+
+    return FaceListener(FaceFeed(), args.face_osc)
+
+
+def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Running | None) -> Server:
+    """Read all files that the options name, and return the server. Raises GlsplatError naming the one that fails."""
+    from .wiring import assemble
+
+    workers = uploads = None
+    if args.workers is not None or args.ray_address is not None:
+        from .workers import workers_of
+
+        workers = workers_of(args)
+    if args.allow_upload is not None:
+        from .photos import upload_config
+
+        uploads = upload_config(args)
+    config = server_config(args, keys, watermark_of(args))
+    scene = open_scene(args)
+    args = replace(args, avatar=tuple(embedded_file(path) for path in args.avatar))
+    avatars = other_avatars(args)
+    policy = policy_of(args, scene, scene_name(args))
+    calibration = None
+    if args.calibration is not None:
+        from glsplat.tracking.calibration import Calibration
+
+        calibration = Calibration.load(args.calibration)
+    served = ServedScene(
+        file=scene,
+        name=scene_name(args),
+        title=DEFAULT if args.scene is None and study is None else "",
+        avatars=avatars,
+        rooms=lit_rooms(open_rooms(args), scene),
+        rendering=RenderConfig(**detail_of(args)),
+        tracking=TrackingOptions(
+            calibration=calibration,
+            solver=args.solver,
+            idle=not args.no_idle,
+            face=None if face is None else face.feed,
+        ),
+    )
+    return assemble(
+        served,
+        config,
+        device=args.device,
+        max_cost=args.max_cost,
+        max_time=args.max_time,
+        workers=workers,
+        uploads=signing(uploads, policy),
+        consent=policy,
+        people=PEOPLE if args.scene is None and not args.avatar and study is None else (),
+        features=() if study is None else (study.lead,),
+    )
 
 
 async def _announce_size(server: Server) -> None:

@@ -5,12 +5,9 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
-from glsplat.extras.accounts.users import Accounts
-from glsplat.extras.watermark.keys import read_watermark
-from glsplat.extras.watermark.mark import WatermarkKey
-from glsplat.extras.watermark.state import kept_watermark
 from glsplat.net.guard.access import is_loopback, read_token
 from glsplat.net.guard.machine import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
@@ -18,6 +15,10 @@ from glsplat.optional import require_package
 
 from ..usage import UsageError
 from .options import ServeOptions
+
+if TYPE_CHECKING:
+    from glsplat.net.rights import Accounts
+    from glsplat.net.session import WatermarkKey
 
 __all__ = ["Keys", "keys_of", "watermark_of"]
 
@@ -41,7 +42,11 @@ def keys_of(args: ServeOptions) -> Keys:
         raise UsageError("TLS needs both tls-cert and tls-key")
     if args.users and args.token_file:
         raise UsageError("a server has one token (token-file) or accounts (--users), not both; leave one out")
-    accounts = None if args.users is None else Accounts(args.users)
+    accounts = None
+    if args.users is not None:
+        from glsplat.extras.accounts.users import Accounts  # here: few servers have accounts
+
+        accounts = Accounts(args.users)
     token_file: Path | None = args.token_file
     token = None if token_file is None else read_token(token_file)
     if not args.self_signed:
@@ -69,6 +74,9 @@ def watermark_of(args: ServeOptions) -> WatermarkKey | None:
     """
     if args.watermark == "off":
         return None
+    from glsplat.extras.watermark.keys import read_watermark
+    from glsplat.extras.watermark.state import kept_watermark
+
     if args.watermark not in (None, "on"):
         return read_watermark(Path(args.watermark))
     try:

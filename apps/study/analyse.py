@@ -24,9 +24,8 @@ from ..usage import UsageError
 from .r_script import r_script
 from .results_text import results_text
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "run"]
+__all__ = ["EXAMPLE", "add_arguments", "run"]
 
-HELP = "Analyse a study's table: aligned rank transform, contrasts, effect sizes, reliability."
 EXAMPLE = "glsplat study analyse export/scores.csv -o results/"
 
 

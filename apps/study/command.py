@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 from dataclasses import replace
+from functools import partial
 from importlib import import_module, resources
 from pathlib import Path
 
@@ -19,21 +20,24 @@ from glsplat.extras.study.store import remove
 from glsplat.io.files import replace_file
 
 from ..progress import Progress
-from ..usage import UsageError
+from ..usage import CommandParser, UsageError
 from .files import avatar_files, data_of
 
 HELP = "A user study: check its design, write the plan, lead participants through, export tidy tables."
 EXAMPLE = "glsplat study plan study.toml"
 
-MORE = ("analyse", "power")
-"""Modules beside this one that are subcommands of their own: HELP, EXAMPLE, add_arguments, run."""
+_MORE = {
+    "analyse": "Analyse a study's table: aligned rank transform, contrasts, effect sizes, reliability.",
+    "power": "Power of a planned study by simulation: how often it would find effects of a size.",
+}
+"""Modules beside this one that are subcommands, and their help; each has EXAMPLE, add_arguments and run."""
 
 _MOST_SHOWN = 20  # lines of one kind
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The subcommands."""
-    commands = parser.add_subparsers(dest="task", required=True, metavar="TASK")
+    commands = parser.add_subparsers(dest="task", required=True, metavar="TASK", parser_class=CommandParser)
 
     command = commands.add_parser("new", help="a folder with the paper's study and the instruments, to begin from")
     command.add_argument("folder", type=Path, metavar="FOLDER", help="is made; files that are there stay")
@@ -68,11 +72,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--yes", action="store_true", help="needed: nothing brings it back")
     command.set_defaults(work=delete)
 
-    for name in MORE:
-        module = import_module(f".{name}", __package__)
-        command = commands.add_parser(name, help=module.HELP, epilog=f"example: {module.EXAMPLE}")
-        module.add_arguments(command)
-        command.set_defaults(work=module.run)
+    for name, text in _MORE.items():
+        commands.add_parser(name, help=text).later = partial(_fill, name)
+
+
+def _fill(name: str, command: argparse.ArgumentParser) -> None:
+    """Add the arguments of one of _MORE, which needs packages that the others do not."""
+    module = import_module(f".{name}", __package__)
+    command.epilog = f"example: {module.EXAMPLE}"
+    module.add_arguments(command)
+    command.set_defaults(work=module.run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -154,7 +163,6 @@ def plan(args: argparse.Namespace) -> int:
 def run_study(args: argparse.Namespace) -> int:
     """Run ``glsplat serve`` for one participant, with the flags of serve behind the number."""
     from ..serve import command as serve
-    from ..usage import CommandParser
 
     parser = CommandParser(prog="glsplat serve", description=serve.HELP)
     serve.add_arguments(parser)

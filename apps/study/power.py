@@ -17,9 +17,8 @@ from ..args import natural
 from ..progress import Progress
 from ..usage import UsageError
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "run"]
+__all__ = ["EXAMPLE", "add_arguments", "run"]
 
-HELP = "Power of a planned study by simulation: how often it would find effects of a size."
 EXAMPLE = (
     "glsplat study power --within type=self,other --within method=ours,video,image --participants 24 --effect type=0.4"
 )

@@ -10,6 +10,7 @@ from .fields import PictureOptions as PictureOptions
 from .messages import Request as Request
 from .options import ServerConfig as ServerConfig
 from .reply import Reply as Reply
-from .served_scene import make_server as make_server
+from .served_scene import TrackingOptions as TrackingOptions
+from .served_scene import gl_server as gl_server
+from .served_scene import server_of as server_of
 from .server import Server as Server
-from .standard_server import server_of as server_of

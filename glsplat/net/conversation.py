@@ -13,9 +13,9 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
-from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.net.client_stream import ClientStream, DatagramTransport, Frame
 from glsplat.net.drawer import Drawer
+from glsplat.net.feature import PoseResponder
 from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import MessageThrottle
@@ -43,7 +43,7 @@ class Conversation:
         request: web.Request,
         drawer: Drawer,
         gate: Gate,
-        responder: PoseResponder,
+        responder: PoseResponder | None,  # None: no client gets poses
         deaf: Callable[[], bool],
         write_timeout: float,
     ) -> None:
@@ -153,8 +153,12 @@ class Conversation:
                 for observer in self.channel.observers:
                     observer.request_received(heard)
             self._drawer.received(self.channel, heard)
-            self._responder.due(self.channel)
+            self._poses_due()
         return False
+
+    def _poses_due(self) -> None:
+        if self._responder is not None:
+            self._responder.due(self.channel)
 
     async def _read_datagrams(self, way: DatagramTransport) -> None:
         """The same of what comes by the second way."""
@@ -187,8 +191,12 @@ class Conversation:
         while True:
             frame = await self.channel.frames.get()
             try:
-                posed = frame.poses is not None
-                packed = self._responder.pack(frame) if posed else await self._drawer.pack(self.channel, frame)
+                packed: list[bytes] | str
+                posed = frame.poses is not None and self._responder is not None
+                if frame.poses is not None and self._responder is not None:
+                    packed = self._responder.pack(frame)
+                else:
+                    packed = await self._drawer.pack(self.channel, frame)
                 if not isinstance(packed, str):
                     await self._ping()
                 if posed or isinstance(packed, str) or not self._sent_by_datagrams(frame, packed):
@@ -212,7 +220,7 @@ class Conversation:
                 session.sent(frame.request, sum(map(len, packed)))
                 for observer in self.channel.observers:
                     observer.reply_sent(packed)
-            self._responder.due(self.channel)
+            self._poses_due()
             self._drawer.wake(self.channel)
             if frame.ends:
                 with contextlib.suppress(TimeoutError):

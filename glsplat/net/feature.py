@@ -5,14 +5,14 @@ The server calls its hooks on the event loop. A hook does nothing unless a featu
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from aiohttp import web
 
 from glsplat.net.backend import PoseSolver
 from glsplat.net.catalogue import Catalogue
-from glsplat.net.client_stream import ClientStream
+from glsplat.net.client_stream import ClientStream, Frame
 from glsplat.net.guard.gate import Gate
 from glsplat.net.guard.limits import Limits
 from glsplat.net.internal_client import InternalClient
@@ -21,9 +21,19 @@ from glsplat.net.options import RequestedOptions, ServerConfig
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["Feature", "Handler", "ServerView"]
+__all__ = ["Feature", "Handler", "PoseResponder", "ServerView"]
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class PoseResponder(Protocol):
+    """Answers requests that want poses instead of pictures (extras/browser)."""
+
+    def due(self, channel: ClientStream) -> bool:
+        """Queue the answers that a client can have now; return whether there were any."""
+
+    def pack(self, frame: Frame) -> list[bytes]:
+        """Return the messages of a frame with poses, and mark it as being sent."""
 
 
 class ServerView(Protocol):
@@ -59,6 +69,10 @@ class ServerView(Protocol):
 
     def wake(self, client: ClientStream) -> None:
         """Wake the drawer: a picture of the client may be drawn now."""
+        ...
+
+    def worn_avatars(self, user: User | None) -> set[str]:
+        """Return the avatars of people that an account may meet, by all features."""
         ...
 
 
@@ -119,9 +133,13 @@ class Feature:
     def avatar_withdrawn(self, name: str) -> None:
         """The catalogue lost an avatar; another may get its name."""
 
-    def file_digest(self, name: str) -> bytes | None:
-        """Return the SHA-256 of the file from which clients draw an avatar themselves; None where there is none."""
+    def pose_responder(self, server: ServerView) -> PoseResponder | None:
+        """Return what answers requests for poses; None where this feature does not. Called before ``start``."""
         return None
+
+    def worn_avatars(self, user: User | None) -> Iterable[str]:
+        """Return the avatars of people that an account may meet, besides those that it may drive."""
+        return ()
 
     # ---------------------------------------------------------------------------------------------------------- pages
 

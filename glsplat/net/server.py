@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from aiohttp import web
 
 from glsplat.errors import ProtocolError
-from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.client_stream import ClientStream
@@ -86,7 +85,7 @@ class Server:
         self.fitting: asyncio.Task[None] | None = None  # finds it
         self.all_offered: asyncio.Event = asyncio.Event()
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, drawer.stages.lately)
-        self._responder = PoseResponder(self._file_digest, rights.withheld, clock)
+        self._responder = next(filter(None, (feature.pose_responder(self) for feature in self.features)), None)
         self._running: list[Feature] = []  # those that have started
         self._later = later
         self._adder: asyncio.Task[None] | None = None
@@ -338,6 +337,7 @@ class Server:
         notice = partial(rights.label, user, asked.avatar)
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
+        session.sends_poses = self._responder is not None
         channel = self.drawer.open(number, session, solver, address, one)
         channel.account = "" if user is None else user.name
         channel.driver = asked.name
@@ -366,8 +366,9 @@ class Server:
         await asyncio.gather(*closing, return_exceptions=True)
         return there
 
-    def _file_digest(self, name: str) -> bytes | None:
-        return next(filter(None, (feature.file_digest(name) for feature in self.features)), None)
+    def worn_avatars(self, user: User | None) -> set[str]:
+        """Return the avatars of people that an account may meet, by all features."""
+        return {name for feature in self.features for name in feature.worn_avatars(user)}
 
     def wake(self, client: ClientStream) -> None:
         """Wake the drawer: a picture of the client may be drawn now."""

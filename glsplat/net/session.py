@@ -10,13 +10,15 @@ import logging
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from glsplat.errors import ProtocolError
-from glsplat.extras.far_links.link_control import LinkControl
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Arrival, Decoder, Request, error_text
+from glsplat.optional import missing, plugin
 
 if TYPE_CHECKING:
     from glsplat.net.pace.ladder import Rung
@@ -36,11 +38,52 @@ if TYPE_CHECKING:
             """Return the mark of a new session."""
 
 
-__all__ = ["Close", "Counts", "Session", "SessionConfig", "Warn"]
+__all__ = ["Close", "Counts", "LinkControl", "Session", "SessionConfig", "Warn"]
 
 log: logging.Logger = logging.getLogger(__name__)  # serve sets its level: clips are traced by these lines
 
 GOING_AWAY = 1001  # RFC 6455, section 7.4.1
+
+
+class LinkControl(Protocol):
+    """Fits pictures to one client's link (extras/far_links). ``number`` is a picture's frame_id; times in seconds."""
+
+    @property
+    def known(self) -> bool:
+        """Whether rate and round trip are known."""
+
+    def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
+        """Begin a picture of so many pixels and that JPEG quality; return how to make it."""
+
+    def rest(self, now: float) -> float:
+        """Return the seconds for which no picture is to be begun."""
+
+    def written(self, number: int, nbytes: int, now: float) -> None:
+        """Note that a picture was given to the socket."""
+
+    def acknowledged(self, number: int, age: float, held: float, now: float) -> None:
+        """Note that a picture arrived ``age`` seconds after its request; the client reports ``held`` seconds later."""
+
+    def forget(self, number: int) -> None:
+        """Expect no report of the pictures up to that one."""
+
+    def lost(self, number: int, now: float) -> None:
+        """Note that a picture will never arrive."""
+
+    def failed(self, number: int) -> None:
+        """Note that a picture could not be made."""
+
+    def ping(self, now: float) -> bytes | None:
+        """Return the payload of a ping to send before a picture; None for no ping."""
+
+    def follow(self, number: int) -> bytes:
+        """Return the payload of a ping to send behind a picture."""
+
+    def ponged(self, payload: bytes, now: float) -> None:
+        """Note the answer to a ping."""
+
+    def status(self) -> dict[str, float | None]:
+        """Return ``link`` of a client in /stats."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +148,7 @@ class Session:
     def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
         self.config: SessionConfig = config or SessionConfig()
         self.counts: Counts = Counts()
+        self.sends_poses: bool = True  # to requests that want poses
         self.refusal: Callable[[], str] | None = None  # why nothing is shown any more, "" while it is
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
@@ -176,7 +220,7 @@ class Session:
     @property
     def window(self) -> int:
         """Pictures under way or unacknowledged at most; where a link is known, ``rest`` says when."""
-        known = self.link is not None and self.link.link.known
+        known = self.link is not None and self.link.known
         return self.config.widest if known else self.config.window
 
     def rung(self, request: Request, now: float) -> Rung | None:
@@ -303,7 +347,7 @@ class Session:
         else:
             self._unacked.clear()  # it acknowledged before and stopped: its next request shows that it lives
             if self.link is not None:
-                self.link.link.forget(self._newest_sent)
+                self.link.forget(self._newest_sent)
         # the oldest form has one eye a message and no use for a number, and others may leave it out
         unnumbered = request.frame_id is None or request.form == "single-legacy"
         frame_id = self._newest + 1 if unnumbered else request.frame_id
@@ -313,6 +357,8 @@ class Session:
             return None
         if frame_id > MAX_ID:  # counted here, behind a number that could not be higher
             raise ProtocolError(f"there is no frame_id after {MAX_ID}; connect again", "bad_request")
+        if request.poses and not self.sends_poses:
+            raise ProtocolError(missing("browser", "want: pose"), "bad_request", request.frame_id)
         arrival = request.arrival if self.config.adapt else None  # else nothing goes by it
         if (frame_id, arrival) != (request.frame_id, request.arrival):
             request = replace(request, frame_id=frame_id, arrival=arrival)
@@ -335,12 +381,14 @@ class Session:
             raise ProtocolError(f"ack names {frame_id}, which was never sent", "bad_ack")
         while self._unacked and self._unacked[0] <= frame_id:
             self._unacked.popleft()
-        if arrival is not None and self.config.adapt:
-            if self.link is None:
-                self.link = LinkControl(self.config.bitrate)
+        if arrival is None or not self.config.adapt:
+            if self.link is not None:
+                self.link.forget(frame_id)
+            return
+        if self.link is None:
+            self.link = _link_control(self.config.bitrate)
+        if self.link is not None:
             self.link.acknowledged(frame_id, arrival.age / 1e3, arrival.held / 1e3, now)
-        elif self.link is not None:
-            self.link.link.forget(frame_id)
 
     def _limited(self, now: float) -> Warn | Close | None:
         self.counts.limited += 1
@@ -351,3 +399,14 @@ class Session:
             return None
         self._noticed = now
         return Warn(error_text("rate", f"at most {self.config.rate:g} messages a second are read"))
+
+
+def _link_control(bitrate: float | None) -> LinkControl | None:
+    """Return the control of a new client's link; None where extras/far_links is not installed."""
+    module = _link_module()
+    return None if module is None else module.LinkControl(bitrate)
+
+
+@cache
+def _link_module() -> ModuleType | None:
+    return plugin("far_links.link_control")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from glsplat.errors import PoseError
 from glsplat.optional import extra_module, has_extra
-from glsplat.tracking.solve.body import Body
-from glsplat.tracking.solve.solution import Solver
-from glsplat.tracking.solve.solver import AnalyticSolver
+
+if TYPE_CHECKING:
+    from glsplat.tracking.solve.body import Body
+    from glsplat.tracking.solve.solution import Solver
 
 __all__ = ["SOLVERS", "SolverName", "solver_of"]
 
@@ -25,6 +26,8 @@ def solver_of(solver: Solver | SolverName | None, body: Body) -> Solver:
     if isinstance(name, str) and name not in SOLVERS:
         raise PoseError(f"a solver is one of {', '.join(SOLVERS)}, or an object of your own, not {name!r:.60}")
     if name == "analytic":
+        from glsplat.tracking.solve.solver import AnalyticSolver  # here: a command's options name solvers only
+
         return AnalyticSolver(body)
     if name == "learned":
         learned: Solver = extra_module("learned.solver").LearnedSolver(body)

@@ -14,8 +14,8 @@ import glsplat
 from glsplat.errors import ProtocolError
 from glsplat.net.backend import RenderJob
 from glsplat.net.client import Client
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.extras.workers.fakes import GUARD, until
 from tests.net.conftest import FakeBackend, eyes, serving
 

@@ -16,7 +16,7 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
 from glsplat.net.messages import Ack, Decoder, WireOptions, eye_fields
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
@@ -158,7 +158,7 @@ def test_near_far_and_degree_change_the_picture_as_a_renderer_does():
         expected = {name: renderer.render(cameras)[..., :3] for name, cameras in views.items()}
 
     async def main():
-        server = make_server(scene, ServerConfig(port=0), own_process=False)
+        server = gl_server(scene, ServerConfig(port=0), own_process=False)
         await server.start()
         try:
             async with Client(server.url) as client:

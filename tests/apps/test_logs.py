@@ -61,7 +61,7 @@ def test_the_server_logs_as_asked(capsys, monkeypatch):
             started()
             logging.getLogger("glsplat.net").warning("here")
 
-    monkeypatch.setattr(serve, "make_server", lambda *_, **__: Quiet())
+    monkeypatch.setattr(serve, "_server", lambda *_: Quiet())
     assert serve.run(serving("log-format=json", "--host", "192.0.2.1", "--insecure")) == 0
     messages = [json.loads(line)["message"] for line in capsys.readouterr().err.splitlines()]
     assert messages == ["anybody who reaches this port can use it (--insecure)", "here"]

@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from glsplat.net.backend import Backend
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 
 __all__ = ["Quiet", "Served", "hosted"]
 

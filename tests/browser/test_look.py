@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 import glsplat
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from tests import needs
 from tests.browser.conftest import OpenPage
 from tests.browser.served import Served
@@ -31,7 +31,7 @@ COVERED = 0.62  # of the window's height that the avatar's free part has at leas
 def demo() -> Any:
     """The server as a new user starts it, with one avatar more."""
     avatars = {"another": glsplat.default_avatar()}
-    with Served(make=lambda config: make_server(glsplat.default_avatar(), config, avatars=avatars)) as served:
+    with Served(make=lambda config: gl_server(glsplat.default_avatar(), config, avatars=avatars)) as served:
         yield served
 
 

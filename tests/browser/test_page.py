@@ -13,7 +13,7 @@ from glsplat.data import default_avatar
 from glsplat.extras.operations.certificate import kept_certificate
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.state_dir import kept_token, state_folder
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import offered
@@ -70,7 +70,7 @@ def test_the_page_reaches_nothing_but_its_server(open_page: OpenPage, serve: Any
 
 
 def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: OpenPage, serve: Any) -> None:
-    served = serve(make=lambda config: make_server(default_avatar(), config))
+    served = serve(make=lambda config: gl_server(default_avatar(), config))
     page = open_page(None, xr=False)
     page.page.add_init_script("""
       const look = () => window.glsplat?.stats().shown > 0 ? (window.seen = performance.getEntriesByType('resource')

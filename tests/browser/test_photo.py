@@ -14,8 +14,8 @@ from glsplat.avatar import Avatar
 from glsplat.extras.uploads.job import UploadConfig
 from glsplat.extras.uploads.routes import Uploads
 from glsplat.net.backend import AvatarInfo
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import as_tracked
 from tests.browser.opened import Opened

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -18,7 +19,7 @@ from glsplat.extras.speech.mouth import Mouth
 from glsplat.extras.speech.sound import Sound, wav_bytes
 from glsplat.extras.speech.table import table, table_json
 from glsplat.net.options import ServerConfig
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.skinning.expression import ARKIT
 from tests import needs
 from tests.browser.conftest import _FLAGS, OpenPage
@@ -183,7 +184,7 @@ def test_where_the_page_draws_ones_own_mouth_waits_for_no_answer(listening: Any,
     policy.add("default", [OnFile(nobody=True)])
     served = serve(
         config=ServerConfig(port=0),
-        make=lambda config: make_server(default_avatar(), config, own_process=False, consent=policy),
+        make=lambda config: gl_server(default_avatar(), replace(config, consent=policy), own_process=False),
     )
     page = slow_page(listening, served.page, drawn="here", place="plain")
     page.until("window.glsplat.stats().drawn.jaw > 0.1")

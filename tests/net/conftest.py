@@ -14,8 +14,8 @@ import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.net.clocks import Ahead, Stopped, given_to_servers
 from tests.net.wire import HANG
 

@@ -16,7 +16,7 @@ from glsplat.net import rights
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from tests.extras.accounts.test_accounts import WS
 from tests.net.wire import until
@@ -103,6 +103,6 @@ async def test_drivers_are_accounts(serve, cameras, clock, tmp_path):
 
 
 def test_a_program_that_makes_a_server_is_not_asked():
-    assert make_server(limb(20)).config.consent is None
+    assert gl_server(limb(20)).config.consent is None
     policy = ConsentPolicy()
-    assert make_server(limb(20), consent=policy).config.consent is policy
+    assert gl_server(limb(20), ServerConfig(consent=policy)).config.consent is policy

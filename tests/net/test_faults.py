@@ -13,9 +13,9 @@ import pytest
 from glsplat.errors import ContextError, ContextLostError, FormatError, ProtocolError
 from glsplat.net import local_loop
 from glsplat.net.client import Client, request_message
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.net.standard_server import server_of
 from tests.net.conftest import FakeBackend
 from tests.net.wire import EYE, HANG, UPGRADE, all_of, frame, native, raw, still_serves, until
 

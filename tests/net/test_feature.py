@@ -12,7 +12,7 @@ from glsplat.net.client.client import Client
 from glsplat.net.feature import Feature
 from glsplat.net.guard.access import Access
 from glsplat.net.options import ServerConfig
-from glsplat.net.standard_server import server_of
+from glsplat.net.served_scene import server_of
 
 from .wire import until
 

@@ -19,8 +19,8 @@ from glsplat.net import render_loop
 from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
-from glsplat.net.standard_server import server_of
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample

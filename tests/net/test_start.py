@@ -28,13 +28,13 @@ import json
 import numpy as np
 from apps.serve import command as serve
 from apps.args import open_scene
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.messages import Decoder
 
 from apps.serve.options import ServeOptions
 args = ServeOptions()
-server = make_server(open_scene(args), serve.server_config(args))
+server = gl_server(open_scene(args), serve.server_config(args))
 head = {"head": [0, 1.5, 0, 0, 0, 0, 1]}
 request = Decoder().decode(json.dumps({"v": 1, "frame_id": 1, "t": 0.0, "tracking": head}))
 server.catalogue["default"].solver(1.7, None).solve(request, 0.0)

@@ -20,7 +20,7 @@ import cv2
 
 import glsplat
 from glsplat.net import ServerConfig
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from tools.docs.site.public import ROOT
 
 PICTURES = {
@@ -46,7 +46,7 @@ def served() -> Iterator[str]:
     ready, state = threading.Event(), {}
 
     async def main() -> None:
-        server = make_server(glsplat.default_avatar(), ServerConfig(port=0), own_process=False)
+        server = gl_server(glsplat.default_avatar(), ServerConfig(port=0), own_process=False)
         await server.start()
         state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
         ready.set()

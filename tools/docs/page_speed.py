@@ -15,7 +15,7 @@ import sys
 from typing import Any
 
 import glsplat
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from tests.browser.markers import offered
 from tests.browser.served import Served
 from tests.browser.stored import StoredPairs
@@ -55,7 +55,7 @@ def main(seconds: float) -> None:
     print(HEAD, "|--|--:|---|--:|--:|--:|--:|--:|--:|--:|", sep="\n")
     kinds = {
         "stored": lambda: Served(StoredPairs(), offered=offered),
-        "drawn": lambda: Served(make=lambda config: make_server(glsplat.default_avatar(), config)),
+        "drawn": lambda: Served(make=lambda config: gl_server(glsplat.default_avatar(), config)),
     }
     for kind, start in kinds.items():
         for size in (512, 1024):

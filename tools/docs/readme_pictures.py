@@ -22,13 +22,15 @@ import numpy as np
 from PIL import Image
 
 import glsplat
+from apps.serve.wiring import assemble
 from glsplat.data import participants_folder, person
 from glsplat.io.files import replace_file
 from glsplat.motion.loading import load_motion
 from glsplat.net.options import ServerConfig
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import Server
 from glsplat.rotations import FLIP_YZ
+from glsplat.scenes.scene_file import SceneFile
 from tests.browser.served import Served
 from tests.browser.vr import settings
 from tools.docs.chromium import chromium, page_of
@@ -98,8 +100,8 @@ def room() -> None:
     others = {name: person(name) for name in ("anna", "mei")}
 
     def made(config: ServerConfig) -> Server:
-        scene, rooms = glsplat.default_avatar(), {"lab": glsplat.Scene([])}
-        return make_server(scene, config, avatars=others, rooms=rooms, title="ben")
+        scene, rooms = SceneFile.of(glsplat.default_avatar()), {"lab": SceneFile.of(glsplat.Scene([]))}
+        return assemble(ServedScene(file=scene, title="ben", avatars=others, rooms=rooms), config)
 
     with Served(make=made, config=config) as served, chromium() as browser, ExitStack() as stack:
         for name, avatar in who.items():

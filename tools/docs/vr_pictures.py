@@ -22,8 +22,10 @@ import cv2
 import numpy as np
 
 import glsplat
+from apps.serve.wiring import assemble
 from glsplat.data import PEOPLE, participants_folder
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import ServedScene
+from glsplat.scenes.scene_file import SceneFile
 from tests.browser.opened import Opened
 from tests.browser.served import Served
 from tests.browser.vr import enter, fresh, hands, pose, see, settings, steer
@@ -123,8 +125,9 @@ def shot_of(page: Opened, box: Any) -> np.ndarray:
 
 
 def main(folder: Path, names: list[str]) -> None:
+    ben = ServedScene(file=SceneFile.of(glsplat.default_avatar()), title="ben")
     with (
-        Served(make=lambda config: make_server(glsplat.default_avatar(), config, title="ben", people=PEOPLE)) as served,
+        Served(make=lambda config: assemble(ben, config, people=PEOPLE)) as served,
         chromium() as browser,
     ):
         for view in DEVICE:

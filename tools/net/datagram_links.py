@@ -24,8 +24,8 @@ import numpy as np
 from apps.replay.link import Link, link
 from glsplat.net.options import ServerConfig
 from glsplat.net.reply import parse_reply
+from glsplat.net.served_scene import server_of
 from glsplat.net.session import SessionConfig
-from glsplat.net.standard_server import server_of
 from tests.extras.far_links.datagrams.client import open_path
 from tools.net.lossy_relay import relay, roomy
 

@@ -38,7 +38,7 @@ from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec import body
 from glsplat.net.messages import Decoder, Request
 from glsplat.net.pose_queue import PoseQueue
-from glsplat.net.served_scene import offered
+from glsplat.net.served_scene import TrackingOptions
 from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording
@@ -153,7 +153,7 @@ class Inline(Executor):
 
 def without_sockets(count: int, seconds: float, rate: float) -> None:
     """The same people in one thread, without sockets and threads: what each sample costs, and how much is solving."""
-    one = offered("ann", glsplat.default_avatar(), idle=True)
+    one = TrackingOptions(idle=True).describe("ann", glsplat.default_avatar())
     assert one.solver is not None
     hall, now, spent, solved = Room("lab", count), 1000.0, 0.0, 0.0
     answers = PoseResponder(lambda name: bytes(32), lambda name: "", lambda: now)

@@ -30,8 +30,8 @@ from glsplat.net.codec.encode import covered_box
 from glsplat.net.options import ServerConfig
 from glsplat.net.pace.ladder import SCALES
 from glsplat.net.pace.stages import median_p95
+from glsplat.net.served_scene import server_of
 from glsplat.net.session import SessionConfig
-from glsplat.net.standard_server import server_of
 from glsplat.renderer import Renderer
 from tools.net.simulated_link import draw_time
 

@@ -61,6 +61,11 @@ class LinkControl:
         self._behind: dict[bytes, int] = {}  # pings behind pictures that are not answered, and which picture that is
         self._ages: deque[float] = deque(maxlen=32)
 
+    @property
+    def known(self) -> bool:
+        """Whether the link's rate and round trip are known."""
+        return self.link.known
+
     # ----------------------------------------------------------------------------------------------------- what happens
 
     def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
@@ -105,6 +110,10 @@ class LinkControl:
         self.link.acknowledged(number, held, now)
         if self.link.known and self.link.newest is not before:
             self._adjust(now)
+
+    def forget(self, number: int) -> None:
+        """Expect no report of the pictures up to that one."""
+        self.link.forget(number)
 
     def lost(self, number: int, now: float) -> None:
         """A picture will never arrive: as a queue does, that says that too much is spent."""

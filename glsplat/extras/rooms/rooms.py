@@ -56,7 +56,7 @@ class Rooms(Feature):
         """Return ``rooms`` of /session."""
         return {"rooms": self.offer(self._server.clock(), self._enterable(user))}
 
-    def worn_for(self, user: User | None) -> set[str]:
+    def worn_avatars(self, user: User | None) -> set[str]:
         """Return the avatars of the people in the rooms that an account may enter."""
         return self.worn(self._enterable(user))
 

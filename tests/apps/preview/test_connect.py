@@ -27,9 +27,8 @@ from glsplat.gl.context import Context
 from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import WireOptions
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server, server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -144,7 +143,7 @@ def test_in_a_room_it_comes_back_as_the_same_person() -> None:
 
 @pytest.fixture(scope="module")
 def limb_server() -> Iterator[str]:
-    with serving(lambda: make_server(limb(degree=1), ServerConfig(port=0))) as url:
+    with serving(lambda: gl_server(limb(degree=1), ServerConfig(port=0))) as url:
         yield url
 
 

@@ -26,8 +26,8 @@ from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context, create_context
 from glsplat.net.backend import AvatarInfo, Rendered
 from glsplat.net.messages import WireOptions
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from glsplat.tracking.recording import replay
 from tests.apps.cli import mistake, parsed
 from tests.apps.preview.test_connect import feeding, serving

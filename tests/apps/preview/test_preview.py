@@ -19,7 +19,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.formats import save
 from glsplat.gl.context import Context
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
@@ -197,7 +197,7 @@ def test_command_saves_what_render_renders(
     (tmp_path / "motion.json").write_text(json.dumps({"fps": 30, "frames": frames}))
     command = ["-m", "apps.cli", "preview", "limb.glb", "--motion", "motion.json", "--frames", "3", "--json"]
     command += ["--screenshot", "shot.png", "--size", "200x150", "--eye=0.4,0.3,3", "--target=0.7,0,0"]
-    with Served(make=lambda config: make_server(avatar, config)) as served:
+    with Served(make=lambda config: gl_server(avatar, config)) as served:
         more = ["--connect", served.server.url, "--quality", "95"] if connected else ["--background=0.1,0.2,0.3"]
         done = python(*command, *more, display=display, cwd=tmp_path)
     assert done.returncode == 0 and done.stderr == "", done.stderr

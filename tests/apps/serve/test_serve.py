@@ -26,7 +26,7 @@ from glsplat.net.codec.encode import encode_picture
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Decoder, eye_fields
 from glsplat.net.reply import decode_picture
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.pose import Pose
 from tests.apps.cli import mistake, serving
@@ -139,7 +139,7 @@ def test_the_whole_pipe_equals_glsplat_render(tmp_path):
     assert direct.shape == (192, 512, 3) and (direct.max(axis=2) > 40).mean() > 0.05
 
     async def main():
-        server = make_server(default_avatar(), ServerConfig(port=0))
+        server = gl_server(default_avatar(), ServerConfig(port=0))
         await server.start()
         try:
             async with Client(server.url) as client:

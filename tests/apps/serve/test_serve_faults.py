@@ -13,8 +13,8 @@ from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import Client
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.apps.serve.viewers import parameters
 
 

@@ -8,13 +8,15 @@ import sys
 import pytest
 
 import glsplat
+from apps.serve.wiring import assemble
 from apps.serve.workers import workers_of
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.extras.workers.options import Workers
 from glsplat.net.client import Client
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import ServerConfig
+from glsplat.scenes.scene_file import SceneFile
 from tests.apps.cli import serving
 
 
@@ -46,11 +48,10 @@ def test_avatars_and_devices_reach_the_workers():
     cameras = stereo_cameras(head_matrix((0, 1.4, 1.2), (0, 0, 0, 1)), size=(64, 64))
 
     async def main():
-        server = make_server(
-            avatar,
+        server = assemble(
+            ServedScene(file=SceneFile.of(avatar), avatars={"ann": avatar.without("head")}),
             ServerConfig(port=0),
-            "0,llvmpipe",
-            avatars={"ann": avatar.without("head")},
+            device="0,llvmpipe",
             workers=Workers(count=2),
         )
         devices = [render_loop.launcher._make.keywords for render_loop in server.drawer._render_loops]

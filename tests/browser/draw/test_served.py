@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 import glsplat
 from glsplat.extras.consent.file import OnFile
 from glsplat.extras.consent.policy import ConsentPolicy
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from tests.browser.draw.conftest import Bench, shot
 from tests.browser.opened import Opened
@@ -28,7 +29,7 @@ def handing(serve: Any, hands_out: bool = True, room: str = "") -> Served:
     avatar = glsplat.default_avatar()
     return serve(
         config=ServerConfig(port=0),
-        make=lambda config: make_server(avatar, config, own_process=False, consent=consent, rooms=rooms),
+        make=lambda config: gl_server(avatar, replace(config, consent=consent), own_process=False, rooms=rooms),
     )
 
 

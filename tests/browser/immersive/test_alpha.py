@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import glsplat
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.served_scene import offered
+from glsplat.net.served_scene import TrackingOptions
 from tests.browser.conftest import OpenPage
 from tests.browser.vr import SIDE, enter, fresh, hands, pose, see, steer, visit
 
@@ -54,7 +54,7 @@ def test_the_rim_has_no_fringe(open_page: OpenPage, serve: Any) -> None:
     """A person in passthrough at quality 80, before a checkerboard, against compositing what was drawn in floats."""
     avatar = glsplat.default_avatar().levels[0].content
     backend = Kept(avatar)
-    served = serve(backend, offered=[offered("default", avatar)])
+    served = serve(backend, offered=[TrackingOptions().describe("default", avatar)])
     page = visit(open_page, served, {"view": "facing", "size": DRAWN, "quality": 80})
     # the panel follows the left wrist: out of sight, behind the back
     steer(page, head=pose([0, 1.6, 0]), input="hands", hands=hands(pose([-0.3, 0.9, 0.4]), pose([0.25, 1.1, -0.35])))

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.net.backend import Rendered, RenderJob
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.tracking.sample import Sample
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import Markers, marked_avatar, offered, samples
@@ -161,7 +161,7 @@ HEIGHT = 1.9  # metres: not the avatar's
 
 @pytest.mark.gl
 def test_ones_own_hands_are_seen_where_they_are(open_page: OpenPage, serve: Any) -> None:
-    served = serve(make=lambda config: make_server(marked_avatar(), config, own_process=False))
+    served = serve(make=lambda config: gl_server(marked_avatar(), config, own_process=False))
     page = visit(open_page, served, {"view": "own", "size": 1024, "quality": 90, "height": HEIGHT})
     wrists = {"left": pose([-0.22, 1.43, -0.36], pitch=20), "right": pose([0.24, 1.36, -0.33], yaw=10)}
     head = pose([0, 0.936 * HEIGHT, 0], pitch=-30)

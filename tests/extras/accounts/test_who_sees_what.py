@@ -28,9 +28,9 @@ from glsplat.extras.watermark.keys import new_watermark
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.net.standard_server import server_of
 from tests.extras.accounts.test_accounts import WS
 from tests.extras.browser.poses.conftest import RIG, avatar
 from tests.extras.study.designs import planned

@@ -22,7 +22,7 @@ from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.reply import Reply
 from glsplat.net.room_view import VisiblePerson
-from glsplat.net.served_scene import offered
+from glsplat.net.served_scene import TrackingOptions
 from glsplat.scene import Rigged, Scene
 from glsplat.scenes.scene_file import SceneFile
 from tests.extras.rooms.hostile import Hostile
@@ -46,7 +46,8 @@ def avatars() -> dict[str, Rigged]:
 
 @pytest.fixture(scope="module")
 def offers(avatars: dict[str, Rigged]) -> dict[str, AvatarInfo]:
-    return {name: offered(name, avatar, solver="analytic", idle=True) for name, avatar in avatars.items()}
+    tracking = TrackingOptions(solver="analytic", idle=True)
+    return {name: tracking.describe(name, avatar) for name, avatar in avatars.items()}
 
 
 class NoRenderer:

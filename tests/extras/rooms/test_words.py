@@ -22,7 +22,7 @@ from glsplat.net.labels import Label, driven_by
 from glsplat.net.messages import WireOptions
 from glsplat.net.reply import Reply
 from glsplat.net.room_view import RoomView, VisiblePerson
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.scene import Scene, similarity
 from glsplat.scenes.scene_file import SceneFile
@@ -333,7 +333,7 @@ def served(somebody: Avatar, consent: ConsentPolicy | None, *queries: str) -> li
 
     async def main() -> list[Reply]:
         async with running(
-            make_server(somebody, config, own_process=False, consent=consent, rooms={"lab": Scene()})
+            gl_server(somebody, replace(config, consent=consent), own_process=False, rooms={"lab": Scene()})
         ) as server:
             replies = []
             for query in queries:

@@ -12,8 +12,8 @@ from glsplat.extras.study.plan import checked_plan
 from glsplat.extras.study.serving.lead import StudyLead
 from glsplat.extras.study.serving.live import Live
 from glsplat.net.backend import AvatarInfo
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.browser.markers import as_tracked
 from tests.browser.stored import Picture, StoredPairs
 

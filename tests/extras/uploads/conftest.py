@@ -18,9 +18,9 @@ from glsplat.extras.uploads.job import UploadConfig
 from glsplat.extras.uploads.routes import Uploads
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.net.standard_server import server_of
 from tests.extras.uploads.makers import PICTURE, make
 from tests.net.conftest import FakeBackend
 from tests.net.wire import UNLIMITED

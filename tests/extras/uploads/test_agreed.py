@@ -9,6 +9,7 @@ import aiohttp
 import pytest
 
 from apps.serve.agreed import signing
+from apps.serve.wiring import assemble
 from glsplat.errors import ProtocolError
 from glsplat.extras.accounts.users import Accounts, new_user, write_users
 from glsplat.extras.consent.file import on_file
@@ -19,8 +20,9 @@ from glsplat.extras.uploads.routes import Uploads
 from glsplat.formats import save
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import ServerConfig
+from glsplat.scenes.scene_file import SceneFile
 from tests.extras.uploads.conftest import described
 from tests.extras.uploads.makers import PICTURE, make
 from tests.scenes import limb
@@ -75,10 +77,10 @@ def test_what_lies_there_without_a_record_is_left_out_with_a_line(tmp_path, made
     uploads.folder.mkdir()
     save(limb(20), uploads.folder / "old.glb")
     (uploads.folder / "new.glb").write_bytes(uploads.signed("new", (uploads.folder / "old.glb").read_bytes(), ""))
-    server = make_server(limb(20), config, uploads=uploads, consent=policy)
+    server = assemble(ServedScene(file=SceneFile.of(limb(20))), config, uploads=uploads, consent=policy)
     assert server.catalogue.names == ("default", "new")
     assert [("old.glb: left out" in line, line.count("\n")) for line in caplog.messages[:1]] == [(True, 0)]
     assert not any("consent" in line for line in caplog.messages[1:])
     shown = ConsentPolicy(without=True)
-    server = make_server(limb(20), config, uploads=uploads, consent=shown)
+    server = assemble(ServedScene(file=SceneFile.of(limb(20))), config, uploads=uploads, consent=shown)
     assert set(server.catalogue.names) == {"default", "new", "old"} and shown.label("old") == "no consent on file"

@@ -11,6 +11,7 @@ import aiohttp
 import numpy as np
 import pytest
 
+from apps.serve.wiring import assemble
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
@@ -19,8 +20,9 @@ from glsplat.formats import save
 from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.client import Client as Streaming
 from glsplat.net.messages import WireOptions
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import Server, ServerConfig
+from glsplat.scenes.scene_file import SceneFile
 from tests.extras.uploads.conftest import GUARD, LIMITS, Client
 from tests.extras.uploads.makers import PICTURE, make
 from tests.net.legacy.test_legacy import thinned
@@ -36,7 +38,8 @@ DARK = replace(PERSON, splats=replace(PERSON.splats, sh=PERSON.splats.sh * -1))
 
 def server_of(folder: Path, **options):
     config = ServerConfig(port=0, wire=WireOptions(size=SIZE), limits=LIMITS)
-    return make_server(PERSON, config, uploads=UploadConfig(folder=folder, make=make, nice=0), **options)
+    served = ServedScene(file=SceneFile.of(PERSON))
+    return assemble(served, config, uploads=UploadConfig(folder=folder, make=make, nice=0), **options)
 
 
 async def picture(server, name: str | None = None, **more) -> np.ndarray:

@@ -14,11 +14,13 @@ import psutil
 import pytest
 
 import glsplat
+from apps.serve.wiring import assemble
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.extras.workers.options import Workers
 from glsplat.net.client import Client
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import ServerConfig
+from glsplat.scenes.scene_file import SceneFile
 from tests.extras.workers.fakes import GUARD, until
 from tests.net.running import running
 
@@ -28,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[3]
 GATEWAY = """
 import asyncio, json
 from glsplat.net.options import ServerConfig
-from glsplat.net.standard_server import server_of
+from glsplat.net.served_scene import server_of
 from tests.extras.workers.fakes import pool
 if __name__ == "__main__":
     server = server_of(pool(2), ServerConfig(port=0))
@@ -73,7 +75,8 @@ def test_a_worker_draws_what_a_server_alone_draws():
     tracking = {"head": [0, 1.6, 0, 0, 0, 0, 1], "left": [0.3, 1.2, -0.3, 0, 0, 0, 1], "right": None}
 
     async def ask(workers):
-        async with running(make_server(avatar, ServerConfig(port=0), own_process=False, workers=workers)) as server:
+        served = ServedScene(file=SceneFile.of(avatar))
+        async with running(assemble(served, ServerConfig(port=0), workers=workers)) as server:
             async with Client(server.url, timeout=GUARD) as client:
                 replies = [
                     await client.render(cameras),

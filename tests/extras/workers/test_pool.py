@@ -17,8 +17,8 @@ from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.extras.workers.fakes import GUARD, camera, held, pool, until, until_more, watching
 from tests.extras.workers.sleeper import Sleeper
 from tests.net.guard.test_fault_tracker import visitor

@@ -18,7 +18,7 @@ from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import MAX_RENDERERS
 from glsplat.net.client import Client
 from glsplat.net.messages import PictureOptions
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import TrackingOptions, gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, SceneLike, similarity
@@ -100,7 +100,7 @@ def test_a_head_is_hidden_in_a_scene_of_several_things_that_move() -> None:
 @pytest.mark.gl
 @pytest.mark.parametrize("scene", [limb(50).splats, Scene([Item(PERSON), Item(PERSON)]), limb(50)])
 def test_what_has_no_head_cannot_hide_it(scene) -> None:
-    (one,) = make_server(scene, ServerConfig(port=0), own_process=False).session()["avatars"]
+    (one,) = gl_server(scene, ServerConfig(port=0), own_process=False).session()["avatars"]
     assert not one["head"]
     with opened(RendererBackend(scene, SIZE)) as backend:
         with pytest.raises(GlsplatError, match=r"scene has none or several|no joint"):
@@ -194,8 +194,8 @@ def test_the_box_holds_what_a_face_moves() -> None:
 
 async def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
     """Also where the user is smaller than the avatar and stands on another floor; the mirror changes nothing."""
-    calibration = Calibration(scale=0.8, floor=-0.25)
-    async with running(make_server(PERSON, ServerConfig(port=0), calibration=calibration, own_process=False)) as server:
+    tracking = TrackingOptions(calibration=Calibration(scale=0.8, floor=-0.25))
+    async with running(gl_server(PERSON, ServerConfig(port=0), tracking=tracking, own_process=False)) as server:
         async with Client(server.url) as client:
             ask = ({}, {"box": True}, {"box": True, "mirror": True})
             posed = [await client.render(PAIR, pose=BENT, **more) for more in ask]
@@ -221,7 +221,7 @@ async def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     half = type(small).from_joints(small.names, small.parents, small.joints * 0.5)
     splats = replace(PERSON.splats, means=PERSON.splats.means * 0.5, scales=PERSON.splats.scales * 0.5)
     child = replace(PERSON, skeleton=half, splats=splats)
-    server = make_server(PERSON, ServerConfig(port=0), own_process=False, avatars={"child": child, "rod": limb(50)})
+    server = gl_server(PERSON, ServerConfig(port=0), own_process=False, avatars={"child": child, "rod": limb(50)})
     first, second, rod = server.session()["avatars"]
     assert first["height"] == pytest.approx(2 * second["height"], rel=1e-3) and second["tracking"]
     nothing = {"title": "", "height": None, "hand_out": None} | dict.fromkeys(("tracking", "head", "made"), False)
@@ -258,7 +258,7 @@ async def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
 )
 def test_names_and_things_that_cannot_be_offered(avatars, words) -> None:
     with pytest.raises(GlsplatError, match=words):
-        make_server(PERSON, ServerConfig(port=0), avatars=avatars)
+        gl_server(PERSON, ServerConfig(port=0), avatars=avatars)
     bare = replace(PERSON, splats=replace(PERSON.splats, cones=None))
     with pytest.raises(GlsplatError, match='"ben": cull_hidden needs visibility cones'):
-        make_server(PERSON, ServerConfig(port=0), rendering=RenderConfig(cull_hidden=True), avatars={"ben": bare})
+        gl_server(PERSON, ServerConfig(port=0), rendering=RenderConfig(cull_hidden=True), avatars={"ben": bare})

@@ -14,7 +14,7 @@ from glsplat.net.backend import Rendered
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
@@ -57,20 +57,20 @@ def test_poses_parts_and_boxes(own_process: bool) -> None:
 
 
 def test_what_may_be_served() -> None:
-    (one,) = make_server(PERSON, ServerConfig(port=0), own_process=False).session()["avatars"]
+    (one,) = gl_server(PERSON, ServerConfig(port=0), own_process=False).session()["avatars"]
     assert one["head"] and one["tracking"]
-    (room,) = make_server(ROOM, ServerConfig(port=0), own_process=False).session()["avatars"]
+    (room,) = gl_server(ROOM, ServerConfig(port=0), own_process=False).session()["avatars"]
     assert not room["head"] and not room["tracking"]
-    both = make_server(limb(50), ServerConfig(port=0), own_process=False, avatars={"mesh": PERSON}).session()["avatars"]
+    both = gl_server(limb(50), ServerConfig(port=0), own_process=False, avatars={"mesh": PERSON}).session()["avatars"]
     assert [entry["name"] for entry in both] == ["default", "mesh"]
-    make_server(PERSON, rendering=RenderConfig(cull_hidden=True), avatars={"mesh": PERSON})  # nothing to cull
+    gl_server(PERSON, rendering=RenderConfig(cull_hidden=True), avatars={"mesh": PERSON})  # nothing to cull
     with pytest.raises(GlsplatError, match='"room": clients choose avatars, not RiggedMesh without joints to move'):
-        make_server(PERSON, avatars={"room": ROOM})
+        gl_server(PERSON, avatars={"room": ROOM})
 
 
 async def test_tracking_moves_a_mesh_and_alpha_cuts_it_out() -> None:
     sample = {"head": [0.1, 1.6, 0, 0, 0, 0, 1], "left": [-0.4, 1.2, -0.4, 0, 0, 0, 1]}
-    async with running(make_server(PERSON, ServerConfig(port=0), own_process=False)) as server:
+    async with running(gl_server(PERSON, ServerConfig(port=0), own_process=False)) as server:
         async with Client(server.url) as client:
             posed = await client.render(PAIR, pose=BENT, alpha=True, quality=95)
             tracked = await client.render(PAIR, tracking=sample, alpha=True)

@@ -17,7 +17,7 @@ from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.client import Client
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import pack_reply, parse_reply
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
 from glsplat.scene import similarity
@@ -38,7 +38,7 @@ async def test_alpha_is_that_of_a_direct_render():
         direct = renderer.render(PAIR).astype(float)
     assert ((direct[..., 3] > 20) & (direct[..., 3] < 235)).sum() > 100
     asked = [{"alpha": True}, {"alpha": True, "crop": True}, {"alpha": "straight", "crop": True}, {"crop": True}, {}]
-    async with running(make_server(avatar, ServerConfig(port=0), own_process=False)) as server:
+    async with running(gl_server(avatar, ServerConfig(port=0), own_process=False)) as server:
         async with Client(server.url) as client:
             replies = [await client.render(PAIR, quality=95, **more) for more in asked]
             whole, cropped, straight, only, plain, single = (

@@ -14,8 +14,8 @@ from glsplat.extras.far_links.video import VideoStream
 from glsplat.net.local_loop import _CODED
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.net.wire import EYE, HANG, until
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
@@ -129,5 +129,5 @@ async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeyp
 
 def test_a_server_that_cannot_does_not_begin(monkeypatch, fake_backend):
     monkeypatch.setitem(__import__("sys").modules, "av", None)
-    with pytest.raises(GlsplatError, match="PyAV"):
+    with pytest.raises(GlsplatError, match=r"pip install 'glsplat\[video\]'"):
         server_of(fake_backend(), WATCHES)

@@ -14,7 +14,7 @@ from glsplat.extras.watermark.detect import detect
 from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.client import Client
-from glsplat.net.served_scene import make_server
+from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.net.running import running
@@ -38,7 +38,7 @@ def test_pictures_lead_to_their_session(caplog):
             return [reply.images()[0] for reply in replies], row["mark"]
 
     async def main():
-        async with running(make_server(avatar, CONFIG)) as server:
+        async with running(gl_server(avatar, CONFIG)) as server:
             return [await watch(server) for _ in range(2)]
 
     with caplog.at_level(logging.INFO, "glsplat.net.session"):

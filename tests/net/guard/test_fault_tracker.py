@@ -20,9 +20,9 @@ from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import Decoder
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session
-from glsplat.net.standard_server import server_of
 from tests.net.attacks.pictures import costly
 from tests.net.backends.fakes import Boxed
 from tests.net.wire import HANG, native, still_serves, until

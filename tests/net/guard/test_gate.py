@@ -20,9 +20,9 @@ from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.connection import GuardedConnection
 from glsplat.net.guard.limits import Limits
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import SessionConfig
-from glsplat.net.standard_server import server_of
 from tests.net.wire import HANG, UPGRADE, all_of, ask, frame, get, native, raw, status, still_serves, until
 
 TOKEN = "0123456789abcdef-token"
@@ -198,7 +198,7 @@ sys.path.insert(0, sys.argv[1])
 resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
 from glsplat.net.guard.limits import Limits
 from glsplat.net.options import ServerConfig
-from glsplat.net.standard_server import server_of
+from glsplat.net.served_scene import server_of
 from tests.net.conftest import FakeBackend
 logging.basicConfig(format="LOG %(message)s")
 if sys.argv[2] == "no room kept":

@@ -10,8 +10,8 @@ import socket
 
 import pytest
 
+from glsplat.extras.operations import feature
 from glsplat.net.guard.limits import Limits
-from glsplat.net.pages import routes
 from glsplat.net.server import ServerConfig
 from tests.net.wire import EYE, UPGRADE, ask, frame, get, native, status, still_serves, until
 
@@ -73,7 +73,7 @@ async def test_a_reset_after_the_handshake_is_no_fault(serve, cameras, lines):
 
 async def test_a_fault_of_the_server_is_one_line_with_its_place(serve, lines, monkeypatch):
     async with serve() as server:
-        monkeypatch.setattr(routes, "page_html", lambda *_: {}[SECRET])
+        monkeypatch.setattr(feature, "page_html", lambda *_: {}[SECRET])
         assert [status(await ask(server.port, get("/"))) for _ in range(5)] == [500] * 5
     assert len(lines()) == 1 and re.search(r"KeyError at test_quiet_log\.py:\d+$", lines()[0])
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.net.clocks import Stopped
 from tests.net.conftest import FakeBackend
 from tests.net.wire import HANG

@@ -12,13 +12,14 @@ from dataclasses import replace
 import aiohttp
 import pytest
 
+from apps.serve.wiring import assemble
 from glsplat.data import PEOPLE, default_avatar, person
 from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import WithPeople
-from glsplat.net.served_scene import make_server, offered
+from glsplat.net.served_scene import ServedScene, TrackingOptions, server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
+from glsplat.scenes.scene_file import SceneFile
 from tests.net.conftest import FakeBackend
 
 
@@ -69,7 +70,7 @@ async def test_a_fault_in_loading_ends_the_wait(caplog):
 
 def test_each_person_is_offered_but_the_one_who_is_shown_anyway():
     async def main(scene, policy):
-        server = make_server(scene, ServerConfig(port=0), own_process=False, people=PEOPLE, consent=policy)
+        server = assemble(ServedScene(file=SceneFile.of(scene)), ServerConfig(port=0), people=PEOPLE, consent=policy)
         server.drawer._backend = FakeBackend()
         async with started(server):
             await asyncio.wait_for(server.all_offered.wait(), 120)
@@ -93,5 +94,5 @@ def test_the_process_that_draws_is_told_names_and_loads_what_is_chosen():
 @pytest.mark.parametrize("title", ["<b>x</b>", "a" * 33, 7, None, ["Ann"], "\u202egnp.exe", "", "Ann O'Neil"])
 def test_a_title_in_a_file_is_a_name_or_nothing(title):
     avatar = default_avatar()
-    found = offered("x", replace(avatar, meta=dict(avatar.meta) | {"title": title})).title
+    found = TrackingOptions().describe("x", replace(avatar, meta=dict(avatar.meta) | {"title": title})).title
     assert found == ("Ann O'Neil" if title == "Ann O'Neil" else "")

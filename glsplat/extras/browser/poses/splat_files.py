@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import web
 
 from glsplat.errors import GlsplatError
+from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.rights import user_of
@@ -38,14 +39,12 @@ class SplatFiles(Feature):
     """The files of the avatars whose consent lets their splats be given away. Each is made once and kept."""
 
     def __init__(self) -> None:
-        self.worn: Callable[[User | None], Iterable[str]] = lambda user: ()
-        """Returns the avatars in rooms that an account may enter: an account that sees them there may draw them."""
         self._files: dict[str, _File | None] = {}  # by name; None: cannot be made
         self._making = asyncio.Lock()
 
     async def start(self, server: ServerView) -> None:
         """Make the files."""
-        self._offers, self._rights = server.catalogue, server.gate.rights
+        self._offers, self._rights, self._worn = server.catalogue, server.gate.rights, server.worn_avatars
         await self.avatars_added()
 
     async def avatars_added(self) -> None:
@@ -59,6 +58,10 @@ class SplatFiles(Feature):
     def avatar_withdrawn(self, name: str) -> None:
         """Forget its file."""
         self._files.pop(name, None)
+
+    def pose_responder(self, server: ServerView) -> PoseResponder:
+        """Return what answers requests for poses, of avatars whose files are handed out."""
+        return PoseResponder(self.file_digest, server.gate.rights.withheld, server.clock)
 
     def file_digest(self, name: str) -> bytes | None:
         """Return the SHA-256 of an avatar's file; None where it is not handed out now."""
@@ -81,7 +84,7 @@ class SplatFiles(Feature):
     async def _file(self, request: web.Request) -> web.Response:
         """One file for all names that have it: it is given to who may have it under any of them."""
         asked, user = request.match_info["sha256"], user_of(request)
-        worn, sees = set(self.worn(user)), self._rights.sees
+        worn, sees = self._worn(user), self._rights.sees
         here = [name for name, file in self._files.items() if file is not None and file.sha256.hex() == asked]
         names = [name for name in here if name in worn or sees(user, "avatar", name)]
         if not names:

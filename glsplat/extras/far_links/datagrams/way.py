@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from glsplat.extras.far_links.datagrams.roles import Host, Path
+from glsplat.extras.far_links.link_control import LinkControl
 
 if TYPE_CHECKING:
     from glsplat.net.session import Session
@@ -43,8 +44,8 @@ class SecondWay:
 
     def offer(self) -> dict[str, str] | None:
         """What the next reply says, where a second way is wanted and worth it; it is offered seldom."""
-        link, now = self._session.link, self._clock()
-        if not self._session.datagrams or self._path is not None or link is None or not link.link.known:
+        link, now = self._link, self._clock()
+        if not self._session.datagrams or self._path is not None or link is None or not link.known:
             return None
         if link.link.base < LONG or now < self._next or self._tries >= _TRIES:
             return None
@@ -54,6 +55,12 @@ class SecondWay:
             self._pause, self._tries = self._pause * _LONGER, self._tries + 1
         return offer
 
+    @property
+    def _link(self) -> LinkControl | None:
+        link = self._session.link
+        assert link is None or isinstance(link, LinkControl)
+        return link
+
     def on_the_way(self, nbytes: int) -> int:
         """Bytes that a picture of so many takes of the link, whichever way it goes now."""
         path = self._path
@@ -61,7 +68,7 @@ class SecondWay:
 
     def send(self, frame_id: int, picture: bytes) -> bool:
         """Whether the picture goes this way."""
-        path, link = self._path, self._session.link
+        path, link = self._path, self._link
         if path is None or link is None or not path.takes(len(picture)):
             return False
         self._sent += 1

@@ -16,8 +16,8 @@ from glsplat.extras.far_links.datagrams import path as paths
 from glsplat.extras.far_links.datagrams import udp, way
 from glsplat.extras.far_links.datagrams.congestion import PictureWindow
 from glsplat.extras.far_links.datagrams.packets import PICTURE
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
-from glsplat.net.standard_server import server_of
 from tests.extras.far_links.datagrams.client import open_path
 from tests.extras.far_links.datagrams.viewer import CONFIG, viewing, ways
 from tests.extras.workers.fakes import pool

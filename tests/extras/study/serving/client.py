@@ -19,8 +19,8 @@ from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import Request
+from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.standard_server import server_of
 from glsplat.skinning.pose import Pose
 from tests.extras.study.designs import planned
 from tests.net.conftest import FakeBackend

@@ -1,0 +1,14 @@
+"""Avatars that browsers draw by themselves, as a feature of a server (docs/webgl.md)."""
+
+from __future__ import annotations
+
+from glsplat.extras.browser.poses.splat_files import SplatFiles
+from glsplat.net.feature import Feature
+from glsplat.net.options import ServerConfig
+
+__all__ = ["features"]
+
+
+def features(config: ServerConfig) -> list[Feature]:
+    """Return the features of this extra that every server has."""
+    return [SplatFiles()]

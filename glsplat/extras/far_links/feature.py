@@ -1,0 +1,16 @@
+"""Pictures by datagrams, as a feature of a server."""
+
+from __future__ import annotations
+
+import time
+
+from glsplat.extras.far_links.datagrams.feature import Datagrams
+from glsplat.net.feature import Feature
+from glsplat.net.options import ServerConfig
+
+__all__ = ["features"]
+
+
+def features(config: ServerConfig) -> list[Feature]:
+    """Return WebTransport where ``config`` has it. Raises GlsplatError where aioquic is not installed."""
+    return [Datagrams(time.perf_counter)] if config.webtransport else []

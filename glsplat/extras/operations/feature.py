@@ -1,0 +1,94 @@
+"""The status page, metrics, curves and QR codes of a server (docs/deploying.md)."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+from aiohttp import web
+
+from glsplat.extras.operations.history import History
+from glsplat.extras.operations.metrics import metrics_text
+from glsplat.extras.operations.previews import Previews
+from glsplat.extras.operations.qr import QrCodes
+from glsplat.extras.operations.status import STATUS_POLICY, page_html
+from glsplat.net.feature import Feature, ServerView
+from glsplat.net.guard.access import is_loopback
+from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.options import ServerConfig
+from glsplat.net.rights import user_of
+
+__all__ = ["StatusPages", "features"]
+
+
+def features(config: ServerConfig) -> list[Feature]:
+    """Return the features of this extra that every server has."""
+    history = History()
+    return [StatusPages(history), Previews(history)]
+
+
+class StatusPages(Feature):
+    """The status page and what it shows; keeps ``history`` while the server runs."""
+
+    def __init__(self, history: History) -> None:
+        self.history = history
+        self._codes = QrCodes()
+
+    async def start(self, server: ServerView) -> None:
+        """Begin the curves of the status page."""
+        self._server, self._host, self._tls = server, server.config.access.host, server.config.tls is not None
+        self.history.start(lambda: server.stats(None))
+
+    async def stop(self) -> None:
+        """End the curves."""
+        await self.history.stop()
+
+    def routes(self) -> list[web.RouteDef]:
+        """Return the four addresses."""
+        return [
+            web.get("/", self._status),
+            web.get("/metrics", self._metrics),
+            web.get("/history", self._history),
+            web.get("/reach", self._reach),
+        ]
+
+    async def _metrics(self, request: web.Request) -> web.Response:
+        return web.Response(
+            text=metrics_text(self._server.stats(user_of(request))), content_type="text/plain", charset="utf-8"
+        )
+
+    async def _status(self, request: web.Request) -> web.Response:
+        secure = "s" if self._tls else ""
+        url, viewer = f"ws{secure}://{request.host}/ws", f"http{secure}://{request.host}/vr"
+        if is_loopback(request.url.host or "localhost"):  # which is another machine to a phone
+            viewer = "" if is_loopback(self._host) else self._outward(request)
+        code = await self._codes.svg(viewer) if viewer else ""
+        headers = {"Content-Security-Policy": STATUS_POLICY}
+        text = page_html(self._server.stats(user_of(request)), url, viewer, code)
+        return web.Response(text=text, content_type="text/html", headers=headers)
+
+    async def _history(self, request: web.Request) -> web.Response:
+        return web.json_response(self.history.fields())
+
+    async def _reach(self, request: web.Request) -> web.Response:
+        """The page's address for another device, as a QR code with the token that came with the request, if one did."""
+        local = is_loopback(self._host)
+        page = self._outward(request)
+        kind, _, token = request.headers.get("Authorization", "").partition(" ")
+        # the gate has checked it, where the server has tokens at all
+        token = token.strip() if kind.lower() == "bearer" and self._server.stats(user_of(request))["token"] else ""
+        if local:
+            code = ""
+        elif token:
+            code = await self._codes.secret(f"{page}#token={quote(token)}")
+        else:
+            code = await self._codes.svg(page)
+        headers = {"Cache-Control": "no-store"}
+        return web.json_response({"page": page, "local": local, "svg": code}, headers=headers)
+
+    def _outward(self, request: web.Request) -> str:
+        """The page's address by the name it was asked by; for localhost the machine's own, where it has one."""
+        name = request.url.host or "localhost"
+        if is_loopback(name) and not is_loopback(self._host):
+            name = next(iter(reachable_at(self._host) + machine_names()[-1:]), name)
+        name = f"[{name}]" if ":" in name else name
+        return f"http{'s' if self._tls else ''}://{name}:{request.url.port}/vr"
