@@ -20,7 +20,7 @@ from glsplat.tracking.sample import Sample
 
 __all__ = ["PoseTrack", "embedded_recording", "read_poses", "record", "replay", "write_lines"]
 
-MAX_LINE = 1 << 20
+MAX_LINE_BYTES = 1 << 20
 
 
 def record(path: str | Path, samples: Iterable[Sample], digits: int = 6) -> int:
@@ -108,9 +108,9 @@ def read_poses(path: str | Path) -> PoseTrack:
 
 def _objects(path: str | Path) -> Iterator[tuple[int, Any]]:
     with open_regular(path) as (file, _):
-        for number, line in enumerate(iter(lambda: file.readline(MAX_LINE + 1), b""), 1):
-            if len(line) > MAX_LINE:
-                raise FormatError(f"{path}, line {number}: a line has at most {MAX_LINE >> 10} KiB")
+        for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES + 1), b""), 1):
+            if len(line) > MAX_LINE_BYTES:
+                raise FormatError(f"{path}, line {number}: a line has at most {MAX_LINE_BYTES >> 10} KiB")
             if not line.strip():
                 continue
             try:
