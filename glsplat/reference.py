@@ -43,7 +43,6 @@ __all__ = [
     "rest",
     "shading",
     "skin",
-    "steadiness",
 ]
 
 F64 = NDArray[np.float64]
@@ -116,13 +115,8 @@ def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
     return quaternion_matrices(quats / np.linalg.norm(quats, axis=1, keepdims=True))
 
 
-def steadiness(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
-    """Return the length of P v [N] (``blended_rotations``): near 1 far from a collapse; float32 divides by it."""
-    return np.asarray(np.linalg.norm(_swing(blended, anchor, shift)[0], axis=1))
-
-
 def _swing(blended: F64, anchor: F64, shift: float) -> tuple[F64, F64]:
-    """Return P v [N, 4], and the dominant column of P."""
+    """Return P v [N, 4], whose length is near 1 far from a collapse, and the dominant column of P."""
     size = np.sqrt((blended**2).sum(axis=(1, 2)) / 3)
     scaled = blended / np.maximum(size, 1)[:, None, None]
     values, vectors = np.linalg.eigh(_davenport(scaled) + shift * np.eye(4))
