@@ -1,4 +1,4 @@
-"""Avatar: splats with a skeleton and a skin. Anything that yields these three is an avatar."""
+"""Avatar: splats with a skeleton and a skin."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ __all__ = ["Avatar", "splats_of"]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Avatar:
-    """Canonical Gaussians (the zero pose, or the pose of ``skeleton.inverse_bind`` where a rig was bound in another),
-    the rig that moves them, and where they come from.
+    """Canonical Gaussians, their rig, and their metadata.
 
+    The Gaussians are in the zero pose, or in the pose of ``skeleton.inverse_bind`` where a rig was bound in another.
     Raises FormatError when the parts do not fit each other.
 
     >>> splats = glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], [0.9], rgb=[[1, 0, 0]])
@@ -57,13 +57,13 @@ class Avatar:
         self._check_levels()
 
     def weights(self, pose: Pose) -> NDArray[np.float64] | None:
-        """[T] of the shapes in that pose, within their limits; None where all are 0, or there are no shapes."""
+        """Return the shapes' weights [T] in a pose, clamped; None where all are 0, or there are no shapes."""
         return None if self.shapes is None else self.shapes.weights(pose.expression)
 
     def without(self, joint: str) -> Avatar:
-        """The same without the splats that mostly follow ``joint`` and what hangs from it: for a view from inside.
+        """Return the avatar without the splats that mostly follow ``joint`` and its descendants: a view from inside.
 
-        Those whose weight there is above one half. Raises PoseError where there is no such joint.
+        Their weight there is above one half. Raises PoseError where there is no such joint.
 
         >>> person = glsplat.default_avatar()
         >>> person.without("head")
@@ -72,7 +72,7 @@ class Avatar:
         return self._part(joint, False)
 
     def only(self, joint: str) -> Avatar:
-        """The splats that ``without(joint)`` leaves out, on the same skeleton.
+        """Return the splats that ``without(joint)`` leaves out, on the same skeleton.
 
         >>> glsplat.default_avatar().only("head")
         Avatar(14328 splats, 55 joints, 4 a splat, 52 shapes, 3 levels)
@@ -80,7 +80,7 @@ class Avatar:
         return self._part(joint, True)
 
     def _part(self, joint: str, there: bool) -> Avatar:
-        """What mostly follows a joint and what hangs from it, or all else, at each level that has any and fewer."""
+        """Return the splats that mostly follow a joint and its descendants, or all others; levels that stay coarser."""
         share = (self.skin.weights * self.skeleton.under(joint)[self.skin.joints]).sum(axis=1)
         keep = (share > 0.5) == there
         levels: list[Level[Avatar]] = []
@@ -121,5 +121,5 @@ class Avatar:
 
 
 def splats_of(scene: Splats | Avatar) -> Splats:
-    """The splats of either."""
+    """Return the splats of either."""
     return scene.splats if isinstance(scene, Avatar) else scene

@@ -1,8 +1,8 @@
-"""Meshes: textured triangles on a skeleton. Values; extras/rigs reads them, renderer/ draws them."""
+"""Meshes: textured triangles on a skeleton. Values; readers are in extras/rigs and extras/formats."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -33,7 +33,7 @@ class MeshPart:
         return bool((self.texture[..., 3] < 128).any())
 
     def sample(self, uv: NDArray[np.float64], *, nearest: bool = False) -> NDArray[np.float64]:
-        """RGBA in [0, 1] at texture coordinates [..., 2]: bilinear, texel centres at +0.5."""
+        """Return RGBA in [0, 1] at texture coordinates [..., 2]: bilinear, texel centres at +0.5."""
         height, width = self.texture.shape[:2]
         x = uv[..., 0] % 1.0 * width - 0.5
         y = (1.0 - uv[..., 1] % 1.0) * height - 0.5
@@ -50,7 +50,7 @@ class MeshPart:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Morphs:
-    """Offsets of vertices in metres in the mesh's own space, those that are not zero: T targets, M offsets in all.
+    """Morph targets of a mesh: T targets, M offsets of vertices in metres in the mesh's own space, without zeros.
 
     Target t, called ``names[t]``, at weight w moves vertex ``vertices[i]`` by w ``offsets[i]`` for the i from
     ``starts[t]`` to ``starts[t + 1]``; targets add up (glTF 2.0, 3.7.2.2).
@@ -70,8 +70,8 @@ class Morphs:
     @classmethod
     def of(
         cls, parts: Mapping[str, Sequence[tuple[NDArray[np.integer], NDArray[np.floating]]]]
-    ) -> Morphs:  # name -> vertices [K] and offsets [K, 3], of as many meshes as there are
-        """All of them in one, in that order."""
+    ) -> Morphs:  # name -> vertices [K] and offsets [K, 3] of each mesh
+        """Merge the targets of several meshes, in that order."""
         nothing = [(np.empty(0, np.uint32), np.empty((0, 3)))]
         held = {name: list(of) or nothing for name, of in parts.items()}
         sizes = [sum(len(vertices) for vertices, _ in of) for of in held.values()]
@@ -86,7 +86,7 @@ class Morphs:
         )
 
     def plus(self, more: Mapping[str, tuple[NDArray[np.integer], NDArray[np.floating]]]) -> Morphs:
-        """These and more: of targets that there are, vertices [K] and how much farther they move [K, 3]."""
+        """Return the targets with ``more`` offsets: of target names, vertices [K] and offsets [K, 3]."""
         parts = {}
         for target, name in enumerate(self.names):
             part = slice(*self.starts[target : target + 2])
@@ -94,40 +94,39 @@ class Morphs:
         return Morphs.of(parts)
 
     def dense(self, name: str, count: int) -> NDArray[np.float64]:
-        """[count, 3] offsets of all vertices with the target ``name`` at weight 1."""
+        """Return the offsets [count, 3] of all vertices with the target ``name`` at weight 1."""
         out, target = np.zeros((count, 3)), self.names.index(name)
         part = slice(*self.starts[target : target + 2])
         np.add.at(out, self.vertices[part], self.offsets[part].astype(np.float64))
         return out
 
     def moved(self, pose: Pose, count: int) -> NDArray[np.float64]:
-        """[count, 3] offsets of all vertices with the pose's expression, weights within 0 and 1."""
+        """Return the offsets [count, 3] of all vertices with the pose's expression, weights clamped to 0 to 1."""
         out = np.zeros((count, 3))
-        for target, name in enumerate(self.names):
-            weight = min(max(pose.expression.get(name, 0.0), 0.0), 1.0)
-            part = slice(*self.starts[target : target + 2])
-            if weight:
-                np.add.at(out, self.vertices[part], weight * self.offsets[part].astype(np.float64))
+        for weight, part in self._weighted(pose):
+            np.add.at(out, self.vertices[part], weight * self.offsets[part].astype(np.float64))
         return out
 
     def farthest(self, pose: Pose) -> float:
-        """Metres by which no vertex moves farther with the pose's expression."""
-        total = 0.0
+        """Return an upper bound of the moves of vertices with the pose's expression, metres."""
+        moves = [w * float(np.linalg.norm(self.offsets[p], axis=1).max(initial=0.0)) for w, p in self._weighted(pose)]
+        return sum(moves, 0.0)
+
+    def _weighted(self, pose: Pose) -> Iterator[tuple[float, slice]]:
+        """Yield the weight above zero and the offsets' rows of each target in a pose."""
         for target, name in enumerate(self.names):
             weight = min(max(pose.expression.get(name, 0.0), 0.0), 1.0)
             if weight:
-                moved = self.offsets[self.starts[target] : self.starts[target + 1]]
-                total += weight * float(np.linalg.norm(moved, axis=1).max(initial=0.0))
-        return total
+                yield weight, slice(*self.starts[target : target + 2])
 
     def turned(self, linear: NDArray[np.float64]) -> Morphs:
-        """Those of a mesh that was moved by ``linear`` [3, 3]."""
+        """Return the targets of a mesh moved by ``linear`` [3, 3]."""
         return replace(self, offsets=(self.offsets @ linear.T).astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RiggedMesh:
-    """Textured triangles as the rig that moves them was bound: a person, or with one joint a thing that stands.
+    """Textured triangles in the bind pose of their rig: a person, or with one joint a thing that stands.
 
     Scenes show it opaque, in its textures' colours, cut out where their alpha is below one half. Raises FormatError
     when the parts do not fit each other.
@@ -176,19 +175,19 @@ class RiggedMesh:
 
     @property
     def faces(self) -> NDArray[np.int32]:
-        """[F, 3] the triangles of all parts, in order."""
+        """Triangles [F, 3] of all parts, in order."""
         return np.concatenate([part.faces for part in self.parts])
 
     @property
     def face_parts(self) -> NDArray[np.intp]:
-        """[F] index of each triangle's part."""
+        """Index [F] of each triangle's part."""
         return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
 
     def without(self, joint: str) -> RiggedMesh:
-        """The same without the triangles that mostly follow ``joint`` and what hangs from it: for a view from inside.
+        """Return the mesh without the triangles that mostly follow ``joint`` and its descendants: a view from inside.
 
-        Those whose corners have a mean weight there above one half. Raises PoseError where there is no such joint, and
-        where nothing would be left.
+        Their corners have a mean weight there above one half. Raises PoseError where there is no such joint, and where
+        no triangle is left.
         """
         share = (self.weights * self.skeleton.under(joint)[self.joints]).sum(axis=1)
         share = share / np.maximum(self.weights.sum(axis=1), 1e-12)
@@ -199,7 +198,7 @@ class RiggedMesh:
         return replace(self, parts=parts)
 
     def posed(self, pose: Pose) -> NDArray[np.float64]:
-        """[V, 3] vertices under linear blend skinning, after the pose's expression with weights from 0 to 1."""
+        """Return the vertices [V, 3] under linear blend skinning, after the pose's expression (weights 0 to 1)."""
         bones = pose.bones(self.skeleton)
         vertices = self.vertices if self.morphs is None else self.vertices + self.morphs.moved(pose, len(self.vertices))
         total = self.weights.sum(axis=1, keepdims=True)
@@ -208,7 +207,7 @@ class RiggedMesh:
 
 
 def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source: str) -> RiggedMesh:
-    """A mesh on one joint at the origin; ``vertices`` [V, 3] in metres."""
+    """Return a mesh on one joint at the origin; ``vertices`` [V, 3] in metres."""
     count = len(vertices)
     skeleton = Skeleton.from_joints(("root",), [-1], [[0.0, 0.0, 0.0]])
     bound = np.zeros((count, 1), np.int64), np.ones((count, 1))
@@ -216,7 +215,7 @@ def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source:
 
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """[V, 3] unit normals, the triangles around weighted by area."""
+    """Return unit normals [V, 3], the mean of the adjacent triangles', weighted by area."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     across = np.cross(second - first, third - first)
     normals = np.zeros_like(vertices)

@@ -1,4 +1,4 @@
-"""Pictures: colours that are already multiplied by their alpha, as the renderer gives them; sRGB and linear light."""
+"""Pictures: premultiplied alpha to straight alpha; sRGB and linear light."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Float = TypeVar("Float", np.float32, np.float64)
 
 
 def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[Depth]:
-    """The picture with straight alpha, as PNG files and image libraries expect it: a new array like ``image``.
+    """Return the picture with straight alpha, as PNG files and image libraries expect it: a new array like ``image``.
 
     ``image`` is [..., 4] RGBA as ``render()`` returns it, uint8 or float32: colours times alpha, plus the camera's
     ``background`` [3] (0 to 1) times what alpha leaves. That share is taken out again and the rest divided by alpha, so
@@ -47,9 +47,9 @@ def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> 
 
 
 def lifted(image: NDArray[Float], background: tuple[float, float, float]) -> NDArray[Float]:
-    """[H, W, 4] of a picture from which hidden splats were left out: what shone through is made up for (lift.glsl).
+    """Return a picture [H, W, 4] without hidden splats, compensated for their light (lift.glsl).
 
-    Behind alpha A there was about A^3 more of the same colour: A' = 1 - (1 - A) (1 - A^3).
+    Hidden splats add about A^3 of the same colour behind alpha A: A' = 1 - (1 - A) (1 - A^3).
     """
     alpha = image[..., 3:]
     more = alpha * alpha * (1 - alpha)
@@ -57,11 +57,11 @@ def lifted(image: NDArray[Float], background: tuple[float, float, float]) -> NDA
 
 
 def to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear light of sRGB values from 0 to 1, any shape (IEC 61966-2-1)."""
+    """Return linear light of sRGB values from 0 to 1, any shape (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sRGB of linear light, clipped to [0, 1]."""
+    """Return sRGB of linear light, clipped to [0, 1]."""
     light = np.clip(linear, 0.0, 1.0)
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)

@@ -1,4 +1,4 @@
-"""The exact float64 twin of every shader: test oracle and documentation. Slow on purpose, nothing is approximated.
+"""The exact float64 twin of every shader: test oracle and documentation. Slow, nothing is approximated.
 
 Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk it mirrors. Sources: EWA Splatting
 (Zwicker et al. 2002), 3DGS (Kerbl et al. 2023), gsplat (projection, clamp), the paper's GA backend (skinning).
@@ -43,7 +43,6 @@ __all__ = [
     "rest",
     "shading",
     "skin",
-    "steadiness",
 ]
 
 F64 = NDArray[np.float64]
@@ -58,7 +57,7 @@ SELECT = 1e-3  # weight of the dominant column beside it
 
 @dataclass(frozen=True)
 class Posed:
-    """Splats after skinning: where they are, how they are shaped, how they turned."""
+    """Splats after skinning: positions, shapes, rotations."""
 
     means: F64  # [N, 3]
     shapes: F64  # [N, 3, 3] M with Sigma = M M^T
@@ -67,7 +66,7 @@ class Posed:
 
 @dataclass(frozen=True)
 class MeshLayer:
-    """What opaque meshes leave at the pixel centres of one view, before any splat."""
+    """Opaque meshes at the pixel centres of one view."""
 
     colours: F64  # [H, W, 3]
     z: F64  # [H, W] camera z in metres, infinite where no mesh is
@@ -86,19 +85,19 @@ class Projected:
 
     @property
     def visible(self) -> NDArray[np.bool_]:
-        """[N] True where the splat is drawn in this view."""
+        """True [N] where the splat is drawn in this view."""
         return self.extents > 0
 
 
 def rest(splats: Splats) -> Posed:
-    """Static splats: M = R(q) diag(s), equation for Sigma_i of the paper (covariance.glsl)."""
+    """Return static splats: M = R(q) diag(s), equation for Sigma_i of the paper (covariance.glsl)."""
     rotations = quaternion_matrices(splats.quats)
     shapes = rotations * np.asarray(splats.scales, np.float64)[:, None, :]
     return Posed(splats.means.astype(np.float64), shapes, np.broadcast_to(np.eye(3), rotations.shape))
 
 
 def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
-    """R_i [N, 3, 3]: the nearest rotation to a blended 3x3 [N, 3, 3], continuous through a collapse (skin.glsl).
+    """Return R_i [N, 3, 3], the nearest rotation to a blended 3x3 [N, 3, 3], continuous through a collapse (skin.glsl).
 
     The nearest rotation's quaternion is the top eigenvector of the symmetric 4x4 matrix Q(A) + shift I (Davenport's
     q-method; for a blend of rotations this is Markley's average of their quaternions). Instead of the eigenvector we
@@ -116,13 +115,8 @@ def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
     return quaternion_matrices(quats / np.linalg.norm(quats, axis=1, keepdims=True))
 
 
-def steadiness(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
-    """[N] the length of P v (``blended_rotations``): near 1 far from a collapse, and what float32 divides by at one."""
-    return np.asarray(np.linalg.norm(_swing(blended, anchor, shift)[0], axis=1))
-
-
 def _swing(blended: F64, anchor: F64, shift: float) -> tuple[F64, F64]:
-    """[N, 4] P v, and the dominant column of P."""
+    """Return P v [N, 4], whose length is near 1 far from a collapse, and the dominant column of P."""
     size = np.sqrt((blended**2).sum(axis=(1, 2)) / 3)
     scaled = blended / np.maximum(size, 1)[:, None, None]
     values, vectors = np.linalg.eigh(_davenport(scaled) + shift * np.eye(4))
@@ -134,7 +128,7 @@ def _swing(blended: F64, anchor: F64, shift: float) -> tuple[F64, F64]:
 
 
 def expressed(splats: Splats, shapes: Shapes, weights: F64) -> Posed:
-    """Splats at rest with an expression: ``weights`` [T] of the shapes (shapes.glsl)."""
+    """Return splats at rest with an expression: ``weights`` [T] of the shapes (shapes.glsl)."""
     still, rows = rest(splats), shapes.rows
     amount = weights[shapes.targets]
     means = still.means.copy()
@@ -162,7 +156,7 @@ def skin(
     shapes: Shapes | None = None,
     expression: F64 | None = None,  # [T] weights of the shapes; None: all 0
 ) -> Posed:
-    """An expression, then linear blend skinning (paper, p_i' and Sigma_i'; skin.glsl)."""
+    """Apply an expression, then linear blend skinning (paper, p_i' and Sigma_i'; skin.glsl)."""
     still = rest(splats) if shapes is None or expression is None else expressed(splats, shapes, expression)
     weights = binding.weights.astype(np.float64)
     blended = np.einsum("nk,nkij->nij", weights, bones[binding.joints])
@@ -174,7 +168,7 @@ def skin(
 
 
 def placed(posed: Posed, transform: F64) -> Posed:
-    """Splats of an item that stands somewhere: x -> s R x + t of ``transform`` [4, 4] (place.vert.glsl)."""
+    """Transform the splats of an item: x -> s R x + t of ``transform`` [4, 4] (place.vert.glsl)."""
     linear = transform[:3, :3]
     turn = linear / np.cbrt(np.linalg.det(linear))
     means = posed.means @ linear.T + transform[:3, 3]
@@ -182,7 +176,7 @@ def placed(posed: Posed, transform: F64) -> Posed:
 
 
 def joined(parts: Sequence[tuple[Posed, Splats]]) -> tuple[Posed, Splats, NDArray[np.bool_]]:
-    """All items of a scene as one: posed splats, their attributes, and [N] who asks for opacity compensation."""
+    """Return all items of a scene as one: posed splats, their attributes, and their antialias flags [N]."""
     degree = max(splats.sh_degree for _, splats in parts)
     count = (degree + 1) ** 2
     sh = [np.pad(splats.sh, ((0, 0), (0, count - splats.sh.shape[1]), (0, 0))) for _, splats in parts]
@@ -195,13 +189,13 @@ def joined(parts: Sequence[tuple[Posed, Splats]]) -> tuple[Posed, Splats, NDArra
 
 
 def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
-    """Colour [N, 3] of coefficients [N, K, 3] in unit directions [N, 3], 3DGS basis and signs (sh.glsl)."""
+    """Return the colours [N, 3] of coefficients [N, K, 3] in unit directions [N, 3], 3DGS basis and signs (sh.glsl)."""
     basis = sh_basis(directions, degree).T
     return np.maximum(np.einsum("kn,nkc->nc", basis, sh[:, : len(basis)]) + 0.5, 0)
 
 
 def shading(posed: Posed, splats: Splats, light: Light) -> F64:
-    """[N, 3] what colours are multiplied by in linear light; below 0 where there is no surface (light.glsl).
+    """Return the factors [N, 3] of colours in linear light; below 0 where there is no surface (light.glsl).
 
     Irradiance over pi (Ramamoorthi and Hanrahan 2001) over the light that the colours hold. Normals are fixed in the
     splats' axes, so they turn with skin and expression. The sun reaches a hollow in a cone about the normal that lets
@@ -226,12 +220,12 @@ def shading(posed: Posed, splats: Splats, light: Light) -> F64:
 
 
 def lit(colours: F64, factors: F64) -> F64:
-    """Colours [N, 3] under what ``shading`` says, clamped to [0, 1]; as they are where there is no surface."""
+    """Multiply colours [N, 3] by the factors of ``shading``, clamped to [0, 1]; unchanged where there is no surface."""
     return np.where(factors[:, :1] < 0, colours, to_srgb(to_linear(colours) * np.maximum(factors, 0)))
 
 
 def jacobians(x: F64, y: F64, z: F64, camera: Camera) -> F64:
-    """[N, 2, 3] of the projection at camera coordinates [N], clamped beyond the image as gsplat does (project.glsl)."""
+    """Return the projection's Jacobians [N, 2, 3] at camera coordinates [N], clamped as in gsplat (project.glsl)."""
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     margin_x, margin_y = 0.3 * 0.5 * camera.width / fx, 0.3 * 0.5 * camera.height / fy
     tx = np.clip(x / z, -cx / fx - margin_x, (camera.width - cx) / fx + margin_x)
@@ -241,7 +235,7 @@ def jacobians(x: F64, y: F64, z: F64, camera: Camera) -> F64:
 
 
 def dilated_covariances(T: F64, eps2d: float) -> tuple[F64, F64, F64, F64, F64]:
-    """Of shapes on the screen [N, 2, 3], Sigma2D = T T^T: a, b, c dilated, det before, det after (project.glsl).
+    """Return a, b, c dilated, det before, det after of shapes on the screen [N, 2, 3], Sigma2D = T T^T (project.glsl).
 
     Lagrange: det(T T^T) = |T_0 x T_1|^2, a sum of squares where a c - b^2 would cancel.
     """
@@ -258,7 +252,7 @@ def project(
     antialias: NDArray[np.bool_] | None = None,  # [N] of a scene whose items differ; default: the splats' own flag
     light: Light | None = None,
 ) -> Projected:
-    """One view of the splats: EWA projection, culling and colour (project.glsl, extent.glsl, sh.glsl)."""
+    """Project the splats to one view: EWA projection, culling, colour (project.glsl, extent.glsl, sh.glsl)."""
     config = config or RenderConfig()
     asked = splats.antialias if antialias is None else antialias
     with np.errstate(all="ignore"):
@@ -292,14 +286,14 @@ def project(
 
 
 def depth_order(means: F64, viewmat: F64) -> NDArray[np.intp]:
-    """[N] indices far to near by camera z as float32; of equal depths the lower index is the nearer (sort.py)."""
+    """Return indices [N] far to near by camera z as float32; of equal depths the lower is the nearer (sort.py)."""
     with np.errstate(all="ignore"):
         depths = (means @ viewmat[2, :3] + viewmat[2, 3]).astype(np.float32)
     return np.argsort(np.nan_to_num(depths, nan=np.inf), kind="stable")[::-1]
 
 
 def composite(view: Projected, order: NDArray[np.intp], camera: Camera, ground: MeshLayer | None = None) -> F64:
-    """[H, W, 5]: premultiplied over, far to near, on the camera's background (splat.frag.glsl); then weighted z.
+    """Blend a view [H, W, 5]: premultiplied over, far to near, on the camera's background (splat.frag.glsl).
 
     With ``ground`` splats whose mean lies behind a mesh are not drawn there. Channel 4 is the sum of weight times z.
     """
@@ -338,22 +332,16 @@ def render(
     binding: Skin | None = None,
     bones: F64 | None = None,  # [J, 3, 4]
     config: RenderConfig | None = None,
-    sort_viewmat: F64 | None = None,  # [4, 4] default: the common centre of the views of a pass (camera.passes_of)
     shapes: Shapes | None = None,
     expression: F64 | None = None,  # [T] weights of the shapes
     light: Light | None = None,
 ) -> F64:
-    """The whole frame: [V, H, W, 4] RGB over the background (unclipped) and accumulated alpha, rows top down."""
+    """Render the frame [V, H, W, 4]: RGB over the background (unclipped) and accumulated alpha, rows top down."""
     config = config or RenderConfig()
     posed = rest(splats)
     if binding is not None and bones is not None:
         posed = skin(splats, binding, bones, config.debug.rotation, shapes, expression)
-    images = []
-    for indices in passes_of(cameras, config.debug.order == "shared"):
-        views = [cameras[i] for i in indices]
-        order = depth_order(posed.means, sorting_camera(views) if sort_viewmat is None else sort_viewmat)
-        images += [composite(project(posed, splats, view, config, light=light), order, view)[..., :4] for view in views]
-    return np.stack(images)
+    return _layers(posed, splats, cameras, config, light)[..., :4]
 
 
 def render_scene(
@@ -363,22 +351,35 @@ def render_scene(
     config: RenderConfig | None = None,
     light: Light | None = None,
 ) -> tuple[F64, F64]:
-    """A scene of several items: images [V, H, W, 4], and expected depths [V, H, W] in metres, 0 where alpha is 0."""
+    """Render several items: images [V, H, W, 4], and expected depths [V, H, W] in metres, 0 where alpha is 0."""
     config = config or RenderConfig()
     posed, splats, antialias = joined(parts)
+    image = _layers(posed, splats, cameras, config, light, antialias, grounds)
+    alpha = image[..., 3]
+    return image[..., :4], np.divide(image[..., 4], alpha, out=np.zeros_like(alpha), where=alpha > 0)
+
+
+def _layers(
+    posed: Posed,
+    splats: Splats,
+    cameras: Sequence[Camera],
+    config: RenderConfig,
+    light: Light | None,
+    antialias: NDArray[np.bool_] | None = None,
+    grounds: Sequence[MeshLayer] | None = None,
+) -> F64:
+    """Return all views [V, H, W, 5] as of ``composite``; the views of a pass share an order (camera.passes_of)."""
     layers = []
     for indices in passes_of(cameras, config.debug.order == "shared"):
         order = depth_order(posed.means, sorting_camera([cameras[i] for i in indices]))
         for i in indices:
             view = project(posed, splats, cameras[i], config, antialias, light)
             layers.append(composite(view, order, cameras[i], grounds[i] if grounds else None))
-    image = np.stack(layers)
-    alpha = image[..., 3]
-    return image[..., :4], np.divide(image[..., 4], alpha, out=np.zeros_like(alpha), where=alpha > 0)
+    return np.stack(layers)
 
 
 def _davenport(m: F64) -> F64:
-    """Q [N, 4, 4] of m [N, 3, 3]: q^T Q q = trace(R(q)^T m) for unit q = wxyz (skin.glsl)."""
+    """Return Q [N, 4, 4] of m [N, 3, 3]: q^T Q q = trace(R(q)^T m) for unit q = wxyz (skin.glsl)."""
     m00, m01, m02 = m[:, 0, 0], m[:, 0, 1], m[:, 0, 2]
     m10, m11, m12 = m[:, 1, 0], m[:, 1, 1], m[:, 1, 2]
     m20, m21, m22 = m[:, 2, 0], m[:, 2, 1], m[:, 2, 2]
@@ -394,7 +395,7 @@ def _davenport(m: F64) -> F64:
 
 
 def _dominant_column(matrix: F64) -> F64:
-    """[N, 4] the column with the largest diagonal entry, at unit length (rank one: the eigenvector)."""
+    """Return the column [N, 4] with the largest diagonal entry, at unit length (rank one: the eigenvector)."""
     index = np.argmax(np.diagonal(matrix, axis1=1, axis2=2), axis=1)
     column = matrix[np.arange(len(matrix)), :, index]
     return column / np.maximum(np.linalg.norm(column, axis=1, keepdims=True), 1e-300)

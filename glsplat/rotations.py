@@ -39,13 +39,13 @@ __all__ = [
 F64 = NDArray[np.float64]
 
 FLIP_X = np.diag([-1.0, 1.0, 1.0, 1.0])
-"""The mirror image: x the other way; with FLIP_Z from Unity's left-handed frames (docs/conventions.md)."""
+"""Mirror x; with FLIP_Z, from Unity's left-handed frames (docs/conventions.md)."""
 
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: camera axes of OpenGL and OpenXR to those of OpenCV, and back."""
 
 FLIP_Z = np.diag([1.0, 1.0, -1.0, 1.0])
-"""z the other way."""
+"""Mirror z."""
 
 SH_FACTORS = np.array(
     [
@@ -56,31 +56,31 @@ SH_FACTORS = np.array(
         *(-0.4570457994644658, 1.445305721320277, -0.5900435899266435),
     ]
 )
-"""[16] of the polynomials of x, y, z that spherical harmonics are (``sh_basis``), with the signs of 3DGS (sh.glsl)."""
+"""Factors [16] of the polynomials of spherical harmonics (``sh_basis``), with the signs of 3DGS (sh.glsl)."""
 
 _DIRECTIONS = 64
 
 
 def unit_vectors(vectors: ArrayLike, least: float = 1e-12) -> F64:
-    """[..., N] the same directions at length 1; what is shorter than ``least`` is divided by that: zero stays zero."""
+    """Return vectors [..., N] at length 1; those shorter than ``least`` are divided by that: zero stays zero."""
     v = np.asarray(vectors, np.float64)
     return np.asarray(v / np.maximum(lengths(v)[..., None], least))
 
 
 def component_sums(values: NDArray[Any]) -> NDArray[Any]:
-    """[...] what ``values.sum(axis=-1)`` is of [..., N] floats, to the bit; of three, as of a colour, much sooner."""
+    """Return ``values.sum(axis=-1)`` of [..., N] floats, bit for bit; much faster for N = 3."""
     if values.shape[-1] != 3:
         return np.asarray(values.sum(axis=-1))
     return np.asarray(values[..., 0] + values[..., 1] + values[..., 2])
 
 
 def lengths(vectors: NDArray[Any]) -> NDArray[Any]:
-    """[...] of vectors [..., N] of floats, as ``np.linalg.norm`` has them, to the bit."""
+    """Return ``np.linalg.norm(vectors, axis=-1)``, bit for bit and faster."""
     return np.asarray(np.sqrt(component_sums(vectors * vectors)))
 
 
 def quaternion_matrices(quats: NDArray[np.floating]) -> F64:
-    """[..., 4] unit wxyz to [..., 3, 3] (covariance.glsl)."""
+    """Return the matrices [..., 3, 3] of unit quaternions wxyz [..., 4] (covariance.glsl)."""
     w, x, y, z = np.moveaxis(np.asarray(quats, np.float64), -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -91,9 +91,9 @@ def quaternion_matrices(quats: NDArray[np.floating]) -> F64:
 
 
 def signed_axes(quats: NDArray[np.floating], scales: NDArray[np.floating]) -> F64:
-    """[N, 3, 3] columns: principal axes of splats as the renderer has them, where a negative scale turns one round.
+    """Return the renderer's principal axes of splats, the columns of [N, 3, 3]: a negative scale flips its axis.
 
-    ``quats`` [N, 4] wxyz, unit; of an axis without extent the sign is that which the other two leave it.
+    ``quats`` [N, 4] wxyz, unit. An axis of scale zero has the sign of the product of the other two.
     """
     signs = np.where(scales < 0, -1.0, 1.0)
     others = np.stack([signs[:, 1] * signs[:, 2], signs[:, 2] * signs[:, 0], signs[:, 0] * signs[:, 1]], axis=1)
@@ -101,7 +101,10 @@ def signed_axes(quats: NDArray[np.floating], scales: NDArray[np.floating]) -> F6
 
 
 def matrix_quaternions(matrices: F64) -> F64:
-    """[..., 3, 3] rotations to unit [..., 4] wxyz: the row of 4 q q^T with the largest diagonal, so nothing cancels."""
+    """Return unit quaternions wxyz [..., 4] of rotations [..., 3, 3].
+
+    The row of 4 q q^T with the largest diagonal, so that nothing cancels.
+    """
     m = np.asarray(matrices, np.float64)
     diagonal = m[..., [0, 1, 2], [0, 1, 2]]
     trace = diagonal.sum(-1)
@@ -124,13 +127,13 @@ def matrix_quaternions(matrices: F64) -> F64:
 
 
 def quaternion_of(rotation: F64) -> F64:
-    """[4] wxyz, w >= 0, of a rotation matrix [3, 3]."""
+    """Return the quaternion wxyz [4], w >= 0, of a rotation matrix [3, 3]."""
     quat = matrix_quaternions(rotation)
     return -quat if quat[0] < 0 else quat
 
 
 def quaternion_product(p: NDArray[np.floating], q: NDArray[np.floating]) -> F64:
-    """[..., 4] Hamilton product p q (first q, then p) of wxyz; a zero quaternion stays zero."""
+    """Return the Hamilton product p q (first q, then p) of wxyz [..., 4]; a zero quaternion stays zero."""
     pw, px, py, pz = np.moveaxis(np.asarray(p, np.float64), -1, 0)
     qw, qx, qy, qz = np.moveaxis(np.asarray(q, np.float64), -1, 0)
     return np.stack(
@@ -145,7 +148,7 @@ def quaternion_product(p: NDArray[np.floating], q: NDArray[np.floating]) -> F64:
 
 
 def rotation_matrices(axis_angle: ArrayLike) -> NDArray[np.float64]:
-    """[..., 3] axis-angle in radians to [..., 3, 3]: Rodrigues, exact at zero and finite everywhere."""
+    """Return the matrices [..., 3, 3] of axis-angle [..., 3], radians: Rodrigues, exact at zero and always finite."""
     v = np.asarray(axis_angle, np.float64)
     angle2 = np.einsum("...i,...i->...", v, v)
     angle = np.sqrt(angle2)
@@ -170,7 +173,7 @@ def rotation_matrices(axis_angle: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotation_between(first: ArrayLike, second: ArrayLike) -> F64:
-    """[3, 3] the smallest rotation that turns one direction [3] into another; opposite ones about any axis across."""
+    """Return the smallest rotation [3, 3] from one direction [3] to another; opposite ones about any axis across."""
     a, b = (np.asarray(v, np.float64) for v in (first, second))
     a, b = (v / max(float(np.linalg.norm(v)), 1e-12) for v in (a, b))
     axis, cos = np.cross(a, b), float(a @ b)
@@ -184,14 +187,14 @@ def rotation_between(first: ArrayLike, second: ArrayLike) -> F64:
 
 
 def vector_quaternions(vectors: ArrayLike) -> F64:
-    """[..., 3] axis-angle in radians to unit [..., 4] wxyz; w may be negative beyond half a turn."""
+    """Return unit quaternions wxyz [..., 4] of axis-angle [..., 3], radians; w may be negative beyond half a turn."""
     v = np.asarray(vectors, np.float64)
     angle = np.linalg.norm(v, axis=-1, keepdims=True)
     return np.concatenate([np.cos(angle / 2), v * 0.5 * np.sinc(angle / (2 * np.pi))], -1)
 
 
 def quaternion_vectors(quats: F64) -> F64:
-    """Unit [..., 4] wxyz to axis-angle [..., 3], at most pi long."""
+    """Return axis-angle [..., 3], at most pi long, of unit quaternions wxyz [..., 4]."""
     q = np.where(quats[..., :1] < 0, -quats, quats)
     s = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(s, q[..., :1])
@@ -199,24 +202,21 @@ def quaternion_vectors(quats: F64) -> F64:
 
 
 def slerp(first: F64, second: F64, part: ArrayLike) -> F64:
-    """Axis-angle [..., 3] between two [..., 3] at ``part`` (broadcast over ...): the shorter way, evenly.
-
-    Above 1 it goes on beyond the second.
-    """
+    """Interpolate axis-angle [..., 3] at ``part`` (broadcast over ...), the short way; above 1, extrapolate."""
     turn = turn_between(first, second) * np.asarray(part)[..., None]
     return quaternion_vectors(quaternion_product(vector_quaternions(first), vector_quaternions(turn)))
 
 
 def turn_between(first: F64, second: F64) -> F64:
-    """Axis-angle [..., 3] of the shorter way from one [..., 3] to another, in the frame of the first."""
+    """Return the axis-angle [..., 3] of the short way from one [..., 3] to another, in the frame of the first."""
     back = vector_quaternions(first) * (1, -1, -1, -1)
     return quaternion_vectors(quaternion_product(back, vector_quaternions(second)))
 
 
 def nearest_rotations(matrices: F64) -> F64:
-    """[N, 3, 3] the polar factor of each, never a reflection; jumps where two answers are equally near.
+    """Return the polar factor of each [N, 3, 3], never a reflection; it jumps where two rotations are equally near.
 
-    Continuous through such places is reference.blended_rotations.
+    reference.blended_rotations is continuous there.
     """
     u, _, vt = np.linalg.svd(matrices)
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
@@ -224,19 +224,19 @@ def nearest_rotations(matrices: F64) -> F64:
 
 
 def rodrigues_parameters(rotation: F64) -> F64:
-    """[3] modified Rodrigues parameters tan(angle / 4) axis of a rotation matrix [3, 3], at most 1 long."""
+    """Return the modified Rodrigues parameters [3] of a rotation [3, 3]: tan(angle / 4) axis, at most 1 long."""
     quat = quaternion_of(rotation)
     return quat[1:] / (1 + quat[0])
 
 
 def is_rigid(bones: F64) -> bool:
-    """Whether every bone's 3x3 of [J, 3, 4] is a rotation within 1e-4."""
+    """Return whether every bone's 3x3 of [J, 3, 4] is a rotation within 1e-4."""
     gram = np.einsum("jki,jkl->jil", bones[:, :, :3], bones[:, :, :3])
     return bool(np.abs(gram - np.eye(3)).max() < 1e-4 and (np.linalg.det(bones[:, :, :3]) > 0).all())
 
 
 def sh_basis(directions: F64, degree: int) -> F64:
-    """[N, K] real spherical harmonics of unit directions [N, 3], constants and signs of 3DGS (sh.glsl)."""
+    """Return real spherical harmonics [N, K] of unit directions [N, 3], constants and signs of 3DGS (sh.glsl)."""
     x, y, z = directions.T
     basis = [np.ones_like(x)]
     if degree > 0:
@@ -257,7 +257,7 @@ def sh_basis(directions: F64, degree: int) -> F64:
 
 
 def sh_rotations(turns: F64, degree: int) -> F64:
-    """[..., K, K] D with basis(d) . (D c) = basis(turn^T d) . c for all d; ``turns`` [..., 3, 3], mirrors included.
+    """Return D [..., K, K] with basis(d) . (D c) = basis(turn^T d) . c for all d; ``turns`` [..., 3, 3] or mirrors.
 
     Each degree spans a space that rotations and mirrors map to itself, so a fit over directions is exact up to
     rounding.

@@ -1,4 +1,4 @@
-"""Scene: several things in one frame, each an item with a place, a pose and a switch. Values: nothing here draws."""
+"""Scene: several items in one frame, each with a transform, a pose and a visibility. Nothing here draws."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ Content = Splats | Avatar | RiggedMesh
 """What an item may show."""
 
 Rigged = Avatar | RiggedMesh
-"""What a pose may move (``is_rigged``), in short an avatar: splats with a skin, or a mesh with joints."""
+"""What a pose may move (``is_rigged``): splats with a skin, or a mesh with joints."""
 
-_LARGEST = 1e6  # metres, and of a scale; beyond it is a mistake of units
-_SMALLEST = 1e-6
+_MAX_VALUE = 1e6  # metres, and of a scale; more is a mistake of units
+_MIN_SCALE = 1e-6
 
 
 def is_rigged(thing: object) -> TypeGuard[Rigged]:
-    """Whether a pose may move it: an Avatar, or a RiggedMesh of more than one joint; on one joint a mesh just stands.
+    """Return whether a pose may move it: an Avatar, or a RiggedMesh of more than one joint.
 
     >>> glsplat.scene.is_rigged(glsplat.default_avatar()), glsplat.scene.is_rigged(glsplat.default_avatar().splats)
     (True, False)
@@ -42,12 +42,12 @@ def is_rigged(thing: object) -> TypeGuard[Rigged]:
 
 
 def skeleton_of(thing: Content) -> Skeleton | None:
-    """What a pose moves of it; None of what only stands (``is_rigged``)."""
+    """Return the skeleton that a pose moves; None where there is none (``is_rigged``)."""
     return thing.skeleton if is_rigged(thing) else None
 
 
 class Item:
-    """Splats, an Avatar or a RiggedMesh in a scene. What it shows is fixed; the rest may change between frames.
+    """Splats, an Avatar or a RiggedMesh in a scene. The content is fixed; the rest may change between frames.
 
     ``transform`` [4, 4] takes the thing's own space to the scene: a rotation, one scale for all axes, a translation
     in metres (see ``similarity``). Assigning an attribute checks and copies what it is given.
@@ -85,12 +85,12 @@ class Item:
 
     @property
     def content(self) -> Content:
-        """What it shows."""
+        """Splats, Avatar or RiggedMesh."""
         return self._content
 
     @property
     def name(self) -> str:
-        """For people; need not be distinct."""
+        """A name for messages; need not be distinct."""
         return self._name
 
     @property
@@ -112,7 +112,7 @@ class Item:
 
     @property
     def transform(self) -> NDArray[np.float64]:
-        """[4, 4] scene from item; read only, assign a new one to move it."""
+        """Scene from item [4, 4]; read-only, assign a new one to move it."""
         return self._transform
 
     @transform.setter
@@ -121,7 +121,7 @@ class Item:
 
     @property
     def visible(self) -> bool:
-        """False: it costs nothing and keeps its buffers."""
+        """False: it is not drawn, costs nothing and keeps its buffers."""
         return self._visible
 
     @visible.setter
@@ -130,7 +130,7 @@ class Item:
 
     @property
     def layers(self) -> int:
-        """Bits: a view draws it if ``layers & camera.layers`` is not 0. Nothing is staged anew for another view."""
+        """Bits: a view draws it if ``layers & camera.layers`` is not 0, without staging it again."""
         return self._layers
 
     @layers.setter
@@ -139,7 +139,7 @@ class Item:
 
     @property
     def finest(self) -> int:
-        """Level of detail that is the finest drawn of it, however near it is; 0: all. The coarsest if it has fewer."""
+        """Finest level of detail that is drawn, however near it is; 0: all. The coarsest if it has fewer."""
         return self._finest
 
     @finest.setter
@@ -148,7 +148,7 @@ class Item:
 
     @property
     def opacity(self) -> float:
-        """0 to 1, by which the opacity of each of its splats is multiplied. A mesh is opaque, whatever it says."""
+        """Factor 0 to 1 of its splats' opacities; a mesh is always opaque."""
         return self._opacity
 
     @opacity.setter
@@ -164,7 +164,7 @@ class Item:
 
 
 class Scene:
-    """Items in one frame. Of splats at equal depth those of the earlier item are the nearer (docs/conventions.md).
+    """Items in one frame. At equal depth, splats of earlier items are the nearer (docs/conventions.md).
 
     >>> person = glsplat.default_avatar()
     >>> scene = glsplat.Scene([glsplat.Item(person), glsplat.Item(person, transform=glsplat.similarity((0.7, 0, 0)))])
@@ -192,17 +192,14 @@ class Scene:
 
     @classmethod
     def of(cls, thing: SceneLike) -> Scene:
-        """The scene itself, or a scene of that one thing."""
+        """Return the scene itself, or a scene of that one thing."""
         if isinstance(thing, Scene):
             return thing
         return cls([thing if isinstance(thing, Item) else Item(thing)])
 
     @property
     def light(self) -> Light | None:
-        """What falls on all that knows its surface (``Splats.surface``); None: colours are shown as they are.
-
-        Meshes and splats without a surface are not lit.
-        """
+        """Light on splats with a surface (``Splats.surface``); meshes and other splats keep their colours."""
         return self._light
 
     @light.setter
@@ -224,7 +221,7 @@ class Scene:
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """In the order in which they were added."""
+        """Items in the order in which they were added."""
         return tuple(self._items)
 
     @property
@@ -233,7 +230,7 @@ class Scene:
         return tuple(item for item in self._items if item.visible and is_rigged(item.content))
 
     def add(self, item: Item) -> Item:
-        """Put an item behind the others; returns it."""
+        """Append an item and return it."""
         if not isinstance(item, Item):
             raise GlsplatError(f"a scene holds Items, not {type(item).__name__}; write Item(...)")
         if any(item is other for other in self._items):
@@ -242,10 +239,10 @@ class Scene:
         return item
 
     def remove(self, item: Item) -> None:
-        """Take an item out; its buffers are released with the next frame."""
+        """Remove an item; its buffers are released with the next frame."""
         try:
             if isinstance(item, Item):  # which equals nothing but itself
-                return self._items.remove(item)  # in one step: other threads may take out others
+                return self._items.remove(item)  # atomic: other threads may remove others
         except ValueError:
             pass
         raise GlsplatError(f"{item!r:.60} is not in the scene")
@@ -261,7 +258,7 @@ class Scene:
 
 
 SceneLike = Scene | Item | Content
-"""What a renderer takes: a scene, or one thing, which is then a scene of one."""
+"""Argument of a renderer: a scene, or one thing, which is then a scene of one."""
 
 
 def similarity(
@@ -269,7 +266,7 @@ def similarity(
     rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0),  # [4] quaternion xyzw of any length but zero
     scale: float = 1.0,
 ) -> NDArray[np.float64]:
-    """[4, 4] of x -> scale * R x + translation. Raises GlsplatError for what is no such transform.
+    """Return the transform [4, 4] x -> scale * R x + translation. Raises GlsplatError for invalid arguments.
 
     >>> (glsplat.similarity((0, 1, 0), scale=2) @ (1, 0, 0, 1)).tolist()
     [2.0, 1.0, 0.0, 1.0]
@@ -298,11 +295,11 @@ def _checked(transform: ArrayLike) -> NDArray[np.float64]:
         raise GlsplatError("a transform needs finite numbers, found NaN or infinity")
     if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
         raise GlsplatError("a transform needs the last row 0 0 0 1")
-    if np.abs(matrix).max() > _LARGEST:
-        raise GlsplatError(f"a transform needs metres and a scale below {_LARGEST:g}, not {np.abs(matrix).max():g}")
+    if np.abs(matrix).max() > _MAX_VALUE:
+        raise GlsplatError(f"a transform needs metres and a scale below {_MAX_VALUE:g}, not {np.abs(matrix).max():g}")
     linear = matrix[:3, :3]
     size = float(np.cbrt(np.linalg.det(linear)))
-    if not size >= _SMALLEST:
+    if not size >= _MIN_SCALE:
         raise GlsplatError("a transform needs a rotation times a scale above 1e-6, no reflection")
     if np.abs(linear @ linear.T / size**2 - np.eye(3)).max() > 1e-4:
         raise GlsplatError("a transform needs one scale for all axes and no shear")

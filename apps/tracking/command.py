@@ -23,7 +23,7 @@ from glsplat.extras.motions.derive import (
 )
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration, calibrate, found_size
-from glsplat.tracking.recording import read_poses, record, replay, write_lines
+from glsplat.tracking.recording import record, replay, write_lines
 from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.tracker import Tracker
@@ -33,6 +33,7 @@ from ..progress import each
 from ..usage import UsageError
 from .bench import add_bench
 from .options import add_recording, add_skeleton, samples_of, skeleton_of, tracker_of
+from .pose_track import read_poses
 from .show import add_show
 from .train import add_train
 

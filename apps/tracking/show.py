@@ -19,7 +19,6 @@ from glsplat.extras.motions.derive import derive, truth_from_motion, with_expres
 from glsplat.io.files import open_regular
 from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
-from glsplat.tracking.recording import read_poses
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.tracker import Tracker
 
@@ -29,6 +28,7 @@ from ..output import label, save_png, stack
 from ..progress import each
 from ..usage import UsageError, output_kind
 from .options import add_recording, samples_of, skeleton_of, tracker_of
+from .pose_track import read_poses
 
 __all__ = ["add_show"]
 

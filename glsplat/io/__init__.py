@@ -1,1 +1,1 @@
-"""Files as such: opened, replaced and locked safely, archives of arrays, PNG without surprises. Nothing of splats."""
+"""Files: opened, replaced and locked safely. Nothing of splats."""

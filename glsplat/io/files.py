@@ -1,6 +1,6 @@
-"""Opening and replacing files: every way this can fail becomes one FormatError line that names the file.
+"""Open, replace and lock files: every failure becomes one FormatError line that names the file.
 
-A file is named by a path (str, bytes, os.PathLike), or it is an object that is open already, in binary mode.
+A file is a path (str, bytes, os.PathLike), or an object that is open already, in binary mode.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ __all__ = [
 ]
 
 Source = str | bytes | os.PathLike[Any] | BinaryIO
-"""What is read or written. An object is read from where it stands to its end, and stays open."""
+"""A file to read or write. An open one is read from its position to its end, and stays open."""
 
-_IN_PLACE = (io.BytesIO, io.BufferedReader, io.BufferedRandom, io.FileIO)  # quick to seek in; all else is read whole
-_READ: ContextVar[tuple[str, bool]] = ContextVar("_READ", default=("", False))  # what naming() was told
+_IN_PLACE = (io.BytesIO, io.BufferedReader, io.BufferedRandom, io.FileIO)  # quick to seek in; others are read whole
+_READ: ContextVar[tuple[str, bool]] = ContextVar("_READ", default=("", False))  # name and strictness of naming()
 _BLOCKS, _BLOCK = 64, 1 << 16  # a sample of a large file: so many blocks of so many bytes
 
 
@@ -57,7 +57,7 @@ def suffix_of(source: Source) -> str:
 def suffixes_of(source: Source) -> list[str]:
     """Return all suffixes of a name, the longest first: ".compressed.ply", ".ply"; [""] without one.
 
-    A file called meta.json, whose kind is said by no less than that, begins with its whole name.
+    For meta.json, whose name is its format, the whole name comes first.
     """
     name = getattr(source, "name", "") if _is_open(source) else path_of(source)
     path = Path(os.fsdecode(name)) if isinstance(name, (str, bytes)) else Path()
@@ -88,7 +88,7 @@ def _is_open(source: Source) -> bool:
 
 @contextmanager
 def open_regular(source: Source) -> Iterator[tuple[BinaryIO, int]]:
-    """Open a regular file for reading; yield it and its size in bytes. Of an object, what is left of it.
+    """Open a regular file for reading; yield it and its size in bytes. Of an open file, the rest of it.
 
     Raises FormatError for a directory, a pipe or device (reading one might never end), and anything the system
     refuses, also while the body of the ``with`` reads.
@@ -140,9 +140,9 @@ def replace_file(target: Source, parts: Iterable[bytes | memoryview], *, private
 
 @contextmanager
 def locked(path: Path, patience: float = 0.0) -> Iterator[None]:
-    """Hold the lock ``path``, which one process has at a time; wait ``patience`` seconds for it.
+    """Hold the lock file ``path``, which one process has at a time; wait up to ``patience`` seconds for it.
 
-    Raises FormatError when it is not to be had. Where the system knows no such locks, there is none. The file stays.
+    Raises FormatError when another process keeps it. Systems without such locks have none. The file stays.
     """
     try:
         import fcntl  # not on Windows
@@ -174,7 +174,7 @@ def locked(path: Path, patience: float = 0.0) -> Iterator[None]:
 def naming(source: Source, strict: bool = False) -> Iterator[None]:
     """Put the file's name in front of the message of a FormatError that does not have it yet.
 
-    ``strict`` makes such an error of what ``left_out`` says.
+    With ``strict``, warnings of ``left_out`` become such errors.
     """
     name = name_of(source)
     before = _READ.set((name, strict))
@@ -198,7 +198,7 @@ def left_out(log: logging.Logger, reason: str) -> None:
 
 
 def _printable(text: str) -> str:
-    """Replace characters that would break the line or steer the terminal, in names from a file."""
+    """Replace line breaks and control characters, which names in a file may have."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -215,7 +215,7 @@ def sampled(file: BinaryIO, start: int, size: int, whole: int = _BLOCKS * _BLOCK
 
 
 class _Rest(io.RawIOBase):
-    """What is left of an open file, as a file of its own that begins at 0; closing it leaves the other open."""
+    """The rest of an open file as a file that begins at 0; closing it leaves the other open."""
 
     def __init__(self, file: BinaryIO, start: int, size: int) -> None:
         self._file, self._start, self._size, self._at = file, start, size, 0
@@ -278,16 +278,16 @@ def _write_to(file: BinaryIO, parts: Iterable[bytes | memoryview], name: str) ->
 
 
 def _replace(path: Path, parts: Iterable[bytes | memoryview], most: int) -> None:
-    """``most``: what of a file's mode is granted."""
+    """Write a file beside ``path`` and rename it; ``most``: mask of its mode."""
     try:
         old = os.lstat(path)
     except FileNotFoundError:
         old = None
     if old is not None:
-        # renaming over a device or a folder would destroy it, or fail late; a link that is left is one in a circle
+        # renaming over a device or a folder would destroy it, or fail late; a remaining link is one of a circle
         if not stat.S_ISREG(old.st_mode):
             raise OSError("it exists and is not a regular file")
-        if not os.access(path, os.W_OK):  # renaming does not ask
+        if not os.access(path, os.W_OK):  # renaming does not check this
             raise PermissionError(13, "Permission denied")
     partial = path.parent / f".{secrets.token_hex(6)}.partial"
     try:

@@ -1,4 +1,4 @@
-"""What a process may use of its machine."""
+"""Resources of this machine."""
 
 from __future__ import annotations
 

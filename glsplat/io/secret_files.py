@@ -14,9 +14,9 @@ log: logging.Logger = logging.getLogger("glsplat.files")
 
 
 def exposure(path: str | Path) -> str:
-    """Return how others can get at a secret file and what to do about it, in one line; "" if they cannot.
+    """Return how others can access a secret file and the repair, in one line; "" if they cannot.
 
-    Looks at the mode bits of the file and of its folder, which is all that POSIX systems have in common; elsewhere "".
+    Checks the mode bits of the file and of its folder, on POSIX systems alone.
     """
     if os.name != "posix":
         return ""
@@ -26,7 +26,7 @@ def exposure(path: str | Path) -> str:
     except OSError:
         return ""
     mode, own, name = stat.S_IMODE(info.st_mode), info.st_uid == os.geteuid(), shlex.quote(str(path))
-    # a file of another user is lent to this one, perhaps by its group: systemd hands credentials over like that
+    # systemd provides credentials as files of another user, readable by the group
     deeds = [deed for deed, bits in (("read", 0o044 if own else 0o004), ("change", 0o022)) if mode & bits]
     if deeds:
         repair = f"chmod 600 {name}" if own else f"chown it to the user who reads it, then chmod 600 {name}"

@@ -22,7 +22,7 @@ def load_cameras(path: str | Path) -> list[Camera]:
 def read_cameras(path: str | Path) -> tuple[list[Camera], bool]:
     """Read a camera file: one object, or a list of objects of one size (True: it was a list).
 
-    Raises FormatError with the file, the view and the key that is missing or wrong.
+    Raises FormatError that names the file, the view and the wrong or missing key.
     """
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8-sig"))

@@ -1,4 +1,4 @@
-"""Scene files: several things, where they stand and what they do, as JSON (docs/conventions.md, "Scene file").
+"""Scene files: items with transforms, poses and motions as JSON (docs/conventions.md, "Scene file").
 
 ::
 
@@ -30,17 +30,17 @@ from glsplat.splats import Splats
 if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
-__all__ = ["MOST_ITEMS", "UPS", "SceneFile", "add_formats", "load_scene", "upright"]
+__all__ = ["MAX_ITEMS", "UPS", "SceneFile", "add_formats", "load_scene", "upright"]
 
 VERSION = 1
-MOST_ITEMS = 1000
-"""Items of a scene file, those of the files it names included."""
+MAX_ITEMS = 1000
+"""Items of a scene file, with those of the scene files that it names."""
 
-_DEEPEST = 8  # scene files within scene files
-_LARGEST = 4 * 2**20  # bytes of a scene file
+_MAX_DEPTH = 8  # scene files within scene files
+_MAX_BYTES = 4 * 2**20  # of a scene file
 
 UPS = ("y", "-y", "z", "-z")
-"""Axes that may be up: y as everywhere here, -y for most captures, z for CAD and robots."""
+"""Axes that may be up: y as in glsplat, -y for most captures, z for CAD and robots."""
 
 
 class _Item(msgspec.Struct, forbid_unknown_fields=True):
@@ -67,11 +67,11 @@ _decoder = msgspec.json.Decoder(_File)
 
 @dataclass(slots=True, eq=False)
 class SceneFile:
-    """What a scene file holds: the scene, its background, and the motions of the items that move."""
+    """Contents of a scene file: the scene, its background, and the motions of its items."""
 
     scene: Scene
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    up: str = "y"  # as the file says; its items are turned already
+    up: str = "y"  # of the file; its items are turned already
     motions: dict[str, tuple[Item, Motion]] = field(default_factory=dict)  # by the item's place in the file: "2", "1.0"
     sources: list[tuple[Item, Path]] = field(default_factory=list)  # the files that items were read from
     composed: bool = False  # by a scene file; else a scene of one thing
@@ -111,11 +111,11 @@ def upright(up: str) -> NDArray[np.float64]:
 
 
 def load_scene(path: Source, *, strict: bool = False) -> SceneFile:
-    """Read a scene file with all that it names; any other file that ``glsplat.load`` reads is a scene of one.
+    """Read a scene file and the files that it names; any other file that ``glsplat.load`` reads is a scene of one.
 
     Paths in a scene file are relative to it and stay inside its folder. Raises FormatError that names the file and the
     item: a file that is not there, leads out of the folder or back to a scene file that is being read, numbers that
-    are no transform, more than MOST_ITEMS items. No items are legal.
+    are no transform, more than MAX_ITEMS items. No items are legal.
     """
     with opened(path, strict) as start:
         known = recognised(start)
@@ -137,7 +137,7 @@ def _read(start: Opened) -> SceneFile:
 
 
 class _Reading:
-    """One scene file and those it names; what several items show, or do, is read once."""
+    """Reads one scene file and those it names; each content and motion once."""
 
     def __init__(self, strict: bool) -> None:
         self.out = SceneFile(Scene(), composed=True)
@@ -149,11 +149,11 @@ class _Reading:
     def file(self, start: Opened, path: Path, place: NDArray[np.float64], prefix: str, trail: tuple[Path, ...]) -> None:
         """Add the items of one file, placed by ``place``."""
         data = _parsed(start)
-        if len(trail) >= _DEEPEST:
-            raise FormatError(f"{path}: scene files are nested more than {_DEEPEST} deep")
+        if len(trail) >= _MAX_DEPTH:
+            raise FormatError(f"{path}: scene files are nested more than {_MAX_DEPTH} deep")
         self._files += 1
-        if len(self.out.scene) + len(data.items) > MOST_ITEMS or self._files > MOST_ITEMS:
-            raise FormatError(f"{path}: a scene file holds at most {MOST_ITEMS} items, it and those it names")
+        if len(self.out.scene) + len(data.items) > MAX_ITEMS or self._files > MAX_ITEMS:
+            raise FormatError(f"{path}: a scene file holds at most {MAX_ITEMS} items, it and those it names")
         if not trail:
             self.out.background, self.out.up = data.background, data.up
         try:
@@ -228,8 +228,8 @@ class _Reading:
 
 
 def _parsed(start: Opened) -> _File:
-    if start.size > _LARGEST:
-        raise FormatError(f"a scene file has at most {_LARGEST} bytes, this one {start.size}")
+    if start.size > _MAX_BYTES:
+        raise FormatError(f"a scene file has at most {_MAX_BYTES} bytes, this one {start.size}")
     try:
         data = _decoder.decode(start.begin(start.size).decode("utf-8-sig"))
     except (msgspec.DecodeError, UnicodeError) as error:

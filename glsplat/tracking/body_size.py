@@ -7,7 +7,8 @@ from math import exp, hypot, inf
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.sample import Sample, read_pose
+from glsplat.tracking.judge import read_pose
+from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body, levelled
 from glsplat.tracking.solve.quat import Quat, Vec, clamp, length, mul, rotate, sub, swing_twist_y, yaw_quat
 

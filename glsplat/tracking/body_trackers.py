@@ -8,8 +8,9 @@ from math import hypot
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.filters import DeviceFilter
+from glsplat.tracking.judge import flag_invalid, read_pose, read_position
 from glsplat.tracking.mounts import JOINTS, MAX_MOUNT_M, MeanMount, bounded, standing_joints
-from glsplat.tracking.sample import TRACKERS, Sample, flag_invalid, read_pose, read_position
+from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, SPINE1, Body
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, cross, length, pull, rotate, sub, unit

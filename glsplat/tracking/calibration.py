@@ -16,9 +16,9 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.io.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.body_size import STRETCHED_WRISTS, BodySizeFinder, with_arms
-from glsplat.tracking.judge import head_frame
+from glsplat.tracking.judge import MAX_DISTANCE_M, head_frame, read_pose
 from glsplat.tracking.mounts import MAX_MOUNT_M, MeanMount, bounded, standing_joints, transform_of
-from glsplat.tracking.sample import MAX_DISTANCE_M, TRACKERS, Sample, Transform, read_pose
+from glsplat.tracking.sample import TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import HEAD_FRAME, Body
 from glsplat.tracking.solve.heading import head_pitch
 from glsplat.tracking.solve.quat import Vec, clamp, conj, length, mul, normalized, relative, sub, swing_twist_y

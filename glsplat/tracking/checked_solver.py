@@ -8,7 +8,7 @@ from math import isfinite, sqrt
 from typing import Any
 
 from glsplat.errors import PoseError
-from glsplat.tracking.sample import MAX_DISTANCE_M, within_range
+from glsplat.tracking.judge import MAX_DISTANCE_M, within_range
 from glsplat.tracking.solve.body import PELVIS, Body
 from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec

@@ -59,13 +59,13 @@ class TrackerConfig:
     joint_speed: float = 45.0  # rad/s of any joint of the output
     root_speed: float = 14.0  # m/s of the output's pelvis
     foot_speed: float = 10.0  # m/s of the output's feet, over the pelvis' own
-    stretch: float = 0.25  # limit of the length that is added to an arm, as a part of it, where a hand is out of reach
+    arm_scaling: float = 0.25  # limit of the length that is added to an arm, as a part of it, for a hand out of reach
 
     def __post_init__(self) -> None:
         if not 0 <= self.prediction <= 0.1:
             raise PoseError(f"prediction needs 0 to 0.1 seconds, not {self.prediction:g}")
-        if not 0 <= self.stretch <= 1:
-            raise PoseError(f"stretch needs 0 to 1 of an arm's length, not {self.stretch:g}")
+        if not 0 <= self.arm_scaling <= 1:
+            raise PoseError(f"arm_scaling needs 0 to 1 of an arm's length, not {self.arm_scaling:g}")
 
     @classmethod
     def raw(cls, prediction: float = 0.0) -> TrackerConfig:

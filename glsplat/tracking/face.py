@@ -7,7 +7,8 @@ from math import isfinite, sqrt
 
 from glsplat.errors import PoseError
 from glsplat.skinning.expression import checked_expression
-from glsplat.tracking.sample import Sample, flag_invalid
+from glsplat.tracking.judge import flag_invalid
+from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import EYES
 from glsplat.tracking.solve.quat import Vec, between, rotation_vector
 

@@ -7,7 +7,8 @@ from math import atan2, exp, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.sample import Sample, flag_invalid
+from glsplat.tracking.judge import flag_invalid
+from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import FINGERS, Body
 from glsplat.tracking.solve.limits import FINGER_HIGH, FINGER_LOW, THUMB_LIMIT
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, unit

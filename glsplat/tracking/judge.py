@@ -1,17 +1,19 @@
-"""The first stage of a Tracker: judge time stamps, poses and jumps of a sample."""
+"""Judge samples: the first stage of a Tracker checks time stamps, poses and jumps; poses in the avatar's metres."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, sqrt
 
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.sample import Sample, Transform, read_pose
+from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD, HEAD_FRAME, Body
-from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, conj, distance, mul, to_quat
+from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, Vec, conj, distance, mul, to_quat
 
-__all__ = ["InputJudge", "Moment"]
+__all__ = ["MAX_DISTANCE_M", "InputJudge", "Moment", "flag_invalid", "head_frame", "read_pose", "read_position"]
 
+MAX_DISTANCE_M = 1e4  # a device farther away is not tracked
 MIN_STEP_S = 1e-4  # samples closer than this are of one moment
 FIRST_STEP_S = 1 / 72  # assumed between samples until two were seen
 MAX_TYPICAL_STEP_S = 0.1  # longer ones are holes, not the device's rate
@@ -121,3 +123,46 @@ class InputJudge:
 def head_frame(pitch: float) -> Quat:
     """Return the rotation from a headset's axes, pitched down by ``pitch`` radians, to the head joint's rest axes."""
     return mul(conj(HEAD_FRAME), to_quat((-pitch, 0.0, 0.0)))
+
+
+def read_pose(pose: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> JointPose | None:
+    """Return position and rotation of 7 numbers; a pose that is not seven numbers is flagged "invalid"."""
+    if pose is None:
+        return None
+    try:
+        x, y, z, qx, qy, qz, qw = pose
+        if not within_range(x, y, z):
+            return None
+        n = qx * qx + qy * qy + qz * qz + qw * qw
+        if not 1e-8 < n < 1e8:  # NaN fails this too
+            return None
+        n = 1 / sqrt(n)
+    except (TypeError, ValueError):  # not seven numbers
+        flag_invalid(flags)
+        return None
+    k = 1 / scale
+    return (x * k, (y - floor) * k, z * k), (qw * n, qx * n, qy * n, qz * n)
+
+
+def read_position(joint: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> Vec | None:
+    """Return the position in the first three numbers."""
+    if joint is None:
+        return None
+    try:
+        x, y, z = joint[:3]
+        return (x / scale, (y - floor) / scale, z / scale) if within_range(x, y, z) else None
+    except (TypeError, ValueError):
+        flag_invalid(flags)
+        return None
+
+
+def within_range(x: float, y: float, z: float) -> bool:
+    """Return whether a position is finite and within ``MAX_DISTANCE_M``."""
+    far = MAX_DISTANCE_M  # NaN fails every comparison, infinity these
+    return -far < x < far and -far < y < far and -far < z < far
+
+
+def flag_invalid(flags: list[str]) -> None:
+    """Flag that the sample holds something of another type than it should."""
+    if "invalid" not in flags:
+        flags.append("invalid")

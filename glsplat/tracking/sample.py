@@ -1,4 +1,4 @@
-"""Sample: what a headset knows at one moment, and its JSON form (docs/tracking.md).
+"""Sample: the tracking of a headset at one moment, and its JSON form (docs/tracking.md).
 
 Frames are those of OpenXR and WebXR: world right-handed, y up, metres; a pose is a position and a quaternion xyzw.
 
@@ -20,29 +20,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
 from numbers import Real
 from typing import Any
 
 from glsplat.errors import PoseError
 from glsplat.skinning.expression import ARKIT, MOST_NAMES
-from glsplat.tracking.solve.quat import JointPose, Quat, Vec, mul
 
 __all__ = [
     "BODY_JOINTS",
     "HAND_JOINTS",
-    "MAX_DISTANCE_M",
     "MOST_JOINTS",
     "TRACKERS",
     "WRISTS",
     "Sample",
     "Transform",
-    "flag_invalid",
     "grouped",
     "hand_joints",
-    "read_pose",
-    "read_position",
-    "within_range",
     "wrist_from_grip",
 ]
 
@@ -65,16 +58,15 @@ TRACKERS = ("waist", "left_foot", "right_foot")
 
 _LEG = ("upper-leg", "lower-leg", "foot-ankle", "foot-ball")  # hip, knee, ankle, ball of the foot
 BODY_JOINTS: tuple[str, ...] = ("hips", "spine-lower", *(f"{side}-{j}" for side in ("left", "right") for j in _LEG))
-"""WebXR's names (XRBodyJoint) of the joints that are used; others are left out on reading."""
+"""WebXR's names (XRBodyJoint) of the joints that are used; others are ignored."""
 
 MOST_JOINTS = 256  # entries of ``body``; WebXR has 83
-MAX_DISTANCE_M = 1e4  # a device farther away is not tracked
 
-GRIP_TO_WRIST = 0.09
-"""Metres from the palm's centre (the grip's origin) back to the wrist along the metacarpals (mean adult hand)."""
+GRIP_TO_WRIST_M = 0.09
+"""From the palm's centre (the grip's origin) back to the wrist along the metacarpals (mean adult hand)."""
 
-_WRIST_AXES: dict[str, Quat] = {"left": (0.5, -0.5, 0.5, 0.5), "right": (0.5, -0.5, -0.5, -0.5)}
-"""Rotations (wxyz) whose columns are the wrist's axes in the grip's."""
+_WRIST_AXES = {"left": (-0.5, 0.5, 0.5, 0.5), "right": (-0.5, -0.5, -0.5, 0.5)}
+"""Quaternions xyzw whose columns are the wrist's axes in the grip's."""
 
 WRISTS = ("head", "left", "right", "left_grip", "right_grip")
 """Keys of JSON of which a sample needs one."""
@@ -102,7 +94,7 @@ class Sample:
 
     @classmethod
     def from_json(cls, data: Any, t: float | None = None) -> Sample:
-        """The wire form of docs/conventions.md, section 5: {"head": [7], "left": [7] | null, ...}; ``t`` overrides "t".
+        """Parse the wire form of docs/protocol.md: {"head": [7], "left": [7] | null, ...}; ``t`` overrides "t".
 
         Unknown keys are ignored. Wrong counts or types are a PoseError; NaN is left for the tracker to handle.
         """
@@ -133,51 +125,8 @@ class Sample:
         return out | {key: _plain(value) for key, value in given.items() if value is not None}
 
 
-def read_pose(pose: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> JointPose | None:
-    """Return position and rotation of 7 numbers; a pose that is not seven numbers is flagged "invalid"."""
-    if pose is None:
-        return None
-    try:
-        x, y, z, qx, qy, qz, qw = pose
-        if not within_range(x, y, z):
-            return None
-        n = qx * qx + qy * qy + qz * qz + qw * qw
-        if not 1e-8 < n < 1e8:  # NaN fails this too
-            return None
-        n = 1 / sqrt(n)
-    except (TypeError, ValueError):  # not seven numbers
-        flag_invalid(flags)
-        return None
-    k = 1 / scale
-    return (x * k, (y - floor) * k, z * k), (qw * n, qx * n, qy * n, qz * n)
-
-
-def read_position(joint: Sequence[float] | None, scale: float, floor: float, flags: list[str]) -> Vec | None:
-    """Return the position in the first three numbers."""
-    if joint is None:
-        return None
-    try:
-        x, y, z = joint[:3]
-        return (x / scale, (y - floor) / scale, z / scale) if within_range(x, y, z) else None
-    except (TypeError, ValueError):
-        flag_invalid(flags)
-        return None
-
-
-def within_range(x: float, y: float, z: float) -> bool:
-    """Return whether a position is finite and within ``MAX_DISTANCE_M``."""
-    far = MAX_DISTANCE_M  # NaN fails every comparison, infinity these
-    return -far < x < far and -far < y < far and -far < z < far
-
-
-def flag_invalid(flags: list[str]) -> None:
-    """Flag that the sample holds something of another type than it should."""
-    if "invalid" not in flags:
-        flags.append("invalid")
-
-
 def wrist_from_grip(grip: Transform, side: str) -> Transform:
-    """The wrist pose of a hand that holds a controller with this grip pose.
+    """Return the wrist pose of a hand that holds a controller with this grip pose.
 
     The specification's grip: -z from the little finger to the thumb through the closed fingers, x along the palm's
     normal (out of the left palm, into the right one), so y points from the fingers to the wrist. The wrist frame has
@@ -185,14 +134,20 @@ def wrist_from_grip(grip: Transform, side: str) -> Transform:
     """
     px, py, pz, x, y, z, w = grip
     # wrist axes in grip axes: z_w = y_g (to the forearm); left: y_w = -x_g, x_w = -z_g; right: y_w = x_g, x_w = z_g
-    qw, qx, qy, qz = mul((w, x, y, z), _WRIST_AXES[side])
+    bx, by, bz, bw = _WRIST_AXES[side]
+    quat = (
+        w * bx + x * bw + y * bz - z * by,
+        w * by - x * bz + y * bw + z * bx,
+        w * bz + x * by - y * bx + z * bw,
+        w * bw - x * bx - y * by - z * bz,
+    )
     norm2 = x * x + y * y + z * z + w * w
-    s = GRIP_TO_WRIST / norm2 if norm2 > 0 else 0.0
+    s = GRIP_TO_WRIST_M / norm2 if norm2 > 0 else 0.0
     return (
         px + s * 2 * (x * y - w * z),
         py + s * (w * w - x * x + y * y - z * z),
         pz + s * 2 * (y * z + w * x),
-        *(qx, qy, qz, qw),
+        *quat,
     )
 
 
@@ -228,7 +183,7 @@ def _numbers(value: Any, key: str, counts: tuple[int, ...]) -> tuple[float, ...]
 
 
 def _real(value: Any) -> bool:
-    """A number; neither a bool nor a string that spells one."""
+    """Return whether a value is a number; a bool is not."""
     kind = type(value)
     return kind is float or kind is int or (isinstance(value, Real) and not isinstance(value, bool))
 
@@ -238,7 +193,7 @@ def _transform(value: Any, key: str) -> Transform | None:
 
 
 def hand_joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
-    """25 joints of 3 or 7 numbers from what JSON holds of them; None: not tracked. Raises PoseError."""
+    """Parse 25 joints of 3 or 7 numbers; None: not tracked. Raises PoseError."""
     if value is None:
         return None
     if not isinstance(value, Sequence) or isinstance(value, (str, bytes)):
@@ -247,9 +202,9 @@ def hand_joints(value: Any, key: str) -> tuple[tuple[float, ...], ...] | None:
 
 
 def grouped(value: Sequence[Any], key: str) -> Sequence[Any]:
-    """The 25 joints of a hand from nested or flat numbers, without a palm in front. Raises PoseError for other counts.
+    """Return the 25 joints of a hand from nested or flat numbers, without OpenXR's palm. Contents are not checked.
 
-    What each joint holds is not looked at.
+    Raises PoseError for other counts.
     """
     if value and isinstance(value[0], (int, float)):  # a flat list
         size = {75: 3, 175: 7, 78: 3, 182: 7}.get(len(value))
@@ -266,7 +221,7 @@ def _direction(value: Any, key: str) -> tuple[float, ...] | None:
 
 
 def _expression(value: Any, key: str = "expression") -> Mapping[str, float] | None:
-    """Weights by name; null, as a whole or for a name, is not tracked. NaN is left for the tracker to handle."""
+    """Parse weights by name; null, as a whole or for a name, is not tracked. NaN is left for the tracker to handle."""
     if value is None:
         return None
     if isinstance(value, Mapping):
@@ -280,7 +235,7 @@ def _expression(value: Any, key: str = "expression") -> Mapping[str, float] | No
 
 
 def _body(value: Any, key: str = "body") -> dict[str, tuple[float, ...]] | None:
-    """The joints that are used; null, as a whole or for a joint, is not tracked."""
+    """Parse the joints that are used; null, as a whole or for a joint, is not tracked."""
     if value is None:
         return None
     if not isinstance(value, Mapping):

@@ -72,7 +72,7 @@ class Tracker:
         self._body_trackers = BodyTrackers(self.body, self.config, start)
         self._checked_solver = CheckedSolver(self.solver)
         self._guard = Guard(self.body, self.config.joint_speed, self.config.root_speed, self.config.foot_speed)
-        self._arm_scaling = ArmScaling(self.body, self.config.stretch)
+        self._arm_scaling = ArmScaling(self.body, self.config.arm_scaling)
         self._fingers = BothHandsFingers(self.body, self.config.finger_smoothing)
         self.reset()
 

@@ -21,7 +21,7 @@ from glsplat.formats.registry import recognised
 from glsplat.motion.loading import load_embedded_motion
 from glsplat.scene import similarity
 from glsplat.scenes import load_scene
-from glsplat.scenes.scene_file import MOST_ITEMS, upright
+from glsplat.scenes.scene_file import MAX_ITEMS, upright
 from tests.scenes import cloud, limb
 from tests.skinning.avatars import part
 
@@ -98,9 +98,9 @@ def test_many_items_of_one_file_read_it_once(scene: Writer, monkeypatch: pytest.
         return cloud(3)
 
     monkeypatch.setitem(all_formats(), "ply", replace(all_formats()["ply"], load=count))
-    file = scene(*[{"path": "cloud.ply", "translation": [i, 0, 0]} for i in range(MOST_ITEMS)])
-    assert len(load_scene(file).scene) == MOST_ITEMS and len(read) == 1
-    with pytest.raises(FormatError, match=f"at most {MOST_ITEMS} items"):
+    file = scene(*[{"path": "cloud.ply", "translation": [i, 0, 0]} for i in range(MAX_ITEMS)])
+    assert len(load_scene(file).scene) == MAX_ITEMS and len(read) == 1
+    with pytest.raises(FormatError, match=f"at most {MAX_ITEMS} items"):
         load_scene(scene(*[{"path": "cloud.ply"}] * 10_000))
     assert len(read) == 1  # refused before anything is read
 
@@ -168,8 +168,8 @@ def test_circles_and_bombs(scene: Writer) -> None:
     scene(name="empty.json")
     for level in range(3):  # 1000 files of 1000 files of nothing
         inside = "empty.json" if level == 0 else f"wide{level - 1}.json"
-        scene(*[{"path": inside}] * MOST_ITEMS, name=f"wide{level}.json")
-    with pytest.raises(FormatError, match=f"at most {MOST_ITEMS} items"):
+        scene(*[{"path": inside}] * MAX_ITEMS, name=f"wide{level}.json")
+    with pytest.raises(FormatError, match=f"at most {MAX_ITEMS} items"):
         load_scene(scene({"path": "wide2.json"}))
 
 

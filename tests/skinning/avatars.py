@@ -27,7 +27,7 @@ class SkinError:
     """The skin pass of one pose against reference.skin."""
 
     position: float  # metres
-    covariance: float  # largest relative Frobenius error; three tenths of it near a collapse (steadiness)
+    covariance: float  # largest relative Frobenius error; three tenths of it near a collapse (length of P v)
     orthonormal: float  # largest entry of R R^T - I
     determinant: float  # smallest det R
 
@@ -42,7 +42,8 @@ class SkinError:
         bones = pose.bones(avatar.skeleton)
         blended = np.einsum("nk,nkij->nij", avatar.skin.weights.astype(np.float64), bones[avatar.skin.joints])
         shift = 1.0 if is_rigid(bones) else 3.0
-        steady = reference.steadiness(blended[:, :, :3], bones[avatar.skin.joints[:, 0], :, :3], shift)
+        swing = reference._swing(blended[:, :, :3], bones[avatar.skin.joints[:, 0], :, :3], shift)[0]
+        steady = np.linalg.norm(swing, axis=1)  # float32 divides by it
         turned = rotations(avatar.splats, shapes)
         gram = turned @ np.swapaxes(turned, 1, 2)
         return cls(

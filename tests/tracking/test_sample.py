@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from apps.tracking.pose_track import read_poses
 from glsplat.camera import head_matrix
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, record, replay
-from glsplat.tracking.recording import embedded_recording, read_poses, write_lines
+from glsplat.tracking.recording import embedded_recording, write_lines
 from glsplat.tracking.sample import HAND_JOINTS, Sample, wrist_from_grip
 from tests.tracking.moves import Stage, seconds
 

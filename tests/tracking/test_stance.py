@@ -224,7 +224,7 @@ def test_a_taller_user_stands_on_the_floor(stage: Stage, track: Track, solver: S
 
 
 RAW = TrackerConfig.raw()
-STIFF = TrackerConfig(stretch=0.0)
+STIFF = TrackerConfig(arm_scaling=0.0)
 
 
 def reaching(stage: Stage, times: float, side: float = 1.0) -> tuple[float, float, float]:
@@ -277,10 +277,10 @@ def test_it_comes_and_goes_smoothly(stage: Stage, track: Track, solver: str, tim
     assert speed.max() < 12
 
 
-@pytest.mark.parametrize("stretch", [-0.1, 1.5, float("nan")])
-def test_a_stretch_that_is_none_is_refused(stretch: float) -> None:
-    with pytest.raises(PoseError, match="stretch needs 0 to 1"):
-        TrackerConfig(stretch=stretch)
+@pytest.mark.parametrize("share", [-0.1, 1.5, float("nan")])
+def test_an_arm_scaling_out_of_range_is_refused(share: float) -> None:
+    with pytest.raises(PoseError, match="arm_scaling needs 0 to 1"):
+        TrackerConfig(arm_scaling=share)
 
 
 def test_a_new_user_begins_with_arms_at_rest(stage: Stage, skeleton: Skeleton) -> None:

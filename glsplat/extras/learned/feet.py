@@ -23,7 +23,7 @@ from glsplat.tracking.solve.quat import (
 )
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import TIPTOE_RAD, Leg, LegPose
-from glsplat.tracking.solve.stepping.two_legs import TwoLegs
+from glsplat.tracking.solve.stepping.two_legs import USEFUL_STEP_M, USEFUL_TURN_RAD, TwoLegs
 
 __all__ = ["Feet"]
 
@@ -46,7 +46,6 @@ STRAIN_PATIENCE_S = 0.04  # after a foot was lifted or set down, before its stra
 CALM_SPEED, CALM_S = 0.2, 0.6  # m/s, seconds: a slower goal stands after that time
 STEP_UP_M = 0.2  # over the ground: a goal that high stands on something
 CLEARANCE_M = 0.045  # of the ball over the ground while it moves
-USEFUL_STEP_M, USEFUL_TURN_RAD = 0.06, 0.25  # less does not help a strained leg
 MIN_DRAG_M = 0.1  # from below its hip, at which a leg that does not reach its foot lifts it
 ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
 SOFT = 0.05  # of its length over which a leg becomes straight: knees of feet that follow a guess tremble more

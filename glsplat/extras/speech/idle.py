@@ -13,7 +13,8 @@ from math import acos, asin, atan2, cos, degrees, exp, log, pi, radians, sin
 from random import Random
 
 from glsplat.skinning.expression import arkit_name
-from glsplat.tracking.sample import Sample, read_pose, read_position
+from glsplat.tracking.judge import read_pose, read_position
+from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.quat import (
     Quat,
     Vec,

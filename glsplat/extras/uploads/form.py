@@ -10,10 +10,9 @@ from collections.abc import Callable, Mapping
 from aiohttp import ClientError, web
 
 from glsplat.extras.uploads.job import VIEWS, Order, UploadConfig
-from glsplat.net.guard.limits import RateFloor
 from glsplat.net.options import NAME
 
-__all__ = ["RefusedError", "check_head", "discard", "read_order", "split_form"]
+__all__ = ["RateFloor", "RefusedError", "check_head", "discard", "read_order", "split_form"]
 
 clock: Callable[[], float] = time.monotonic
 
@@ -27,6 +26,23 @@ _MOST_PARTS = 16
 _BOUNDARY = re.compile(r"""boundary=(?:"([ !#-~]{1,70})"|([!#-:<-~]{1,70}))""", re.IGNORECASE)
 _NAME = re.compile(rb'\ncontent-disposition: *form-data; *name="?([a-z]{1,20})"?', re.IGNORECASE)
 _BROKEN = "the form cannot be read: expected multipart/form-data (RFC 7578)"
+
+
+class RateFloor:
+    """Minimum rate of a sender: each byte earns 1 / ``rate`` seconds, of which at most ``slack`` are kept."""
+
+    __slots__ = ("_deadline", "_rate", "_slack")
+
+    def __init__(self, rate: float, slack: float, now: float) -> None:
+        self._rate, self._slack, self._deadline = rate, slack, now + slack
+
+    def receive(self, nbytes: int, now: float) -> None:
+        """Count received bytes."""
+        self._deadline = min(now + self._slack, self._deadline + nbytes / self._rate)
+
+    def left(self, now: float) -> float:
+        """Return the seconds until the sender is too slow, if nothing more comes."""
+        return self._deadline - now
 
 
 class RefusedError(Exception):

@@ -10,8 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-__all__ = ["Bucket", "ClientQuota", "CpuBudget", "CpuShare", "Limits", "MessageThrottle", "RateFloor", "Strikes"]
-__all__ += ["address_key"]
+__all__ = ["Bucket", "ClientQuota", "CpuBudget", "CpuShare", "Limits", "MessageThrottle", "Strikes", "address_key"]
 
 _BUDGET_S = 1.0  # of its rate that a budget holds
 _SHORT_MESSAGE = 64  # characters; read at once: an acknowledgement, which costs next to nothing
@@ -83,23 +82,6 @@ class Bucket:
         """Take ``amount`` whether it is there or not."""
         self.left(now)
         self.level -= amount
-
-
-class RateFloor:
-    """Minimum rate of a sender: each byte earns 1 / ``rate`` seconds, of which at most ``slack`` are kept."""
-
-    __slots__ = ("_deadline", "_rate", "_slack")
-
-    def __init__(self, rate: float, slack: float, now: float) -> None:
-        self._rate, self._slack, self._deadline = rate, slack, now + slack
-
-    def receive(self, nbytes: int, now: float) -> None:
-        """Count received bytes."""
-        self._deadline = min(now + self._slack, self._deadline + nbytes / self._rate)
-
-    def left(self, now: float) -> float:
-        """Return the seconds until the sender is too slow, if nothing more comes."""
-        return self._deadline - now
 
 
 class ClientQuota:

@@ -35,7 +35,7 @@ class Limb:
     frame: Quat  # conj of the rest frame (upper bone, hinge axis)
 
     @classmethod
-    def of(cls, body: Body, joints: tuple[int, int, int], hinge: Vec, flexion: float, stretch: float = 0.99995) -> Limb:
+    def of(cls, body: Body, joints: tuple[int, int, int], hinge: Vec, flexion: float, reach: float = 0.99995) -> Limb:
         """Measure a limb. ``hinge``: rest axis about which the lower bone flexes by at most ``flexion`` degrees."""
         a, b, c = joints
         upper, lower = body.distance(a, b), body.distance(b, c)
@@ -43,7 +43,7 @@ class Limb:
         axis = perpendicular(hinge, along)
         nearest = sqrt(upper**2 + lower**2 + 2 * upper * lower * cos(radians(flexion)))
         frame = conj(from_axes(along, axis, cross(along, axis)))
-        return cls(upper, lower, nearest, (upper + lower) * stretch, body.direction(b, c), frame)
+        return cls(upper, lower, nearest, (upper + lower) * reach, body.direction(b, c), frame)
 
 
 def perpendicular(v: Vec, axis: Vec) -> Vec:

@@ -51,7 +51,7 @@ def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float])
 
 
 def _mirror(box: Box) -> Box:
-    """The right side of a left box: turns about y and z change sign."""
+    """Return the right side of a left box: turns about y and z change sign."""
     return (box[0], -box[4], -box[5], box[3], -box[1], -box[2])
 
 

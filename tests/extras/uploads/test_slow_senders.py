@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from glsplat.extras.uploads.form import RateFloor
 from glsplat.extras.uploads.job import UploadConfig
-from glsplat.net.guard.limits import Limits, RateFloor
+from glsplat.net.guard.limits import Limits
 from tests.extras.uploads.conftest import GUARD, LIMITS, TOKEN, Client, until
 from tests.extras.uploads.makers import PICTURE
 

@@ -28,7 +28,7 @@ def recorded(performance: Performance, skeleton: Skeleton) -> list[Sample]:
 
 def tracked(samples: list[Sample], moments: tuple[int, ...], skeleton: Skeleton) -> list[Pose]:
     """The poses of an avatar's ``skeleton`` at those samples, driven through all of them by the product's tracker."""
-    tracker = Tracker(skeleton, config=TrackerConfig(stretch=0))  # an avatar is compared with the limbs it has
+    tracker = Tracker(skeleton, config=TrackerConfig(arm_scaling=0))  # an avatar is compared with the limbs it has
     poses = []
     for index, sample in enumerate(samples[: max(moments) + 1]):
         pose = tracker.update(sample)

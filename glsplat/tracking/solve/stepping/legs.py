@@ -10,7 +10,7 @@ from glsplat.tracking.solve.quat import JointPose, Quat, Vec, add, clamp, pull, 
 from glsplat.tracking.solve.stepping.foot import HOLD, Foot
 from glsplat.tracking.solve.stepping.gait import Gait
 from glsplat.tracking.solve.stepping.leg import TIPTOE_RAD, LegPose
-from glsplat.tracking.solve.stepping.two_legs import TAKE_OFF_M, TwoLegs
+from glsplat.tracking.solve.stepping.two_legs import TAKE_OFF_M, USEFUL_STEP_M, USEFUL_TURN_RAD, TwoLegs
 
 __all__ = ["Legs"]
 
@@ -31,7 +31,6 @@ STANCE_WIDTH, WALK_WIDTH = 1.0, 0.55  # of the rest pose's distance between the 
 MIDWALK_STEP_S = 0.2  # in which the feet of a recording that begins in mid-walk find their places
 RUN_SPEED = 1.6  # m/s above which both feet may leave the ground in every stride
 TURN_SMOOTHING_S, REST_SMOOTHING_S = 0.1, 0.4  # of the turning speed, of the base without its sway
-USEFUL_STEP_M, USEFUL_TURN_RAD = 0.06, 0.25  # less does not help a strained leg
 
 
 class Legs(TwoLegs):
@@ -165,7 +164,7 @@ class Legs(TwoLegs):
         late = 0.03 + 0.04 * running  # the ball lands after the heel, by this part of a stride
 
         def landing(foot: Foot, ahead: float) -> Vec:
-            """Where a foot comes down that the body is to pass half a stance later."""
+            """Return the landing position of a foot that the body passes half a stance later."""
             lead = (velocity[0] * ahead, 0.0, velocity[2] * ahead)
             x, y, z = self.place(foot.index, base, yaw, WALK_WIDTH, lead)
             return (x + back * sin(yaw), y, z + back * cos(yaw))

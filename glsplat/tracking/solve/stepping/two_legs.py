@@ -11,9 +11,10 @@ from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import REFERENCE_LEG_M, SOFT, TIPTOE_RAD, Leg
 from glsplat.tracking.solve.tracked import AFLOAT_M, TrackedFoot
 
-__all__ = ["TAKE_OFF_M", "TwoLegs"]
+__all__ = ["TAKE_OFF_M", "USEFUL_STEP_M", "USEFUL_TURN_RAD", "TwoLegs"]
 
 TAKE_OFF_M = 0.02  # below and above the reach of the tiptoes, over which a jump begins
+USEFUL_STEP_M, USEFUL_TURN_RAD = 0.06, 0.25  # smaller steps and turns do not help a strained leg
 
 
 class TwoLegs:
