@@ -19,7 +19,7 @@ from glsplat.extras.authoring.paint.shot import SurfacePoints
 from glsplat.extras.authoring.reconstruct.photos import CheckedPhoto
 from glsplat.extras.authoring.reconstruct.reconstructor import FittedBody
 from glsplat.extras.authoring.texture.texels import texels_of
-from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
@@ -268,7 +268,7 @@ def _four_sides(avatar: Avatar | RiggedMesh, words: str) -> list[Image]:
     middle, tall = (low[1] + high[1]) / 2, max(float(high[1] - low[1]), 0.1)
     distance = 1.35 * tall / 2 / np.tan(np.radians(_FOV) / 2)
     cells = []
-    drawn = MeshRenderer(avatar, size=_CELL) if isinstance(avatar, RiggedMesh) else Renderer(avatar, size=_CELL)
+    drawn = MeshTruth(avatar, size=_CELL) if isinstance(avatar, RiggedMesh) else Renderer(avatar, size=_CELL)
     with drawn as renderer:
         for name, turn in (("front", 0.0), ("left", 90.0), ("back", 180.0), ("right", -90.0)):
             angle = np.radians(turn)

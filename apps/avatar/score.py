@@ -19,7 +19,7 @@ from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
 from glsplat.extras.evaluate.avatar_poses import SCORE_POSES
 from glsplat.extras.evaluate.avatar_score import AvatarScore, score
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.formats import load_splats
 from glsplat.io.files import replace_file
 from glsplat.meshes import RiggedMesh
@@ -75,7 +75,7 @@ def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
     if args.sheet is not None and args.sheet.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise UsageError(f"{args.sheet}: a contact sheet is written as .png or .jpg; change the name")
     names = list(SCORE_POSES)[: args.poses]
-    with MeshRenderer(mesh, size=(args.size,) * 2, config=MeshConfig(output="float32")) as truth:
+    with MeshTruth(mesh, size=(args.size,) * 2, output="float32") as truth:
         exact = RenderConfig(output="float32", antialias=args.antialias)
         less = replace(exact, **detail_of(args))
         with ExitStack() as opened:

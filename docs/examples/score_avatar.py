@@ -6,7 +6,7 @@ import numpy as np
 
 import glsplat
 from glsplat.extras.evaluate import SCORE_POSES, score
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 
 if len(sys.argv) < 3:
     sys.exit(__doc__)
@@ -18,7 +18,7 @@ names = list(SCORE_POSES)[: int(sys.argv[3]) if len(sys.argv) > 3 else 3]
 size = (256, 256)
 config = glsplat.RenderConfig(output="float32")
 with (
-    MeshRenderer(mesh, size=size, config=MeshConfig(output="float32")) as truth,
+    MeshTruth(mesh, size=size, output="float32") as truth,
     glsplat.Renderer(avatar, size=size, config=config, context=truth.context) as renderer,
 ):
     scores = list(score(renderer, truth, avatar, mesh, names, views=2))

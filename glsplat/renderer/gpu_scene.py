@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
@@ -23,7 +24,8 @@ from glsplat.renderer.checks import checked_pose
 from glsplat.renderer.draw import MAX_PULLED
 from glsplat.renderer.levels import ItemLevels, Selector
 from glsplat.renderer.lru_cache import LruCache
-from glsplat.renderer.mesh_pass import MeshItem, MeshPass, MeshPassKind
+from glsplat.renderer.mesh_buffers import MeshBuffers
+from glsplat.renderer.mesh_pass import MeshPass, MeshPassKind
 from glsplat.renderer.pipeline import Pipeline, view_state
 from glsplat.renderer.skin import Placement
 from glsplat.renderer.stage import ItemBuffers
@@ -63,8 +65,8 @@ class GpuScene:
         self._arenas: LruCache[tuple[Part, ...], Arena] = LruCache(_MAX_ARENAS, _MAX_BYTES)
         self._arena: Arena | None = None  # the one in use
         self._arenas_of: tuple[object, ...] = ()  # the items that the arenas hold
-        self._meshes: dict[Item, MeshItem] = {}
-        self._placed_meshes: list[tuple[MeshItem, Placement]] = []  # the visible meshes of this frame
+        self._meshes: dict[Item, MeshBuffers] = {}
+        self._placed_meshes: list[tuple[MeshBuffers, Placement]] = []  # the visible meshes of this frame
         self._meshes_version = 0
         self._mesh_passes: LruCache[tuple[tuple[int, int], int, MeshPassKind, int], MeshPass] = LruCache(
             PASSES, _MAX_BYTES
@@ -97,7 +99,7 @@ class GpuScene:
         return {
             "splats": sum(buffers.nbytes for buffers in self._buffers.values())
             + sum(arena.geometry_nbytes for arena in self._arenas),
-            "meshes": sum(mesh.buffers.nbytes for mesh in self._meshes.values()) + self._mesh_passes.nbytes,
+            "meshes": sum(mesh.nbytes for mesh in self._meshes.values()) + self._mesh_passes.nbytes,
             "sh": sum(arena.colour_nbytes for arena in self._arenas),
             "work": sum(arena.pipelines.nbytes for arena in self._arenas),
         }
@@ -181,6 +183,11 @@ class GpuScene:
             key, lambda: Pipeline(self._context, self._programs, variant, arena, self._config)
         )
         return made
+
+    def shade(self, item: Item, factors: NDArray[np.float32] | None) -> None:
+        """Light the vertices of a visible mesh by ``factors`` [N, 3] from now on; None for no light."""
+        self._meshes[item].shade(factors)
+        self._meshes_version += 1
 
     def add_costs(self, pipeline: Pipeline, costs: dict[Item, int]) -> int:
         """Add what a pipeline counted for each item to ``costs``, if it did; return what it counted for all."""
@@ -313,7 +320,7 @@ class GpuScene:
             if item not in self._hidden:
                 if item not in self._meshes:
                     assert isinstance(item.content, RiggedMesh)
-                    self._meshes[item] = MeshItem(self._context, item.content, self._config.debug.mesh_anisotropy)
+                    self._meshes[item] = MeshBuffers(self._context, item.content, self._config.debug.mesh_anisotropy)
                 placed.append((self._meshes[item], self._placement(item, pose)))
         same = len(placed) == len(self._placed_meshes) and all(
             mesh is old and place.same(before)
@@ -332,7 +339,7 @@ class GpuScene:
         if not isinstance(item.content, Splats):
             skeleton = item.content.skeleton
             wanted = pose if pose is not None and is_rigged(item.content) else item.pose
-            posed = checked_pose(wanted, len(skeleton), "avatar")
+            posed = checked_pose(wanted, len(skeleton), "mesh" if isinstance(item.content, RiggedMesh) else "avatar")
             bones = posed.bones(skeleton)
             if isinstance(item.content, Avatar):
                 weights = item.content.weights(posed)

@@ -1,18 +1,23 @@
-"""MeshBuffers: the vertices, triangles and textures of a rigged mesh on the GPU, staged once."""
+"""MeshBuffers: a rigged mesh of a scene on the GPU, and where it is."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.camera import Camera
+from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.renderer.skin import Placement
+from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
 from glsplat.skinning.skin import Skin
 
-__all__ = ["INFLUENCES", "MeshBuffers", "corners"]
+__all__ = ["INFLUENCES", "MeshBuffers", "fitted", "reach_of", "split_vertices"]
 
 INFLUENCES = 4
 """Joints a vertex, as for splats."""
@@ -20,81 +25,136 @@ INFLUENCES = 4
 _ALPHA_TO_COVERAGE = 0x809E  # GL_SAMPLE_ALPHA_TO_COVERAGE; moderngl has no name for either
 _ALPHA_TO_ONE = 0x809F  # GL_SAMPLE_ALPHA_TO_ONE: the target keeps how much is covered, not how much alpha
 
-VERTEX = np.dtype([("vertex", "f4", 3), ("uv", "f4", 2), ("joints", "u2", 4), ("weights", "f4", 4)])
+_ATTRIBUTES, _NAMES = "3f 2f 4u2 4f", ("vertex", "uv", "joints0", "weights0")  # of mesh.vert.glsl, skin.glsl
+_VERTEX = np.dtype([("vertex", "f4", 3), ("uv", "f4", 2), ("joints", "u2", 4), ("weights", "f4", 4)])
 
 
 class MeshBuffers:
     """One vertex buffer for all parts; a part is a range of triangles and a texture."""
 
-    ranges: list[tuple[int, int]]  # first index and count of each part
-
-    def __init__(self, ctx: moderngl.Context, mesh: RiggedMesh, skin: Skin, anisotropy: float) -> None:
-        vertices, triangles, self.ranges = [], [], []
-        indices = []
+    def __init__(self, context: Context, mesh: RiggedMesh, anisotropy: int) -> None:
+        ctx, skin = context.ctx, Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), INFLUENCES)
+        self._ctx, self._rest, self._reach = ctx, mesh.skeleton.joints, reach_of(mesh, skin)
+        self._placed = np.zeros((len(mesh.skeleton), 3, 4))  # bones about the origin of the last place()
+        self._arrays: dict[MeshVariant, moderngl.VertexArray] = {}
+        self._ranges: list[tuple[int, int]] = []  # first index and count of each part
+        vertices, indices, triangles = [], [], []
         base = first = 0
         for part in mesh.parts:
-            index, uv, faces = corners(part)
-            block = np.empty(len(index), VERTEX)
+            index, uv, faces = split_vertices(part)
+            block = np.empty(len(index), _VERTEX)
             block["vertex"], block["uv"] = mesh.vertices[index], (0.0, 1.0) + (1.0, -1.0) * uv  # row 0: v = 1
             block["joints"], block["weights"] = skin.joints[index], skin.weights[index]
             vertices.append(block)
             indices.append(index)
             triangles.append(faces + base)
-            self.ranges.append((first, faces.size))  # of the index buffer
+            self._ranges.append((first, faces.size))
             base, first = base + len(block), first + faces.size
-        self.indices: NDArray[np.int32] = np.concatenate(indices)  # [M] each vertex's in the mesh: seams split some
-        self.triangles: int = first // 3
-        self.cutouts: list[bool] = [part.cutout for part in mesh.parts]
+        self._indices: NDArray[np.int32] = np.concatenate(indices)  # [M] each vertex's in the mesh: seams split some
+        self._cutouts = [part.cutout for part in mesh.parts]
+        self._shade: moderngl.Buffer | None = None
+        self.shaded = False
         with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self.vertices: moderngl.Buffer = ctx.buffer(np.concatenate(vertices))
-            stack.callback(self.vertices.release)
-            self.faces: moderngl.Buffer = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
-            stack.callback(self.faces.release)
-            self.textures: list[moderngl.Texture] = []
+            self._vertices: moderngl.Buffer = ctx.buffer(np.concatenate(vertices))
+            stack.callback(self._vertices.release)
+            self._faces: moderngl.Buffer = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
+            stack.callback(self._faces.release)
+            self._textures: list[moderngl.Texture] = []
             for part in mesh.parts:
-                self.textures.append(_texture(ctx, part, anisotropy))
-                stack.callback(self.textures[-1].release)
-            self.bones: moderngl.Texture = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
-            stack.callback(self.bones.release)
-            self.bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                self._textures.append(_texture(ctx, part, min(anisotropy, ctx.max_anisotropy)))
+                stack.callback(self._textures[-1].release)
+            self._bones: moderngl.Texture = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
+            stack.callback(self._bones.release)
+            self._bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
             self._owned = stack.pop_all()
 
     @property
-    def content(self) -> tuple[object, ...]:
-        """The vertex buffer as attributes of mesh.vert.glsl and skin.glsl."""
-        return (self.vertices, "3f 2f 4u2 4f", "vertex", "uv", "joints0", "weights0")
+    def nbytes(self) -> int:
+        """GPU bytes, mip maps included."""
+        texels = sum(texture.width * texture.height * 4 for texture in self._textures)
+        shade = 0 if self._shade is None else self._shade.size
+        bones = self._bones.width * self._bones.height * 16
+        return self._vertices.size + self._faces.size + bones + shade + texels * 4 // 3
 
-    def draw(self, ctx: moderngl.Context, array: moderngl.VertexArray, samples: int) -> None:
-        """All parts into the bound framebuffer of so many samples; cut-outs end by alpha to coverage where it has some.
+    def place(self, place: Placement, origin: NDArray[np.float64]) -> None:
+        """Write the bones about ``origin`` [3], in the world."""
+        assert place.bones is not None
+        self._placed = place.size * (place.turn @ place.bones)
+        self._placed[:, :, 3] += place.offset - origin
+        self._bones.write(self._placed.astype(np.float32))
 
-        ``array`` is this mesh's, with a program that includes cutout.glsl; the bone texture is written already.
+    def shade(self, factors: NDArray[np.float32] | None) -> None:
+        """Multiply the linear colours of the mesh's vertices by ``factors`` [N, 3] from now on; None: not at all."""
+        self.shaded = factors is not None
+        if factors is not None:
+            values = np.ascontiguousarray(factors[self._indices])
+            if self._shade is None:
+                self._shade = self._ctx.buffer(reserve=values.nbytes, dynamic=True)
+                self._owned.callback(self._shade.release)
+            self._shade.write(values)
+
+    def depths(self, camera: Camera, origin: NDArray[np.float64]) -> tuple[float, float]:
+        """Return the least and largest camera z in metres that the placed mesh may have; the first may be negative.
+
+        A vertex is a mean of where its joints move it, so it lies within the balls around the posed joints.
         """
-        self.bones.use(UNITS["bones"])
+        bones = self._placed
+        places = np.einsum("jik,jk->ji", bones[:, :, :3], self._rest) + bones[:, :, 3] + origin
+        depth = places @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+        size = self._reach * np.linalg.norm(bones[:, :, :3], ord=2, axis=(1, 2))
+        used = self._reach >= 0
+        return float((depth - size)[used].min()), float((depth + size)[used].max())
+
+    def draw(self, programs: Programs, variant: MeshVariant, samples: int) -> None:
+        """Draw all parts into the bound framebuffer of ``samples`` a pixel, which soften the edges of cut-outs."""
+        array = self._array(programs, replace(variant, shaded=int(self.shaded)))
+        self._bones.use(UNITS["bones"])
         switches = (_ALPHA_TO_COVERAGE, _ALPHA_TO_ONE) if samples > 1 else ()
         for switch in switches:
-            ctx.enable_direct(switch)
+            self._ctx.enable_direct(switch)
         try:
-            for (first, count), texture, cutout in zip(self.ranges, self.textures, self.cutouts, strict=True):
+            for (first, count), texture, cutout in zip(self._ranges, self._textures, self._cutouts, strict=True):
                 texture.use(UNITS["skin_texture"])
                 array.program["lowest"] = (0.5 / samples) * cutout
                 array.render(moderngl.TRIANGLES, vertices=count, first=first)
         finally:
             for switch in switches:
-                ctx.disable_direct(switch)
-
-    @property
-    def nbytes(self) -> int:
-        """GPU bytes, mip maps included."""
-        texels = sum(t.width * t.height * 4 for t in self.textures)
-        return self.vertices.size + self.faces.size + self.bones.width * self.bones.height * 16 + texels * 4 // 3
+                self._ctx.disable_direct(switch)
 
     def release(self) -> None:
-        """Delete buffers and textures."""
+        """Delete vertex arrays, buffers and textures."""
+        for array in self._arrays.values():
+            array.release()
+        self._arrays.clear()
         self._owned.close()
 
+    def _array(self, programs: Programs, variant: MeshVariant) -> moderngl.VertexArray:
+        if variant not in self._arrays:
+            content: list[tuple[object, ...]] = [(self._vertices, _ATTRIBUTES, *_NAMES)]
+            if variant.shaded:
+                content.append((self._shade, "3f", "shade"))
+            program = programs.draw("mesh", "mesh", variant)
+            self._arrays[variant] = self._ctx.vertex_array(program, content, index_buffer=self._faces)
+        return self._arrays[variant]
 
-def corners(part: MeshPart) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
-    """Vertices split where the texture has a seam: index [M] in the mesh, uv [M, 2], triangles [F, 3] of those."""
+
+def fitted(camera: Camera, least: float, largest: float) -> Camera:
+    """Return the camera with near and far drawn in to these depths in metres."""
+    near, far = max(camera.near, least * 0.99), min(camera.far, largest * 1.01)
+    return replace(camera, near=near, far=max(far, near * 1.001))
+
+
+def reach_of(mesh: RiggedMesh, skin: Skin) -> NDArray[np.float64]:
+    """Return metres [J] from each joint to the farthest vertex that it moves, at rest; -1 if it moves none."""
+    reach = np.full(len(mesh.skeleton), -1.0)
+    for ids, weights in zip(skin.joints.T, skin.weights.T, strict=True):
+        distance = np.linalg.norm(mesh.vertices - mesh.skeleton.joints[ids], axis=1)
+        np.maximum.at(reach, ids, np.where(weights > 0, distance, -1.0))
+    return reach
+
+
+def split_vertices(part: MeshPart) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
+    """Split vertices where the texture has a seam: return indices [M] in the mesh, uv [M, 2], triangles [F, 3]."""
     uv = np.ascontiguousarray(part.uv.reshape(-1, 2), np.float32)
     keys = np.concatenate([part.faces.reshape(-1, 1).astype(np.int32), uv.view(np.int32)], axis=1)
     unique, inverse = np.unique(keys, axis=0, return_inverse=True)

@@ -241,7 +241,7 @@ class Renderer:
     def __del__(self) -> None:
         if not getattr(self, "_released", True):
             splats = self._staged.splats if self._staged else 0
-            label = f"a Renderer ({splats} splats, {self.size[0]}x{self.size[1]})"
+            label = f"a {type(self).__name__} ({splats} splats, {self.size[0]}x{self.size[1]})"
             release_later(label, self.context.owner, self._forget, self._owns_context)
 
     def _load(self, scene: Scene) -> None:

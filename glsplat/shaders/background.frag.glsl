@@ -1,7 +1,7 @@
 // What lies behind the splats: the views' backgrounds where a plain clear cannot tell them apart, and meshes.
 #include "frame.glsl"
 #if OCCLUDED || SAMPLED
-#include "ground.glsl"
+#include "mesh_layer.glsl"
 #endif
 
 flat in int layer;

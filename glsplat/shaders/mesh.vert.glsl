@@ -1,15 +1,22 @@
-// A textured mesh alone.
+// Meshes of a scene, before any splat.
 #include "surface.glsl"
+
+out vec2 surface_uv;
+centroid out float surface_z;  // camera z in metres
 #if SHADED
-in vec3 shade;
+in vec3 shade;  // factors in linear light
 out vec3 surface_shade;
 #endif
 
-out vec2 surface_uv;
-
 void main() {
-    gl_Position = clip_place(camera_point());
+    vec3 c = camera_point();
+#if LOGARITHMIC
+    gl_Position = vec4(image_place(c), c.z - 2.0 * frame.views[0].range.x, c.z);  // cut at the near plane alone
+#else
+    gl_Position = clip_place(c);
+#endif
     surface_uv = uv;
+    surface_z = c.z;
 #if SHADED
     surface_shade = shade;
 #endif

@@ -17,7 +17,7 @@ UNITS = {
     "colours": 1,  # arena: SH (sh.glsl)
     "surfaces": 2,  # arena: normals and shades (light.glsl)
     "bones": 2,  # bone texture of an avatar or a mesh (skin.glsl)
-    "mesh_z": 3,  # meshes of a scene, a texture a view (ground.glsl)
+    "mesh_z": 3,  # meshes of a scene, a texture a view (mesh_layer.glsl)
     "mesh_z_2": 6,
     "mesh_colour": 4,
     "mesh_colour_2": 7,
@@ -31,7 +31,6 @@ UNITS = {
     "step_texture": 1,  # of a step (resolve.frag.glsl)
     "depth_sum": 1,  # beside the float layers (eyes.frag.glsl)
     "text": 1,  # over a window (present.frag.glsl)
-    "large": 5,  # the larger picture of a mesh (mesh_resolve.frag.glsl)
 }
 """Sampler -> texture unit. Two samplers share a unit only if no program has both."""
 

@@ -3,7 +3,7 @@
 #include "frame.glsl"
 #endif
 #if OCCLUDED
-#include "ground.glsl"
+#include "mesh_layer.glsl"
 flat in int splat_layer;
 #endif
 flat in vec4 splat_colour;

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from tests.api.current_context import GL, asked, nothing_current
@@ -56,7 +56,7 @@ def test_another_thread_is_told_so(kind: object) -> None:
     renderer = kind.make()  # type: ignore[attr-defined]
     picture = kind.draw(renderer)  # type: ignore[attr-defined]
     calls = [lambda: renderer.render(VIEWS), renderer.release, renderer.context.release]
-    if isinstance(renderer, Renderer):
+    if type(renderer) is Renderer:
         calls += [
             lambda: renderer.draw(VIEWS),
             lambda: renderer.load(cloud()),
@@ -117,7 +117,10 @@ def test_one_worker_thread_draws_for_many_threads_and_asyncio() -> None:
 @pytest.mark.check
 def test_what_was_dropped_is_freed_and_named() -> None:
     kind = KINDS[0]
-    for make, name in ((kind.make, "a Renderer .500 splats, 64x64."), (KINDS[-1].make, "a MeshRenderer .64x64.")):
+    for make, name in (
+        (kind.make, "a Renderer .500 splats, 64x64."),
+        (KINDS[-1].make, "a MeshTruth .0 splats, 128x128."),
+    ):
         with pytest.warns(ResourceWarning, match=name + " was never released"):
             make()
         gc.collect()
@@ -252,7 +255,7 @@ def test_mesh_and_splats_release_twice() -> None:
         renderer = kind.make()
         renderer.release()
         renderer.release()
-        assert isinstance(renderer, Renderer | MeshRenderer)
+        assert isinstance(renderer, Renderer | MeshTruth)
         with pytest.raises(GlsplatError, match="this renderer was released"):
             renderer.render(VIEWS)
     context = create_context()

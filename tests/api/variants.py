@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig, with_fields
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer
@@ -50,10 +50,10 @@ def coned(count: int = 600) -> Splats:
 class Kind:
     """One kind of renderer and the picture it makes."""
 
-    def __init__(self, name: str, make: Callable[..., Renderer | MeshRenderer], pose: Pose | None, *views: Camera):
+    def __init__(self, name: str, make: Callable[..., Renderer | MeshTruth], pose: Pose | None, *views: Camera):
         self.name, self.make, self.pose, self.views = name, make, pose, views or VIEWS
 
-    def draw(self, renderer: Renderer | MeshRenderer) -> NDArray[Any]:
+    def draw(self, renderer: Renderer | MeshTruth) -> NDArray[Any]:
         return renderer.render(self.views, self.pose)
 
 
@@ -70,8 +70,8 @@ def splats(name: str, scene: Any, *views: Camera, pose: Pose | None = None, **co
 
 
 def mesh(name: str, **config: Any) -> Kind:
-    def make(context: Context | None = None) -> MeshRenderer:
-        return MeshRenderer(sheet(), size=(SIZE, SIZE), config=MeshConfig(**config), context=context)
+    def make(context: Context | None = None) -> MeshTruth:
+        return MeshTruth(sheet(), size=(SIZE, SIZE), **config, context=context)
 
     return Kind(name, make, None)
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer
@@ -70,8 +70,7 @@ def head_on(size: int = 64, **more: object) -> Camera:
 
 def truth_of(context: Context, mesh: RiggedMesh, cameras: list[Camera], pose: Pose) -> NDArray[np.float32]:
     size = cameras[0].width, cameras[0].height
-    config = MeshConfig(supersample=1, output="float32")
-    with MeshRenderer(mesh, size=size, config=config, context=context) as renderer:
+    with MeshTruth(mesh, size=size, supersample=1, output="float32", context=context) as renderer:
         return renderer.render(cameras, pose)
 
 

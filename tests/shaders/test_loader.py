@@ -155,7 +155,7 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
     for skin in SKINS:
         programs.feedback("skin", skin, posed)
     for mesh in MESHES:
-        programs.draw("ground", "ground", mesh)
+        programs.draw("mesh", "mesh", mesh)
     for resolve in RESOLVES:
         for step in ({}, {"step.glsl": Watermark(1, 2, b"sixteen bytes 01").source}):
             program = programs.draw("screen", "resolve", resolve, step)

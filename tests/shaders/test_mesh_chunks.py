@@ -102,7 +102,7 @@ def test_ground(gl: Context, rng: np.random.Generator, views: int) -> None:
     textures = {name: rng.random((6, 7, 4)).astype(np.float32) for name in names}
     place = np.stack([rng.integers(0, 7, 100), rng.integers(0, 6, 100), rng.integers(0, views, 100)], axis=1)
     text = """
-    #include "ground.glsl"
+    #include "mesh_layer.glsl"
     in uvec3 place; out float z; out vec4 colour; out vec4 samples;
     void main() {
         ivec2 pixel = ivec2(place.xy);

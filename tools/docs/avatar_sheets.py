@@ -23,7 +23,7 @@ from glsplat.config import RenderConfig
 from glsplat.data import person
 from glsplat.extras.evaluate.avatar_poses import SCORE_POSES, score_pose
 from glsplat.extras.evaluate.avatar_score import score
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.meshes import RiggedMesh
 from tools.data.persons import PEOPLE, furnished
@@ -62,7 +62,7 @@ def sheet(avatar: Avatar, mesh: RiggedMesh, views: int = 4) -> U8:
     """A row a pose; for each view the avatar, the mesh and four times their difference."""
     size = (SIDE, SIDE)
     rows: list[list[U8]] = []
-    with MeshRenderer(mesh, size=size, config=MeshConfig(output="float32")) as truth:
+    with MeshTruth(mesh, size=size, output="float32") as truth:
         exact = RenderConfig(output="float32", cull_hidden=False)
         with Renderer(avatar, size=size, config=exact, context=truth.context) as renderer:
             for one in score(renderer, truth, avatar, mesh, list(SCORE_POSES), views):
@@ -79,7 +79,7 @@ def close(avatar: Avatar, mesh: RiggedMesh) -> U8:
     size = (SIDE, SIDE)
     tiles = []
     with ExitStack() as opened:
-        truth = opened.enter_context(MeshRenderer(mesh, size=size, config=MeshConfig(output="float32")))
+        truth = opened.enter_context(MeshTruth(mesh, size=size, output="float32"))
         pair = [
             opened.enter_context(Renderer(avatar, size=size, config=config, context=truth.context))
             for config in (RenderConfig(output="float32", antialias=one) for one in (False, True))
@@ -89,7 +89,7 @@ def close(avatar: Avatar, mesh: RiggedMesh) -> U8:
             bones = pose.bones(mesh.skeleton)[mesh.skeleton.names.index(joint)]
             target = bones[:3, :3] @ mesh.skeleton.joints[mesh.skeleton.names.index(joint)] + bones[:3, 3]
             view = Camera(look_at(target + beside, target), pinhole(*size, fov), *size, background=(GREY,) * 3)
-            drawers: list[Renderer | MeshRenderer] = [*pair, truth]
+            drawers: list[Renderer | MeshTruth] = [*pair, truth]
             tiles += [tile(drawer.render([view], pose)[0, ..., :3]) for drawer in drawers]
     return np.concatenate([np.concatenate(tiles[i : i + 6], axis=1) for i in (0, 6)])
 

@@ -14,7 +14,7 @@ from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.authoring.reconstruct.video import VideoResult, from_pictures
 from glsplat.extras.evaluate.avatar_poses import SCORE_POSES, score_pose
-from glsplat.extras.evaluate.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.turntable import Turntable, turntable
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
@@ -88,7 +88,7 @@ def filmed(name: str, frames: int = FRAMES, scale: float = 1.0, **words: Any) ->
 def drawn(thing: RiggedMesh | Avatar, cameras: dict[tuple[str, str], Camera]) -> Iterator[np.ndarray]:
     """RGBA [H, W, 4] in [0, 1] of every pose and view."""
     opened: Any = (
-        MeshRenderer(thing, size=(SIZE, SIZE), config=MeshConfig(output="float32"))
+        MeshTruth(thing, size=(SIZE, SIZE), output="float32")
         if isinstance(thing, RiggedMesh)
         else Renderer(thing, size=(SIZE, SIZE), views=1)
     )

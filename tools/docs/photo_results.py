@@ -25,7 +25,7 @@ from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import l1, psnr
 from glsplat.extras.evaluate.metrics.structure import ssim
@@ -84,7 +84,7 @@ def result_of(name: str, avatar: Avatar) -> Result:
     with Renderer(avatar, size=(SIZE, SIZE), views=len(cameras)) as renderer:
         drawn = renderer.render(list(cameras.values()), pose)[..., :3] / 255.0
     shade = shade_of(person.mesh, vertices, CaptureLight.of_note(person.light))
-    with MeshRenderer(person.mesh, size=(SIZE, SIZE)) as renderer:
+    with MeshTruth(person.mesh, size=(SIZE, SIZE)) as renderer:
         truth = renderer.render(list(cameras.values()), pose, shade=shade)[..., :3] / 255.0
     by_view = [dict(zip(cameras, pictures, strict=True)) for pictures in (truth, drawn)]
     return Result(name, person.picture / 255.0, *by_view)

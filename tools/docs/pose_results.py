@@ -21,7 +21,7 @@ from glsplat.extras.authoring.raster import visible_faces
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import l1, psnr
 from glsplat.extras.evaluate.metrics.structure import ssim
@@ -53,7 +53,7 @@ def photographed(person: Capture, pose: str, taken: Pose) -> np.ndarray:
     camera = person.camera
     vertices = person.mesh.posed(taken)
     shade = shade_of(person.mesh, vertices, CaptureLight.of_note(person.light))
-    with MeshRenderer(person.mesh, size=(camera.width, camera.height)) as renderer:
+    with MeshTruth(person.mesh, size=(camera.width, camera.height)) as renderer:
         drawn = renderer.render([camera], taken, shade=shade)[0]
     room, solid = person.room(), visible_faces(person.mesh, vertices, camera)[0] >= 0
     soft = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), 0.7)[..., None]
@@ -126,7 +126,7 @@ def measured(name: str, pose: str, distance: Callable[[np.ndarray, np.ndarray], 
     with Renderer(avatar, size=(SIZE, SIZE), views=len(cameras)) as renderer:
         drawn = renderer.render(cameras, still)[..., :3] / 255.0
     shade = shade_of(person.mesh, vertices, CaptureLight.of_note(person.light))
-    with MeshRenderer(person.mesh, size=(SIZE, SIZE)) as renderer:
+    with MeshTruth(person.mesh, size=(SIZE, SIZE)) as renderer:
         truth = renderer.render(cameras, still, shade=shade)[..., :3] / 255.0
     pairs = list(zip(drawn, truth, strict=True))
     measures = {"l1": l1, "psnr": psnr, "ssim": ssim, "lpips": distance}

@@ -27,7 +27,7 @@ from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruc
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.turntable import turntable
 from glsplat.light import Light
@@ -75,7 +75,7 @@ def measure(participant: Participant, out: Path) -> dict[str, Any]:
     wanted = Light.hemisphere(light.sky, light.ground, from_world @ LAMP, np.multiply(COLOUR, np.pi))
     scene, net, sheet = Scene([Item(made.avatar)]), Lpips("alex"), []
     with (
-        MeshRenderer(participant.mesh, size=SIZE, config=MeshConfig(supersample=2)) as truth,
+        MeshTruth(participant.mesh, size=SIZE, supersample=2) as truth,
         Renderer(scene, size=SIZE) as renderer,
     ):
         for turn, near in ((0, 1.0), (30, 1.0), (-30, 1.0), (0, HEAD)):

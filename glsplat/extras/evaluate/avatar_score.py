@@ -12,7 +12,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
 from glsplat.extras.evaluate.avatar_poses import score_pose
-from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.metrics.pixels import Box, decibel, psnr
 from glsplat.extras.evaluate.metrics.structure import ssim
 from glsplat.meshes import RiggedMesh
@@ -48,7 +48,7 @@ class AvatarScore:
 
 def score(
     renderer: Renderer,
-    truth: MeshRenderer,
+    truth: MeshTruth,
     avatar: Avatar,
     mesh: RiggedMesh,
     names: list[str],

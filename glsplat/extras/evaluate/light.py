@@ -1,7 +1,7 @@
 """Light: how much of it reaches the vertices of a posed mesh, so that ground truth can be as lit as a photograph.
 
 Sky and ground from all around, one far lamp with wrapped Lambert falloff and a soft shadow; no highlights. The factors
-are for ``MeshRenderer.render(..., shade=...)``.
+are for ``MeshTruth.render(..., shade=...)``.
 """
 
 from __future__ import annotations

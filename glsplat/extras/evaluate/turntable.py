@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
@@ -63,8 +63,7 @@ def turntable(
     names = mesh.skeleton.names
     pelvis = names.index("pelvis")
     light = CaptureLight.of_note({"direction_to": towards, "colour": colour})
-    config = MeshConfig(supersample=1, output="float32")  # frames are large enough
-    with MeshRenderer(mesh, size=(camera.width, camera.height), config=config) as renderer:
+    with MeshTruth(mesh, size=(camera.width, camera.height), supersample=1, output="float32") as renderer:
         for index, turn in enumerate(degrees):
             now = pose.rotations + sway[index]
             about = cv2.Rodrigues(np.array([0.0, np.radians(turn), 0.0]))[0]
@@ -77,7 +76,7 @@ def turntable(
                 ".jpg", before.clip(0, 255).astype(np.uint8)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
             )[1]
             rgb = np.ascontiguousarray(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
-            yield Turntable(rgb, alpha[..., 0] > 0.5, posed, float(turn))
+            yield Turntable(rgb, alpha[..., 0] >= 0.5, posed, float(turn))
 
 
 def _drift(rng: np.random.Generator, frames: int, shape: tuple[int, ...]) -> F64:

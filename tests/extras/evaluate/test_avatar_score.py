@@ -12,7 +12,7 @@ import apps.cli as cli
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.extras.evaluate.avatar_score import DISTANCE, FILL, camera_around, compare, score
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.renderer import Renderer
 
@@ -53,7 +53,7 @@ def test_default_avatar_looks_like_its_mesh(shared_data: Path, context):
     mesh, avatar = read_person(shared_data / "people" / "char_c_registry.npz"), default_avatar()
     with (
         context.ctx,
-        MeshRenderer(mesh, size=(512, 512), config=MeshConfig(output="float32"), context=context) as truth,
+        MeshTruth(mesh, size=(512, 512), output="float32", context=context) as truth,
         Renderer(
             avatar, size=(512, 512), config=RenderConfig(output="float32", antialias=True), context=context
         ) as renderer,

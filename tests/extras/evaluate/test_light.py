@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh, standing, vertex_normals
 from glsplat.pictures import to_linear, to_srgb
@@ -66,8 +66,7 @@ def test_shade_multiplies_linear_light(context: Context) -> None:
     mesh = sheets([[-1, -1, 0], [2, 0, 0], [0, 2, 0]])
     camera = Camera(look_at((0, 0, 3), (0, 0, 0)), pinhole(48, 48, 60.0), 48, 48)
     factors = np.tile([0.5, 1.0, 2.5], (81, 1))
-    config = MeshConfig(output="float32")
-    with context, MeshRenderer(mesh, size=(48, 48), config=config, context=context) as renderer:
+    with context, MeshTruth(mesh, size=(48, 48), output="float32", context=context) as renderer:
         plain = renderer.render([camera])
         lit = renderer.render([camera], shade=factors)
         assert np.array_equal(renderer.render([camera]), plain)  # what is not lit is as it was
@@ -89,8 +88,7 @@ def test_shade_follows_vertices_through_seams(context: Context) -> None:
     mesh = RiggedMesh(mesh.vertices, mesh.skeleton, mesh.joints, mesh.weights, (white,))
     head = mesh.skeleton.joints[list(mesh.skeleton.names).index("head")]
     camera = Camera(look_at(head + (0, 0, 1), head), pinhole(32, 32, 5.0), 32, 32)
-    config = MeshConfig(output="float32")
-    with context, MeshRenderer(mesh, size=(32, 32), config=config, context=context) as renderer:
+    with context, MeshTruth(mesh, size=(32, 32), output="float32", context=context) as renderer:
         seen = renderer.render([camera], shade=factors)[0, ..., :3]
     level = to_srgb(factors[8 * list(mesh.skeleton.names).index("head")])
     assert np.abs(seen - level).max() <= 1.5 / 255
@@ -102,8 +100,7 @@ def test_a_capture(context: Context) -> None:
     person = capture("p02")
     pose, size = Pose(person.pose, person.trans), (256, 384)
     shade = shade_of(person.mesh, person.mesh.posed(pose), CaptureLight.of_note(person.light))
-    config = MeshConfig(output="float32")
-    with context, MeshRenderer(person.mesh, size=size, config=config, context=context) as renderer:
+    with context, MeshTruth(person.mesh, size=size, output="float32", context=context) as renderer:
         camera = person.camera.resized(*size)
         unlit, lit = renderer.render([camera], pose)[0], renderer.render([camera], pose, shade=shade)[0]
     photograph = cv2.resize(person.picture / 255.0, size, interpolation=cv2.INTER_AREA)

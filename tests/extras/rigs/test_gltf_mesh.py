@@ -15,7 +15,7 @@ import trimesh
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import participants_folder
 from glsplat.errors import FormatError
-from glsplat.extras.evaluate.mesh import MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
@@ -158,6 +158,6 @@ def test_participants_look_the_same(tmp_path: Path) -> None:
     camera = Camera(look_at((0, 0.9, 2.6), (0, 0.9, 0)), pinhole(256, 256, fov=45), 256, 256)
     pictures = []
     for mesh in (person, again):
-        with MeshRenderer(mesh, size=(256, 256)) as renderer:
+        with MeshTruth(mesh, size=(256, 256)) as renderer:
             pictures.append(renderer.render([camera], Pose.zero())[0].astype(int))
     assert pictures[0][..., 3].max() == 255 and np.abs(pictures[0] - pictures[1]).max() <= 2

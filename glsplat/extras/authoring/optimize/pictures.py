@@ -19,7 +19,7 @@ from glsplat.extras.authoring.posed import PosedSplats, drawable, placed, posed_
 from glsplat.extras.authoring.raster import mesh_picture
 from glsplat.extras.authoring.refine import random_pose
 from glsplat.extras.authoring.visibility import EYES, GAZE_LIDS, HEAD
-from glsplat.extras.evaluate.mesh.renderer import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import Context, create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -33,7 +33,6 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 Report = Callable[[str, float], None]
 
-_SAMPLED = MeshConfig(samples=1, supersample=3, anisotropy=1.0)  # points of the texture, as raster.py takes them
 _RIM = 8  # pixels about what a picture shows, where splats must not be
 _HEAD_FROM = (  # degrees around and up
     *((-90, 0), (-50, 10), (-20, -8), (0, 5), (20, 15), (50, -5), (90, 5)),
@@ -200,13 +199,15 @@ def _drawn_mesh(mesh: RiggedMesh, views: list[TargetView], context: Context | No
                 pose = view.pose or Pose.zero(len(mesh.skeleton))
                 yield _eight_bits(mesh_picture(mesh, mesh.posed(pose), view.camera, 2))
             return
-    renderers: dict[tuple[int, int], MeshRenderer] = {}
+    renderers: dict[tuple[int, int], MeshTruth] = {}
     try:
         for view in views:
             size, face = view.camera.width, id(view.pose) if view.pose and view.pose.expression else 0
             if (size, face) not in renderers:
                 shown = mesh if view.pose is None or not face else _expressed(mesh, view.pose)
-                renderers[size, face] = MeshRenderer(shown, size=(size, size), config=_SAMPLED, context=context)
+                renderers[size, face] = MeshTruth(  # points of the texture, as raster.py takes them
+                    shown, size=(size, size), samples=1, supersample=3, anisotropy=1, context=context
+                )
             yield renderers[size, face].render([view.camera], view.pose)[0]
     finally:
         for renderer in renderers.values():

@@ -17,7 +17,7 @@ from glsplat.extras.evaluate.comparison.parts import labelled_mesh, labels_of, r
 from glsplat.extras.evaluate.comparison.performance import Performance
 from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
@@ -62,10 +62,10 @@ class Stage:
         with ExitStack() as stack:
             self._context = create_context()
             stack.callback(self._context.release)
-            self._truth = MeshRenderer(mesh, size=self._size, context=self._context)
+            self._truth = MeshTruth(mesh, size=self._size, context=self._context)
             stack.callback(self._truth.release)
-            plain = MeshConfig(samples=1, supersample=1)
-            self._parts = MeshRenderer(labelled_mesh(mesh), size=self._size, config=plain, context=self._context)
+            parts = labelled_mesh(mesh)
+            self._parts = MeshTruth(parts, size=self._size, samples=1, supersample=1, context=self._context)
             stack.callback(self._parts.release)
             self._stack = stack.pop_all()
 

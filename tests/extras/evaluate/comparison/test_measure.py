@@ -15,7 +15,7 @@ from glsplat.extras.evaluate.comparison.parts import PARTS, labelled_mesh, label
 from glsplat.extras.evaluate.comparison.performance import perform
 from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes
 from glsplat.extras.evaluate.comparison.stage import Stage, StageTruth
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import Context
 
 PROTOCOL = Protocol(tasks=("waving",), views=("left",), size=128, light="none")
@@ -89,9 +89,8 @@ def test_every_pixel_of_a_person_has_a_part_and_parts_are_where_they_are(
     mesh = people[1].mesh
     done = perform(mesh, ("standing",))
     protocol = Protocol(size=256)
-    plain = MeshConfig(samples=1, supersample=1)
     points = mesh.posed(done.pose(0))
-    with MeshRenderer(labelled_mesh(mesh), size=(256, 256), config=plain, context=context) as renderer:
+    with MeshTruth(labelled_mesh(mesh), size=(256, 256), samples=1, supersample=1, context=context) as renderer:
         pictures = {view: renderer.render(eyes(points, view, protocol), done.pose(0))[0] for view in protocol.views}
     labels = {view: labels_of(picture) for view, picture in pictures.items()}
     for view, label in labels.items():

@@ -1,4 +1,4 @@
-"""The mesh renderer against analytic pictures, against splats at the same place, and against itself."""
+"""Pictures of meshes against analytic ones, against splats at the same place, and against themselves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.extras.evaluate.mesh import MeshConfig, MeshRenderer
+from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -25,19 +25,19 @@ from glsplat.splats import Splats
 pytestmark = pytest.mark.gl
 
 F64 = NDArray[np.float64]
-Make = Callable[..., MeshRenderer]
+Make = Callable[..., MeshTruth]
 
 
 @pytest.fixture
 def mesh_renderer(context: Context) -> Iterator[Make]:
     """Makes mesh renderers on the shared context and releases them after the test."""
-    made: list[MeshRenderer] = []
+    made: list[MeshTruth] = []
 
-    def make(mesh: RiggedMesh, size: tuple[int, int] = (96, 96), **config: Any) -> MeshRenderer:
+    def make(mesh: RiggedMesh, size: tuple[int, int] = (96, 96), **config: Any) -> MeshTruth:
         config.setdefault("output", "float32")
         if config.get("samples", 1) > max(context.ctx.max_samples, 1):
             pytest.skip("this driver has one sample a pixel")
-        made.append(MeshRenderer(mesh, size=size, config=MeshConfig(**config), context=context))
+        made.append(MeshTruth(mesh, size=size, context=context, **config))
         return made[-1]
 
     with context.ctx:
@@ -229,12 +229,13 @@ def test_refusals(mesh_renderer: Make, context: Context) -> None:
         renderer.render([camera.resized(10, 10)])
     with pytest.raises(PoseError, match="2 joints, the mesh 1"):
         renderer.render([camera], Pose.zero(2))
-    for changes, message in (({"samples": 3}, "1 or 4"), ({"supersample": 0}, "1 to 8"), ({"output": "x"}, "float32")):
+    wrong = ({"samples": 3}, "one of 1, 4"), ({"supersample": 0}, "1 to 8"), ({"output": "x"}, "float32")
+    for changes, message in wrong:
         with pytest.raises(GlsplatError, match=message):
-            MeshConfig(**changes)
-    for size in ((0, 5), (5, context.max_size)):
-        with pytest.raises(ContextError, match="size needs 1 to"):
-            MeshRenderer(mesh, size=size, context=context)
+            MeshTruth(mesh, size=(8, 8), context=context, **changes)
+    for size, error in (((0, 5), GlsplatError), ((5, context.max_size), ContextError)):
+        with pytest.raises(error, match="size needs"):
+            MeshTruth(mesh, size=size, context=context)
     renderer.release()
     renderer.release()
 

@@ -1,0 +1,90 @@
+"""MeshTruth: pictures of a textured mesh that avatars made from it are measured against."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from glsplat.arrays import count, own
+from glsplat.camera import Camera
+from glsplat.config import DebugConfig, Output, RenderConfig
+from glsplat.errors import GlsplatError
+from glsplat.gl.context import Context
+from glsplat.meshes import RiggedMesh
+from glsplat.renderer import Renderer
+from glsplat.renderer.checks import Views, checked_pose, checked_views
+from glsplat.scene import Item
+from glsplat.skinning.pose import Pose
+
+__all__ = ["MeshTruth"]
+
+
+class MeshTruth(Renderer):
+    """Draws one mesh in larger pictures and box-filters them: ``samples * supersample ** 2`` points a pixel.
+
+    Made, used and released as a Renderer.
+    """
+
+    def __init__(
+        self,
+        mesh: RiggedMesh,
+        *,
+        size: tuple[int, int] = (1024, 1024),  # width, height of the pictures
+        supersample: int = 2,  # larger by this factor, 1 to 8
+        samples: Literal[1, 4] = 4,  # of the renderer; 1 where the driver has no more
+        anisotropy: Literal[1, 2, 4, 8, 16] = 16,  # at most what the driver has
+        output: Output = "uint8",
+        context: Context | None = None,
+        timed: bool = False,
+    ) -> None:
+        factor = count(supersample, "supersample", GlsplatError)
+        if not 1 <= factor <= 8:
+            raise GlsplatError(f"supersample needs 1 to 8, not {factor}")
+        # as textures, colours have 8 bits: single samples keep them as they are, means of four need the float target
+        config = RenderConfig(
+            output="float32",
+            target="8" if samples == 1 else "32f",
+            debug=DebugConfig(mesh_samples=samples, mesh_anisotropy=anisotropy),
+        )
+        self.mesh, self.picture_size = mesh, size
+        self._output = RenderConfig(output=output).output
+        self._factor, self._item = factor, Item(mesh)
+        self._factors: NDArray[np.float32] | None = None
+        width, height = size
+        super().__init__(
+            self._item, size=(width * factor, height * factor), config=config, context=context, timed=timed
+        )
+
+    def render(  # type: ignore[override]
+        self,
+        views: Views,
+        pose: Pose | None = None,
+        *,
+        shade: ArrayLike | None = None,  # [N, 3] factors a vertex of the mesh, in linear light (evaluate/light.py)
+    ) -> NDArray[Any]:
+        """Return the images [V, H, W, 4], row 0 at the top: RGB over the background, and the covered share of a pixel.
+
+        uint8, or float32 in [0, 1]. Colours are those of the textures; with ``shade`` they are taken for sRGB and
+        multiplied in linear light. Raises PoseError for a pose that does not fit, GlsplatError for all else.
+        """
+        cameras = checked_views(views, self.picture_size)
+        self._item.pose = checked_pose(pose, len(self.mesh.skeleton), "mesh")
+        self._factors = None if shade is None else own(shade, np.float32, "shade", GlsplatError)
+        if self._factors is not None and not (
+            self._factors.shape == self.mesh.vertices.shape and np.isfinite(self._factors).all()
+        ):
+            raise GlsplatError(f"shade needs {self.mesh.vertices.shape} finite factors, not {self._factors.shape}")
+        (width, height), factor = self.picture_size, self._factor
+        out = np.empty((len(cameras), height, width, 4), np.float32)
+        for camera, image in zip(cameras, out, strict=True):  # one by one: large pictures take much memory
+            large = super().render([camera.resized(width * factor, height * factor)])
+            image[:] = cv2.resize(large[0], (width, height), interpolation=cv2.INTER_AREA)  # the mean, by whole factors
+        return out if self._output == "float32" else np.rint(255 * np.clip(out, 0, 1)).astype(np.uint8)
+
+    def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> None:
+        super()._update(cameras, pose)
+        self._scene.shade(self._item, self._factors)
