@@ -46,6 +46,7 @@ WITHIN = {
         ["guard"],
         ["messages"],
         ["backend", "reply", "session"],
+        ["worker"],
         ["backends", "catalogue", "flow", "options", "pose_queue"],
         ["client", "client_stream"],
         ["drawer"],

@@ -19,9 +19,10 @@ from glsplat.net.client_stream import ClientStream, Frame, VideoStream
 from glsplat.net.codec.encode import Encoded, Encoder
 from glsplat.net.fields import PictureOptions
 from glsplat.net.render_loop import RenderLoop
+from glsplat.net.worker.encoding import encode
 from glsplat.optional import extra_module, missing, plugin
 
-__all__ = ["LocalLoop", "encode"]
+__all__ = ["LocalLoop"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -154,11 +155,6 @@ class LocalLoop(RenderLoop):
         for threads in (self._encode_threads, self._video_threads):
             threads.shutdown(wait=False)
         self._encoder.close()
-
-
-def encode(encoder: Encoder, rendered: Rendered, options: PictureOptions) -> Encoded:
-    """The JPEGs of what was drawn, here or in a worker. On an encoding thread."""
-    return encoder.encode(rendered.images, options.quality, options.crop, rendered.covered, options.alpha)
 
 
 def _codecs() -> tuple[str, ...]:

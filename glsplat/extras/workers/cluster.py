@@ -25,9 +25,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.extras.workers.wire import WorkerLostError, greet
-from glsplat.extras.workers.work import GREETING, work
 from glsplat.net.backend import Backend
+from glsplat.net.worker.wire import WorkerLostError, greet
+from glsplat.net.worker.work import GREETING, work
 
 __all__ = ["RayCluster", "RayLauncher", "require_ray"]
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from glsplat.extras.workers.cluster import RayCluster
-from glsplat.extras.workers.local import ProcessLauncher
 from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.backend import Backend
+from glsplat.net.worker.process import ProcessLauncher
 
 __all__ = ["Workers"]
 

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
-from glsplat.extras.workers.launcher import WorkerLauncher
 from glsplat.extras.workers.placement import PlacedClient, better, choose
 from glsplat.extras.workers.remote_loop import RemoteLoop
 from glsplat.net.backend import AvatarInfo, PoseSolver
@@ -24,6 +23,7 @@ from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.session import Session
+from glsplat.net.worker.launcher import WorkerLauncher
 
 __all__ = ["WorkerPool"]
 

@@ -12,10 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from glsplat.errors import ContextError, FormatError, GlsplatError
-from glsplat.extras.workers.connection import WorkerConnection
-from glsplat.extras.workers.launcher import WorkerLauncher
 from glsplat.extras.workers.placement import PlacedClient, PlacedWorker
-from glsplat.extras.workers.wire import WorkerLostError
 from glsplat.net.backend import Rendered
 from glsplat.net.client_stream import ClientStream, Frame
 from glsplat.net.codec.encode import Encoded
@@ -23,6 +20,9 @@ from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.pace.fair_queue import FairQueue
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.render_loop import RenderLoop
+from glsplat.net.worker.connection import WorkerConnection
+from glsplat.net.worker.launcher import WorkerLauncher
+from glsplat.net.worker.wire import WorkerLostError
 
 __all__ = ["Others", "RemoteLoop"]
 

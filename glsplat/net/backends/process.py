@@ -24,7 +24,7 @@ import numpy as np
 
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
 from glsplat.net.backend import Backend, Interruptible, Placing, Rendered, RenderJob
-from glsplat.net.backends.slots import Slots, SlotWriter
+from glsplat.net.worker.slots import Slots, SlotWriter
 
 __all__ = ["ProcessBackend"]
 

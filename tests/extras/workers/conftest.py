@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from glsplat.extras.workers import connection, placement, pool
+from glsplat.extras.workers import placement, pool
 from glsplat.extras.workers import remote_loop as pump_module
+from glsplat.net.worker import connection
 from tests.extras.workers.fakes import patient
 
 

@@ -14,11 +14,12 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.extras.workers import connection, local
-from glsplat.extras.workers.local import ProcessLauncher
 from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.client import Client
 from glsplat.net.server import Server
+from glsplat.net.worker import connection
+from glsplat.net.worker import process as local
+from glsplat.net.worker.process import ProcessLauncher
 from tests.extras.workers.sleeper import STEP, Sleeper
 
 SIDE = 64

@@ -24,8 +24,8 @@ from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session
 from glsplat.net.standard_server import server_of
 from tests.net.attacks.pictures import costly
-from tests.net.backends.fakes import Boxed
 from tests.net.wire import HANG, native, still_serves, until
+from tests.net.worker.fakes import Boxed
 
 
 def visitor(address: str) -> aiohttp.ClientSession:

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from glsplat.errors import BudgetError, ContextError, FormatError, GlsplatError, PoseError
-from glsplat.extras.workers import wire
-from glsplat.extras.workers.wire import Drawn, Kind, Reader, WorkerLostError, Writer, greet, pack
 from glsplat.net.backend import RenderJob
 from glsplat.net.codec.depth import grid_of
 from glsplat.net.codec.encode import Encoded
 from glsplat.net.messages import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.worker import wire
+from glsplat.net.worker.wire import Drawn, Kind, Reader, WorkerLostError, Writer, greet, pack
 from glsplat.skinning.pose import Pose
 from tests.extras.workers.fakes import camera
 

@@ -16,10 +16,10 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
 from glsplat.errors import GlsplatError
-from glsplat.extras.workers.wire import Drawn, Kind, Reader, failure_of, greet, pack
 from glsplat.net.backend import Backend, Interruptible, Rendered, RenderJob
 from glsplat.net.codec.encode import Encoder
-from glsplat.net.local_loop import encode
+from glsplat.net.worker.encoding import encode
+from glsplat.net.worker.wire import Drawn, Kind, Reader, failure_of, greet, pack
 
 __all__ = ["GREETING", "work"]
 

@@ -15,13 +15,13 @@ from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.backend import Placing, RenderJob
-from glsplat.net.backends import slots
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
-from glsplat.net.backends.slots import Slots, SlotWriter
+from glsplat.net.worker import slots
+from glsplat.net.worker.slots import Slots, SlotWriter
 from glsplat.renderer import Renderer
-from tests.net.backends.fakes import Boxed
 from tests.net.running import opened
+from tests.net.worker.fakes import Boxed
 
 SIDE = 1200  # a pair takes 11 MiB, of which 8 are set aside at the start
 

@@ -14,12 +14,13 @@ import pytest
 from glsplat.camera import Camera
 from glsplat.errors import ContextError, ContextLostError, GlsplatError, PoseError, ProtocolError
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends import process, slots
+from glsplat.net.backends import process
 from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
-from tests.net.backends.fakes import Boxed
+from glsplat.net.worker import slots
 from tests.net.wire import until
+from tests.net.worker.fakes import Boxed
 
 
 def request(frame_id=1, x=10, y=20, grey=100, size=(64, 48), eyes=2):

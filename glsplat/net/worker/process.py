@@ -16,9 +16,9 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from glsplat.errors import ContextError
-from glsplat.extras.workers.wire import WorkerLostError, greet
-from glsplat.extras.workers.work import GREETING, work
 from glsplat.net.backend import Backend
+from glsplat.net.worker.wire import WorkerLostError, greet
+from glsplat.net.worker.work import GREETING, work
 
 __all__ = ["ProcessLauncher"]
 

@@ -15,7 +15,9 @@ from typing import Any
 import msgspec
 
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.extras.workers.wire import (
+from glsplat.net.backend import RenderJob
+from glsplat.net.codec.encode import Encoded
+from glsplat.net.worker.wire import (
     HEAD,
     MAX_ANSWER,
     Drawn,
@@ -27,8 +29,6 @@ from glsplat.extras.workers.wire import (
     read_encoded,
     read_failed,
 )
-from glsplat.net.backend import RenderJob
-from glsplat.net.codec.encode import Encoded
 
 __all__ = ["HANG", "WorkerConnection"]
 
