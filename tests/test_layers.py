@@ -51,7 +51,7 @@ WITHIN = {
         ["client", "client_stream"],
         ["drawer"],
         ["internal_client", "render_loop"],
-        ["feature", "local_loop"],
+        ["feature"],
         ["pages"],
         ["conversation"],
         ["server"],

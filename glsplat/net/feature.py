@@ -106,7 +106,7 @@ class Feature:
         return solver
 
     def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
-        """A client connects; may set its fields. Raises ProtocolError to refuse it."""
+        """A client connects; may call its methods, such as ``observe``. Raises ProtocolError to refuse it."""
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:
         """A client has left, or was refused; ``goodbye``: it closed its connection in order."""

@@ -17,7 +17,6 @@ from glsplat.extras.browser.web_format.write import web_file
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.avatar_store import AvatarStore, WithPeople
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
-from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
@@ -25,6 +24,8 @@ from glsplat.net.messages import PARTS
 from glsplat.net.options import NAME, ServerConfig
 from glsplat.net.server import Server
 from glsplat.net.standard_server import server_of
+from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.worker import Worker
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_driven, why_not_tracked
@@ -110,11 +111,11 @@ def make_server(
     draws = [partial(base, device=one, config=rendering, max_cost=budget[0], max_time=budget[1]) for one in devices]
     if file.motions:  # in one pickle with the scene, so that the items are the same
         draws = [partial(draw, pose_at=file.pose_at) for draw in draws]
-    backend: Backend | Drawer
+    backend: Backend | Worker | Drawer
     if workers is not None:
-        backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1])
+        backend = workers.pool([partial(draw, name=name) for draw in draws], config.fps, budget[1], config.video)
     else:
-        backend = ProcessBackend(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
+        backend = process_worker(draws[0], config.wire.max_side, budget[1]) if own_process else draws[0]()
     taken = {one.name for one in offers}
     later = partial(
         _people,

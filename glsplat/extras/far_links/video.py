@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
 from glsplat.io.machine import cores
-from glsplat.net.codec.encode import Box, Encoded
+from glsplat.net.codec.encoded import Box, Encoded
 from glsplat.net.codec.straight import straightened
 
 if TYPE_CHECKING:

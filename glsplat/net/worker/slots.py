@@ -1,92 +1,90 @@
-"""Slots: pictures in shared memory on their way from the process that draws to the one that encodes.
+"""Slots: shared memory for pictures, from the process that draws to the one that encodes.
 
-Only pages that were really set aside are ever touched: a page of a sparse file that cannot be had any more would end
-the process by SIGBUS, without a word.
+Only allocated pages are ever touched: a page of a sparse file on a full disk would end the process by SIGBUS.
 """
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import mmap
 import os
-import queue
 import shutil
 import tempfile
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.net.backend import Rendered
+from glsplat.net.worker.slot_writer import SLOTS, mapped
 
-__all__ = ["SHM", "SLOTS", "SlotWriter", "Slots"]
+__all__ = ["SHM", "Slots"]
 
-SLOTS = 3  # pictures: one being drawn, two being encoded
 SHM = "/dev/shm"
-_ORDINARY = 2 * 1024 * 1024 * 4  # bytes a slot that are set aside at the start: a pair of 1024x1024
-_CONTROL = mmap.PAGESIZE  # bytes in front of the slots
+_ORDINARY = 2 * 1024 * 1024 * 4  # bytes of a slot that are allocated at the start: a pair of 1024x1024
 
 
 class Slots:
-    """The side that hands slots out. Every one taken has to be given back, once."""
+    """The server's side, which hands slots out. Each has to be given back once."""
 
     def __init__(self, slot_bytes: int) -> None:
         self.slot_bytes: int = _pages(slot_bytes)
-        self.nbytes: int = _CONTROL + SLOTS * self.slot_bytes
+        self.nbytes: int = SLOTS * self.slot_bytes
         self._file, self.folder = self._make()
         self.path: str = self._file.name
-        memory = np.frombuffer(mmap.mmap(self._file.fileno(), self.nbytes), np.uint8)
-        self._abandoned = memory[:4].view(np.uint32)
-        self._slots = memory[_CONTROL:].reshape(SLOTS, -1)
-        self._ready = [min(_ORDINARY, self.slot_bytes)] * SLOTS  # bytes that are set aside
-        self._free: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._slots = mapped(self._file, self.nbytes)
+        self._allocated = [min(_ORDINARY, self.slot_bytes)] * SLOTS  # bytes
+        self._loop: asyncio.AbstractEventLoop
+        self._free: asyncio.Queue[int] = asyncio.Queue()
         for slot in range(SLOTS):
-            self._free.put(slot)
+            self._free.put_nowait(slot)
 
     @property
     def free(self) -> int:
-        """Slots that nobody has."""
+        """Number of slots that hold no picture."""
         return self._free.qsize()
 
-    def take(self, nbytes: int) -> int:
-        """Wait for a free slot and set ``nbytes`` of it aside. Raises GlsplatError where there is no room."""
-        slot = self._free.get()
-        ready = self._ready[slot]
-        if nbytes > ready:
+    async def take(self, shape: tuple[int, ...]) -> int:
+        """Wait for a free slot and allocate a picture of ``shape`` in it. Raises GlsplatError where it does not fit."""
+        nbytes = int(np.prod(shape))
+        if nbytes > self.slot_bytes:
+            raise GlsplatError(f"{shape[2]}x{shape[1]} pixels are more than the server was started for")
+        self._loop = asyncio.get_running_loop()
+        slot = await self._free.get()
+        allocated = self._allocated[slot]
+        if nbytes > allocated:
             try:
-                start = _CONTROL + slot * self.slot_bytes + ready
-                os.posix_fallocate(self._file.fileno(), start, _pages(nbytes) - ready)
+                start = slot * self.slot_bytes + allocated
+                os.posix_fallocate(self._file.fileno(), start, _pages(nbytes) - allocated)
             except OSError as error:
-                self._free.put(slot)
+                self._free.put_nowait(slot)
                 raise GlsplatError(
                     f"no room for a picture of {nbytes / 2**20:.1f} MiB: {_why(error, self.folder)}"
                 ) from None
-            self._ready[slot] = _pages(nbytes)
+            self._allocated[slot] = _pages(nbytes)
         return slot
 
     def give_back(self, slot: int) -> None:
-        """The slot's picture is not needed any more."""
-        self._free.put(slot)
+        """Free a slot whose picture is not needed any more. From any thread."""
+        with suppress(RuntimeError):  # the server has stopped
+            self._loop.call_soon_threadsafe(self._free.put_nowait, slot)
 
     def picture(self, slot: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """What lies in a slot."""
+        """Return the picture in a slot; no copy."""
         return self._slots[slot, : int(np.prod(shape))].reshape(shape)
 
-    def abandon(self, number: int) -> None:
-        """Tell the other side that nobody wants picture ``number``."""
-        self._abandoned[0] = number % 2**32
-
     def unlink(self) -> None:
-        """Remove the file's name, once both sides have it open; the pages live as long as they."""
+        """Remove the file's name, once both sides have it open; its pages live as long as they are mapped."""
         os.unlink(self.path)
 
     def close(self) -> None:
-        """Close the file. Pictures that are still held stay."""
+        """Close the file. Pictures that are still in use stay mapped."""
         self._file.close()
 
     def _make(self) -> tuple[Any, str]:
-        """A file with the control page and room for ordinary pictures, in memory where there is room."""
+        """Return a file with room for ordinary pictures, in memory where there is room, and its folder."""
         failures = []
         roomy = os.path.isdir(SHM) and shutil.disk_usage(SHM).free > self.nbytes  # containers often have 64 MB there
         for folder in dict.fromkeys([*([SHM] if roomy else []), tempfile.gettempdir()]):
@@ -94,10 +92,8 @@ class Slots:
             try:
                 file = tempfile.NamedTemporaryFile(prefix="glsplat-", dir=folder, delete=False)
                 file.truncate(self.nbytes)
-                os.posix_fallocate(file.fileno(), 0, _CONTROL)
                 for slot in range(SLOTS):
-                    start = _CONTROL + slot * self.slot_bytes
-                    os.posix_fallocate(file.fileno(), start, min(_ORDINARY, self.slot_bytes))
+                    os.posix_fallocate(file.fileno(), slot * self.slot_bytes, min(_ORDINARY, self.slot_bytes))
                 return file, folder
             except OSError as error:
                 failures.append(_why(error, folder))
@@ -105,44 +101,6 @@ class Slots:
                     file.close()
                     os.unlink(file.name)
         raise ContextError(f"no room for pictures in memory or on disk: {'; '.join(failures)}; free some space there")
-
-
-class SlotWriter:
-    """The side that draws. Of each picture only what is covered is written."""
-
-    def __init__(self, path: str, nbytes: int) -> None:
-        with open(path, "r+b") as file:
-            memory = np.frombuffer(mmap.mmap(file.fileno(), nbytes), np.uint8)
-        self._abandoned = memory[:4].view(np.uint32)
-        self._slots = memory[_CONTROL:].reshape(SLOTS, -1)
-        self._dirty: dict[int, NDArray[np.uint8]] = {}  # by slot: what its last picture covered
-
-    def abandoned(self, number: int) -> bool:
-        """True once nobody wants picture ``number``."""
-        return int(self._abandoned[0]) == number % 2**32
-
-    def place(self, slot: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Where the picture goes, for who can draw there."""
-        self._dirty[slot] = place = self._slots[slot, : int(np.prod(shape))].reshape(shape)
-        return place
-
-    def put(self, slot: int, rendered: Rendered, shape: tuple[int, ...]) -> None:
-        """Zero what the slot's last picture covered, copy what this one covers. ``shape`` is what was set aside.
-
-        Nothing of a picture that was drawn in place.
-        """
-        images = rendered.images
-        _, height, width, _ = images.shape
-        if images.shape != shape:
-            raise RuntimeError(f"pictures of shape {shape} were asked for, {images.shape} drawn")
-        if images is self._dirty.get(slot):
-            return
-        if slot in self._dirty:
-            self._dirty[slot].fill(0)
-        x, y, w, h = rendered.covered or (0, 0, width, height)
-        covered = self._slots[slot, : images.nbytes].reshape(images.shape)[:, y : y + h, x : x + w]
-        covered[...] = images[:, y : y + h, x : x + w]
-        self._dirty[slot] = covered
 
 
 def _pages(nbytes: int) -> int:
