@@ -199,9 +199,8 @@ def check(args: argparse.Namespace) -> None:
         raise UsageError(f"--fps needs 1 to 240 pictures a second, not {args.fps:g}")
     if args.bitrate is not None and not 0.1 <= args.bitrate <= 1e5:
         raise UsageError(f"--bitrate needs 0.1 to 100000 Mbit/s, not {args.bitrate:g}")
-    if args.video and (args.workers is not None or args.study is not None):
-        other = "--workers" if args.workers is not None else "--study"
-        raise UsageError(f"--video is coded where one process draws, and not in a study: leave it or {other} out")
+    if args.video and args.study is not None:
+        raise UsageError("--video is not for studies: leave it or --study out")
     for given, fits in ((args.webtransport, "--webtransport"), (args.bitrate is not None, "--bitrate")):
         if given and (args.fixed or args.study is not None):
             other = "--fixed" if args.fixed else "--study"
