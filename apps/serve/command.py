@@ -52,9 +52,8 @@ add_arguments = add_options
 def check(args: ServeOptions) -> None:
     """Raise UsageError for options that contradict each other."""
     check_rooms(args)
-    if args.video and (args.workers is not None or args.study is not None):
-        other = "--workers" if args.workers is not None else "the study"
-        raise UsageError(f"video is coded where one process draws, and not in a study: leave it or {other} out")
+    if args.video and args.study is not None:
+        raise UsageError("video is not for studies: leave it or the study out")
     for given, fits in ((args.webtransport, "webtransport"), (args.bitrate is not None, "bitrate")):
         if given and (args.fixed or args.study is not None):
             other = "fixed sends" if args.fixed else "a study sends"

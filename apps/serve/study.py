@@ -8,7 +8,6 @@ from typing import TextIO
 from glsplat.extras.study.design import read_study
 from glsplat.extras.study.plan import checked_plan, label
 from glsplat.extras.study.serving.lead import KEYS, StudyLead
-from glsplat.extras.study.serving.light import FULL
 from glsplat.extras.study.serving.live import Live
 
 from ..study.files import DEFAULT, avatar_files, data_of
@@ -59,8 +58,6 @@ def study_of(args: ServeOptions) -> Running:
     if args.scene is not None or args.avatar or args.room or args.allow_upload is not None:
         raise UsageError("a study says itself what is served: leave out SCENE, --avatar, --room and --allow-upload")
     study = read_study(args.study)
-    if args.workers is not None and any(one.light != FULL for one in study.conditions):
-        raise UsageError("a study's light below 1 is for pictures that this process draws: leave --workers out")
     data = data_of(args.study, args.study_data)
     plan = checked_plan(data, study)
     if not 1 <= args.participant <= len(plan.orders):

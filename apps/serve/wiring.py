@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from glsplat.data import person
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import AvatarInfo, Backend
+from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import AvatarStore, WithPeople
 from glsplat.net.backends.gl import MAX_TIME
-from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.options import ServerConfig
 from glsplat.net.served_scene import ServedScene, checked_avatar, log_limits, server_of
 from glsplat.net.server import Server
+from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.worker import Worker
 from glsplat.scene import Rigged
 
 if TYPE_CHECKING:
@@ -66,11 +67,11 @@ def assemble(
     if workers is not None:
         more["name"] = served.name
     makes = [served.backend(config.wire.size, device=one, **more) for one in devices]
-    backend: Backend | Drawer
+    backend: Worker | Drawer
     if workers is None:
-        backend = ProcessBackend(makes[0], config.wire.max_side, max_time)
+        backend = process_worker(makes[0], config.wire.max_side, max_time)
     else:
-        backend = workers.pool(makes, config.fps, max_time)
+        backend = workers.pool(makes, config.fps, max_time, config.video)
     taken = {one.name for one in offers}
     later = partial(_people, [name for name in people if name not in taken], served, consent)
     return server_of(backend, config, offers, features, later)

@@ -19,6 +19,9 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
 if TYPE_CHECKING:
+    import asyncio
+
+    from glsplat.net.codec.encoded import Encoded
     from glsplat.net.room_view import RoomView
     from glsplat.renderer.resolve import ResolveStep
 
@@ -56,9 +59,9 @@ class RenderJob:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """One picture that was drawn. The server reads ``images`` while the next frame is drawn, until it calls ``done``.
+    """One picture that was drawn. ``images`` are read while the next one is drawn, until ``done`` is called.
 
-    Outside ``covered`` the images are zero: transparent black.
+    Outside ``covered`` the images are zero: transparent black. Where a worker encodes (``encoded``), they are empty.
     """
 
     images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one a camera of the job
@@ -74,11 +77,12 @@ class Rendered:
     highest), and where it touches the ground, if it has such joints, "feet" (left ankle, left ball, right ankle, right
     ball)."""
     depth: tuple[DepthGrid, ...] = ()  # one an image, if the job asks for it
+    encoded: asyncio.Future[Encoded] | None = None  # by the worker; may raise WorkerLostError
 
 
 @runtime_checkable
 class Backend(Protocol):
-    """A renderer. The server calls all three on one thread of its own, ``open`` first and ``close`` last."""
+    """A renderer. All three are called on one thread, ``open`` first and ``close`` last."""
 
     def open(self) -> str:
         """Make the context, load the scene and draw a plain picture of it; returns the driver string.
@@ -105,14 +109,10 @@ class Interruptible(Protocol):
     """A backend that can leave a picture unfinished."""
 
     abandoned: Callable[[], bool]
-    """Set by the server, asked now and then while a picture is drawn, on any thread: does nobody want it any more?
+    """Set from outside, and called now and then while a picture is drawn: returns True once it is not needed.
 
     ``render`` may then raise BudgetError.
     """
-
-    def kill(self) -> None:
-        """End what draws, hung or not: ``render`` and ``open`` then raise ContextLostError. From any thread."""
-        ...
 
 
 @runtime_checkable

@@ -1,45 +1,60 @@
-"""What goes through a render loop: one client's channel, and its frames from the renderer to the socket."""
+"""ClientStream: one client as the render loop sees it; and the stages of its pictures, from a request to a reply."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.net.backend import AvatarInfo, RenderJob, Solved
+from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.fields import PictureOptions
 from glsplat.net.guard.limits import CpuShare
 from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.session import Session
+from glsplat.net.worker.encoding import ClientVideo
 
 if TYPE_CHECKING:
     from glsplat.net.room_view import RoomView
 
-__all__ = ["ANYTHING", "ClientStream", "DatagramTransport", "Frame", "FrameObserver", "RoomMember", "VideoStream"]
+__all__ = [
+    "ANYTHING",
+    "Answer",
+    "ClientStream",
+    "DatagramTransport",
+    "Drawn",
+    "FrameObserver",
+    "Outgoing",
+    "PoseAnswer",
+    "Redraw",
+    "Refused",
+    "RoomMember",
+    "Taken",
+]
 
 ANYTHING = AvatarInfo(name="")
 
+_COST_STEP = 0.1  # weight of each picture in the moving average of their times
+
 
 class FrameObserver(Protocol):
-    """What a feature of the server hears of one client. Its methods return at once."""
+    """Observes the requests and pictures of one client for a feature of the server. Its methods return at once."""
 
     def request_received(self, request: Request) -> None:
         """A request was accepted. Called on the event loop."""
         ...
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
-        """Pictures [V, H, W, 4] were drawn in this process; they may be changed in place. Called while drawing."""
+        """Pictures [V, H, W, 4] were drawn; may change them in place. Called on an encoding thread."""
         ...
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
@@ -47,36 +62,20 @@ class FrameObserver(Protocol):
         ...
 
 
-class VideoStream(Protocol):
-    """Codes the pictures of one client as video (extras/far_links). Called on one thread at a time."""
-
-    def encode(
-        self,
-        images: NDArray[np.uint8],
-        codecs: Sequence[str],
-        quality: int = 80,
-        covered: tuple[int, int, int, int] | None = None,
-        alpha: bool | str = False,
-        key: bool = False,
-    ) -> Encoded | None:
-        """Return the next picture of ``images`` [V, H, W, 4]; None: it is to be a JPEG."""
-        ...
-
-
 class RoomMember(Protocol):
-    """A client's person in a room, as drawing and answering see it. May be used by several threads."""
+    """A client's person in a room. May be used by several threads."""
 
     @property
     def resume(self) -> str:
-        """The token by which the person comes back on another connection."""
+        """The token with which the person comes back on another connection."""
         ...
 
     def meeting(self, request: Request) -> Request:
-        """Return a request with tracking and with the faces of the others, for the solver."""
+        """Return the request with the faces of the others, for the solver."""
         ...
 
     def received(self, request: Request, at: float) -> None:
-        """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""
+        """Note a request that arrived ``at`` seconds; its tracking may be solved much later."""
         ...
 
     def options(self, request: Request) -> PictureOptions:
@@ -86,39 +85,43 @@ class RoomMember(Protocol):
     def look(
         self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float
     ) -> tuple[tuple[Camera, ...], RoomView]:
-        """Return the ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it."""
+        """Return the ``cameras`` of a request that arrived ``at`` seconds, in the room's space, and its people."""
+        ...
+
+    def solved(self, request: Request, solved: Solved, at: float) -> None:
+        """Show the person as ``solved``. Called on the solving thread. May raise PoseError."""
         ...
 
     def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
-        """Return the poses that changed since the client was last sent any, by its ``history``."""
+        """Return the poses that changed since the last ones in the client's ``history``."""
         ...
 
     def posed(self, count: int) -> None:
-        """Count people who were skinned anew for a picture."""
+        """Count the people that were skinned for a picture."""
         ...
 
     def fair_cost(self, seconds: float) -> float:
-        """Return the seconds that a picture counts for its viewer: those of a mean picture of this room."""
+        """Return the seconds that a picture is charged to its viewer: those of a mean picture of this room."""
         ...
 
 
 class DatagramTransport(Protocol):
-    """A second connection for the pictures of one client, beside its WebSocket."""
+    """A connection by datagrams for the pictures of one client, beside its WebSocket."""
 
     def offer(self) -> dict[str, str] | None:
-        """Return what the next reply says of it, where it is wanted and worth it."""
+        """Return "datagrams" of the next reply, where the client accepts them and its link is worth it."""
         ...
 
     def on_the_way(self, nbytes: int) -> int:
-        """Return the bytes that a picture of ``nbytes`` takes of the link."""
+        """Return the bytes on the link for a picture of ``nbytes``."""
         ...
 
     def send(self, frame_id: int, picture: bytes) -> bool:
-        """Send a picture; False where it has to go over the WebSocket."""
+        """Send a picture; return False where it has to go over the WebSocket."""
         ...
 
     def ping(self, payload: bytes) -> bool:
-        """Send a ping; False where it has to go over the WebSocket."""
+        """Send a ping; return False where it has to go over the WebSocket."""
         ...
 
     async def message(self) -> str:
@@ -126,91 +129,125 @@ class DatagramTransport(Protocol):
         ...
 
     def status(self) -> dict[str, float]:
-        """Return its numbers for /stats."""
+        """Return "datagrams" of the client in /stats."""
         ...
 
     def close(self) -> None:
-        """The client has left."""
+        """Close the connection."""
         ...
 
 
-@dataclass(eq=False, slots=True)
-class Frame:
-    """One picture on its way from the renderer to the socket, and what the server notes of it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Taken:
+    """A request whose picture is drawn next, and the detail of that picture."""
 
-    channel: ClientStream  # whose it is
+    client: ClientStream
     request: Request
     arrived: float  # clock seconds
-    times: dict[str, float]  # ms
-    cameras: tuple[Camera, ...]  # those of the request, in the size that is drawn
-    notice: str = ""  # what has to stand in it
-    job: RenderJob | None = None  # what is drawn, once its pose is known
-    encoded: Awaitable[Encoded] | None = None  # None: it could not be drawn
-    error: tuple[str, str] = ("", "")  # code and message in that case
-    notes: tuple[str, ...] | None = None  # of the tracking solver
-    drawn: tuple[Camera, ...] | None = None  # the eyes in the avatar's space, where tracking was solved
-    places: Mapping[str, list[float]] = field(default_factory=dict)
-    """"box" and "feet" of the avatar in the client's room, where they were asked for."""
-    depth: tuple[DepthGrid, ...] = ()  # of its eyes, in the client's metres, where it was asked for
-    ends: str = ""  # why the connection ends after this answer and its address is held off, if it does
-    detail: Detail = FULL  # less than was asked for, where a rate is held
-    smaller: bool = False  # than the time for drawing it asks for
-    levels: tuple[int, ...] = ()  # of detail that were drawn
-    driver: str = ""  # what drew it
+    cameras: tuple[Camera, ...]  # of the request, in the size that is drawn
+    notice: str = ""  # text in the picture
+    detail: Detail = FULL  # less than requested, where a rate is held
+    smaller: bool = False  # than the rate alone requires
     solution: SolutionFuture | None = None  # of its tracking
-    again: asyncio.Future[None] | None = None  # it is being drawn anew: done once it is
-    moved: bool = False  # whoever had it cannot draw it, another may
-    losses: int = 0  # of those who were drawing it
-    alone: bool = False  # it went wrong, and is drawn anew without the others of its room
-    poses: Poses | None = None  # what is sent instead of a picture
-
-    @property
-    def shows_others(self) -> bool:
-        """Whether other people of a room are in what was drawn, or was to be drawn."""
-        job = self.job
-        if job is None or job.room is None or not job.others:
-            return False
-        return any(one.key != job.room.viewer and one.opacity > 0 for one in job.room.people)
+    losses: int = 0  # workers that were lost while they drew it
+    alone: bool = False  # without the others of its room, as it failed with them
 
     @property
     def options(self) -> PictureOptions:
-        """How it is encoded: as it was asked for, or as the link takes it."""
-        request, member, rung = self.request, self.channel.member, self.detail.rung
-        asked = request.options if member is None else member.options(request)
-        return asked if rung is None else replace(asked, quality=rung.quality, crop=rung.crop)
+        """How the picture is encoded: as requested, or as the link requires."""
+        member, rung = self.client.member, self.detail.rung
+        requested = self.request.options if member is None else member.options(self.request)
+        return requested if rung is None else replace(requested, quality=rung.quality, crop=rung.crop)
 
-    def info(self, encoded: Encoded) -> dict[str, Any]:
-        """The JSON object of the reply (docs/protocol.md, section 4)."""
-        channel, request, first = self.channel, self.request, self.cameras[0]
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A drawn picture, and its encoding, which may still be under way."""
+
+    taken: Taken
+    job: RenderJob
+    rendered: Rendered
+    encoded: asyncio.Future[Encoded]
+    times: Mapping[str, float]  # ms by stage
+    driver: str
+    solved: Solved | None = None  # of a request with tracking
+
+    def info(self, encoded: Encoded, times: Mapping[str, float]) -> dict[str, Any]:
+        """Return the JSON object of the reply (docs/protocol.md, section 4)."""
+        client, request, detail = self.taken.client, self.taken.request, self.taken.detail
+        eyes = [eye_fields(camera) for camera in self.taken.cameras]
         info: dict[str, Any] = {
             "t": request.t,
-            "times": {name: round(ms, 3) for name, ms in self.times.items()},
-            "size": (first.width, first.height),
-            "eyes": [eye_fields(camera) for camera in self.cameras],
+            "times": {name: round(ms, 3) for name, ms in times.items()},
+            "size": (self.taken.cameras[0].width, self.taken.cameras[0].height),
+            "eyes": eyes,
             "crop": encoded.boxes,
-            "dropped": channel.session.counts.dropped,
+            "dropped": client.session.counts.dropped,
             "driver": self.driver,
-            "driven_by": channel.driver,
+            "driven_by": client.driver,
         }
-        if self.notes is not None:
-            info["tracking"] = self.notes
-        drawn = None if self.drawn is None else [eye_fields(camera) for camera in self.drawn]
-        if drawn is not None and drawn != info["eyes"]:
-            info["drawn"] = drawn
-        if channel.shown.still and request.pose is not None:
-            info["still"] = channel.shown.still
-        info |= self.places
-        if self.depth:
-            info["depth"] = DepthGrid.fields(self.depth)
-        if any(self.levels) or self.detail != FULL:
-            info["detail"] = self.detail.fields(self.levels)
+        if self.solved is not None:
+            info["tracking"] = self.solved.notes
+            drawn = [eye_fields(self.solved.seen(camera)) for camera in self.taken.cameras]
+            if client.member is None and drawn != eyes:
+                info["drawn"] = drawn
+        if client.shown.still and request.pose is not None:
+            info["still"] = client.shown.still
+        for name, place in self.rendered.places.items():
+            info[name] = [round(v, 5) for v in place]
+        if self.rendered.depth:
+            info["depth"] = DepthGrid.fields(self.rendered.depth)
+        if any(self.rendered.levels) or detail != FULL:
+            info["detail"] = detail.fields(self.rendered.levels)
         if encoded.video is not None:
             info["video"] = encoded.video
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
-        if channel.member is not None and self.job is not None and self.job.room is not None:
-            info["room"] = self.job.room.fields() | {"resume": channel.member.resume}
+        if client.member is not None and self.job.room is not None:
+            info["room"] = self.job.room.fields() | {"resume": client.member.resume}
         return info
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseAnswer:
+    """Poses that are sent instead of a picture."""
+
+    client: ClientStream
+    request: Request
+    arrived: float  # clock seconds
+    times: Mapping[str, float]  # ms by stage
+    poses: Poses
+    notes: tuple[str, ...] | None = None  # of the tracking solver
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refused:
+    """A request that is answered with an error."""
+
+    request: Request
+    code: str
+    message: str
+    ends: str = ""  # why the connection ends after it and its address is blocked for a while, if so
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Redraw:
+    """A picture whose worker was lost: it keeps its place in the order of answers, and is drawn again."""
+
+    taken: Taken
+
+
+Answer = Drawn | PoseAnswer | Refused | Redraw
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outgoing:
+    """A reply as it is sent: binary messages, or the text of an error."""
+
+    request: Request
+    messages: Sequence[bytes] = ()
+    error: str = ""
+    ends: str = ""  # as of Refused
 
 
 @dataclass(eq=False, slots=True)
@@ -220,28 +257,28 @@ class ClientStream:
     number: int
     session: Session
     solving: PoseQueue | None = None  # None: this server solves no tracking
-    address: str = ""  # what has a fair share of the renderer's time
+    _: KW_ONLY
+    address: str = ""  # addresses share the renderer's time
     shown: AvatarInfo = ANYTHING
+    account: str = ""  # name of its user; "": the server has no accounts
+    driver: str = ""  # name of whoever drives what is shown; "": not known
+    label: str = ""  # over the head of the one avatar
+    notice: Callable[[], str] = field(default=lambda: "")  # returns the text that has to be in a picture drawn now
+    share: CpuShare | None = None  # of the time for reading and solving; None: no limit
+    video: ClientVideo | None = None  # None: this server has none
     member: RoomMember | None = None  # in a room; None: sees what it is shown alone
     room: str = ""  # its name
-    account: str = ""  # whose it is; "": the server has no accounts
-    driver: str = ""  # name of who drives what is shown; "": nobody knows
-    label: str = ""  # over the head of what is shown alone
-    notice: Callable[[], str] = field(default=lambda: "")  # what has to stand in a picture drawn now
-    share: CpuShare | None = None  # of the time for reading and solving; None: no limit
-    frames: asyncio.Queue[Frame] = field(default_factory=asyncio.Queue)  # bounded by the session's window
-    again: Frame | None = None  # one of those that were taken from ``frames``, to be drawn anew before any other
-    cost: float = 0.0  # seconds a picture, lately; 0: none was drawn yet
-    pose_history: PoseHistory = field(default_factory=PoseHistory)  # whom it was sent in poses, and how they stood
-    observers: tuple[FrameObserver, ...] = ()  # of the server's features
-    video: VideoStream | None = None  # what codes its pictures where it asks for video; None: this server has none
-    coding: Future[Encoded] | None = None  # the newest picture of it: the next is coded after that
-    way: DatagramTransport | None = None  # for its pictures; None: this server has none
-    newest: Encoded | None = None  # what it was sent last, for the status page
+    observers: tuple[FrameObserver, ...] = ()
+    datagrams: DatagramTransport | None = None  # for its pictures; None: this server has none
+    answers: asyncio.Queue[Answer] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+    pose_history: PoseHistory = field(default_factory=PoseHistory)  # the poses that it was sent
+    cost: float = field(default=0.0, init=False)  # seconds of a picture, lately; 0: none was drawn yet
+    newest: Encoded | None = field(default=None, init=False)  # JPEGs that it was sent last, for the status page
+    _redraw: tuple[Taken, asyncio.Future[Answer]] | None = field(default=None, init=False)
 
     @property
     def place_key(self) -> str:
-        """Clients with the same key are best drawn by one worker (workers/placement.py)."""
+        """Clients with the same key are best drawn by one worker (extras/workers/placement.py)."""
         return f"room:{self.room}" if self.room else f"avatar:{self.shown.name}"
 
     @property
@@ -251,13 +288,32 @@ class ClientStream:
         how = f" for what it shows: {why}" if why else ": send pose instead of tracking"
         return f"this server has no tracking solver{how}"
 
-    def ready(self, solved: Callable[[], None], poses: bool = False) -> bool:
-        """True while a request for a picture (or for ``poses``) can be answered without waiting for its tracking.
+    @property
+    def redraws(self) -> bool:
+        """Whether a picture has to be drawn again, before any other."""
+        return self._redraw is not None
 
-        Where none is solved yet, the newest is from now on, and ``solved`` is called (on any thread) once it is: under
-        a stream of samples that are all newer, waiting for the newest would never end.
+    def enter(self, room: str, member: RoomMember, name: str) -> None:
+        """Enter a room as ``member``, who is called ``name`` there."""
+        self.member, self.room, self.driver = member, room, name
+        if self.solving is not None:
+            self.solving.on_solved = member.solved
+
+    def observe(self, observer: FrameObserver) -> None:
+        """Add an observer of requests and pictures."""
+        self.observers = (*self.observers, observer)
+
+    def offer(self, datagrams: DatagramTransport) -> None:
+        """Offer the client datagrams for its pictures."""
+        self.datagrams = datagrams
+
+    def ready(self, solved: Callable[[], None], poses: bool = False) -> bool:
+        """Return whether a request for a picture (or for ``poses``) can be answered without waiting for its tracking.
+
+        Where none is solved yet, the newest is solved from now on, and ``solved`` is called on any thread once it is:
+        under a stream of samples that are all newer, waiting for the newest would never end.
         """
-        if self.again is not None:
+        if self._redraw is not None:
             return not poses
         session, newest = self.session, self.session.newest
         if not session.ready():
@@ -274,13 +330,38 @@ class ClientStream:
         return self._solved(session.kept)
 
     def take(self, now: float) -> tuple[Request, float, SolutionFuture | None]:
-        """The newest request that is ready, the seconds it waited, and its solution."""
+        """Return the newest request that is ready, the seconds it waited, and its solution."""
         newest = self.session.newest
         kept = self.solving is not None and (newest is None or not self._solved(newest))
         taken = self.session.next_request(now, kept)
         assert taken is not None
         request, waited = taken
         return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
+
+    def redraw(self, taken: Taken) -> asyncio.Future[Answer]:
+        """Have a picture drawn again before any other; return its new answer."""
+        answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        self._redraw = taken, answer
+        return answer
+
+    def take_redraw(self) -> tuple[Taken, asyncio.Future[Answer]] | None:
+        """Return the picture that has to be drawn again, once, and the future for its answer."""
+        redraw, self._redraw = self._redraw, None
+        return redraw
+
+    def picture_drawn(self, images: NDArray[np.uint8]) -> None:
+        """Show pictures [V, H, W, 4] to the observers, which may change them. Called on an encoding thread."""
+        for observer in self.observers:
+            observer.picture_drawn(images)
+
+    def picture_took(self, seconds: float) -> None:
+        """Update the expected time of a picture."""
+        self.cost += (seconds - self.cost) * (_COST_STEP if self.cost else 1.0)
+
+    def picture_sent(self, encoded: Encoded) -> None:
+        """Keep the JPEGs that are sent; of a video there are none."""
+        if encoded.pictures:
+            self.newest = encoded if encoded.video is None else None
 
     def _solved(self, request: Request | None) -> bool:
         solving = self.solving

@@ -13,7 +13,7 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.client_stream import ClientStream, DatagramTransport, Frame
+from glsplat.net.client_stream import ClientStream, DatagramTransport, Outgoing, PoseAnswer
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import PoseResponder
 from glsplat.net.guard.access import SUBPROTOCOL
@@ -28,82 +28,81 @@ __all__ = ["Conversation", "cut_off", "make_socket"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
-_TURN = 8  # messages of one client in a row before others are heard
-_FAREWELL = 0.5  # seconds a client that broke the rules gets to answer the close, while what it sends is thrown away
-_LOST = 1006  # RFC 6455, section 7.4.1: nobody said goodbye
+_MAX_IN_A_ROW = 8  # messages of one client before others are read
+_FAREWELL_S = 0.5  # until a client that broke the rules has to answer the close; its messages are dropped
+_LOST = 1006  # RFC 6455, section 7.4.1: no close frame was received
 
 
 class Conversation:
-    """``deaf`` says that the server takes no more requests. ``write_timeout`` seconds a reply may stay unread."""
+    """``is_draining`` returns whether the server drops requests. A reply may stay unread for ``write_timeout`` s."""
 
     def __init__(
         self,
-        channel: ClientStream,
+        client: ClientStream,
         ws: web.WebSocketResponse,
         request: web.Request,
         drawer: Drawer,
         gate: Gate,
         responder: PoseResponder | None,  # None: no client gets poses
-        deaf: Callable[[], bool],
+        is_draining: Callable[[], bool],
         write_timeout: float,
     ) -> None:
-        self.channel = channel
+        self.client = client
         self._ws, self._request, self._drawer, self._gate = ws, request, drawer, gate
-        self._responder, self._deaf, self._write_timeout = responder, deaf, write_timeout
-        assert channel.share is not None
-        self._reading = MessageThrottle(channel.share)
+        self._responder, self._is_draining, self._write_timeout = responder, is_draining, write_timeout
+        assert client.share is not None
+        self._reading = MessageThrottle(client.share)
 
     @property
     def goodbye(self) -> bool:
-        """Whether it ended by a close, not by a connection that broke."""
+        """Whether the connection was closed in order; it did not break."""
         return self._ws.close_code not in (None, _LOST)
 
     async def run(self) -> None:
-        """Until the client leaves or is put out. Raises ConnectionError, TimeoutError: it neither reads nor listens."""
-        self._drawer.add(self.channel)
+        """Run until the client leaves or is put out. Raises ConnectionError, TimeoutError where it does not react."""
+        self._drawer.add(self.client)
         writer = asyncio.create_task(self._write())
         try:
             await self._converse(connection_of(self._request).breached)
         finally:
             writer.cancel()
             await asyncio.gather(writer, return_exceptions=True)
-            if self.channel.way is not None:
-                self.channel.way.close()
+            if self.client.datagrams is not None:
+                self.client.datagrams.close()
 
     async def close(self, code: int, reason: str) -> None:
-        """End it from the server's side."""
+        """Close the connection from the server's side."""
         await self._ws.close(code=code, message=reason.encode())
 
     async def _converse(self, breached: asyncio.Future[Breach]) -> None:
-        """Messages of one client until it leaves or is put out."""
-        way = self.channel.way
+        """Read messages until the client leaves or is put out."""
         reading = [asyncio.create_task(self._read())]
-        if way is not None:
-            reading.append(asyncio.create_task(self._read_datagrams(way)))
+        if self.client.datagrams is not None:
+            reading.append(asyncio.create_task(self._read_datagrams(self.client.datagrams)))
         ends: list[asyncio.Future[Any]] = [*reading, breached]
         try:
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for task in reading:
                 task.cancel()
-            # looked at, or asyncio logs it: the peer may be gone
+            # errors are retrieved, or asyncio logs them: the peer may be gone
             await asyncio.gather(*reading, return_exceptions=True)
         if breached.done() and not self._ws.closed:
-            await self._farewell(self.channel.session.broke(breached.result()))
+            await self._farewell(self.client.session.broke(breached.result()))
         else:
             for task in reading:
                 if not task.cancelled():
                     task.result()
 
     async def _read(self) -> None:
-        """Messages of one client until it leaves, is too long silent, or breaks the rules too often."""
-        session, reading, count = self.channel.session, self._reading, 0
+        """Read messages until the client leaves, is silent for too long, or breaks the rules too often."""
+        session, reading, count = self.client.session, self._reading, 0
         while True:
             text: str | None = None
             outcome: Warn | Close | None = None
             now = clock()
             try:
-                # not receive(timeout=...): that begins anew with each ping or pong, and leaves out writing the pongs
+                # not receive(timeout=...): that starts again with each ping or pong, and leaves out writing the pongs
                 async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
                     message = await self._ws.receive()
                     if message.type == WSMsgType.PING and not self._ws.closed:
@@ -115,7 +114,7 @@ class Conversation:
                     outcome = session.expired(clock())
             else:
                 if message.type == WSMsgType.TEXT:
-                    if self._deaf():
+                    if self._is_draining():
                         continue
                     text = reading.offer(message.data, clock())
                 elif message.type == WSMsgType.BINARY:
@@ -124,122 +123,128 @@ class Conversation:
                 elif message.type == WSMsgType.PONG:
                     if session.link is not None:
                         session.link.ponged(bytes(message.data), clock())
-                        self._drawer.wake(self.channel)
-                else:  # closed, or a broken frame that aiohttp has answered (1002, 1007, 1009)
+                        self._drawer.wake(self.client)
+                else:  # closed, or a malformed frame that aiohttp has answered (1002, 1007, 1009)
                     return
             if await self._take(text, outcome):
                 return
             count += 1
-            if count % _TURN == 0:  # receive() does not give way while more has arrived
+            if count % _MAX_IN_A_ROW == 0:  # receive() does not yield while more has arrived
                 await asyncio.sleep(0)
 
     async def _take(self, text: str | None, outcome: Warn | Close | None = None) -> bool:
-        """Read a message that has its turn, or tell what an ``outcome`` without one says; True: that is the end."""
-        session = self.channel.session
-        heard: Request | Warn | Close | None = outcome
+        """Decode a message, or handle an ``outcome`` without one; return True where the conversation ends."""
+        session = self.client.session
+        received: Request | Warn | Close | None = outcome
         if text is not None:
             now, worked = clock(), time.thread_time()
-            heard = session.receive(text, now)
-            # waiting for other threads is not the client's fault, but the loop stands still meanwhile
+            received = session.receive(text, now)
+            # waiting for other threads is not the client's fault, but the event loop stands still meanwhile
             self._reading.share.spend(time.thread_time() - worked, clock() - now)
         session.counts.unread = self._reading.left_out
-        if isinstance(heard, Warn):
-            await self._send(heard.text)
-        elif isinstance(heard, Close):
-            await self._farewell(heard)
+        if isinstance(received, Warn):
+            await self._send(received.text)
+        elif isinstance(received, Close):
+            await self._farewell(received)
             return True
         elif text is not None:
-            if heard is not None:
-                for observer in self.channel.observers:
-                    observer.request_received(heard)
-            self._drawer.received(self.channel, heard)
+            if received is not None:
+                for observer in self.client.observers:
+                    observer.request_received(received)
+            self._drawer.received(self.client, received)
             self._poses_due()
         return False
 
     def _poses_due(self) -> None:
         if self._responder is not None:
-            self._responder.due(self.channel)
+            self._responder.due(self.client)
 
-    async def _read_datagrams(self, way: DatagramTransport) -> None:
-        """The same of what comes by the second way."""
+    async def _read_datagrams(self, datagrams: DatagramTransport) -> None:
+        """Read the messages that come by datagrams."""
         while True:
             wait = self._reading.wait(clock())
             try:
                 async with asyncio.timeout(None if math.isinf(wait) else max(0.01, wait)):
-                    message = await way.message()
+                    message = await datagrams.message()
             except TimeoutError:
                 text = self._reading.take()
             else:
-                text = None if self._deaf() else self._reading.offer(message, clock())
+                text = None if self._is_draining() else self._reading.offer(message, clock())
             if await self._take(text):
                 return
-            await asyncio.sleep(0)  # others are heard in between
+            await asyncio.sleep(0)  # others are read in between
 
     async def _farewell(self, close: Close) -> None:
-        """Close the connection of a client that broke the rules. Raises TimeoutError if it does not answer."""
-        self._drawer.remove(self.channel)
+        """Close the connection of a client that broke the rules. Raises TimeoutError where it does not answer."""
+        self._drawer.remove(self.client)
         if close.breach:
             self._gate.breach(self._request, close.reason)
         if close.text:
             await self._send(close.text)
-        async with asyncio.timeout(_FAREWELL):  # else it is cut off
+        async with asyncio.timeout(_FAREWELL_S):  # then it is cut off
             await self._ws.close(code=close.code, message=close.reason.encode())
 
     async def _write(self) -> None:
-        """Pictures of one client, in order. A client that does not read them in time is cut off."""
-        session = self.channel.session
+        """Send answers in order. A client that does not read them in time is cut off."""
+        session = self.client.session
         while True:
-            frame = await self.channel.frames.get()
+            answer = await self.client.answers.get()
             try:
-                packed: list[bytes] | str
-                posed = frame.poses is not None and self._responder is not None
-                if frame.poses is not None and self._responder is not None:
-                    packed = self._responder.pack(frame)
+                if isinstance(answer, PoseAnswer):
+                    assert self._responder is not None
+                    outgoing = self._responder.pack(answer)
                 else:
-                    packed = await self._drawer.pack(self.channel, frame)
-                if not isinstance(packed, str):
-                    await self._ping()
-                if posed or isinstance(packed, str) or not self._sent_by_datagrams(frame, packed):
-                    for data in [packed] if isinstance(packed, str) else packed:
-                        await self._send(data)
-                    if not (posed or isinstance(packed, str)):
-                        await self._ping(frame.request.frame_id)
+                    outgoing = await self._drawer.pack(self.client, answer)
+                await self._send_reply(outgoing, isinstance(answer, PoseAnswer))
             except TimeoutError:
                 self._gate.notices("unread", "a client does not read its pictures; cut off")
                 cut_off(self._request)
                 return
             except ConnectionError:
                 return
-            except Exception:  # a fault of ours: end the connection rather than leave it silent
-                log.exception("client %d cannot be answered", self.channel.number)
+            except Exception:  # a fault of the server: end the connection rather than leave it silent
+                log.exception("client %d cannot be answered", self.client.number)
                 cut_off(self._request)
                 return
-            if not isinstance(packed, str):
-                if not session.counts.sent:  # who only knocks fills no log
-                    session.announce(self.channel.number, self.channel.address)
-                session.sent(frame.request, sum(map(len, packed)))
-                for observer in self.channel.observers:
-                    observer.reply_sent(packed)
+            if outgoing.messages:
+                if not session.counts.sent:  # a client without a picture fills no log
+                    session.announce(self.client.number, self.client.address)
+                session.sent(outgoing.request, sum(map(len, outgoing.messages)))
+                for observer in self.client.observers:
+                    observer.reply_sent(outgoing.messages)
             self._poses_due()
-            self._drawer.wake(self.channel)
-            if frame.ends:
+            self._drawer.wake(self.client)
+            if outgoing.ends:
                 with contextlib.suppress(TimeoutError):
-                    await self._farewell(Close("", POLICY_VIOLATION, frame.ends, breach=True))
+                    await self._farewell(Close("", POLICY_VIOLATION, outgoing.ends, breach=True))
                 return cut_off(self._request)
 
-    def _sent_by_datagrams(self, frame: Frame, packed: list[bytes]) -> bool:
-        if self.channel.way is None or len(packed) != 1:
+    async def _send_reply(self, outgoing: Outgoing, poses: bool) -> None:
+        """Send a reply, a picture between two pings that measure the link."""
+        if outgoing.error:
+            return await self._send(outgoing.error)
+        await self._ping()
+        if not poses and self._sent_by_datagrams(outgoing):
+            return
+        for data in outgoing.messages:
+            await self._send(data)
+        if not poses:
+            await self._ping(outgoing.request.frame_id)
+
+    def _sent_by_datagrams(self, outgoing: Outgoing) -> bool:
+        if self.client.datagrams is None or len(outgoing.messages) != 1:
             return False
-        assert frame.request.frame_id is not None
-        return self.channel.way.send(frame.request.frame_id, packed[0])
+        assert outgoing.request.frame_id is not None
+        return self.client.datagrams.send(outgoing.request.frame_id, outgoing.messages[0])
 
     async def _ping(self, behind: int | None = None) -> None:
-        """Measure the way there and back, where the client's link is looked at: before a picture or ``behind`` it."""
-        link = self.channel.session.link
+        """Ping before a picture or ``behind`` it, where the round trip of the client's link is measured."""
+        link = self.client.session.link
         if link is None or self._ws.closed:
             return
         ping = link.ping(clock()) if behind is None else link.follow(behind)
-        if ping is not None and not (behind is None and self.channel.way is not None and self.channel.way.ping(ping)):
+        datagrams = None if behind is not None else self.client.datagrams
+        if ping is not None and not (datagrams is not None and datagrams.ping(ping)):
             meter = connection_of(self._request).meter
             if meter is not None:
                 meter.expect_answer(clock())
@@ -254,7 +259,7 @@ class Conversation:
 
 
 def make_socket(heartbeat: float, timeout: float) -> web.WebSocketResponse:
-    """The server's side of a WebSocket: seconds between pings, and for whatever a client has to answer."""
+    """Return the server's side of a WebSocket: seconds between pings, and until a client has to answer."""
     return web.WebSocketResponse(
         compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
         max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given

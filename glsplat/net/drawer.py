@@ -6,11 +6,13 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from glsplat.net.backend import AvatarInfo, PoseSolver
-from glsplat.net.client_stream import ANYTHING, ClientStream, Frame
+from glsplat.net.backend import PoseSolver
+from glsplat.net.client_stream import Answer, ClientStream, Outgoing
+from glsplat.net.guard.limits import Bucket, CpuShare
 from glsplat.net.messages import Request
 from glsplat.net.pace.stages import StageTimes
-from glsplat.net.session import Session
+from glsplat.net.pose_queue import PoseQueue
+from glsplat.net.worker.encoding import ClientVideo
 
 __all__ = ["Drawer"]
 
@@ -18,18 +20,22 @@ __all__ = ["Drawer"]
 class Drawer(Protocol):
     """Draws for the clients that were added, in fair turns, and packs their replies."""
 
-    codecs: tuple[str, ...]  # of video
     stages: StageTimes
-    should_yield: Callable[[], bool]  # set by the server: do others need the processor that draws?
+    should_yield: Callable[[], bool]  # set by the server: returns whether others need the processor that draws
+
+    @property
+    def codecs(self) -> tuple[str, ...]:
+        """Of video."""
+        ...
 
     @property
     def driver(self) -> str:
-        """What draws; several drivers are joined by "; "."""
+        """The OpenGL driver; several are joined by "; "."""
         ...
 
     @property
     def healthy(self) -> bool:
-        """False once pictures fail in a row, one hangs, or nothing is left that could draw."""
+        """False once pictures fail in a row, one hangs, or no worker is left."""
         ...
 
     @property
@@ -48,46 +54,45 @@ class Drawer(Protocol):
         ...
 
     async def start(self) -> None:
-        """Open what draws. Raises GlsplatError."""
+        """Open the workers. Raises GlsplatError."""
         ...
 
     async def ended(self) -> None:
-        """Wait until nothing can draw any more. Raises ContextError."""
+        """Wait until no worker can be started any more. Raises ContextError."""
         ...
 
     async def stop(self) -> None:
-        """Close what draws."""
+        """Close the workers."""
         ...
 
-    def open(
-        self,
-        number: int,
-        session: Session,
-        solver: PoseSolver | None = None,
-        address: str = "",
-        shown: AvatarInfo = ANYTHING,
-    ) -> ClientStream:
-        """Return a client that is ``shown`` an avatar; nothing is drawn for it before ``add``."""
+    def pose_queue(
+        self, solver: PoseSolver | None, share: CpuShare | None = None, samples: Bucket | None = None
+    ) -> PoseQueue | None:
+        """Return the queue of a new client's tracking samples, with its limits; None without a solver."""
         ...
 
-    def add(self, channel: ClientStream) -> None:
-        """Let a client take part."""
+    def video(self) -> ClientVideo | None:
+        """Return the video of a new client; None where there is none."""
         ...
 
-    def remove(self, channel: ClientStream) -> None:
+    def add(self, client: ClientStream) -> None:
+        """Draw for a client from now on."""
+        ...
+
+    def remove(self, client: ClientStream) -> None:
         """Forget a client."""
         ...
 
-    def received(self, channel: ClientStream, request: Request | None) -> None:
+    def received(self, client: ClientStream, request: Request | None) -> None:
         """Take note of a message of the client."""
         ...
 
-    def wake(self, channel: ClientStream) -> None:
+    def wake(self, client: ClientStream) -> None:
         """Take note of a request, or of room in the client's window."""
         ...
 
-    async def pack(self, channel: ClientStream, frame: Frame) -> list[bytes] | str:
-        """Return the messages of a frame: binary ones, or the text of an error."""
+    async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
+        """Return an answer as it is sent, and mark it as being sent."""
         ...
 
     def workers(self) -> list[dict[str, Any]] | None:

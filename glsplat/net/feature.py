@@ -12,7 +12,7 @@ from aiohttp import web
 
 from glsplat.net.backend import PoseSolver
 from glsplat.net.catalogue import Catalogue
-from glsplat.net.client_stream import ClientStream, Frame
+from glsplat.net.client_stream import ClientStream, Outgoing, PoseAnswer
 from glsplat.net.guard.gate import Gate
 from glsplat.net.guard.limits import Limits
 from glsplat.net.internal_client import InternalClient
@@ -29,11 +29,11 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 class PoseResponder(Protocol):
     """Answers requests that want poses instead of pictures (extras/browser)."""
 
-    def due(self, channel: ClientStream) -> bool:
-        """Queue the answers that a client can have now; return whether there were any."""
+    def due(self, client: ClientStream) -> None:
+        """Queue the answers that a client can have now."""
 
-    def pack(self, frame: Frame) -> list[bytes]:
-        """Return the messages of a frame with poses, and mark it as being sent."""
+    def pack(self, answer: PoseAnswer) -> Outgoing:
+        """Return the messages of an answer with poses, and mark it as being sent."""
 
 
 class ServerView(Protocol):
@@ -120,7 +120,7 @@ class Feature:
         return solver
 
     def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
-        """A client connects; may set its fields. Raises ProtocolError to refuse it."""
+        """A client connects; may call its methods, such as ``observe``. Raises ProtocolError to refuse it."""
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:
         """A client has left, or was refused; ``goodbye``: it closed its connection in order."""

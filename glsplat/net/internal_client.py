@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.client_stream import ClientStream, Drawn
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.drawer import Drawer
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.pace.fitting import Fitted, fit
@@ -39,15 +40,14 @@ class InternalClient:
             taken = session.receive(json.dumps({"v": 1, "frame_id": 1, **request}), self._clock())
             if not isinstance(taken, Request):
                 raise GlsplatError("the server's own request is not understood")
-            client = drawer.open(0, session, None, "the server's own pages", avatar)
-            client.notice = notice
+            client = ClientStream(0, session, address="the server's own pages", shown=avatar, notice=notice)
             drawer.add(client)
             drawer.received(client, taken)
             try:
-                frame = await asyncio.wait_for(client.frames.get(), _TIMEOUT_S)
-                if frame.encoded is None:
-                    raise GlsplatError(f"it could not be drawn ({frame.error[0]})")
-                return await frame.encoded, frame.times
+                answer = await asyncio.wait_for(client.answers.get(), _TIMEOUT_S)
+                if not isinstance(answer, Drawn):
+                    raise GlsplatError(f"it could not be drawn ({getattr(answer, 'code', 'render')})")
+                return await answer.encoded, answer.times
             except TimeoutError:
                 raise GlsplatError(f"it was not drawn within {_TIMEOUT_S:g} s") from None
             finally:

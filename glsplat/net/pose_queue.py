@@ -40,9 +40,11 @@ class PoseQueue:
         thread: Executor,
         clock: Callable[[], float],
         cpu: Callable[[], float] = thread_time,  # seconds the calling thread has worked
+        share: CpuShare | None = None,  # of the time for solving; None: no limit
+        samples: Bucket | None = None,  # solved one by one; None: no limit
     ) -> None:
-        self.share: CpuShare | None = None  # of the time for solving; None: no limit
-        self.samples: Bucket | None = None  # solved one by one; None: no limit
+        self.share: CpuShare | None = share
+        self.samples: Bucket | None = samples
         self.on_solved: Callable[[Request, Solved, float], None] | None = None
         """Called on the solving thread with a solution and the time of its sample (seconds); may raise PoseError."""
         self._cpu = cpu

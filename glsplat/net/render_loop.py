@@ -1,7 +1,8 @@
-"""The render loop: takes the clients' requests in fair turns, has them drawn one by one, and says what each picture is.
+"""RenderLoop: takes the clients' requests in fair turns and has one worker draw them, one after the other.
 
-The event loop only passes things on. Each client gets its pictures in order, at most its window of them under way.
-What draws is local_loop.py's (threads of this process) or workers/remote_loop.py's (another process, anywhere).
+It runs on the event loop. Each client gets its pictures in order, at most its window of them under way. One policy for
+failures: a lost worker is started anew; its picture is drawn again by another worker, where there is one; a picture
+that fails with others of a room in it is drawn again without them.
 """
 
 from __future__ import annotations
@@ -9,390 +10,534 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from itertools import chain, repeat
+from typing import Any, Protocol
 
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.gl.software import is_software
-from glsplat.net.backend import AvatarInfo, PoseSolver, Rendered, RenderJob
-from glsplat.net.client_stream import ANYTHING, ClientStream, Frame
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.backend import PoseSolver, RenderJob, Solved
+from glsplat.net.client_stream import Answer, ClientStream, Drawn, Outgoing, Redraw, Refused, Taken
 from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.guard.limits import Bucket, CpuShare
 from glsplat.net.messages import Request
 from glsplat.net.pace.adaptive_quality import AdaptiveQuality
 from glsplat.net.pace.fair_queue import FairQueue
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.reply import pack_reply, pack_single
-from glsplat.net.session import Session
+from glsplat.net.worker.encoding import ClientVideo, PictureEncoder
+from glsplat.net.worker.worker import Worker
 
-__all__ = ["ClientStream", "RenderLoop"]
+__all__ = ["LoopOwner", "RenderLoop"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-_SICK = 3  # pictures in a row that failed before /healthz says so
-_YIELD_FACTOR = 9.0  # pause after a picture while others need the processor, in times of what it took
+_SICK = 3  # failed pictures in a row before /healthz reports it
+_STUCK_S = 10.0  # time of a picture before /healthz reports it
+_YIELD_FACTOR = 9.0  # pause after a picture while others need the processor, in times of the picture's
 _MAX_YIELD_S = 1.0
-_STUCK = 10.0  # seconds a picture may take before /healthz says so
+_PAUSES_S = (0.0, 0.5, 1.0)  # before each attempt to start a worker anew; a loop without an owner then gives up ...
+_LATER_S = 5.0  # ... and before all further ones
 
 
-class RenderLoop(ABC):
-    """The turns of the clients, and what is said with each picture. What draws is the subclass's."""
+class LoopOwner(Protocol):
+    """The pool that a render loop belongs to, and what its loops share."""
 
-    restart: None = None  # there are no workers to restart
-    codecs: tuple[str, ...] = ()  # of video
+    stages: StageTimes
+    faults: FaultTracker
+    encoder: PictureEncoder
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter, rate: float | None = None) -> None:
+    def lost(self, render_loop: RenderLoop) -> None:
+        """Move the clients of a loop whose worker is lost."""
+        ...
+
+    def opened(self, render_loop: RenderLoop) -> None:
+        """Give clients to a loop whose worker was started anew."""
+        ...
+
+    def failed(self, render_loop: RenderLoop, error: GlsplatError) -> None:
+        """Note that a worker could not be started anew; it will be tried again."""
+        ...
+
+    def elsewhere(self, render_loop: RenderLoop, client: ClientStream) -> bool:
+        """Move a client whose avatar the loop's worker cannot load; return False where no worker may be able to."""
+        ...
+
+
+class RenderLoop:
+    """Draws for its clients with ``worker``, at ``rate`` pictures a second for each (None: as many as there are).
+
+    ``owner``: the pool, for one of its loops. ``encoder`` encodes the pixels of workers that do not encode.
+    """
+
+    restart: None = None  # only pools restart workers
+
+    def __init__(
+        self,
+        worker: Worker,
+        clock: Callable[[], float] = time.perf_counter,
+        rate: float | None = None,
+        encoder: PictureEncoder | None = None,
+        owner: LoopOwner | None = None,
+    ) -> None:
+        self.worker: Worker = worker
         self.driver: str = ""
-        self.stages: StageTimes = StageTimes()
-        self.failures: int = 0  # in a row
-        self.rebuilds: int = 0  # contexts lost and made anew
-        self.should_yield: Callable[[], bool] = lambda: False  # whether others need the processor that draws
-        self._clock = clock
+        self.clients: dict[int, ClientStream] = {}  # by number
+        self.living: bool = False  # takes clients
+        self.attempts: int = 0  # to start the worker anew, in a row, that failed
+        self.failures: int = 0  # pictures in a row
+        self.rebuilds: int = 0  # workers lost so far
+        self.should_yield: Callable[[], bool] = lambda: False  # returns whether others need the processor that draws
+        self.stages: StageTimes = StageTimes() if owner is None else owner.stages
+        self.encoder: PictureEncoder = (encoder or PictureEncoder()) if owner is None else owner.encoder
+        self._faults = FaultTracker() if owner is None else owner.faults
+        self._clock, self._owner = clock, owner
         self._adaptive_quality = AdaptiveQuality(rate)
         self._drawing: ClientStream | None = None
         self._drawing_since: float | None = None
+        self._gone = False  # the worker has to be started anew
         self._stopping = False
         self._turns: FairQueue[ClientStream] = FairQueue()
-        self._leaving: dict[int, Callable[[], None]] = {}  # clients by their number, once their picture is drawn
-        self._blame = FaultTracker()
+        self._leaving: dict[int, Callable[[], None]] = {}  # by client: called once its picture in hand is drawn
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._task: asyncio.Task[None] | None = None
 
-    @abstractmethod
-    async def _open(self) -> str:
-        """Start what draws; returns the driver string. Raises GlsplatError."""
-
-    @abstractmethod
-    async def _rebuild(self) -> None:
-        """Bring back what draws, which is lost; clients keep their connection. Raises ContextError if that fails."""
-
-    @abstractmethod
-    async def _close(self) -> None:
-        """End it."""
-
-    @abstractmethod
-    async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
-        """Draw, and have it encoded meanwhile. Calls ``_job`` and ``_note``; raises what a renderer raises."""
-
-    def workers(self) -> list[dict[str, Any]] | None:
-        """Return ``workers`` of /stats."""
-        return None
+    @property
+    def codecs(self) -> tuple[str, ...]:
+        """Of video."""
+        return self.encoder.codecs
 
     @property
     def drawing_for(self) -> float:
-        """Seconds the picture in hand has taken so far; 0: none is."""
+        """Seconds that the picture in hand has taken so far; 0: none is drawn."""
         return 0.0 if self._drawing_since is None else self._clock() - self._drawing_since
 
     @property
     def healthy(self) -> bool:
-        """False once several pictures in a row failed, one takes far too long, or the render loop has ended."""
-        stuck = self.drawing_for > _STUCK
-        return self.failures < _SICK and not stuck and self._task is not None and not self._task.done()
+        """False while there is no worker, once several pictures in a row failed, or one takes far too long."""
+        running = self._task is not None and not self._task.done()
+        return self.living and running and self.failures < _SICK and self.drawing_for <= _STUCK_S
+
+    @property
+    def empty(self) -> bool:
+        """True while it draws for nobody."""
+        return not self.clients and not self._leaving
+
+    def workers(self) -> list[dict[str, Any]] | None:
+        """Return None for ``workers`` of /stats: it is alone."""
+        return None
 
     async def start(self) -> None:
-        """Open what draws. Raises what it raises, after ending the threads."""
+        """Open the worker. Raises GlsplatError; a loop that has an owner goes on trying all the same."""
         self._loop = asyncio.get_running_loop()
+        self.encoder.on_room.append(self._wake_up)
         try:
-            self.driver = await self._open()
-        except BaseException:
-            self._end_threads()
+            self.driver = await self.worker.open(self._worker_lost)
+            self.living = True
+        except BaseException as error:
+            self._gone = True
+            if self._owner is None or not isinstance(error, GlsplatError):
+                await self._close()
+                raise
+            self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
             raise
-        self._task = asyncio.create_task(self._run(), name="render loop")
+        self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
 
     async def ended(self) -> None:
-        """Wait until the render loop gives up. Raises ContextError: the context is lost and cannot be made again."""
+        """Wait until the render loop gives up. Raises ContextError: the worker is lost and cannot be started anew."""
         assert self._task is not None
         await asyncio.wait([self._task])
         if not self._task.cancelled():
             self._task.result()
 
     async def stop(self) -> None:
-        """Close what draws, end the threads; the picture in hand gets half a second."""
+        """Close the worker and end the threads; the picture in hand gets half a second."""
         if self._task is None:
             return
         self._stopping = True
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
         self._task = None
+        await self._close()
+
+    async def _close(self) -> None:
+        self.worker.cancel()
         try:
-            await self._close()
-        except Exception:  # the driver is gone, or its objects are: the process ends anyway
-            log.exception("the renderer could not be closed")
+            await self.worker.close()
+        except Exception:  # its driver is gone, or its objects are: the process ends anyway
+            log.exception("%s could not be closed", self.worker.name)
         finally:
-            self._end_threads()
+            self._solve_thread.shutdown(wait=False, cancel_futures=True)
+            if self._owner is None:
+                self.encoder.close()
 
-    def open(
-        self,
-        number: int,
-        session: Session,
-        solver: PoseSolver | None = None,
-        address: str = "",
-        shown: AvatarInfo = ANYTHING,
-    ) -> ClientStream:
-        """Return a client that is ``shown`` an avatar, with what solves its tracking; ``add`` lets it take part."""
-        solving = None if solver is None else PoseQueue(solver, self._solve_thread, self._clock)
-        return ClientStream(number, session, solving, address, shown)
+    # -------------------------------------------------------------------------------------------------------- clients
 
-    def add(self, channel: ClientStream) -> None:
-        """Let a client take part."""
-        self._turns.add(channel.address, channel, channel.cost or None)
-        kept = channel.session.kept
-        if kept is not None and channel.solving is not None:  # another render loop has waited for it until now
-            channel.solving.begin(kept.frame_id, self._solved)
+    def pose_queue(
+        self, solver: PoseSolver | None, share: CpuShare | None = None, samples: Bucket | None = None
+    ) -> PoseQueue | None:
+        """Return the queue of a client's tracking samples, with its limits; None without a solver."""
+        if solver is None:
+            return None
+        return PoseQueue(solver, self._solve_thread, self._clock, share=share, samples=samples)
+
+    def video(self) -> ClientVideo | None:
+        """Return the video of a new client; None where there is none."""
+        return self.encoder.video(self._clock)
+
+    def add(self, client: ClientStream) -> None:
+        """Draw for a client from now on."""
+        self.clients[client.number] = client
+        self._turns.add(client.address, client, client.cost or None)
+        kept = client.session.kept
+        if kept is not None and client.solving is not None:  # another render loop has waited for it until now
+            client.solving.begin(kept.frame_id, self._wake_up)
         self._wake.set()
 
-    def remove(self, channel: ClientStream) -> None:
-        """Forget a client; a picture of it that is being drawn is given up, or thrown away."""
-        self._turns.remove(channel.address, channel)
-        self._leaving.pop(channel.number, None)
-        if channel.solving is not None:
-            channel.solving.clear()
+    def remove(self, client: ClientStream) -> None:
+        """Forget a client; its picture in hand is given up, or thrown away."""
+        self.clients.pop(client.number, None)
+        self._turns.remove(client.address, client)
+        self._leaving.pop(client.number, None)
+        if client.solving is not None:
+            client.solving.clear()
+        if self._drawing is client:
+            self.worker.cancel()
 
-    def received(self, channel: ClientStream, request: Request | None) -> None:
-        """A message of this client was taken: the tracking of a ``request`` is solved while others are drawn."""
-        if request is not None and request.tracking is not None and channel.solving is not None:
-            channel.solving.add(request if channel.member is None else channel.member.meeting(request))
-        if request is not None and channel.member is not None:
-            channel.member.received(request, self._clock())
-        self.wake(channel)
-
-    def release(self, channel: ClientStream, then: Callable[[], None]) -> None:
-        """Draw no more for a client, whose picture in hand is drawn to its end first; ``then`` is called after it."""
-        if self._drawing is channel:
-            self._leaving[channel.number] = then
+    def release(self, client: ClientStream, then: Callable[[], None]) -> None:
+        """Draw no more for a client after its picture in hand; then call ``then``."""
+        self.clients.pop(client.number, None)
+        if self._drawing is client:
+            self._leaving[client.number] = then
         else:
-            self._turns.remove(channel.address, channel)
+            self._turns.remove(client.address, client)
             then()
 
-    def wake(self, channel: ClientStream) -> None:
-        """Something came of it: a request, or room in its window."""
-        if channel.again is not None or channel.session.waits_for_picture:
+    def renew(self) -> None:
+        """End the worker in order, and start it anew."""
+        self.living, self._gone = False, True
+        self._wake.set()
+
+    def received(self, client: ClientStream, request: Request | None) -> None:
+        """Take note of a message: the tracking of a ``request`` is solved while other pictures are drawn."""
+        if request is not None and request.tracking is not None and client.solving is not None:
+            client.solving.add(request if client.member is None else client.member.meeting(request))
+        if request is not None and client.member is not None:
+            client.member.received(request, self._clock())
+        self.wake(client)
+
+    def wake(self, client: ClientStream) -> None:
+        """Take note of a request, or of room in the client's window."""
+        if client.redraws or client.session.waits_for_picture:
             self._wake.set()
 
-    async def pack(self, channel: ClientStream, frame: Frame) -> list[bytes] | str:
-        """The messages of a frame: binary ones to send, or the text of an error. Marks them as being sent."""
-        request, session = frame.request, channel.session
-        if frame.encoded is None:
-            return session.failed(request, *frame.error)
+    async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
+        """Return an answer as it is sent, once it is drawn and encoded. Marks it as being sent."""
+        while (taken := await _lost_picture(answer)) is not None:
+            redrawn = client.redraw(taken)
+            self.wake(client)
+            answer = await redrawn
+        session = client.session
+        if isinstance(answer, Refused):
+            request = answer.request
+            return Outgoing(request, error=session.failed(request, answer.code, answer.message), ends=answer.ends)
+        assert isinstance(answer, Drawn)
+        request = answer.taken.request
         try:
-            encoded = await frame.encoded
+            encoded = await answer.encoded
         except Exception:
-            log.exception("frame %s of client %d could not be encoded", request.frame_id, channel.number)
-            return session.failed(request, "encode", "the picture could not be encoded")
-        frame.times["encode"] = encoded.ms
-        if encoded.video is not None:  # which takes as long as drawing, of the cores that draw
-            self._turns.charge(channel.address, channel, encoded.ms / 1e3, self._clock())
-        if encoded.pictures:
-            channel.newest = encoded if encoded.video is None else None
-        frame.times["total"] = (self._clock() - frame.arrived) * 1e3
-        self.stages.add(frame.times)
+            log.exception("frame %s of client %d could not be encoded", request.frame_id, client.number)
+            return Outgoing(request, error=session.failed(request, "encode", "the picture could not be encoded"))
+        if encoded.video is not None:  # coding takes as long as drawing, of the same cores
+            self._turns.charge(client.address, client, encoded.ms / 1e3, self._clock())
+        client.picture_sent(encoded)
+        total = (self._clock() - answer.taken.arrived) * 1e3
+        times = {**answer.times, "encode": encoded.ms, "total": total}
+        self.stages.add(times)
         if request.form == "single-legacy":
             packed = pack_single(request.eyes[0], encoded.pictures[0])
         else:
             assert request.frame_id is not None
             eyes = request.eyes if encoded.video is None else request.eyes[:1]
-            depth = [grid.data for grid in frame.depth]
-            info = frame.info(encoded)
-            if channel.way is not None and (offer := channel.way.offer()) is not None:
+            depth = [grid.data for grid in answer.rendered.depth]
+            info = answer.info(encoded, times)
+            if client.datagrams is not None and (offer := client.datagrams.offer()) is not None:
                 info["datagrams"] = offer
             packed = pack_reply(request.frame_id, eyes, encoded.pictures, info, encoded.alphas, depth)
-        nbytes = len(packed) if channel.way is None else channel.way.on_the_way(len(packed))
+        nbytes = len(packed) if client.datagrams is None else client.datagrams.on_the_way(len(packed))
         session.sending(request, nbytes, self._clock())
-        return [packed]
+        return Outgoing(request, [packed])
+
+    # ---------------------------------------------------------------------------------------------------------- turns
 
     async def _run(self) -> None:
         while True:
-            await self._stand_by()
+            if self._gone:
+                await self._revive()
             start = self._clock()
-            rests: list[float] = []  # seconds that clients wait whose links take nothing yet
-            channel = self._turns.next(partial(self._ready, start, rests), start)
-            if channel is None:
+            rests: list[float] = []  # seconds until links take another picture
+            client = self._turns.next(partial(self._ready, start, rests), start)
+            if client is None:
                 self._wake.clear()
                 rests += filter(None, [self._turns.rest(start)])
                 with suppress(TimeoutError):
                     async with asyncio.timeout(min(rests, default=None)):
                         await self._wake.wait()
                 continue
-            self._drawing, self._drawing_since = channel, start
+            self._drawing, self._drawing_since = client, start
             try:
-                await self._draw_one(channel)
+                await self._answer_next(client)
             finally:
                 self._drawing = self._drawing_since = None
             now = self._clock()
-            own = None if channel.member is None else channel.member.fair_cost(now - start)
-            self._turns.charge(channel.address, channel, now - start, now, own)
-            if (then := self._leaving.get(channel.number)) is not None:
-                self._turns.remove(channel.address, channel)
-                del self._leaving[channel.number]
+            own = None if client.member is None else client.member.fair_cost(now - start)
+            self._turns.charge(client.address, client, now - start, now, own)
+            if (then := self._leaving.pop(client.number, None)) is not None:
+                self._turns.remove(client.address, client)
                 then()
             if self.should_yield() and is_software(self.driver):
                 await asyncio.sleep(min(_MAX_YIELD_S, _YIELD_FACTOR * (now - start)))
 
-    def _ready(self, now: float, rests: list[float], channel: ClientStream) -> bool:
-        """Whether a client's picture can be drawn, and its link would take it."""
-        if channel.again is None and channel.session.waits_for_picture and (rest := channel.session.rest(now)) > 0:
+    def _ready(self, now: float, rests: list[float], client: ClientStream) -> bool:
+        """Return whether a client's picture can be drawn, and its link and the encoder would take it."""
+        session = client.session
+        if client.video is not None and self.encoder.full:
+            requests = filter(None, (session.newest, session.kept))
+            if any(one.options.video is not None for one in requests):
+                return False
+        if not client.redraws and session.waits_for_picture and (rest := session.rest(now)) > 0:
             rests.append(rest)
             return False
-        return channel.ready(self._solved)
+        return client.ready(self._wake_up)
 
-    async def _stand_by(self) -> None:
-        """Wait until there is something to draw with."""
-        return
-
-    def _solved(self) -> None:
-        """A request can be drawn. On the solving thread."""
+    def _wake_up(self) -> None:
+        """Check again whether a picture can be drawn. From any thread."""
         with suppress(RuntimeError):  # the server has stopped
             self._loop.call_soon_threadsafe(self._wake.set)
 
-    def _abandoned(self) -> bool:
-        """Nobody waits for the picture in hand any more. On any thread."""
-        drawing = self._drawing
-        return self._stopping or (drawing is not None and (drawing.address, drawing) not in self._turns)
+    async def _answer_next(self, client: ClientStream) -> None:
+        redraw = client.take_redraw()
+        taken = self._take(client) if redraw is None else redraw[0]
+        answer = await self._answer(taken)
+        if redraw is None:
+            if (client.address, client) in self._turns:
+                client.answers.put_nowait(answer)
+        elif not redraw[1].done():
+            redraw[1].set_result(answer)
 
-    async def _draw_one(self, channel: ClientStream) -> None:
-        frame, channel.again = channel.again or self._next_frame(channel), None
-        error = await self._attempt(frame)
-        if error is not None and self._suspects_others(frame, error):
-            self._suspect_others(frame, error)
-            if isinstance(error, ContextLostError):
-                await self._rebuild()
-            self._drawing_since = self._clock()
-            error = await self._attempt(frame)
-        if isinstance(error, PoseError):
-            frame.error = ("bad_pose", str(error))
-        elif isinstance(error, BudgetError):
-            self._adaptive_quality.refused(channel.number, self._clock())
-            frame.error = (error.code, str(error))
-            frame.ends = self._over_budget(channel, frame.request, error)
-        elif error is not None:
-            self._failed(channel, frame, error)
-        if frame.again is not None:
-            if not frame.again.done():
-                frame.again.set_result(None)
-        elif (channel.address, channel) in self._turns:
-            channel.frames.put_nowait(frame)
-        if isinstance(error, ContextLostError):
-            await self._rebuild()
+    def _take(self, client: ClientStream) -> Taken:
+        now = self._clock()
+        request, waited, solution = client.take(now)
+        taken = Taken(client, request, now - waited, request.cameras, client.notice(), solution=solution)
+        if request.form != "native" or not client.number:  # older clients know one size; 0 is the server itself
+            return taken
+        timely = self._adaptive_quality.detail(client.number, now)
+        rung = client.session.rung(request, now)
+        detail = timely if rung is None else timely.within(rung)
+        cameras = detail.resized(request.cameras)
+        return replace(taken, detail=detail, smaller=detail.scale < timely.scale, cameras=cameras)
 
-    async def _attempt(self, frame: Frame) -> Exception | None:
-        """Draw a frame; returns what kept it from being drawn."""
-        frame.driver, frame.error = self.driver, ("", "")
+    # -------------------------------------------------------------------------------------------------------- drawing
+
+    async def _answer(self, taken: Taken) -> Drawn | Redraw | Refused:
+        job = None
         try:
-            frame.encoded, self.failures = await self._picture(frame), 0
+            solved, times = await _solution(taken)
+            job = self._job(taken, solved)
+            return await self._draw(taken, job, solved, times)
         except Exception as error:
-            return error
-        return None
+            others = job is not None and _shows_others(job)
+            if not (others and _others_may_be_at_fault(error)):
+                return self._failed(taken, error, others)
+            taken = self._without_others(taken, error)
+        self._drawing_since = self._clock()
+        return await self._answer(taken)
 
-    def _suspects_others(self, frame: Frame, error: Exception) -> bool:
-        """Whether a picture may have gone wrong because of the others of a room in it: it is then drawn without them.
-
-        What their splats cost is limited beforehand (backends/room.py), so ``too_costly`` is the viewer's own.
-        """
-        own = isinstance(error, (PoseError, FormatError)) or getattr(error, "code", "") in ("too_costly", "abandoned")
-        return frame.shows_others and not own
-
-    def _suspect_others(self, frame: Frame, error: Exception) -> None:
-        number, frame.alone = frame.request.frame_id, True
-        log.warning("frame %s of client %d is drawn without the others: %s", number, frame.channel.number, error)
-        self._blame.suspect_others(frame.channel.address, self._clock(), slow=isinstance(error, BudgetError))
-
-    def _next_frame(self, channel: ClientStream) -> Frame:
-        request, waited, solution = channel.take(self._clock())
-        arrived, times = self._clock() - waited, {"wait": waited * 1e3}
-        frame = Frame(channel, request, arrived, times, request.cameras, channel.notice(), solution=solution)
-        if request.form == "native" and channel.number:  # older clients know one size; 0 is the server itself
-            timely = self._adaptive_quality.detail(channel.number, self._clock())
-            rung = channel.session.rung(request, self._clock())
-            frame.detail = timely if rung is None else timely.within(rung)
-            frame.smaller = frame.detail.scale < timely.scale
-            frame.cameras = frame.detail.resized(request.cameras)
-        return frame
-
-    def _failed(self, channel: ClientStream, frame: Frame, error: Exception) -> None:
-        """A picture could not be drawn, through no fault of its request's form."""
-        self._refuse(channel, frame, error)
-        if isinstance(error, ContextLostError) and self._blame.again(channel.address, self._clock()):
-            frame.ends = "pictures that the renderer does not survive"
-
-    def _refuse(self, channel: ClientStream, frame: Frame, error: Exception) -> None:
-        self.failures += 1
-        log.error(
-            "frame %s of client %d could not be drawn: %s",
-            *(frame.request.frame_id, channel.number, error),
-            exc_info=None if isinstance(error, GlsplatError) else error,
-        )
-        frame.error = ("render", "the picture could not be drawn")  # no details: they may name files
-
-    def _over_budget(self, channel: ClientStream, request: Request, error: BudgetError) -> str:
-        """Why that ends the connection, or nothing. Only what a client asked for is at fault, so nothing is rebuilt."""
-        if error.code == "too_slow":
-            log.warning("frame %s of client %d took too long; it is abandoned", request.frame_id, channel.number)
-            return "pictures that take too long" if self._blame.again(channel.address, self._clock()) else ""
-        if error.code == "too_costly":
-            return "too many pictures that cost too much" if channel.session.overspent(self._clock()) else ""
-        return ""
-
-    def _job(self, frame: Frame) -> RenderJob:
-        """What is to be drawn, at the pose that tracking came to, or everybody of the room.
-
-        Raises PoseError where tracking is not solved.
-        """
-        request, channel = frame.request, frame.channel
-        pose, cameras, room, solved, place = request.pose, frame.cameras, None, None, None
-        if request.tracking is not None:
-            if frame.solution is None:
-                raise PoseError(channel.untracked)
-            solved, frame.times["ik"] = frame.solution.result()
-            frame.notes = solved.notes
-        if channel.member is not None:
+    def _job(self, taken: Taken, solved: Solved | None) -> RenderJob:
+        """Return the picture to draw: the avatar at its pose, or all people of the room."""
+        client, request = taken.client, taken.request
+        pose, place, cameras, room = request.pose, None, taken.cameras, None
+        if client.member is not None:
             pose = None
-            cameras, room = channel.member.look(request, cameras, solved, frame.arrived, self._clock())
+            cameras, room = client.member.look(request, cameras, solved, taken.arrived, self._clock())
         elif solved is not None:
             pose, place = solved.pose, solved.place
-            frame.drawn = tuple(map(solved.seen, cameras))
-        frame.job = job = RenderJob(
+        return RenderJob(
             cameras=cameras,
             pose=pose,
             place=place,
             frame_id=request.frame_id,
-            options=frame.options,
-            avatar=channel.shown.name,
+            options=taken.options,
+            avatar=client.shown.name,
             room=room,
-            viewer=channel.number,
-            detail=frame.detail.bias,
-            label=channel.label,
-            notice=frame.notice,
-            mark=channel.session.mark,
-            others=0.0 if frame.alone else self._blame.others(channel.address, self._clock()),
+            viewer=client.number,
+            detail=taken.detail.bias,
+            label=client.label,
+            notice=taken.notice,
+            mark=client.session.mark,
+            others=0.0 if taken.alone else self._faults.others(client.address, self._clock()),
         )
-        return job
 
-    def _begin(self, frame: Frame) -> float:
-        """The time at which drawing begins."""
-        start = self._clock()
-        frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
-        return start
-
-    def _note(self, frame: Frame, rendered: Rendered, start: float) -> None:
-        """What is known of a picture once it is drawn."""
+    async def _draw(self, taken: Taken, job: RenderJob, solved: Solved | None, times: dict[str, float]) -> Drawn:
+        """Draw a picture and have it encoded meanwhile. Raises what a worker raises."""
+        client, start = taken.client, self._clock()
+        if (client.address, client) not in self._turns:
+            raise BudgetError("nobody waits for the picture any more", "abandoned")
+        video = client.video if job.options.video is not None else None
+        rendered = await self.worker.draw(job, pixels=video is not None or bool(client.observers))
         now = self._clock()
-        frame.times["render"] = (now - start) * 1e3
-        frame.levels = rendered.levels
-        self._adaptive_quality.drawn(frame.channel.number, now - start, rendered.coarsest, now, frame.smaller)
-        if len(rendered.images) != len(frame.request.eyes):
-            raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
-        frame.places = {name: [round(v, 5) for v in place] for name, place in rendered.places.items()}
-        frame.depth = rendered.depth
-        if frame.channel.member is not None:
-            frame.channel.member.posed(rendered.posed)
-        frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}
+        encoded = rendered.encoded
+        if encoded is None:
+            if len(rendered.images) == len(taken.request.eyes):
+                submitted = self.encoder.submit(rendered, job.options, video, client.picture_drawn)
+                encoded = asyncio.wrap_future(submitted)
+            elif rendered.done is not None:
+                rendered.done()
+        self._adaptive_quality.drawn(client.number, now - start, rendered.coarsest, now, taken.smaller)
+        client.picture_took(now - start)
+        if encoded is None or len(rendered.images) != len(taken.request.eyes):
+            raise RuntimeError(f"{len(taken.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
+        if client.member is not None:
+            client.member.posed(rendered.posed)
+        self.failures = 0
+        times = {
+            "wait": (start - taken.arrived) * 1e3 - times.get("ik", 0.0),  # solving is no waiting
+            **times,
+            "render": (now - start) * 1e3,
+            **{name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")},
+        }
+        return Drawn(taken, job, rendered, encoded, times, self.driver, solved)
 
-    def _end_threads(self) -> None:
-        self._solve_thread.shutdown(wait=False, cancel_futures=True)
+    # -------------------------------------------------------------------------------------------------------- failures
+
+    def _without_others(self, taken: Taken, error: Exception) -> Taken:
+        """Return a picture without the others of its room, who are suspected for a while."""
+        number, client = taken.request.frame_id, taken.client
+        log.warning("frame %s of client %d is drawn without the others: %s", number, client.number, error)
+        self._faults.suspect_others(client.address, self._clock(), slow=isinstance(error, BudgetError))
+        return replace(taken, alone=True)
+
+    def _failed(self, taken: Taken, error: Exception, others: bool) -> Redraw | Refused:
+        """Return the answer to a request whose picture could not be drawn; ``others`` of a room were in it."""
+        client, request, again, ends = taken.client, taken.request, None, ""
+        if isinstance(error, PoseError):
+            return Refused(request, "bad_pose", str(error))
+        if isinstance(error, BudgetError):
+            self._adaptive_quality.refused(client.number, self._clock())
+            return Refused(request, error.code, str(error), self._over_budget(client, request, error))
+        if isinstance(error, FormatError) and self._owner is not None and self._owner.elsewhere(self, client):
+            again = taken
+        elif isinstance(error, ContextLostError):
+            again, ends = self._lost_while_drawing(taken, error, others)
+            self._worker_lost()
+        number = request.frame_id
+        if again is not None:
+            log.warning("frame %s of client %d is drawn again: %s: %s", number, client.number, self.worker.name, error)
+            return Redraw(again)
+        self.failures += 1
+        trace = None if isinstance(error, GlsplatError) else error
+        log.error("frame %s of client %d could not be drawn: %s", number, client.number, error, exc_info=trace)
+        return Refused(request, "render", "the picture could not be drawn", ends)  # no details: they may name files
+
+    def _lost_while_drawing(self, taken: Taken, error: ContextLostError, others: bool) -> tuple[Taken | None, str]:
+        """Return the picture if it is to be drawn once more, and why its connection ends, if it does.
+
+        A client whose pictures are not survived may not kill one worker after the other.
+        """
+        address, now = taken.client.address, self._clock()
+        taken, ends, again = replace(taken, losses=taken.losses + 1), "", self._owner is not None
+        blames = getattr(error, "blames", True)  # of a lost context
+        if blames or taken.losses > 1 or self._faults.suspects(address, now):
+            if others:
+                taken, again = self._without_others(taken, error), True
+            elif self._faults.again(address, now):
+                ends = "pictures that the renderer does not survive"
+        return (taken if again and not ends and taken.losses < 2 else None), ends
+
+    def _over_budget(self, client: ClientStream, request: Request, error: BudgetError) -> str:
+        """Return why a picture over its budget ends the connection; "" if it does not."""
+        if error.code == "too_slow":
+            log.warning("frame %s of client %d took too long; it is abandoned", request.frame_id, client.number)
+            return "pictures that take too long" if self._faults.again(client.address, self._clock()) else ""
+        if error.code == "too_costly":
+            return "too many pictures that cost too much" if client.session.overspent(self._clock()) else ""
+        return ""
+
+    def _worker_lost(self) -> None:
+        """Start the worker anew as soon as the picture in hand is answered."""
+        if self._stopping or self._gone:
+            return
+        self._gone, self.living = True, False
+        self.rebuilds += 1
+        log.warning("%s is lost; starting a new one", self.worker.name)
+        if self._owner is not None:
+            self._owner.lost(self)
+        self._wake.set()
+
+    async def _revive(self) -> None:
+        """Start the worker anew, however often that takes; without an owner raise the error of the last attempt."""
+        for pause in chain(_PAUSES_S, repeat(_LATER_S)):
+            await asyncio.sleep(pause)
+            try:
+                self.driver = await self.worker.rebuild()
+                break
+            except GlsplatError as error:
+                self.attempts += 1
+                log.warning("%s cannot be started anew: %s", self.worker.name, error)
+                if self._owner is not None:
+                    self._owner.failed(self, error)
+                elif self.attempts >= len(_PAUSES_S):
+                    raise
+        self.attempts = self.failures = 0
+        self._gone, self.living = False, True
+        if self._owner is not None:
+            self._turns = FairQueue()  # its clients have left: the time of the loss is nobody's debt
+            self._owner.opened(self)
+
+
+async def _solution(taken: Taken) -> tuple[Solved | None, dict[str, float]]:
+    """Return the pose of a request with tracking, and ``ik`` in ms. Raises PoseError where it is not solved."""
+    if taken.request.tracking is None:
+        return None, {}
+    if taken.solution is None:
+        raise PoseError(taken.client.untracked)
+    if not taken.solution.done():
+        await asyncio.wait([asyncio.wrap_future(taken.solution)])
+    solved, ms = taken.solution.result()
+    return solved, {"ik": ms}
+
+
+async def _lost_picture(answer: Answer) -> Taken | None:
+    """Return a picture that has to be drawn again: its worker was lost while it drew, or while it encoded."""
+    if isinstance(answer, Redraw):
+        return answer.taken
+    if isinstance(answer, Drawn):
+        with suppress(Exception):
+            try:
+                await answer.encoded
+            except ContextLostError:
+                return answer.taken
+    return None
+
+
+def _shows_others(job: RenderJob) -> bool:
+    """Return whether other people of a room are in a picture."""
+    if job.room is None or not job.others:
+        return False
+    return any(person.key != job.room.viewer and person.opacity > 0 for person in job.room.people)
+
+
+def _others_may_be_at_fault(error: Exception) -> bool:
+    """Return whether to draw a picture again at once, without the others in it.
+
+    The cost of their splats is limited beforehand (backends/room.py), so ``too_costly`` is the viewer's own.
+    """
+    own = isinstance(error, PoseError | FormatError | ContextLostError)
+    return not own and getattr(error, "code", "") not in ("too_costly", "abandoned")

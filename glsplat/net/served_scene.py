@@ -14,15 +14,18 @@ from glsplat.errors import GlsplatError
 from glsplat.net import server as server_module
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
-from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
-from glsplat.net.local_loop import LocalLoop
 from glsplat.net.messages import PARTS
 from glsplat.net.options import NAME, ServerConfig
 from glsplat.net.pages.routes import Pages
+from glsplat.net.render_loop import RenderLoop
 from glsplat.net.server import Server
+from glsplat.net.worker.encoding import PictureEncoder
+from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.thread import ThreadWorker
+from glsplat.net.worker.worker import Worker
 from glsplat.optional import missing, plugin
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.scenes.scene_file import SceneFile
@@ -166,27 +169,29 @@ def gl_server(
     )
     config = served.configured(config or ServerConfig())
     make = served.backend(config.wire.size)
-    backend = ProcessBackend(make, config.wire.max_side, MAX_TIME) if own_process else make()
+    backend = process_worker(make, config.wire.max_side, MAX_TIME) if own_process else make()
     offers = served.offers()
     log_limits(offers)
     return server_of(backend, config, offers, features)
 
 
 def server_of(
-    backend: Backend | Drawer,
+    backend: Backend | Worker | Drawer,
     config: ServerConfig | None = None,
     offered: Sequence[AvatarInfo] = (AvatarInfo(name="default"),),
     features: Sequence[Feature] = (),
     later: Callable[[], Iterable[AvatarInfo]] = tuple,
 ) -> Server:
-    """Return a server of what ``backend`` draws, on one thread of this process or with the workers of a pool.
+    """Return a server that draws with ``backend``: on a thread of this process, with a worker, or with a pool.
 
     It has the features that every server has, and ``features``. ``later`` returns more avatars to offer once clients
     can connect.
     """
     config = config or ServerConfig()
     clock = server_module.clock
-    drawer = LocalLoop(backend, clock, config.fps, config.video) if isinstance(backend, Backend) else backend
+    drawer = ThreadWorker(backend) if isinstance(backend, Backend) else backend
+    if isinstance(drawer, Worker):
+        drawer = RenderLoop(drawer, clock, config.fps, PictureEncoder(config.video))
     return Server(Catalogue(offered), drawer, config, (*standard_features(config), *features), later)
 
 

@@ -206,13 +206,13 @@ class Server:
     def stats(self, user: User | None = None) -> dict[str, Any]:
         """The numbers of /stats, and of others what the account may see."""
         rights, clients, totals = self.gate.rights, [], asdict(self._totals)
-        for number, channel in self.clients.items():
-            status, owner = channel.session.status(), channel.account
+        for number, client in self.clients.items():
+            status, owner = client.session.status(), client.account
             for name in totals:
                 totals[name] += status[name]
             if rights.sees(user, "client", owner):
-                fields = client_fields(number, channel, status, rights.sees(user, "identity", owner))
-                clients.append(fields | merged(feature.client_stats(user, channel) for feature in self.features))
+                fields = client_fields(number, client, status, rights.sees(user, "identity", owner))
+                clients.append(fields | merged(feature.client_stats(user, client) for feature in self.features))
         stats = {
             "scene": self.config.scene if rights.sees(user, "avatar", self.catalogue.names[0]) else None,
             "driver": self.drawer.driver,
@@ -296,7 +296,7 @@ class Server:
         if isinstance(entered, web.Response):
             return entered
         try:
-            channel = self._open_channel(request, entered)
+            client = self._open_client(request, entered)
         except BaseException as error:
             self.gate.leave(request, entered)
             if not isinstance(error, ProtocolError):
@@ -304,13 +304,13 @@ class Server:
             status = 403 if error.code == NOT_ALLOWED else getattr(error, "status", 400)
             return web.Response(status=status, text=f"{error}\n")
         talk = Conversation(
-            *(channel, ws, request, self.drawer, self.gate, self._responder),
-            deaf=lambda: self._draining,
+            *(client, ws, request, self.drawer, self.gate, self._responder),
+            is_draining=lambda: self._draining,
             write_timeout=self.config.write_timeout,
         )
         try:
             await self.gate.accept(request, ws, entered)
-            self._talks[channel.number] = talk
+            self._talks[client.number] = talk
             await talk.run()
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
@@ -318,11 +318,11 @@ class Server:
             # gone before its handshake was answered: aiohttp would close what never opened
             return ws if ws.prepared else web.Response(status=400)
         finally:
-            self._close_channel(channel, talk.goodbye)
+            self._close_client(client, talk.goodbye)
             self.gate.leave(request, entered)
 
-    def _open_channel(self, request: web.Request, quota: ClientQuota) -> ClientStream:
-        """A new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab."""
+    def _open_client(self, request: web.Request, quota: ClientQuota) -> ClientStream:
+        """Return a new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75."""
         user, rights = user_of(request), self.gate.rights
         query: Mapping[str, str] = request.query
         for feature in self.features:
@@ -334,34 +334,40 @@ class Server:
             solver = feature.solver(solver)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
-        notice = partial(rights.label, user, asked.avatar)
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
         session.refusal = partial(rights.refusal, user, asked.avatar)
         session.sends_poses = self._responder is not None
-        channel = self.drawer.open(number, session, solver, address, one)
-        channel.account = "" if user is None else user.name
-        channel.driver = asked.name
-        channel.label, channel.notice = driven_by(asked.name) if asked.label else "", notice
-        channel.share = self._work.open(clock(), channel.address)
-        if channel.solving is not None:
-            channel.solving.share, channel.solving.samples = channel.share, quota.samples
-        self.clients[channel.number] = channel
+        share = self._work.open(clock(), address)
+        client = ClientStream(
+            number,
+            session,
+            self.drawer.pose_queue(solver, share, quota.samples),
+            address=address,
+            shown=one,
+            account="" if user is None else user.name,
+            driver=asked.name,
+            label=driven_by(asked.name) if asked.label else "",
+            notice=partial(rights.label, user, asked.avatar),
+            share=share,
+            video=self.drawer.video(),
+        )
+        self.clients[number] = client
         try:
             for feature in self.features:
-                feature.client_opened(channel, asked)
-            if asked.room is not None and channel.member is None:
+                feature.client_opened(client, asked)
+            if asked.room is not None and client.member is None:
                 raise RoomError("there is no such room here", 404)
         except BaseException:  # also a fault of a feature
-            self._close_channel(channel, goodbye=False)
+            self._close_client(client, goodbye=False)
             raise
-        return channel
+        return client
 
     async def withdraw(self, name: str) -> bool:
         """Offer an avatar no more and end the connections that show it; False where it was not offered."""
         there = self.catalogue.remove(name)
         for feature in self.features:
             feature.avatar_withdrawn(name)
-        shown = [talk for talk in self._talks.values() if talk.channel.shown.name == name]
+        shown = [talk for talk in self._talks.values() if talk.client.shown.name == name]
         closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
         await asyncio.gather(*closing, return_exceptions=True)
         return there
@@ -389,19 +395,19 @@ class Server:
             self._closing.add(task)
             task.add_done_callback(self._closing.discard)
 
-    def _close_channel(self, channel: ClientStream, goodbye: bool) -> None:
-        self.drawer.remove(channel)
-        if channel.share is not None:
-            self._work.close(channel.share)
-        self._talks.pop(channel.number, None)
-        del self.clients[channel.number]
-        for name, value in asdict(channel.session.counts).items():
+    def _close_client(self, client: ClientStream, goodbye: bool) -> None:
+        self.drawer.remove(client)
+        if client.share is not None:
+            self._work.close(client.share)
+        self._talks.pop(client.number, None)
+        del self.clients[client.number]
+        for name, value in asdict(client.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
         for feature in self.features:
             try:
-                feature.client_closed(channel, goodbye)
+                feature.client_closed(client, goodbye)
             except Exception:  # the other features hear of it all the same
-                log.exception("%s failed as client %d left", type(feature).__name__, channel.number)
+                log.exception("%s failed as client %d left", type(feature).__name__, client.number)
 
 
 def merged(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

@@ -212,7 +212,6 @@ MISTAKES = {
         serve token-file=nowhere            : nowhere: cannot read the token
         serve bitrate=8 fixed=true          : leave one out
         serve bitrate=0                     : 0.1 to 100000
-        serve video=true --workers 2        : --workers out
         serve webtransport=true fixed=true  : fixed sends the same to all: leave one out
         serve --room lab --room lab:3       : two rooms
         serve --room lab:20                 : 20 people need max-clients = 20

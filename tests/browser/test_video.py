@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.extras.far_links.video import CODECS, VideoStream
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import offered

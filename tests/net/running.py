@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager, contextmanager
 from typing import Protocol, TypeVar
 
 from glsplat.net.server import Server
+from glsplat.net.worker.worker import Worker
 
 
 class Opens(Protocol):
@@ -25,6 +26,16 @@ def opened(backend: B) -> Iterator[B]:
         yield backend
     finally:
         backend.close()
+
+
+@asynccontextmanager
+async def working(worker: Worker) -> AsyncIterator[Worker]:
+    """Open a worker; close it in the end."""
+    await worker.open(lambda: None)
+    try:
+        yield worker
+    finally:
+        await worker.close()
 
 
 @asynccontextmanager

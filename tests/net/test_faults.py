@@ -11,7 +11,7 @@ import aiohttp
 import pytest
 
 from glsplat.errors import ContextError, ContextLostError, FormatError, ProtocolError
-from glsplat.net import local_loop
+from glsplat.net import render_loop
 from glsplat.net.client import Client, request_message
 from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
@@ -166,7 +166,7 @@ class Losing(FakeBackend):
 
 
 def losing(monkeypatch, last):
-    monkeypatch.setattr(local_loop, "_PAUSES", (0.0, 0.01, 0.02))
+    monkeypatch.setattr(render_loop, "_PAUSES_S", (0.0, 0.01, 0.02))
     backend = Losing(fail=lambda request: ContextLostError("lost") if request.frame_id == 2 else None)
     backend.last = last
     return backend

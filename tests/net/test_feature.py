@@ -47,7 +47,7 @@ class Counting(Feature):
 
     def client_opened(self, client, asked):
         self.calls["opened"] += 1
-        client.observers += (self,)
+        client.observe(self)
         if asked.name == "eve":
             raise ProtocolError("eve may not come in")
 

@@ -51,12 +51,12 @@ encoder.close()
 
 @pytest.mark.gl
 def test_the_drawing_process():
-    """What ProcessBackend starts: unpickled, opened, a picture drawn. No network either."""
+    """What `process_worker` starts: unpickled, opened, a picture drawn. No network either."""
     loaded = loaded_by("""
 import pickle
 from functools import partial
 from glsplat.data import default_avatar
-from glsplat.net.backends import process
+from glsplat.net.worker import work
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backend import RenderJob
 from glsplat.net.messages import Decoder

@@ -158,7 +158,7 @@ def without_sockets(count: int, seconds: float, rate: float) -> None:
     hall, now, spent, solved = Room("lab", count), 1000.0, 0.0, 0.0
     answers = PoseResponder(lambda name: bytes(32), lambda name: "", lambda: now)
     samples = [{k: v for k, v in sample.to_json().items() if k != "t"} for sample in embedded_recording()]
-    channels = []
+    clients = []
 
     class Timed:
         def __init__(self, solver: PoseSolver) -> None:
@@ -176,25 +176,25 @@ def without_sockets(count: int, seconds: float, rate: float) -> None:
         session = Session(Decoder(skeleton=one.skeleton), SessionConfig(window=8, rate=1e9, burst=10**9), now)
         solver = PoseQueue(Timed(one.solver(1.75, None)), Inline(), lambda: now)
         solver.on_solved = member.solved
-        channels.append(ClientStream(i, session, solver, shown=one, member=member))
+        clients.append(ClientStream(i, session, solver, shown=one, member=member))
     turns, size = round(seconds * rate), 0
 
     async def talk() -> None:
         nonlocal now, spent, size
         for n in range(1, turns + 1):
-            for i, channel in enumerate(channels):
+            for i, client in enumerate(clients):
                 now += 1 / rate / count
                 sample = samples[(97 * i + n) % len(samples)]
                 text = json.dumps({"v": 1, "frame_id": n, "t": n * 1e3 / rate, "want": "pose", "tracking": sample})
                 start = time.thread_time()
-                request = channel.session.receive(text, now)
-                assert isinstance(request, Request) and channel.member is not None and channel.solving is not None
-                channel.solving.add(request)
-                channel.member.received(request, now)
-                answers.due(channel)
-                frame = channel.frames.get_nowait()
-                (data,) = answers.pack(frame)
-                channel.session.sent(frame.request, len(data))
+                request = client.session.receive(text, now)
+                assert isinstance(request, Request) and client.member is not None and client.solving is not None
+                client.solving.add(request)
+                client.member.received(request, now)
+                answers.due(client)
+                answer = client.answers.get_nowait()
+                (data,) = answers.pack(answer).messages
+                client.session.sent(answer.request, len(data))
                 spent += time.thread_time() - start
                 size += len(data)
 
@@ -224,12 +224,12 @@ def listeners(count: int, seconds: float, rate: float) -> None:
     rooms_person.pack_body = counted  # type: ignore[attr-defined]
     answers = PoseResponder(lambda name: bytes(32) if name == "ann" else None, lambda name: "", lambda: now)
     rng = np.random.default_rng(2)
-    channels = []
+    clients = []
     for i in range(count):
         who = hall.join(f"L{i}", "nobody", now, place=np.eye(4))  # nothing is handed out of them: they only listen
         session = Session(Decoder(), SessionConfig(window=8, rate=1e9, burst=10**9), now)
         member = Member(hall, who, glsplat.Pose.zero(55))
-        channels.append(ClientStream(i, session, shown=AvatarInfo(name="nobody"), member=member))
+        clients.append(ClientStream(i, session, shown=AvatarInfo(name="nobody"), member=member))
     periods = 1 / rng.choice([10, 20, 36, 72], count)
     due = now + rng.uniform(0, periods)
     texts = [json.dumps({"v": 1, "frame_id": n, "want": "pose"}) for n in range(1, int(seconds * 80) + 2)]
@@ -245,13 +245,13 @@ def listeners(count: int, seconds: float, rate: float) -> None:
             hall.moved(speaker, Moved(poses[tick % 72], now, tick * 1e3 / rate, tick))
             tick += 1
             for i in np.flatnonzero(due <= now):
-                channel = channels[i]
-                channel.session.receive(texts[asked[i]], now)
+                client = clients[i]
+                client.session.receive(texts[asked[i]], now)
                 asked[i] += 1
-                answers.due(channel)
-                frame = channel.frames.get_nowait()
-                (data,) = answers.pack(frame)
-                channel.session.sent(frame.request, len(data))
+                answers.due(client)
+                answer = client.answers.get_nowait()
+                (data,) = answers.pack(answer).messages
+                client.session.sent(answer.request, len(data))
                 replies += 1
                 size += len(data)
                 due[i] += periods[i]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.io.machine import cores
-from glsplat.net.codec.encode import Box, Encoded
+from glsplat.net.codec.encoded import Box, Encoded
 from glsplat.net.codec.straight import straightened
 from glsplat.optional import require_package
 

@@ -20,7 +20,7 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.operations.history import History
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client_stream import ClientStream
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.rights import user_of
 
@@ -50,7 +50,7 @@ class Previews(Feature):
     async def start(self, server: ServerView) -> None:
         """Nothing is drawn before it is asked for."""
         self._server, self._offers = server, server.catalogue
-        self._rights, self._channels = server.gate.rights, server.clients
+        self._rights, self._clients = server.gate.rights, server.clients
 
     def routes(self) -> list[web.RouteDef]:
         """Return the three addresses."""
@@ -74,10 +74,10 @@ class Previews(Feature):
 
     def shows(self, user: User | None, number: int) -> bool:
         """Whether /pictures has something of that client for the account."""
-        channel = self._channels.get(number)
-        if channel is None or channel.newest is None:
+        client = self._clients.get(number)
+        if client is None or client.newest is None:
             return False
-        return self._rights.sees(user, "identity", channel.account)
+        return self._rights.sees(user, "identity", client.account)
 
     def tag(self, name: str, user: User | None) -> str:
         """What changes with the picture of an avatar that ``user`` may drive; "" while it is not drawn."""
@@ -85,11 +85,11 @@ class Previews(Feature):
 
     async def small(self, number: int) -> bytes:
         """JPEG of what a client was sent last, which ``shows`` says there is: made once a picture, whoever asks."""
-        encoded = self._channels[number].newest
+        encoded = self._clients[number].newest
         assert encoded is not None
         made = self._small.get(number)
         if made is None or made[0] is not encoded:
-            self._small = {key: one for key, one in self._small.items() if key in self._channels}
+            self._small = {key: one for key, one in self._small.items() if key in self._clients}
             made = self._small[number] = encoded, asyncio.create_task(asyncio.to_thread(_small, encoded))
         return await asyncio.shield(made[1])
 

@@ -39,9 +39,7 @@ class Rooms(Feature):
             return
         end = partial(self._server.close_client, client.number, "connected anew elsewhere")
         member = self.join(asked, client.shown, client.number, self._server.clock(), end, client.notice())
-        client.member, client.room, client.driver = member, asked.room, member.person.name
-        if client.solving is not None:
-            client.solving.on_solved = member.solved
+        client.enter(asked.room, member, member.person.name)
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:
         """Let the client's person go, at once or after a while."""

@@ -24,9 +24,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.extras.workers.wire import WorkerLostError, greet
-from glsplat.extras.workers.work import GREETING, work
 from glsplat.net.backend import Backend
+from glsplat.net.worker.wire import WorkerLostError, greet
+from glsplat.net.worker.work import GREETING_S, work
 from glsplat.optional import require_package
 
 __all__ = ["RayCluster", "RayLauncher", "require_ray"]
@@ -106,6 +106,7 @@ class RayLauncher:
 
     def __init__(self, cluster: RayCluster, name: str) -> None:
         self.name: str = name
+        self.slots: None = None
         self._cluster = cluster
         self._actor: str | None = None
         self._connection: socket.socket | None = None  # until it is handed over
@@ -150,7 +151,7 @@ class RayLauncher:
         self._actor, address = self._cluster.ask("start", pending=self._wait)
         connection: socket.socket | None = None
         try:
-            connection = socket.create_connection(address, GREETING)
+            connection = socket.create_connection(address, GREETING_S)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             if hasattr(socket, "TCP_USER_TIMEOUT"):  # a machine that is gone says nothing
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNHEARD)
@@ -235,7 +236,7 @@ def _drive(
     try:
         if address is not None and _HOST.fullmatch(address):  # Ray itself tries for a minute
             host, port = address.rsplit(":", 1)
-            socket.create_connection((host, int(port)), GREETING).close()
+            socket.create_connection((host, int(port)), GREETING_S).close()
         ray.init(address, log_to_driver=False, namespace="glsplat", configure_logging=False)
         kind = ray.remote(num_cpus=cpus, num_gpus=gpus, max_restarts=0, max_concurrency=2, lifetime="detached")(_Actor)
         made = ray.put(make)

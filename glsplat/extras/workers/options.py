@@ -1,4 +1,4 @@
-"""What a gateway is told of its workers before they start."""
+"""The options of a gateway's workers."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from glsplat.extras.workers.cluster import RayCluster
-from glsplat.extras.workers.local import ProcessLauncher
 from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.backend import Backend
+from glsplat.net.worker.process import ProcessLauncher
 
 __all__ = ["Workers"]
 
-_HEADLESS = 120.0  # seconds that a gateway without workers waits for Ray to come back
+_HEADLESS_S = 120.0  # time that a gateway without workers waits for Ray to come back
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,19 +25,21 @@ class Workers:
     gpus: float = 0.0
     address: str | None = None  # as for ray.init; None: RAY_ADDRESS, a cluster on this machine, or a new one
 
-    def pool(self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float) -> WorkerPool:
-        """Workers that run ``makes`` in turn; Ray's all run the first. ``rate`` and ``seconds`` as for WorkerPool.
+    def pool(
+        self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float, video: bool = False
+    ) -> WorkerPool:
+        """Return workers that run ``makes`` in turn; Ray's all run the first. The rest as for WorkerPool.
 
         Raises GlsplatError where Ray is not installed or, if it is asked for its room, not there.
         """
         if not self.ray:
             count = self.count or 1
             launchers = [ProcessLauncher(makes[i % len(makes)], f"worker {i + 1}") for i in range(count)]
-            return WorkerPool(launchers, rate, seconds)
+            return WorkerPool(launchers, rate, seconds, video=video)
         cluster = RayCluster(makes[0], self.address, self.cpus, self.gpus)
         try:
             count = cluster.room() if self.count is None else self.count
         except BaseException:
             cluster.close()
             raise
-        return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS, close=cluster.close)
+        return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS_S, close=cluster.close, video=video)

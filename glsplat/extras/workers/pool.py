@@ -1,48 +1,48 @@
-"""The pool: several workers behind one face, which is a render loop's.
+"""WorkerPool: several workers behind the face of one render loop.
 
-Each worker has a render loop. A client belongs to one of them, and changes over when its worker is lost or too busy;
-its pictures keep their order, because it changes between two of them, and because a picture whose worker is lost keeps
-its place in the line while another worker draws it.
+Each worker has a render loop. A client belongs to one of them, and moves when its worker is lost or too busy; its
+pictures keep their order, because it moves between two of them, and because a picture whose worker is lost keeps its
+place in the queue of answers while another worker draws it.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-from glsplat.errors import ContextError, ContextLostError, GlsplatError
-from glsplat.extras.workers.launcher import WorkerLauncher
-from glsplat.extras.workers.placement import PlacedClient, better, choose
-from glsplat.extras.workers.remote_loop import RemoteLoop
-from glsplat.net.backend import AvatarInfo, PoseSolver
-from glsplat.net.client_stream import ANYTHING, ClientStream, Frame
+from glsplat.errors import ContextError, GlsplatError
+from glsplat.extras.workers.placement import PlacedClient, PlacedWorker, better, choose
+from glsplat.net.backend import PoseSolver
+from glsplat.net.client_stream import Answer, ClientStream, Outgoing
 from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.guard.limits import Bucket, CpuShare
 from glsplat.net.messages import Request
 from glsplat.net.pace.stages import StageTimes
-from glsplat.net.session import Session
+from glsplat.net.pose_queue import PoseQueue
+from glsplat.net.render_loop import RenderLoop
+from glsplat.net.worker.encoding import ClientVideo, PictureEncoder
+from glsplat.net.worker.launcher import WorkerLauncher
+from glsplat.net.worker.remote import RemoteWorker
 
 __all__ = ["WorkerPool"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _TRIES = 3  # attempts to start each worker, while none lives, before the pool may give up
-_MOVES = 64  # clients that change over at once, at most, for the sake of balance
+_MAX_MOVES = 64  # clients that move at once for the sake of balance
+_REFUSED_S = 60.0  # time for which an avatar is not tried again on a worker that could not load it
 
 
 class WorkerPool:
-    """Draws with a worker in each of ``launchers``.
+    """Draws with a worker of each of ``launchers``, at ``rate`` pictures a second for each client.
 
-    ``rate`` is what each client's pictures are held at (pace/adaptive_quality.py), ``seconds`` what a picture may take.
-    ``patience``: seconds without any worker after which ``ended`` raises, if none can be started either. ``close`` is
-    called, on a thread, when all have ended.
+    ``seconds`` limits the time of a picture. After ``patience`` seconds without any worker ``ended`` raises, if none
+    can be started either. ``close`` is called on a thread once all have ended. ``video`` lets clients have video.
     """
-
-    codecs: tuple[str, ...] = ()
-    """Of video: workers code none."""
 
     def __init__(
         self,
@@ -52,32 +52,39 @@ class WorkerPool:
         patience: float = 0.0,
         clock: Callable[[], float] = time.perf_counter,
         close: Callable[[], None] | None = None,
+        video: bool = False,
     ) -> None:
         if not launchers:
             raise GlsplatError("a pool needs a worker at least")
         self.stages: StageTimes = StageTimes()
+        self.faults: FaultTracker = FaultTracker()
+        self.encoder: PictureEncoder = PictureEncoder(video)
         self.should_yield: Callable[[], bool] = lambda: False  # ignored: workers have processors of their own
         self._clock, self._patience, self._close = clock, patience, close
-        self._blame = FaultTracker()
-        self._render_loops = [
-            RemoteLoop(one, self, clock, rate, seconds, self.stages, self._blame) for one in launchers
+        self._workers = [
+            RemoteWorker(launcher, seconds, partial(self._is_alone, index)) for index, launcher in enumerate(launchers)
         ]
-        self._clients: dict[int, tuple[ClientStream, RemoteLoop | None]] = {}  # None: waits for a worker
-        self._since = 0.0  # when the last worker was lost
+        self._render_loops = [RenderLoop(worker, clock, rate, owner=self) for worker in self._workers]
+        self._clients: dict[int, tuple[ClientStream, RenderLoop | None]] = {}  # None: waits for a worker
+        self._refused: dict[tuple[RenderLoop, str], float] = {}  # avatars that it could not load, and until when
+        self._last_lost = 0.0  # clock seconds
         self._over: asyncio.Future[None]
         self._restarting: asyncio.Task[None] | None = None
 
-    # --------------------------------------------------------------------------------------------- a render loop's face
+    @property
+    def codecs(self) -> tuple[str, ...]:
+        """Of video."""
+        return self.encoder.codecs
 
     @property
     def driver(self) -> str:
-        """What draws; of several different ones each once."""
+        """The drivers, each once."""
         return "; ".join(dict.fromkeys(render_loop.driver for render_loop in self._render_loops if render_loop.driver))
 
     @property
     def healthy(self) -> bool:
-        """False once no worker lives, or all that do are ill."""
-        return any(render_loop.living and render_loop.healthy for render_loop in self._render_loops)
+        """False once no render loop is healthy."""
+        return any(render_loop.healthy for render_loop in self._render_loops)
 
     @property
     def rebuilds(self) -> int:
@@ -86,15 +93,13 @@ class WorkerPool:
 
     @property
     def drawing_for(self) -> float:
-        """Seconds that the newest of the pictures in hand has taken so far; 0: none is."""
-        return min(
-            (render_loop.drawing_for for render_loop in self._render_loops if render_loop.drawing_for), default=0.0
-        )
+        """Seconds that the newest of the pictures in hand has taken so far; 0: none is drawn."""
+        return min(filter(None, (render_loop.drawing_for for render_loop in self._render_loops)), default=0.0)
 
     async def start(self) -> None:
         """Start all workers at once; those that fail are tried again. Raises GlsplatError if none can be started."""
         self._over = asyncio.get_running_loop().create_future()
-        self._over.add_done_callback(lambda over: over.cancelled() or over.exception())  # perhaps nobody asks
+        self._over.add_done_callback(lambda over: over.cancelled() or over.exception())  # perhaps nobody awaits it
         results = await asyncio.gather(
             *(render_loop.start() for render_loop in self._render_loops), return_exceptions=True
         )
@@ -115,72 +120,61 @@ class WorkerPool:
             self._restarting.cancel()
             await asyncio.gather(self._restarting, return_exceptions=True)
         await asyncio.gather(*(render_loop.stop() for render_loop in self._render_loops))
+        self.encoder.close()
         self._over.cancel()
         if self._close is not None:
             await asyncio.to_thread(self._close)
 
-    def open(
-        self,
-        number: int,
-        session: Session,
-        solver: PoseSolver | None = None,
-        address: str = "",
-        shown: AvatarInfo = ANYTHING,
-    ) -> ClientStream:
-        """Return a client that is ``shown`` an avatar; ``add`` lets it take part."""
-        return self._render_loops[0].open(number, session, solver, address, shown)
+    def pose_queue(
+        self, solver: PoseSolver | None, share: CpuShare | None = None, samples: Bucket | None = None
+    ) -> PoseQueue | None:
+        """Return the queue of a client's tracking samples; all are solved on one thread."""
+        return self._render_loops[0].pose_queue(solver, share, samples)
 
-    def add(self, channel: ClientStream) -> None:
-        """Let a client take part, on the worker that suits it."""
-        self._put(channel)
+    def video(self) -> ClientVideo | None:
+        """Return the video of a new client; None where there is none."""
+        return self.encoder.video(self._clock)
 
-    def remove(self, channel: ClientStream) -> None:
+    def add(self, client: ClientStream) -> None:
+        """Draw for a client from now on, with the worker that suits it."""
+        self._place(client)
+
+    def remove(self, client: ClientStream) -> None:
         """Forget a client."""
-        self._clients.pop(channel.number, None)
-        for render_loop in self._render_loops:  # it may be on its way from one to another
-            render_loop.remove(channel)
+        self._clients.pop(client.number, None)
+        for render_loop in self._render_loops:  # it may be moving from one to another
+            render_loop.remove(client)
         self._balance()
 
-    def received(self, channel: ClientStream, request: Request | None) -> None:
-        """A message of this client was taken, as a render loop's."""
-        (self._loop_of(channel) or self._render_loops[0]).received(channel, request)
+    def received(self, client: ClientStream, request: Request | None) -> None:
+        """Take note of a message."""
+        self._loop_of(client).received(client, request)
 
-    def wake(self, channel: ClientStream) -> None:
-        """Its window has room again."""
-        render_loop = self._loop_of(channel)
-        if render_loop is not None:
-            render_loop.wake(channel)
+    def wake(self, client: ClientStream) -> None:
+        """Take note of a request, or of room in the client's window."""
+        self._loop_of(client).wake(client)
 
-    async def pack(self, channel: ClientStream, frame: Frame) -> list[bytes] | str:
-        """The messages of a frame, as a render loop's; one whose worker was lost is drawn by another first."""
-        while await _has_to_move(frame):
-            frame.moved, frame.encoded = False, None
-            frame.again = asyncio.get_running_loop().create_future()
-            channel.again = frame
-            self.wake(channel)
-            await frame.again
-            frame.again = None
-        return await self._render_loops[0].pack(channel, frame)
-
-    # ------------------------------------------------------------------------------------------------ the operator's
+    async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
+        """Return an answer as it is sent; a picture whose worker was lost is drawn by another one first."""
+        return await self._loop_of(client).pack(client, answer)
 
     def workers(self) -> list[dict[str, Any]]:
-        """For /stats: what each worker is and does."""
+        """Return ``workers`` of /stats."""
         return [
             {
-                "name": render_loop.launcher.name,
+                "name": render_loop.worker.name,
                 "driver": render_loop.driver,
                 "alive": render_loop.living,
-                "clients": len(render_loop.channels),
+                "clients": len(render_loop.clients),
                 "lost": render_loop.rebuilds,
             }
             for render_loop in self._render_loops
         ]
 
     def restart(self) -> asyncio.Task[None]:
-        """Start all workers anew, one after the other; their clients are drawn for by the others meanwhile.
+        """Start all workers anew, one by one; the others draw for their clients meanwhile, who wait for a single one.
 
-        With one worker they wait for it. A restart under way goes on.
+        A restart under way goes on.
         """
         if self._restarting is None or self._restarting.done():
             self._restarting = asyncio.create_task(self._restart(), name="rolling restart")
@@ -188,114 +182,113 @@ class WorkerPool:
 
     async def _restart(self) -> None:
         for render_loop in self._render_loops:
-            if not render_loop.living:  # it is being started anew as it is
+            if not render_loop.living:  # it is just being started anew
                 continue
             render_loop.living = False
-            for channel in list(render_loop.channels.values()):
-                self._move(channel)
+            for client in list(render_loop.clients.values()):
+                self._move(client)
             while not render_loop.empty:
                 await asyncio.sleep(0.01)
             render_loop.renew()
             while not render_loop.living:
                 await asyncio.sleep(0.05)
-            log.info("%s is started anew", render_loop.launcher.name)
+            log.info("%s is started anew", render_loop.worker.name)
 
-    # -------------------------------------------------------------------------------------------- what render loops ask
+    # ----------------------------------------------------------------------------------------- calls of render loops
 
-    def alone(self, render_loop: RemoteLoop) -> bool:
-        """Whether no other worker lives."""
-        return not any(other.living for other in self._render_loops if other is not render_loop)
+    def lost(self, render_loop: RenderLoop) -> None:
+        """Move the clients of a loop whose worker is lost."""
+        self._last_lost = self._clock()
+        for client in list(render_loop.clients.values()):
+            self._move(client)
+        render_loop.clients.clear()
 
-    def elsewhere(self, render_loop: RemoteLoop, channel: ClientStream) -> bool:
-        """Move a client, and who has to stay with it, to a worker that may be able to load its avatar."""
-        avatar = channel.shown.name
-        if all(other.refuses(avatar) for other in self._render_loops if other.living):
+    def opened(self, render_loop: RenderLoop) -> None:
+        """Place the clients that wait, then balance."""
+        for client, place in list(self._clients.values()):
+            if place is None:
+                self._place(client)
+        self._balance()
+
+    def failed(self, render_loop: RenderLoop, error: GlsplatError) -> None:
+        """Give up where no worker lives and none can be started."""
+        hopeless = all(not other.living and other.attempts >= _TRIES for other in self._render_loops)
+        if hopeless and self._clock() - self._last_lost >= self._patience and not self._over.done():
+            self._over.set_exception(ContextError(f"no worker lives, and none can be started: {error}"))
+
+    def elsewhere(self, render_loop: RenderLoop, client: ClientStream) -> bool:
+        """Move a client, and all that have to stay with it, to a worker that may be able to load its avatar."""
+        avatar = client.shown.name
+        self._refused[render_loop, avatar] = self._clock() + _REFUSED_S
+        if all(self._refuses(other, avatar) for other in self._render_loops if other.living):
             return False
-        for other in list(render_loop.channels.values()):
-            if other is channel or other.place_key == channel.place_key:
+        for other in list(render_loop.clients.values()):
+            if other is client or other.place_key == client.place_key:
                 self._move(other)
         return True
 
-    def lost(self, render_loop: RemoteLoop) -> None:
-        """Its clients go to the others at once."""
-        self._since = self._clock()
-        for channel in list(render_loop.channels.values()):
-            self._move(channel)
-        render_loop.channels.clear()
+    # ---------------------------------------------------------------------------------------------------- placement
 
-    def opened(self, render_loop: RemoteLoop) -> None:
-        """Those who wait are drawn for, then the others spread."""
-        for channel, place in list(self._clients.values()):
-            if place is None:
-                self._put(channel)
-        self._balance()
+    def _is_alone(self, index: int) -> bool:
+        """Return whether no other worker lives."""
+        return not any(other.living for i, other in enumerate(self._render_loops) if i != index)
 
-    def failed(self, render_loop: RemoteLoop, error: GlsplatError) -> None:
-        """Give up where no worker lives and none can be started."""
-        hopeless = all(not other.living and other.attempts >= _TRIES for other in self._render_loops)
-        if hopeless and self._clock() - self._since >= self._patience and not self._over.done():
-            self._over.set_exception(ContextError(f"no worker lives, and none can be started: {error}"))
+    def _refuses(self, render_loop: RenderLoop, avatar: str) -> bool:
+        """Return whether a worker could not load an avatar a moment ago."""
+        return self._refused.get((render_loop, avatar), 0.0) > self._clock()
 
-    # ------------------------------------------------------------------------------------------------ places
+    def _loop_of(self, client: ClientStream) -> RenderLoop:
+        """Return the client's loop; any, while it waits for one."""
+        return self._clients.get(client.number, (client, None))[1] or self._render_loops[0]
 
-    def _loop_of(self, channel: ClientStream) -> RemoteLoop | None:
-        return self._clients.get(channel.number, (channel, None))[1]
+    def _state(self, render_loop: RenderLoop) -> PlacedWorker:
+        clients = (PlacedClient(one.number, one.place_key, one.cost) for one in render_loop.clients.values())
+        loaded = self._workers[self._render_loops.index(render_loop)].loaded
+        return PlacedWorker(tuple(clients), frozenset(f"avatar:{name}" for name in loaded))
 
-    def _put(self, channel: ClientStream) -> None:
-        """On the worker that suits it, or on none where there is none for it yet."""
+    def _place(self, client: ClientStream) -> None:
+        """Give a client to the worker that suits it; it waits where there is none."""
         living = [render_loop for render_loop in self._render_loops if render_loop.living]
-        if self._blame.suspects(channel.address, self._clock()) and len(living) < min(2, len(self._render_loops)):
-            living = []  # the last one is for those whose pictures are survived
-        able = [render_loop for render_loop in living if not render_loop.refuses(channel.shown.name)] or living
-        index = choose(
-            PlacedClient(channel.number, channel.place_key, channel.cost), [render_loop.state() for render_loop in able]
-        )
+        suspect = self.faults.suspects(client.address, self._clock())
+        if suspect and len(living) < min(2, len(self._render_loops)):
+            living = []  # the last one is for clients whose pictures are survived
+        able = [one for one in living if not self._refuses(one, client.shown.name)] or living
+        placed = PlacedClient(client.number, client.place_key, client.cost)
+        index = choose(placed, [self._state(render_loop) for render_loop in able])
         render_loop = None if index is None else able[index]
-        self._clients[channel.number] = channel, render_loop
+        self._clients[client.number] = client, render_loop
         if render_loop is not None:
-            render_loop.add(channel)
+            render_loop.add(client)
 
-    def _move(self, channel: ClientStream, to: RemoteLoop | None = None) -> None:
-        """To that worker, or to the one that suits, once the picture in hand is drawn."""
-        render_loop = self._loop_of(channel)
+    def _move(self, client: ClientStream, to: RenderLoop | None = None) -> None:
+        """Move a client to that loop, or to the one that suits it, once its picture in hand is drawn."""
+        render_loop = self._clients.get(client.number, (client, None))[1]
         if render_loop is None:
             return
-        self._clients[channel.number] = channel, None
+        self._clients[client.number] = client, None
         if to is not None:
-            to.channels[channel.number] = channel  # counts as there from now on
+            to.clients[client.number] = client  # counts there from now on
 
         def arrive() -> None:
             if to is not None:
-                to.channels.pop(channel.number, None)
-            if channel.number not in self._clients:
+                to.clients.pop(client.number, None)
+            if client.number not in self._clients:
                 return
             if to is not None and to.living:
-                self._clients[channel.number] = channel, to
-                to.add(channel)
+                self._clients[client.number] = client, to
+                to.add(client)
             else:
-                self._put(channel)
+                self._place(client)
 
-        render_loop.release(channel, arrive)
+        render_loop.release(client, arrive)
 
     def _balance(self) -> None:
-        """Clients of busy workers change over to idle ones, where that helps a good deal."""
+        """Move clients from busy workers to idle ones, where that helps a good deal."""
         living = [render_loop for render_loop in self._render_loops if render_loop.living]
-        for _ in range(_MOVES):
-            found = better([render_loop.state() for render_loop in living])
+        for _ in range(_MAX_MOVES):
+            found = better([self._state(render_loop) for render_loop in living])
             if found is None:
                 return
             numbers, to = found
             for number in numbers:
                 self._move(self._clients[number][0], living[to])
-
-
-async def _has_to_move(frame: Frame) -> bool:
-    """Whether nobody draws it any more: its worker was lost while it drew, or while it encoded."""
-    if frame.moved or frame.encoded is None:
-        return frame.moved
-    with contextlib.suppress(Exception):
-        try:
-            await frame.encoded
-        except ContextLostError:
-            return True
-    return False

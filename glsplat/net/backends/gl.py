@@ -162,9 +162,6 @@ class RendererBackend:
         if self._context.scratch.read(components=4) != expected:
             raise ContextLostError(f"{self._context.driver} does nothing any more") from None
 
-    def kill(self) -> None:
-        """Nothing: a thread cannot be ended. ProcessBackend can."""
-
     def close(self) -> None:
         """Release the renderer and its context."""
         if hasattr(self, "_context"):

@@ -7,33 +7,19 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from glsplat.net.codec.encoded import Box, Encoded
 from glsplat.net.codec.partial import encode_covered
 from glsplat.net.codec.straight import straightened
 
-__all__ = ["Box", "Encoded", "Encoder", "covered_box", "encode_picture"]
-
-Box = tuple[int, int, int, int]  # x, y, width, height in pixels
+__all__ = ["Encoder", "covered_box", "encode_picture"]
 
 _BLOCK = 16  # pixels of a 4:2:0 block: boxes on its grid do not bleed
 _FINER = 10  # steps of quality by which an alpha that cuts straight colours is better: all of the edge is in it
-
-
-@dataclass(frozen=True, slots=True)
-class Encoded:
-    """The JPEGs of one frame, in the order of the images."""
-
-    pictures: list[bytes]
-    boxes: list[Box] | None  # where each picture lies, if it was cropped
-    ms: float  # wall time of the encoding
-    alphas: list[bytes] | None = None  # grey JPEGs of the accumulated alpha, if they were asked for
-    video: dict[str, Any] | None = None  # what a reply says where it has one coded picture of all eyes (video.py)
 
 
 class Encoder:

@@ -78,7 +78,7 @@ def test_a_lost_context_is_made_anew(backend, caplog):
         try:
             async with Client(server.url) as client:
                 before = await client.render(eyes, pose=pose)
-                await asyncio.get_running_loop().run_in_executor(server.drawer._render_thread, lose_context)
+                await asyncio.get_running_loop().run_in_executor(server.drawer.worker._thread, lose_context)
                 with pytest.raises(ProtocolError, match=r"^the picture could not be drawn$"):
                     await client.render(eyes, pose=pose)
                 after = await client.render(eyes, pose=pose)  # on the same connection
@@ -89,4 +89,4 @@ def test_a_lost_context_is_made_anew(backend, caplog):
 
     stats = asyncio.run(main())
     assert stats["healthy"] and stats["rebuilds"] == 1 and stats["clients"][0]["failed"] == 1
-    assert "the OpenGL context is lost; making a new one" in caplog.text
+    assert "the OpenGL context is lost; starting a new one" in caplog.text

@@ -54,7 +54,7 @@ def test_avatars_and_devices_reach_the_workers():
             device="0,llvmpipe",
             workers=Workers(count=2),
         )
-        devices = [render_loop.launcher._make.keywords for render_loop in server.drawer._render_loops]
+        devices = [worker.launcher._make.keywords for worker in server.drawer._workers]
         assert [(one["device"], one["name"]) for one in devices] == [("0", "default"), ("llvmpipe", "default")]
         await server.start()
         try:

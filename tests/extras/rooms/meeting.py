@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.extras.rooms.rooms import Rooms
-from glsplat.net.backend import AvatarInfo, RenderJob
-from glsplat.net.client_stream import ClientStream
-from glsplat.net.codec.encode import Encoded
-from glsplat.net.local_loop import LocalLoop
+from glsplat.net.backend import AvatarInfo, Rendered, RenderJob
+from glsplat.net.client_stream import ClientStream, Drawn, PoseAnswer
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import client_options
+from glsplat.net.render_loop import RenderLoop, _solution
 from glsplat.net.reply import Reply, pack_reply, parse_reply
 from glsplat.net.rights import Rights
 from glsplat.net.session import Close, Session, SessionConfig, Warn
+from glsplat.net.worker.thread import ThreadWorker
 from tests.net.conftest import FakeBackend
 
 __all__ = ["Meeting", "RefusedError"]
@@ -49,7 +53,7 @@ class Meeting:
         close = lambda number, reason: self.ended.append(number)  # noqa: E731
         self.rooms._server = SimpleNamespace(clock=lambda: self.now, gate=gate, close_client=close)  # type: ignore[assignment]
         self._offers, self._draw, self._numbers = offers, draw, 0
-        self._loop = LocalLoop(FakeBackend(), clock=lambda: self.now)
+        self._loop = RenderLoop(ThreadWorker(FakeBackend()), clock=lambda: self.now)
         self._loop._solve_thread = _Here()  # type: ignore[assignment]
         self._answers = PoseResponder(lambda name: name.encode().ljust(32), lambda name: "", clock=lambda: self.now)
 
@@ -60,49 +64,53 @@ class Meeting:
         self._numbers += 1
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, self.now)
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
-        channel = self._loop.open(self._numbers, session, solver, "", one)
-        self.rooms.client_opened(channel, asked)
-        if channel.solving is not None:
-            channel.solving._cpu = lambda: self.now
-        return channel
+        client = ClientStream(self._numbers, session, self._loop.pose_queue(solver), shown=one)
+        self.rooms.client_opened(client, asked)
+        if client.solving is not None:
+            client.solving._cpu = lambda: self.now
+        return client
 
-    def leave(self, channel: ClientStream, goodbye: bool) -> None:
+    def leave(self, client: ClientStream, goodbye: bool) -> None:
         """Its connection ends, with a close or without."""
-        self._loop.remove(channel)
-        self.rooms.client_closed(channel, goodbye)
+        self._loop.remove(client)
+        self.rooms.client_closed(client, goodbye)
 
-    def ask(self, channel: ClientStream, message: Mapping[str, Any]) -> Reply | None:
+    def ask(self, client: ClientStream, message: Mapping[str, Any]) -> Reply | None:
         """What comes back of a message; None for an acknowledgement. Raises RefusedError, PoseError, and for faults."""
-        outcome = channel.session.receive(json.dumps(message), self.now)
+        outcome = client.session.receive(json.dumps(message), self.now)
         if isinstance(outcome, (Warn, Close)):
             raise RefusedError(outcome.text)
         if outcome is None:
             return None
         assert isinstance(outcome, Request)
-        self._loop.received(channel, outcome)
-        return self._posed(channel) if outcome.poses else self._pictured(channel)
+        self._loop.received(client, outcome)
+        return self._posed(client) if outcome.poses else self._pictured(client)
 
-    def _pictured(self, channel: ClientStream) -> Reply:
-        frame = self._loop._next_frame(channel)
-        request, session = frame.request, channel.session
+    def _pictured(self, client: ClientStream) -> Reply:
+        taken = self._loop._take(client)
+        request, session = taken.request, client.session
         try:
-            job = self._loop._job(frame)
+            solved, times = asyncio.run(_solution(taken))
+            job = self._loop._job(taken, solved)
             self._draw(job)
         except BaseException:
             session.failed(request, "", "")
             raise
         pictures = [_PICTURE] * len(request.eyes)
         assert request.frame_id is not None
-        data = pack_reply(request.frame_id, request.eyes, pictures, frame.info(Encoded(pictures, None, 0.0)))
+        encoded: Any = None
+        drawn = Drawn(taken, job, Rendered(np.empty(0, np.uint8)), encoded, times, "", solved)
+        info = drawn.info(Encoded(pictures, None, 0.0), times)
+        data = pack_reply(request.frame_id, request.eyes, pictures, info)
         session.sending(request)
         session.sent(request, len(data))
         return parse_reply(data)
 
-    def _posed(self, channel: ClientStream) -> Reply:
-        frame = self._answers._answer(channel)
-        if frame.poses is None:
-            channel.session.failed(frame.request, *frame.error)
-            raise RefusedError(*frame.error)
-        (data,) = self._answers.pack(frame)
-        channel.session.sent(frame.request, len(data))
+    def _posed(self, client: ClientStream) -> Reply:
+        answer = self._answers._answer(client)
+        if not isinstance(answer, PoseAnswer):
+            client.session.failed(answer.request, answer.code, answer.message)
+            raise RefusedError(answer.code, answer.message)
+        (data,) = self._answers.pack(answer).messages
+        client.session.sent(answer.request, len(data))
         return parse_reply(data)

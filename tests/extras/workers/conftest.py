@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from glsplat.extras.workers import connection, placement, pool
-from glsplat.extras.workers import remote_loop as pump_module
+from glsplat.extras.workers import placement, pool
+from glsplat.net.worker import connection
 from tests.extras.workers.fakes import patient
 
 
@@ -17,15 +17,14 @@ def _patience(monkeypatch):
 @pytest.fixture
 def equal(monkeypatch):
     """All pictures cost the same, however long they took: places go by the number of clients."""
-    for module in (pool, pump_module):
-        monkeypatch.setattr(module, "PlacedClient", lambda number, key, _: placement.PlacedClient(number, key, 0.01))
+    monkeypatch.setattr(pool, "PlacedClient", lambda number, key, _: placement.PlacedClient(number, key, 0.01))
 
 
 @pytest.fixture
 def silences(monkeypatch):
     """Why links were ended for which the worker had said nothing; short deadlines, so that this comes soon."""
-    monkeypatch.setattr(connection, "_BUSY", 0.5)
-    monkeypatch.setattr(connection, "_SILENT", 0.4)
+    monkeypatch.setattr(connection, "_BUSY_S", 0.5)
+    monkeypatch.setattr(connection, "_SILENT_S", 0.4)
     found, end = [], connection.WorkerConnection.end
 
     def listen(self, why, blames=False):

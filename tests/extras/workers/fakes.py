@@ -14,11 +14,11 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.extras.workers import connection, local
-from glsplat.extras.workers.local import ProcessLauncher
 from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.client import Client
 from glsplat.net.server import Server
+from glsplat.net.worker import connection, process
+from glsplat.net.worker.process import ProcessLauncher
 from tests.extras.workers.sleeper import STEP, Sleeper
 
 SIDE = 64
@@ -106,7 +106,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         connection.WorkerConnection, "_patience", lambda self: patience(self) + (0.0 if self._stopped() else GUARD)
     )
-    monkeypatch.setattr(local, "_GONE", GUARD)
+    monkeypatch.setattr(process, "_EXIT_S", GUARD)
 
 
 def held(server: Server) -> asyncio.Event:
@@ -120,6 +120,6 @@ def held(server: Server) -> asyncio.Event:
 
         return when_free
 
-    for render_loop in server.drawer._render_loops:
-        render_loop.launcher.start = hold(render_loop.launcher.start)
+    for worker in server.drawer._workers:
+        worker.launcher.start = hold(worker.launcher.start)
     return free

@@ -59,8 +59,6 @@ class Sleeper:
                 raise BudgetError("abandoned", "abandoned")
             time.sleep(0.02)
 
-    def kill(self) -> None: ...
-
     def close(self) -> None: ...
 
 

@@ -12,8 +12,8 @@ import psutil
 import pytest
 
 from glsplat.errors import ContextError, ProtocolError
-from glsplat.extras.workers import remote_loop as pump_module
 from glsplat.extras.workers.pool import WorkerPool
+from glsplat.net import render_loop as loop_module
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
@@ -143,15 +143,15 @@ async def test_an_avatar_that_is_not_on_every_worker(serve):
                 await ann.render([camera(1)])
             free.set()
             assert await until(lambda: all_alive(server))
-            server.drawer._render_loops[0]._refuses.clear()  # as after a minute
+            server.drawer._refused.clear()  # as after a minute
             again = (await ann.render([camera(1)])).info["driver"]
             assert again == f"sleeper {pids(server)[1]}" and server.drawer.rebuilds == 1
 
 
 async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
     """One of two: the other serves. None, again and again: the server ends."""
-    monkeypatch.setattr(pump_module, "_PAUSES", (0.0, 0.1, 0.1))
-    monkeypatch.setattr(pump_module, "_LATER", 0.2)
+    monkeypatch.setattr(loop_module, "_PAUSES_S", (0.0, 0.1, 0.1))
+    monkeypatch.setattr(loop_module, "_LATER_S", 0.2)
     broken = tmp_path / "broken"
     broken.touch()
     makes = [partial(Sleeper, fails=str(broken)), Sleeper]
@@ -166,7 +166,7 @@ async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
         broken.unlink()
         assert await until(lambda: all_alive(server))
         broken.touch()
-        server.drawer._render_loops[1].launcher._make = makes[0]
+        server.drawer._workers[1].launcher._make = makes[0]
         for pid in pids(server):
             os.kill(pid, signal.SIGKILL)
         with pytest.raises(ContextError, match="no worker lives, and none can be started: no EGL device here"):

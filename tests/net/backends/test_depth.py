@@ -17,13 +17,14 @@ from glsplat.data import default_avatar
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.codec.depth import SIDE, grid_of
 from glsplat.net.fields import PictureOptions
 from glsplat.net.reply import parse_reply
+from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.thread import ThreadWorker
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from tests.net.running import opened
+from tests.net.running import opened, working
 from tests.net.wire import HANG, native
 
 SIZE = (320, 256)
@@ -52,12 +53,12 @@ def test_it_is_how_far_away_the_picture_is():
 
 @pytest.mark.gl
 @pytest.mark.parametrize("own_process", [False, pytest.param(True, marks=pytest.mark.check)])
-def test_the_pictures_are_what_they_are_without_it(own_process):
+async def test_the_pictures_are_what_they_are_without_it(own_process):
     make = partial(RendererBackend, default_avatar(), SIZE)
-    with opened(ProcessBackend(make, 512) if own_process else make()) as backend:
+    async with working(process_worker(make, 512) if own_process else ThreadWorker(make())) as worker:
         shown = []
         for depth in (False, True, False):
-            rendered = backend.render(job(depth))
+            rendered = await worker.draw(job(depth))
             assert len(rendered.depth) == (2 if depth else 0) and ("depth" in rendered.timings) == depth
             shown.append((rendered.images.tobytes(), rendered.levels, rendered.covered, rendered.coarsest))
             if rendered.done is not None:

@@ -12,14 +12,15 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.backend import Rendered
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
+from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.thread import ThreadWorker
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from tests.net.backends.test_renderer_pool import BENT, PAIR, SIZE, direct, request
-from tests.net.running import opened, running
+from tests.net.running import running, working
 from tests.scene.people import boxes
 from tests.scene.worlds import upright
 from tests.scenes import limb
@@ -36,14 +37,14 @@ def done(out: Rendered) -> None:
 
 @pytest.mark.check
 @pytest.mark.parametrize("own_process", [False, True])
-def test_poses_parts_and_boxes(own_process: bool) -> None:
+async def test_poses_parts_and_boxes(own_process: bool) -> None:
     """In a room of one joint, beside another avatar by name."""
     scene = Scene([Item(ROOM), Item(PERSON)])
     make = partial(RendererBackend, scene, SIZE, avatars={"rod": limb(200), "twin": PERSON})
-    with opened(ProcessBackend(make, 128) if own_process else make()) as backend:
+    async with working(process_worker(make, 128) if own_process else ThreadWorker(make())) as worker:
         for pose in (None, BENT):
             for hide, mesh in (((), PERSON), (("head",), PERSON.without("head"))):
-                out = backend.render(request(pose=pose, hide=hide, box=True))
+                out = await worker.draw(request(pose=pose, hide=hide, box=True))
                 assert (out.images == direct(Scene([Item(ROOM), Item(mesh)]), pose=pose)).all()
                 vertices = mesh.posed(pose or Pose.zero())[np.unique(mesh.faces)]
                 low, high = np.reshape(out.places["box"], (2, 3))
@@ -51,7 +52,7 @@ def test_poses_parts_and_boxes(own_process: bool) -> None:
                 assert (high - low < 1.25 * np.ptp(vertices, axis=0) + 0.1).all()
                 done(out)
         for name, thing in (("rod", limb(200)), ("twin", PERSON)):
-            out = backend.render(request(avatar=name))
+            out = await worker.draw(request(avatar=name))
             assert (out.images == direct(thing)).all()
             done(out)
 

@@ -63,8 +63,8 @@ async def test_who_does_not_show_all_of_them_sees_the_newest_right(serve, fake_b
 async def test_after_a_loss_it_asks_for_a_key_frame(serve, fake_backend, cameras):
     async with serve(fake_backend(), WATCHES) as server, Client(server.url, video=True) as client:
         first = await client.render(cameras)
-        (channel,) = server.clients.values()
-        channel.video._number += 1  # one that never came
+        (one,) = server.clients.values()
+        one.video.stream._number += 1  # one that never came
         lost, said = await client.render(cameras), []
         for _ in range(40):
             said.append(await client.render(cameras))

@@ -11,11 +11,11 @@ import pytest
 
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.extras.far_links.video import VideoStream
-from glsplat.net.local_loop import _CODED
 from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply
 from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
+from glsplat.net.worker.encoding import MAX_VIDEOS
 from tests.net.wire import EYE, HANG, until
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
@@ -123,7 +123,7 @@ async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeyp
         for ws in sockets:
             await ws.close()
     assert len(plain) == 5 and all("video" not in reply.info for reply in plain)
-    assert 0 < begun <= len(videos) <= _CODED
+    assert 0 < begun <= len(videos) <= MAX_VIDEOS
     assert all("video" in reply.info for reply in late)
 
 

@@ -16,16 +16,17 @@ import glsplat
 from glsplat.errors import BudgetError, ContextError, ContextLostError
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.process import ProcessBackend
 from glsplat.net.client import Client
-from glsplat.net.local_loop import LocalLoop
+from glsplat.net.client_stream import ClientStream
 from glsplat.net.messages import Decoder
+from glsplat.net.render_loop import RenderLoop
 from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session
+from glsplat.net.worker.process import process_worker
 from tests.net.attacks.pictures import costly
-from tests.net.backends.fakes import Boxed
 from tests.net.wire import HANG, native, still_serves, until
+from tests.net.worker.fakes import Boxed
 
 
 def visitor(address: str) -> aiohttp.ClientSession:
@@ -103,22 +104,22 @@ async def test_a_real_picture_that_costs_too_much(serve):
 
 
 async def test_a_picture_nobody_waits_for_is_given_up(serve, cameras):
-    backend = ProcessBackend(Boxed, 64, seconds=1e6)  # one that hangs would not be given up in the time there is
-    async with serve(backend) as server:
+    worker = process_worker(Boxed, 64, seconds=1e6)  # one that hangs would not be given up in the time there is
+    async with serve(worker) as server:
         async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
             await ws.send_str(native(71))
             await until(lambda: server.drawer.drawing_for)
         try:
             assert await still_serves(server, cameras) and server.drawer.rebuilds == 0
         finally:
-            backend.kill()
+            await worker.launcher.end(0.0)
 
 
 @pytest.mark.check
 async def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch):
     monkeypatch.setattr("glsplat.net.server.DRAIN_GIVE_UP_S", 0.1)
-    backend = ProcessBackend(Boxed, 64, seconds=1e6)
-    server = server_of(backend, ServerConfig(port=0))
+    worker = process_worker(Boxed, 64, seconds=1e6)
+    server = server_of(worker, ServerConfig(port=0))
 
     async def hang():
         async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as ws:
@@ -130,7 +131,7 @@ async def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch)
     tasks = []
     running = asyncio.create_task(server.run(lambda: tasks.append(asyncio.create_task(hang()))))
     done, _ = await asyncio.wait([running], timeout=HANG)
-    backend.kill()
+    await worker.launcher.end(0.0)
     await running
     assert done
 
@@ -138,25 +139,25 @@ async def test_a_hung_renderer_does_not_keep_the_server_from_ending(monkeypatch)
 @pytest.mark.check
 async def test_clients_that_leave_take_no_picture_slot_with_them():
     """While their picture waits for the encoder, is encoded, or lies ready; or when there is one too many of them."""
-    backend = ProcessBackend(Boxed, 64)
-    render_loop = LocalLoop(backend)
+    worker = process_worker(Boxed, 64)
+    render_loop = RenderLoop(worker)
     await render_loop.start()
-    encode = render_loop._encoder.encode
-    render_loop._encoder.encode = lambda *args: (time.sleep(0.003), encode(*args))[1]
+    encode = render_loop.encoder._encoder.encode
+    render_loop.encoder._encoder.encode = lambda *args: (time.sleep(0.003), encode(*args))[1]
     for i in range(30):
-        channel = render_loop.open(i, Session(Decoder()), None)
-        render_loop.add(channel)
-        render_loop.received(channel, channel.session.receive(native(1), 0.0))
-        frame = await asyncio.wait_for(channel.frames.get(), HANG)
-        packing = asyncio.create_task(render_loop.pack(channel, frame))
+        client = ClientStream(i, Session(Decoder()))
+        render_loop.add(client)
+        render_loop.received(client, client.session.receive(native(1), 0.0))
+        answer = await asyncio.wait_for(client.answers.get(), HANG)
+        packing = asyncio.create_task(render_loop.pack(client, answer))
         for _ in range(i % 3):
             await asyncio.sleep(0 if i % 2 else 0.002)
         packing.cancel()
-        render_loop.remove(channel)
+        render_loop.remove(client)
         await asyncio.gather(packing, return_exceptions=True)
     with contextlib.suppress(TimeoutError):
-        await until(lambda: backend.free_slots == 3)
-    free = backend.free_slots
+        await until(lambda: worker.launcher.slots.free == 3)
+    free = worker.launcher.slots.free
     await render_loop.stop()
     assert free == 3
 

@@ -17,7 +17,7 @@ from glsplat.extras.operations.history import History
 from glsplat.extras.operations.previews import SIDE, Previews, flattened
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.guard.access import Access
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import FakeBackend, eyes

@@ -1,7 +1,7 @@
 """Answers in poses: as soon as a sample is solved, on the event loop, without a turn of the renderer.
 
-A request for poses goes the way of every other through its session: the newest wins, at most a window of answers is
-under way, and answers keep the order of their requests, also where a client goes from pictures to poses and back.
+A request for poses passes through its session as all others: the newest wins, at most a window of answers is under
+way, and answers keep the order of their requests, also where a client changes between pictures and poses.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from typing import Any
 
 from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
-from glsplat.net.client_stream import ClientStream, Frame
+from glsplat.net.client_stream import ClientStream, Outgoing, PoseAnswer, Refused
 from glsplat.net.codec.body import HERE, Place, Poses, pack_body
+from glsplat.net.messages import Request
 from glsplat.net.reply import pack_poses
 from glsplat.skinning.pose import Pose
 
@@ -26,13 +27,13 @@ __all__ = ["NO_POSE", "PoseResponder"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 NO_POSE = "no_pose"
-"""The code of the error for a client that cannot draw whom it is shown."""
+"""Code of the error for an avatar that clients cannot draw."""
 
 
 class PoseResponder:
-    """``sha256`` returns the hash of an avatar's file, or None where it is not handed out now.
+    """``sha256`` returns the hash of an avatar's file; None where it is not available now.
 
-    ``withheld`` returns why consent keeps it back; "" where it does not.
+    ``withheld`` returns why consent withholds it; "" where it does not.
     """
 
     def __init__(
@@ -43,80 +44,78 @@ class PoseResponder:
     ) -> None:
         self._sha256, self._withheld, self._clock = sha256, withheld, clock
 
-    def due(self, channel: ClientStream) -> bool:
-        """Answer what this client asked to be told in poses, if that can be done now. Was there something?"""
-        if channel.session.drawing:  # once that picture is sent
-            return False
-        loop, answered = asyncio.get_running_loop(), False
-        while channel.ready(partial(self._solved, loop, channel), poses=True):
-            channel.frames.put_nowait(self._answer(channel))
-            answered = True
-        return answered
+    def due(self, client: ClientStream) -> None:
+        """Answer all requests of this client for poses that can be answered now."""
+        if client.session.drawing:  # its picture is sent first
+            return
+        loop = asyncio.get_running_loop()
+        while client.ready(partial(self._solved, loop, client), poses=True):
+            client.answers.put_nowait(self._answer(client))
 
-    def pack(self, frame: Frame) -> list[bytes]:
-        """The message of a frame with poses. Marks it as being sent."""
-        request, channel, poses = frame.request, frame.channel, frame.poses
-        assert poses is not None and request.frame_id is not None
+    def pack(self, answer: PoseAnswer) -> Outgoing:
+        """Return an answer as it is sent. Marks it as being sent."""
+        request, client, poses = answer.request, answer.client, answer.poses
+        assert request.frame_id is not None
         now = self._clock()
-        frame.times["total"] = (now - frame.arrived) * 1e3
+        times = {**answer.times, "total": (now - answer.arrived) * 1e3}
         info: dict[str, Any] = {
             "t": request.t,
             "want": "pose",
             "now": round(now * 1e3, 3),
-            "times": {name: round(ms, 3) for name, ms in frame.times.items()},
-            "dropped": channel.session.counts.dropped,
-            "driven_by": channel.driver,
+            "times": {name: round(ms, 3) for name, ms in times.items()},
+            "dropped": client.session.counts.dropped,
+            "driven_by": client.driver,
         }
-        if frame.notes is not None:
-            info["tracking"] = frame.notes
+        if answer.notes is not None:
+            info["tracking"] = answer.notes
         if poses.room is not None:
             info["room"] = poses.room
-        channel.session.sending(request)
-        return [pack_poses(request.frame_id, info, poses.bodies)]
+        client.session.sending(request)
+        return Outgoing(request, [pack_poses(request.frame_id, info, poses.bodies)])
 
-    def _solved(self, loop: asyncio.AbstractEventLoop, channel: ClientStream) -> None:
-        """On the solving thread."""
+    def _solved(self, loop: asyncio.AbstractEventLoop, client: ClientStream) -> None:
+        """Answer a client whose sample is solved. On the solving thread."""
         with suppress(RuntimeError):  # the server has stopped
-            loop.call_soon_threadsafe(self.due, channel)
+            loop.call_soon_threadsafe(self.due, client)
 
-    def _answer(self, channel: ClientStream) -> Frame:
+    def _answer(self, client: ClientStream) -> PoseAnswer | Refused:
         now = self._clock()
-        request, waited, solution = channel.take(now)
-        frame = Frame(channel, request, now - waited, {"wait": waited * 1e3}, (), solution=solution)
+        request, waited, solution = client.take(now)
+        arrived, times, solved = now - waited, {"wait": waited * 1e3}, None
         try:
-            solved = None
             if request.tracking is not None:
                 if solution is None:
-                    raise PoseError(channel.untracked)
-                solved, frame.times["ik"] = solution.result()
-                frame.times["wait"] -= frame.times["ik"]
-                frame.notes = solved.notes
-            self._fill(frame, solved, now)
+                    raise PoseError(client.untracked)
+                solved, ms = solution.result()
+                times |= {"wait": times["wait"] - ms, "ik": ms}
+            poses = self._poses(client, request, arrived, solved, now)
         except PoseError as error:
-            frame.error = ("bad_pose", str(error))
-        except Exception:  # a fault of ours costs this answer
-            log.exception("request %s of client %d cannot be answered", request.frame_id, channel.number)
-            frame.error = ("render", "the pose could not be solved")
-        return frame
+            return Refused(request, "bad_pose", str(error))
+        except Exception:  # a fault of the server costs this answer
+            log.exception("request %s of client %d cannot be answered", request.frame_id, client.number)
+            return Refused(request, "render", "the pose could not be solved")
+        if isinstance(poses, str):
+            return Refused(request, NO_POSE, poses)
+        return PoseAnswer(client, request, arrived, times, poses, None if solved is None else solved.notes)
 
-    def _fill(self, frame: Frame, solved: Solved | None, now: float) -> None:
-        """Everybody in the room whose pose is news, or the one avatar alone. Raises PoseError."""
-        channel, request = frame.channel, frame.request
-        if channel.member is not None:
-            frame.poses = channel.member.poses(channel.pose_history, self._sha256, now)
-            return
-        sha256 = self._sha256(channel.shown.name)
+    def _poses(
+        self, client: ClientStream, request: Request, arrived: float, solved: Solved | None, now: float
+    ) -> Poses | str:
+        """Return the poses that changed in the room, or that of the one avatar; or why there is none.
+
+        Raises PoseError.
+        """
+        if client.member is not None:
+            return client.member.poses(client.pose_history, self._sha256, now)
+        name, skeleton = client.shown.name, client.shown.skeleton
+        sha256 = self._sha256(name)
         if sha256 is None:
-            name = channel.shown.name
-            undrawable = f'"{name}" is nothing that a browser could draw: ask for pictures'
-            frame.error = (NO_POSE, self._withheld(name) or undrawable)
-            return
-        skeleton = channel.shown.skeleton
+            return self._withheld(name) or f'"{name}" is nothing that a browser could draw: ask for pictures'
         pose = request.pose or Pose.zero(55 if skeleton is None else len(skeleton))
         place = HERE
         if solved is not None:
             pose, place = solved.pose, Place((0.0, solved.floor, 0.0), scale=solved.scale)
         assert request.frame_id is not None
-        at = frame.arrived * 1e3
-        body = pack_body(pose, sha256, place, at=at, t=request.t, frame_id=request.frame_id, you=True)
-        frame.poses = Poses([body])
+        return Poses(
+            [pack_body(pose, sha256, place, at=arrived * 1e3, t=request.t, frame_id=request.frame_id, you=True)]
+        )

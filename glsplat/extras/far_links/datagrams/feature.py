@@ -40,7 +40,7 @@ class Datagrams(Feature):
     def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
         """Offer the client datagrams once its link is worth it."""
         wake = partial(self._wake, client)
-        client.way = SecondWay(self.listener, client.session, client.address, self._clock, wake)
+        client.offer(SecondWay(self.listener, client.session, client.address, self._clock, wake))
 
     def stats(self, user: User | None) -> Mapping[str, Any]:
         """Return ``datagrams`` of /stats."""

@@ -167,7 +167,7 @@ class StudyLead(Feature):
         """Record the client's tracking and keep its last picture."""
         condition = self.live.condition
         self._clients[client.number] = (self.live.page, "" if condition is None else condition.name)
-        client.observers += (_StudyObserver(self, FULL if condition is None else condition.light),)
+        client.observe(_StudyObserver(self, FULL if condition is None else condition.light))
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:
         """Forget the client."""

@@ -77,7 +77,7 @@ async def test_the_window_holds_poses_too(serve: Serve) -> None:
                     assert parse_reply((await ws.receive(timeout=HANG)).data).frame_id == number
             (channel,) = server.clients.values()
             await until(lambda: channel.session.counts.accepted == 20)
-            assert channel.session.counts.sent == 2 and channel.frames.empty()
+            assert channel.session.counts.sent == 2 and channel.answers.empty()
             await ws.send_str(json.dumps({"v": 1, "ack": 2}))
             last = parse_reply((await ws.receive(timeout=HANG)).data)
             assert last.frame_id == 20 and last.bodies[0].pose.trans[0] == 20

@@ -1,7 +1,7 @@
-"""The gateway's side of a worker: what was asked and not answered yet, and whether the worker still lives.
+"""The server's side of a worker's socket: orders without an answer, and whether the worker still lives.
 
-All of it on the event loop, without a thread: the gateway passes on a thousand pictures a second, and each change of
-threads costs a tenth of a millisecond, or five where another one holds Python's lock.
+It all runs on the event loop: a gateway passes on a thousand pictures a second, and each change of threads costs a
+tenth of a millisecond, or five where another thread holds Python's lock.
 """
 
 from __future__ import annotations
@@ -15,39 +15,38 @@ from typing import Any
 import msgspec
 
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.extras.workers.wire import (
+from glsplat.net.worker.wire import (
     HEAD,
     MAX_ANSWER,
-    Drawn,
     Kind,
+    Order,
+    RenderResult,
     WorkerLostError,
     Writer,
     error_of,
-    read_drawn,
     read_encoded,
     read_failed,
+    read_result,
 )
-from glsplat.net.backend import RenderJob
-from glsplat.net.codec.encode import Encoded
 
-__all__ = ["HANG", "WorkerConnection"]
+__all__ = ["HANG_S", "WorkerConnection"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter
 
-HANG = 10.0
-"""Seconds beyond what a picture may take after which it will not come any more."""
+HANG_S = 10.0
+"""Seconds beyond the limit of a picture after which its worker counts as hung."""
 
-_BEAT = 0.25  # seconds between two looks, and between pings of a worker that is silent
-_SILENT = 1.0  # seconds without an answer while it draws nothing
-_BUSY = 3.0  # the same while it draws: its driver holds Python's lock for a second at most (backends/gl.py, _SLICE)
+_BEAT_S = 0.25  # between two checks, and between pings of a worker that is silent
+_SILENT_S = 1.0  # without an answer to a ping, while the worker is idle
+_BUSY_S = 3.0  # the same while it draws: its driver holds Python's lock for a second at most (backends/gl.py, _SLICE)
 
 
 class WorkerConnection(asyncio.Protocol):
     """One connection, after the handshake. ``lost`` is called once it has ended, whatever the reason.
 
-    ``cause`` and ``stopped`` are its place's: why it ended or is silent. ``alone`` says whether no other worker could
-    take over: then patience costs nothing. ``seconds`` is what a picture may take.
+    ``cause`` and ``stopped`` are the launcher's: why the worker ended or is silent. ``alone`` returns whether no other
+    worker could take over: then patience costs nothing. ``seconds`` limits the time of a picture.
     """
 
     def __init__(
@@ -61,72 +60,79 @@ class WorkerConnection(asyncio.Protocol):
     ) -> None:
         loop = asyncio.get_running_loop()
         self.opened: asyncio.Future[str] = loop.create_future()
-        """The driver string, or the error that kept it from opening."""
+        """The driver string, or the error that kept the worker from opening."""
         self._writer, self._cause, self._stopped, self._on_lost = Writer(key), cause, stopped, lost
         self._alone, self._seconds = alone, seconds
         self._transport: asyncio.Transport
         self._buffer = bytearray()
         self._number = 0
-        self._drawing: dict[int, asyncio.Future[Drawn]] = {}
-        self._encoding: dict[int, asyncio.Future[Encoded]] = {}
-        self._since = 0.0  # when the picture in hand was asked for
-        self._patient = False  # it needs what has to be loaded first
-        self._begun = False  # the worker has heard of it
-        self._asked: float | None = None  # when the ping went out that is not answered
+        self._drawing: dict[int, asyncio.Future[RenderResult]] = {}
+        self._encoding: dict[int, asyncio.Future[Any]] = {}
+        self._since = 0.0  # when the picture in hand was ordered
+        self._patient = False  # its avatar has to be loaded first
+        self._begun = False  # the worker has received the order
+        self._pinged: float | None = None  # when the unanswered ping was sent
         self._beating: asyncio.Task[None] | None = None
         self._ending: asyncio.Task[None] | None = None
-        self._why: tuple[str, bool] | None = None  # known here: the worker is ended for it
+        self._why: tuple[str, bool] | None = None  # the reason for which it is ended from here
         self._closing = False
-
-    # ------------------------------------------------------------------------------------------------ the gateway asks
 
     @property
     def alive(self) -> bool:
         """False once it has ended, or is about to."""
         return self._ending is None and not self._closing
 
-    def draw(self, job: RenderJob, patient: bool = False) -> tuple[asyncio.Future[Drawn], asyncio.Future[Encoded]]:
-        """Ask for a picture; both futures may raise what a renderer raises, and WorkerLostError.
+    @property
+    def busy(self) -> bool:
+        """True while a picture is drawn."""
+        return bool(self._drawing)
 
-        One at a time: the next after the first future is done. ``patient``: it may take longer than usual.
+    def draw(
+        self, order: Order, patient: bool = False
+    ) -> tuple[asyncio.Future[RenderResult], asyncio.Future[Any] | None]:
+        """Order a picture; return its result, and its JPEGs (Encoded) or pixels (bytes); None: they go into a slot.
+
+        Both may raise what a renderer raises, and WorkerLostError. One at a time: the next after the first future is
+        done. ``patient``: it may take longer than usual.
         """
         if not self.alive:
             raise WorkerLostError("the worker has ended")
         loop = asyncio.get_running_loop()
         self._number = number = self._number % 0xFFFFFFFF + 1
-        drawn, encoded = self._drawing[number], self._encoding[number] = loop.create_future(), loop.create_future()
-        encoded.add_done_callback(_look)  # perhaps nobody waits for it any more
+        drawn = self._drawing[number] = loop.create_future()
+        content = None
+        if order.slot is None:
+            content = self._encoding[number] = loop.create_future()
+            content.add_done_callback(_retrieve)  # the client may have left
         self._since, self._patient, self._begun = clock(), patient, False
-        self._transport.write(self._writer.pack(Kind.DRAW, number, job))
-        return drawn, encoded
+        self._transport.write(self._writer.pack(Kind.DRAW, number, order))
+        return drawn, content
 
     def cancel(self) -> None:
-        """Nobody wants the picture in hand any more."""
+        """Tell the worker that the picture in hand is not needed any more."""
         if self._drawing and self.alive:
             self._transport.write(self._writer.pack(Kind.CANCEL, self._number))
 
     def close(self) -> None:
-        """Ask the worker to end after what it has in hand."""
+        """Ask the worker to end after the picture in hand."""
         if self.alive:
             self._closing = True
             self._transport.write(self._writer.pack(Kind.CLOSE))
 
     def end(self, why: str, blames: bool = False) -> None:
-        """End the connection: who waits gets a WorkerLostError."""
+        """End the connection; all orders without an answer fail with WorkerLostError."""
         self._why = self._why or (why, blames)
         self._transport.abort()
 
-    # ---------------------------------------------------------------------------------------- asyncio calls
-
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin to look whether it lives."""
+        """Start the heartbeat."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._beating = asyncio.create_task(self._beat(), name="heartbeat")
 
     def data_received(self, data: bytes) -> None:
-        """Take the messages that are complete."""
-        self._asked = None
+        """Handle all complete messages."""
+        self._pinged = None
         buffer = self._buffer
         buffer += data
         place = 0
@@ -141,32 +147,34 @@ class WorkerConnection(asyncio.Protocol):
                 self._take(kind, number, bytes(memoryview(buffer)[place + HEAD.size : end]))
                 place = end
         except (ValueError, msgspec.MsgspecError) as error:
-            self.end(f"the worker says what no worker says: {error}")
+            self.end(f"the worker sent a malformed message: {error}")
         del buffer[:place]
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Find out why, then tell who waits."""
+        """Find out why, then fail the orders without an answer."""
         if self._beating is not None:
             self._beating.cancel()
         if self._ending is None:
             self._ending = asyncio.create_task(self._end(), name="worker lost")
 
-    # ------------------------------------------------------------------------------------------------
-
     def _take(self, kind: int, number: int, body: bytes) -> None:
         if kind == Kind.ENCODED:
             _answer(self._encoding.pop(number, None), read_encoded(body))
+        elif kind == Kind.PIXELS:
+            _answer(self._encoding.pop(number, None), body)
         elif kind == Kind.DRAWN:
-            _answer(self._drawing.pop(number, None), read_drawn(body))
+            _answer(self._drawing.pop(number, None), read_result(body))
         elif kind == Kind.BEGUN:
             self._begun = self._begun or number == self._number
         elif kind == Kind.FAILED:
             error = error_of(read_failed(body))
-            if number in self._drawing:
-                self._encoding.pop(number).cancel()
-                _answer(self._drawing.pop(number), error)
-            else:
-                _answer(self._encoding.pop(number, None), error)
+            content = self._encoding.pop(number, None)
+            if number not in self._drawing:
+                _answer(content, error)
+                return
+            if content is not None:
+                content.cancel()
+            _answer(self._drawing.pop(number), error)
         elif kind == Kind.OPENED:
             _answer(self.opened, body.decode("utf-8", "replace"))
         elif kind == Kind.REFUSED:
@@ -174,36 +182,36 @@ class WorkerConnection(asyncio.Protocol):
             found = error_of(failed)
             if not isinstance(found, GlsplatError):
                 log.error("a worker could not be opened: %s", failed.text)
-                found = ContextError("the worker's renderer could not be made")
+                found = ContextError("the worker's renderer could not be made; the log has its error")
             _answer(self.opened, found)
 
     async def _beat(self) -> None:
         last = clock()
         while True:
-            await asyncio.sleep(_BEAT)
+            await asyncio.sleep(_BEAT_S)
             now = clock()
-            late, last = now - last - _BEAT, now
+            late, last = now - last - _BEAT_S, now
             if not self.opened.done():
                 continue
-            if self._asked is None:
-                self._asked = now
+            if self._pinged is None:
+                self._pinged = now
                 self._transport.write(self._writer.pack(Kind.PING))
                 continue
-            self._asked += max(0.0, late)  # the gateway itself stood still: what was answered is not read yet
-            silent, most = now - self._asked, self._patience()
+            self._pinged += max(0.0, late)  # this event loop itself stood still: answers may wait to be read
+            silent, most = now - self._pinged, self._patience()
             if silent > most:
                 self.end(
                     f"the worker did not answer within {most:g} s",
                     bool(self._drawing) and self._begun and not self._stopped(),
                 )
-            elif self._drawing and now - self._since > self._seconds + HANG:
-                self.end(f"the worker did not draw within {self._seconds + HANG:g} s", True)
+            elif self._drawing and now - self._since > self._seconds + HANG_S:
+                self.end(f"the worker did not draw within {self._seconds + HANG_S:g} s", True)
 
     def _patience(self) -> float:
         drawing = bool(self._drawing) and self._begun
         if self._alone() or (drawing and self._patient):
-            return self._seconds + HANG
-        return _BUSY if drawing else _SILENT
+            return self._seconds + HANG_S
+        return _BUSY_S if drawing else _SILENT_S
 
     async def _end(self) -> None:
         why, blames = self._why or await self._cause()
@@ -220,7 +228,7 @@ class WorkerConnection(asyncio.Protocol):
 
 
 def _answer(future: asyncio.Future[Any] | None, found: Any) -> None:
-    """Nothing where nobody asked, or nobody waits any more."""
+    """Set the result, or the error, of a future that is still awaited."""
     if future is None or future.done():
         return
     if isinstance(found, Exception):
@@ -229,6 +237,7 @@ def _answer(future: asyncio.Future[Any] | None, found: Any) -> None:
         future.set_result(found)
 
 
-def _look(future: asyncio.Future[Encoded]) -> None:
+def _retrieve(future: asyncio.Future[Any]) -> None:
+    """Mark an error as seen, or asyncio logs it."""
     if not future.cancelled():
         future.exception()

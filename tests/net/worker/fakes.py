@@ -1,4 +1,4 @@
-"""Backends for tests of ProcessBackend: they are imported again in another process."""
+"""Backends for tests of workers: they are imported again in another process."""
 
 from __future__ import annotations
 
@@ -50,7 +50,5 @@ class Boxed:
         while not self.abandoned():
             time.sleep(0.02)
         raise BudgetError("abandoned", "abandoned")
-
-    def kill(self) -> None: ...
 
     def close(self) -> None: ...

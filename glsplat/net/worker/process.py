@@ -1,4 +1,9 @@
-"""Workers that are processes of this machine."""
+"""Workers that are processes of this machine.
+
+OpenGL calls hold Python's lock for as long as they take: in a thread of the server, a picture of 100 ms would keep the
+event loop from reading requests and from sending pictures that are ready. A driver that crashes or hangs takes its
+process with it, not the server.
+"""
 
 from __future__ import annotations
 
@@ -16,36 +21,52 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from glsplat.errors import ContextError
-from glsplat.extras.workers.wire import WorkerLostError, greet
-from glsplat.extras.workers.work import GREETING, work
 from glsplat.net.backend import Backend
+from glsplat.net.worker.remote import RemoteWorker
+from glsplat.net.worker.slots import Slots
+from glsplat.net.worker.wire import WorkerLostError, greet
+from glsplat.net.worker.work import work_in_process
 
-__all__ = ["ProcessLauncher"]
+__all__ = ["ProcessLauncher", "process_worker"]
 
-_GONE = 0.5  # seconds in which the end of a process is known after the end of its connection
-_OUTSIDE = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM))  # sent by somebody: no picture's fault
+_EXIT_S = 0.5  # from the end of a worker's connection until its exit code is known
+_IMPORT_S = 60.0  # until a new process has imported what it needs, and answers
+_OUTSIDE = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM))  # sent by somebody: no picture is at fault
+
+
+def process_worker(make: Callable[[], Backend], max_side: int, seconds: float = 5.0) -> RemoteWorker:
+    """Return a worker that draws with ``make()`` in a process of its own; pictures come through shared memory.
+
+    ``max_side`` limits the pictures (pixels, one or two eyes), ``seconds`` the time of one.
+    """
+    return RemoteWorker(ProcessLauncher(make, "the renderer", 2 * max_side * max_side * 4), seconds)
 
 
 class ProcessLauncher:
-    """Runs what ``make()`` returns in a process of its own. ``make`` is pickled, as for ProcessBackend."""
+    """Runs what ``make()`` returns in a process of its own.
 
-    def __init__(self, make: Callable[[], Backend], name: str = "worker") -> None:
+    ``make`` is pickled: a class or a partial of one, with picklable arguments. With ``slot_bytes`` the worker does not
+    encode: it writes pixels into slots of that size.
+    """
+
+    def __init__(self, make: Callable[[], Backend], name: str = "worker", slot_bytes: int = 0) -> None:
         self.name: str = name
-        self._make = make
+        self.slots: Slots | None = None
+        self._make, self._slot_bytes = make, slot_bytes
         self._process: SpawnProcess | None = None
         self._connection: socket.socket | None = None  # until it is handed over
         self._starting = threading.Lock()
 
     async def start(self) -> tuple[socket.socket, bytes]:
-        """Start the process. Raises ContextError, WorkerLostError if it ends at once."""
+        """Start the process. Raises ContextError; WorkerLostError if it ends at once."""
         key = await asyncio.to_thread(self._start)
         connection, self._connection = self._connection, None
         assert connection is not None
         return connection, key
 
     async def cause(self) -> tuple[str, bool]:
-        """How the process ended: by a signal that somebody sent, or otherwise."""
-        until = time.monotonic() + _GONE
+        """Return how the process ended. A signal that somebody sent is no picture's fault."""
+        until = time.monotonic() + _EXIT_S
         process, code = self._process, None
         with suppress(ValueError):  # it was ended from here
             while process is not None and (code := process.exitcode) is None and time.monotonic() < until:
@@ -56,7 +77,7 @@ class ProcessLauncher:
         return f"the worker's process ended ({how})", -code not in _OUTSIDE
 
     def stopped(self) -> bool:
-        """By SIGSTOP, or by a debugger: where the system tells."""
+        """Return whether SIGSTOP or a debugger has stopped the process; False where the system does not report it."""
         try:
             assert self._process is not None
             stat = Path(f"/proc/{self._process.pid}/stat").read_text(encoding="ascii", errors="replace")
@@ -65,15 +86,18 @@ class ProcessLauncher:
         return stat.rpartition(")")[2].split()[0] in "Tt"
 
     async def end(self, seconds: float) -> None:
-        """Wait for the process, then kill it."""
+        """Wait ``seconds`` for the process to end, then kill it."""
         await asyncio.to_thread(self._end, seconds)
 
     def _end(self, seconds: float) -> None:
-        with self._starting:  # where nobody waits for what is being started any more
+        with self._starting:  # also ends a process that is just being started
             connection, self._connection = self._connection, None
             process, self._process = self._process, None
+            slots, self.slots = self.slots, None
         if connection is not None:
             connection.close()
+        if slots is not None:
+            slots.close()
         if process is None:
             return
         atexit.unregister(process.kill)
@@ -85,13 +109,19 @@ class ProcessLauncher:
 
     def _start(self) -> bytes:
         with self._starting:
-            return self._begin()
+            self.slots = Slots(self._slot_bytes) if self._slot_bytes else None
+            try:
+                return self._begin(None if self.slots is None else (self.slots.path, self.slots.nbytes))
+            finally:
+                if self.slots is not None:
+                    self.slots.unlink()
 
-    def _begin(self) -> bytes:
+    def _begin(self, memory: tuple[str, int] | None) -> bytes:
         spawn = multiprocessing.get_context("spawn")
         ours, theirs = socket.socketpair()
         secret = secrets.token_bytes(32)
-        process = spawn.Process(target=_work, args=(theirs, secret, self._make), name="glsplat worker", daemon=True)
+        arguments = (theirs, secret, self._make, memory)
+        process = spawn.Process(target=work_in_process, args=arguments, name=f"glsplat {self.name}", daemon=True)
         try:
             process.start()
         except OSError as error:
@@ -102,20 +132,10 @@ class ProcessLauncher:
         self._process = process
         atexit.register(process.kill)  # before multiprocessing waits for its children
         try:
-            ours.settimeout(6 * GREETING)  # it imports first
+            ours.settimeout(_IMPORT_S)
             key = greet(ours, secret, worker=False)
         except (EOFError, OSError):
             ours.close()
             raise WorkerLostError("a worker's process ended before it was ready") from None
         self._connection = ours
         return key
-
-
-def _work(connection: socket.socket, secret: bytes, make: Callable[[], Backend]) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):  # they may reach all processes; the gateway ends this one
-        signal.signal(number, signal.SIG_IGN)
-    hangup = getattr(signal, "SIGHUP", None)
-    if hangup is not None:
-        signal.signal(hangup, signal.SIG_IGN)
-    with suppress(EOFError, OSError):
-        work(connection, secret, make)

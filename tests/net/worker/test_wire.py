@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from glsplat.errors import BudgetError, ContextError, FormatError, GlsplatError, PoseError
-from glsplat.extras.workers import wire
-from glsplat.extras.workers.wire import Drawn, Kind, Reader, WorkerLostError, Writer, greet, pack
 from glsplat.net.backend import RenderJob
 from glsplat.net.codec.depth import grid_of
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.messages import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.worker import wire
+from glsplat.net.worker.wire import Kind, Reader, RenderResult, WorkerLostError, Writer, greet, pack
 from glsplat.skinning.pose import Pose
 from tests.extras.workers.fakes import camera
 
@@ -119,15 +119,15 @@ def test_a_message_that_is_repeated_or_too_long_is_refused():
 
 
 def test_answers():
-    drawn = Drawn(2, {"sort": 1.5}, (0, 1), False, 3, {"box": [0.0] * 6})
-    deep = Drawn(2, {}, (), True, 0, {}, (grid_of(np.linspace(0.2, 3, 6).reshape(2, 3)),) * 2)
+    drawn = RenderResult(2, {"sort": 1.5}, (0, 16, 32, 48), (0, 1), False, 3, {"box": [0.0] * 6})
+    deep = RenderResult(2, {}, None, (), True, 0, {}, (grid_of(np.linspace(0.2, 3, 6).reshape(2, 3)),) * 2)
     for one in (drawn, deep):
-        assert wire.read_drawn(pack(Kind.DRAWN, 5, one)[wire.HEAD.size :]) == one
+        assert wire.read_result(pack(Kind.DRAWN, 5, one)[wire.HEAD.size :]) == one
     encoded = Encoded([b"left", b"right"], [(0, 16, 32, 48)] * 2, 1.25, [b"l", b"r"])
     assert wire.read_encoded(pack(Kind.ENCODED, 5, encoded)[wire.HEAD.size :]) == encoded
     assert pack(Kind.OPENED, 0, "llvmpipe")[wire.HEAD.size :] == b"llvmpipe"
     with pytest.raises(msgspec.MsgspecError):
-        wire.read_drawn(b"\x93\x01\x02")
+        wire.read_result(b"\x93\x01\x02")
 
 
 @pytest.mark.parametrize(

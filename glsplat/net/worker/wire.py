@@ -1,10 +1,10 @@
-"""What gateway and worker say to each other over a stream socket: a handshake, then messages with their length.
+"""Messages between the server and a worker over a stream socket: a handshake, then messages with their length.
 
-Each side proves first that it knows the secret, without sending it: HMAC-SHA256 over both sides' random numbers
-(challenge and response; the roles are in it, so that nothing can be sent back as it came). What the gateway sends
-after that is a pickle, so every message of it carries a keyed hash over itself and its place in the order (BLAKE2b,
-RFC 7693): nobody on the way can add, change or repeat one. What the worker sends is MessagePack of fixed fields, and
-JPEG: nothing that could be executed. Neither is encrypted: the network between them is the operator's own.
+Each side first proves that it knows the secret, without sending it: HMAC-SHA256 over both sides' random numbers
+(challenge and response; the hash covers the role, so that no answer can be reflected). The server's messages are
+pickles, so each carries a keyed hash over itself and its sequence number (BLAKE2b, RFC 7693): nobody on the way can
+add, change or repeat one. The worker's messages are MessagePack of fixed fields, JPEG and pixels: nothing that could
+be executed. Neither is encrypted: the network between them is the operator's own.
 """
 
 from __future__ import annotations
@@ -15,41 +15,46 @@ import os
 import pickle
 import socket
 import struct
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
 import msgspec
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, FormatError, GlsplatError, PoseError
+from glsplat.net.backend import RenderJob
 from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.codec.encode import Encoded
+from glsplat.net.codec.encoded import Box, Encoded
 
 __all__ = [
     "HEAD",
     "MAX_ANSWER",
-    "Drawn",
     "Failed",
     "Kind",
+    "Order",
     "Reader",
+    "RenderResult",
     "WorkerLostError",
     "Writer",
     "error_of",
     "failure_of",
     "greet",
     "pack",
-    "read_drawn",
     "read_encoded",
     "read_failed",
+    "read_result",
     "receive",
 ]
 
 MAX_ANSWER = 256 * 2**20
 """Bytes of a worker's message at most."""
 
-_MAX_ORDER = 2**24  # bytes of a gateway's message; a room's people bring up to 64 KiB of names and numbers each
-_MAGIC = b"glsplat worker 3"
+_MAX_ORDER = 2**24  # bytes of a server's message; a room's people bring up to 64 KiB of names and numbers each
+_MAGIC = b"glsplat worker 4"
 _NONCE = _TAG = 32
-_SEAL = 16  # bytes of the hash behind a gateway's message
+_SEAL = 16  # bytes of the hash behind a server's message
 HEAD = struct.Struct("<IBI")
 """Bytes that follow, kind, number of the picture; little endian."""
 
@@ -57,34 +62,45 @@ _COUNT = struct.Struct("<Q")
 
 
 class Kind(IntEnum):
-    """Of a message. The first four are the gateway's."""
+    """Kind of a message. The server sends the first four."""
 
-    DRAW = 1
-    CANCEL = 2  # nobody wants that picture any more
+    DRAW = 1  # an Order
+    CANCEL = 2  # the picture is not needed any more
     PING = 3
     CLOSE = 4
     OPENED = 16  # the driver string, UTF-8
-    REFUSED = 17  # it cannot be opened, and why
+    REFUSED = 17  # a Failed: the renderer cannot be opened
     PONG = 18
-    BEGUN = 19  # the request is there, and drawn next
-    DRAWN = 20
-    ENCODED = 21
-    FAILED = 22
+    BEGUN = 19  # the order has arrived and is drawn next
+    DRAWN = 20  # a RenderResult
+    ENCODED = 21  # an Encoded
+    FAILED = 22  # a Failed
+    PIXELS = 23  # bytes of the covered part of the images, [V, h, w, 4]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """A picture to draw, and the form in which it is sent back: JPEGs, or its pixels."""
+
+    job: RenderJob
+    slot: int | None = None  # of shared memory, for the pixels
+    pixels: bool = False  # send them over the socket
 
 
 class WorkerLostError(ContextLostError):
-    """A worker is gone, or does not answer. ``blames``: what it drew is likely to be at fault."""
+    """A worker has ended, or does not answer. ``blames``: its picture is likely to be at fault."""
 
     def __init__(self, message: str, blames: bool = False) -> None:
         super().__init__(message)
         self.blames = blames
 
 
-class Drawn(msgspec.Struct, array_like=True, frozen=True):
-    """A picture is drawn: what Rendered says of it, but for the pixels."""
+class RenderResult(msgspec.Struct, array_like=True, frozen=True):
+    """The fields of Rendered, without the pixels and the driver."""
 
     views: int
     timings: dict[str, float]
+    covered: Box | None
     levels: tuple[int, ...]
     coarsest: bool
     posed: int
@@ -100,14 +116,7 @@ class Failed(msgspec.Struct, array_like=True, frozen=True):
     code: str = ""
 
 
-class _Jpegs(msgspec.Struct, array_like=True, frozen=True):
-    pictures: list[bytes]
-    boxes: list[tuple[int, int, int, int]] | None
-    ms: float
-    alphas: list[bytes] | None
-
-
-# the first that fits; errors that no class here is known for are "other"
+# the first class that fits; all other errors are "other"
 _KINDS: tuple[tuple[str, type[Exception]], ...] = (
     ("lost", ContextLostError),
     ("context", ContextError),
@@ -118,16 +127,17 @@ _KINDS: tuple[tuple[str, type[Exception]], ...] = (
 )
 
 
-def failure_of(error: Exception, text: str = "") -> Failed:
-    """What is sent of an error; files that cannot be read count as those that hold something else."""
+def failure_of(error: BaseException) -> Failed:
+    """Return the message for an error: files that cannot be read count as malformed, faults bring their traceback."""
     if isinstance(error, OSError):
         return Failed("format", str(error))
     kind = next((name for name, one in _KINDS if isinstance(error, one)), "other")
-    return Failed(kind, text or str(error), error.code if isinstance(error, BudgetError) else "")
+    text = "".join(traceback.format_exception(error)) if kind == "other" else str(error)
+    return Failed(kind, text, error.code if isinstance(error, BudgetError) else "")
 
 
 def error_of(failed: Failed) -> Exception:
-    """What to raise for it."""
+    """Return the error to raise for a message."""
     if failed.kind == "budget":
         return BudgetError(failed.text, failed.code)
     if failed.kind == "lost":
@@ -137,46 +147,30 @@ def error_of(failed: Failed) -> Exception:
 
 
 def pack(kind: Kind, number: int = 0, content: Any = None) -> bytes:
-    """A worker's message. ``content``: None, text, or one of the structs; an Encoded goes as it is."""
-    if content is None:
-        body = b""
-    elif isinstance(content, str):
+    """Return a worker's message. ``content``: None, text, bytes, a struct or an Encoded."""
+    if isinstance(content, str):
         body = content.encode()
+    elif content is None or isinstance(content, bytes):
+        body = content or b""
     else:
-        if isinstance(content, Encoded):
-            content = _Jpegs(content.pictures, content.boxes, content.ms, content.alphas)
         body = msgspec.msgpack.encode(content)
     return HEAD.pack(len(body), kind, number) + body
 
 
-_drawn, _failed = msgspec.msgpack.Decoder(Drawn), msgspec.msgpack.Decoder(Failed)
-_jpegs = msgspec.msgpack.Decoder(_Jpegs)
-
-
-def read_drawn(body: bytes) -> Drawn:
-    """Raises msgspec.DecodeError for anything else."""
-    return _drawn.decode(body)
-
-
-def read_failed(body: bytes) -> Failed:
-    """Raises msgspec.DecodeError for anything else."""
-    return _failed.decode(body)
-
-
-def read_encoded(body: bytes) -> Encoded:
-    """Raises msgspec.DecodeError for anything else."""
-    one = _jpegs.decode(body)
-    return Encoded(one.pictures, one.boxes, one.ms, one.alphas)
+# each raises msgspec.DecodeError for anything else
+read_result: Callable[[bytes], RenderResult] = msgspec.msgpack.Decoder(RenderResult).decode
+read_failed: Callable[[bytes], Failed] = msgspec.msgpack.Decoder(Failed).decode
+read_encoded: Callable[[bytes], Encoded] = msgspec.msgpack.Decoder(Encoded).decode
 
 
 class Writer:
-    """The gateway's messages, sealed with the key of the handshake."""
+    """Packs the server's messages, sealed with the key of the handshake."""
 
     def __init__(self, key: bytes) -> None:
         self._key, self._count = key, 0
 
     def pack(self, kind: Kind, number: int = 0, content: Any = None) -> bytes:
-        """The bytes of one; ``content`` is pickled."""
+        """Return the bytes of a message; ``content`` is pickled."""
         body = b"" if content is None else pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
         head = HEAD.pack(len(body), kind, number)
         self._count += 1
@@ -184,13 +178,13 @@ class Writer:
 
 
 class Reader:
-    """The worker's side of it: nothing is looked at before its seal is."""
+    """Reads the server's messages. The seal is verified before anything is unpickled."""
 
     def __init__(self, connection: socket.socket, key: bytes) -> None:
         self._connection, self._key, self._count = connection, key, 0
 
     def receive(self) -> tuple[Kind, int, Any]:
-        """Wait for the next message. Raises EOFError at the end, GlsplatError for what is not the gateway's."""
+        """Wait for the next message. Raises EOFError at the end, GlsplatError for one that the server did not send."""
         head = receive(self._connection, HEAD.size)
         length, kind, number = HEAD.unpack(head)
         if length > _MAX_ORDER:
@@ -203,7 +197,7 @@ class Reader:
 
 
 def greet(connection: socket.socket, secret: bytes, *, worker: bool) -> bytes:
-    """Both sides show that they know the secret; returns the key for this connection. Blocks up to its time-out.
+    """Prove to each other that both sides know the secret; return the key of this connection. Blocks.
 
     Raises GlsplatError where the other side does not know it, EOFError where it leaves, TimeoutError.
     """
@@ -216,7 +210,7 @@ def greet(connection: socket.socket, secret: bytes, *, worker: bool) -> bytes:
     both = other + own if worker else own + other  # the gateway's first
     tags = {role: hmac.digest(secret, role + both, "sha256") for role in (b"gateway", b"worker", b"key")}
     mine, theirs = (b"worker", b"gateway") if worker else (b"gateway", b"worker")
-    if worker:  # the gateway shows first: a stranger who asks learns nothing to try secrets on
+    if worker:  # the server proves first: a stranger who asks learns nothing to try secrets on
         known = hmac.compare_digest(receive(connection, _TAG), tags[theirs])
         if known:
             connection.sendall(tags[mine])
@@ -229,7 +223,7 @@ def greet(connection: socket.socket, secret: bytes, *, worker: bool) -> bytes:
 
 
 def receive(connection: socket.socket, count: int) -> bytes:
-    """So many bytes. Raises EOFError where fewer come."""
+    """Return ``count`` bytes. Raises EOFError where fewer come."""
     parts, left = [], count
     while left:
         part = connection.recv(min(left, 2**20))

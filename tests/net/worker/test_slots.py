@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import os
 from collections.abc import Callable, Iterator
@@ -15,13 +16,14 @@ from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.backend import Placing, RenderJob
-from glsplat.net.backends import slots
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.process import ProcessBackend
-from glsplat.net.backends.slots import Slots, SlotWriter
+from glsplat.net.worker import slots
+from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.slot_writer import SlotWriter
+from glsplat.net.worker.slots import Slots
 from glsplat.renderer import Renderer
-from tests.net.backends.fakes import Boxed
-from tests.net.running import opened
+from tests.net.running import working
+from tests.net.worker.fakes import Boxed
 
 SIDE = 1200  # a pair takes 11 MiB, of which 8 are set aside at the start
 
@@ -50,24 +52,24 @@ def full(tmp_path, monkeypatch) -> Callable[[], AbstractContextManager[None]]:
     return within
 
 
-def test_memory_that_fills_up_fails_one_picture(full):
-    with opened(ProcessBackend(Boxed, SIDE)) as backend:
-        assert backend._slots.folder == slots.SHM
+async def test_memory_that_fills_up_fails_one_picture(full):
+    async with working(process_worker(Boxed, SIDE)) as worker:
+        assert worker.launcher.slots.folder == slots.SHM
         with full():
             for _ in range(4):  # every slot
                 with pytest.raises(GlsplatError, match=r"^no room for a picture of 11\.0 MiB: .* is full$") as error:
-                    backend.render(request(SIDE))
+                    await worker.draw(request(SIDE))
                 assert not isinstance(error.value, ContextError)
-            backend.render(request(1000)).done()  # what was set aside at the start is there
-        rendered = backend.render(request(SIDE))
-        assert rendered.images[:, -20:-16, -20:-12].min() == 100 and backend.free_slots == 2
+            (await worker.draw(request(1000))).done()  # what was set aside at the start is there
+        rendered = await worker.draw(request(SIDE))
+        assert rendered.images[:, -20:-16, -20:-12].min() == 100 and worker.launcher.slots.free == 2
         rendered.done()
     assert os.listdir(slots.SHM) == []
 
 
-def test_memory_that_is_full_at_the_start(full, tmp_path_factory, monkeypatch):
+async def test_memory_that_is_full_at_the_start(full, tmp_path_factory, monkeypatch):
     with full(), pytest.raises(ContextError, match=r"^no room for pictures in memory or on disk: .* is full; free"):
-        ProcessBackend(Boxed, SIDE).open()
+        await process_worker(Boxed, SIDE).open(lambda: None)
     assert os.listdir(slots.SHM) == []
     # then another folder, where there is one with room
     reserve, calls = os.posix_fallocate, iter([no_room])
@@ -78,12 +80,13 @@ def test_memory_that_is_full_at_the_start(full, tmp_path_factory, monkeypatch):
     made.close()
 
 
-def test_pictures_of_another_number_than_asked_for_take_no_slot():
-    with opened(ProcessBackend(TooMany, 64)) as backend:
+async def test_pictures_of_another_number_than_asked_for_take_no_slot():
+    async with working(process_worker(TooMany, 64)) as worker:
         for _ in range(7):
             with pytest.raises(RuntimeError, match=r"pictures of shape \(2, 64, 64, 4\) were asked for, \(3, 64"):
-                backend.render(request(64))
-        assert backend.free_slots == 3
+                await worker.draw(request(64))
+            await asyncio.sleep(0)  # it is given back
+        assert worker.launcher.slots.free == 3
 
 
 class TooMany(Boxed):
@@ -97,7 +100,7 @@ def pair(side: int):
 
 
 @pytest.mark.gl
-def test_a_slot_gets_the_same_picture_without_a_copy():
+async def test_a_slot_gets_the_same_picture_without_a_copy():
     backend, slots = RendererBackend(default_avatar(), (96, 96)), Slots(2 * 96 * 96 * 4)
     writer = SlotWriter(slots.path, slots.nbytes)
     slots.unlink()
@@ -108,7 +111,7 @@ def test_a_slot_gets_the_same_picture_without_a_copy():
             request, shape = RenderJob(frame_id=1, cameras=pair(side)), (2, side, side, 4)
             backend.place = None
             expected = backend.render(request).images
-            slot = slots.take(int(np.prod(shape)))
+            slot = await slots.take(shape)
             backend.place = writer.place(slot, shape)
             backend.place.fill(77)
             rendered = backend.render(request)

@@ -1,0 +1,154 @@
+"""RemoteWorker: draws in another process, on this machine or elsewhere, wherever its launcher starts it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from glsplat.errors import BudgetError, ContextError
+from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.worker.connection import WorkerConnection
+from glsplat.net.worker.launcher import WorkerLauncher
+from glsplat.net.worker.wire import Order, WorkerLostError
+
+__all__ = ["RemoteWorker"]
+
+_OPEN_S = 60.0  # to make a context and load a scene
+_CLOSE_S = 5.0  # to end in order ...
+_GRACE_S = 0.5  # ... and in the middle of a picture
+_KEPT = 4  # avatars, with parts hidden or not, that a worker keeps loaded (backends/renderer_pool.py, KEPT)
+
+
+class RemoteWorker:
+    """Pixels come through the launcher's shared memory, where it has some; else the worker encodes.
+
+    ``seconds`` limits the time of a picture: a worker that takes far longer hangs, and is ended. ``alone`` returns
+    whether no other worker could take over: then more patience costs nothing.
+    """
+
+    def __init__(
+        self, launcher: WorkerLauncher, seconds: float = 5.0, alone: Callable[[], bool] = lambda: True
+    ) -> None:
+        self.launcher: WorkerLauncher = launcher
+        self._seconds, self._alone = seconds, alone
+        self._link: WorkerConnection | None = None
+        self._lost: Callable[[], None]
+        self._cancelled = False
+        self._loaded: OrderedDict[tuple[str, tuple[str, ...]], None] = OrderedDict()  # the newest last
+
+    @property
+    def name(self) -> str:
+        """The launcher's."""
+        return self.launcher.name
+
+    @property
+    def loaded(self) -> frozenset[str]:
+        """Names of the avatars that were drawn lately."""
+        return frozenset(avatar for avatar, _ in self._loaded)
+
+    async def open(self, lost: Callable[[], None]) -> str:
+        """Start the process; return the driver string. Raises GlsplatError; WorkerLostError if it ends at once."""
+        self._lost = lost
+        return await self._start()
+
+    async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
+        """Draw; pixels in shared memory stay until ``done`` of what is returned is called, once."""
+        link, slots, slot = self._link, self.launcher.slots, None
+        if link is None:
+            raise WorkerLostError("the worker has ended")
+        self._cancelled = False
+        shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
+        if slots is not None:
+            slot = await slots.take(shape)
+        try:
+            if self._cancelled:
+                raise BudgetError("nobody waits for the picture any more", "abandoned")
+            shown = job.avatar, job.options.hide
+            order = Order(job, slot, pixels and slot is None)
+            drawn, content = link.draw(order, patient=shown not in self._loaded)
+            result = await drawn
+            images = np.empty((result.views, 0, 0, 4), np.uint8)
+            if order.pixels and content is not None:
+                images = np.zeros((result.views, *shape[1:]), np.uint8)
+                x, y, w, h = result.covered or (0, 0, shape[2], shape[1])
+                images[:, y : y + h, x : x + w] = np.frombuffer(await content, np.uint8).reshape(result.views, h, w, 4)
+                content = None
+        except BaseException:
+            if slots is not None and slot is not None:
+                slots.give_back(slot)
+            raise
+        self._loaded[shown] = None
+        self._loaded.move_to_end(shown)
+        if len(self._loaded) > _KEPT:
+            self._loaded.popitem(last=False)
+        done = None
+        if slots is not None and slot is not None:
+            images, done = slots.picture(slot, shape), partial(slots.give_back, slot)
+        return Rendered(
+            images,
+            result.timings,
+            covered=result.covered,
+            done=done,
+            levels=result.levels,
+            coarsest=result.coarsest,
+            posed=result.posed,
+            places=result.places,
+            depth=result.depth,
+            encoded=content,
+        )
+
+    def cancel(self) -> None:
+        """Give up the picture in hand."""
+        self._cancelled = True
+        if self._link is not None:
+            self._link.cancel()
+
+    async def rebuild(self) -> str:
+        """End the process, lost or not, and start a new one."""
+        await self.close()
+        return await self._start()
+
+    async def close(self) -> None:
+        """End the process, by force if it hangs."""
+        link, self._link = self._link, None
+        seconds = 0.0
+        if link is not None and link.alive:
+            seconds = _GRACE_S if link.busy else _CLOSE_S
+            link.cancel()
+            link.close()
+        await self.launcher.end(seconds)
+        if link is not None:
+            link.end("the server has ended it")
+
+    async def _start(self) -> str:
+        connection, key = await self.launcher.start()
+        link = WorkerConnection(
+            key,
+            self.launcher.cause,
+            self.launcher.stopped,
+            lambda: self._ended(link),
+            self._alone,
+            self._seconds,
+        )
+        link.opened.add_done_callback(lambda opened: opened.cancelled() or opened.exception())
+        await asyncio.get_running_loop().create_connection(lambda: link, sock=connection)
+        try:
+            async with asyncio.timeout(_OPEN_S):
+                driver = await link.opened
+        except BaseException as error:
+            link.end("it could not be opened")
+            await self.launcher.end(0.0)
+            if isinstance(error, TimeoutError):
+                raise ContextError(f"{self.name} was not ready within {_OPEN_S:g} s") from None
+            raise
+        self._link = link
+        self._loaded.clear()
+        return driver
+
+    def _ended(self, link: WorkerConnection) -> None:
+        if self._link is link:
+            self._lost()

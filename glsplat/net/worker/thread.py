@@ -1,0 +1,58 @@
+"""ThreadWorker: draws with a backend on one thread of this process, as an OpenGL context belongs to a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+from glsplat.net.backend import Backend, Interruptible, Rendered, RenderJob
+
+__all__ = ["ThreadWorker"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+
+class ThreadWorker:
+    """Holds Python's lock while the driver draws: other threads of the process wait (see ``process_worker``)."""
+
+    name = "the OpenGL context"
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="render")
+        self._cancelled = False
+        if isinstance(backend, Interruptible):
+            backend.abandoned = lambda: self._cancelled
+
+    async def open(self, lost: Callable[[], None]) -> str:
+        """Open the backend; a lost context shows in ``draw``."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._backend.open)
+
+    async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
+        """Draw; the pixels are always here."""
+        self._cancelled = False
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._backend.render, job)
+
+    def cancel(self) -> None:
+        """Give up the picture in hand, where the backend is interruptible."""
+        self._cancelled = True
+
+    async def rebuild(self) -> str:
+        """Close the backend and open it again."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._reopen)
+
+    async def close(self) -> None:
+        """Close the backend after the picture in hand."""
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._thread, self._backend.close)
+        finally:
+            self._thread.shutdown(wait=False)
+
+    def _reopen(self) -> str:
+        try:
+            self._backend.close()
+        except Exception:
+            log.debug("the rest of the lost context cannot be released", exc_info=True)
+        return self._backend.open()
