@@ -38,8 +38,8 @@ def policy_of(args: ServeOptions, scene: SceneFile, name: str) -> ConsentPolicy:
     policy = ConsentPolicy(trusted=trusted, without=args.without_consent)
     own = None
     if trusted is None and args.users is None and is_loopback(args.host):
-        with suppress(GlsplatError):  # nothing can be kept here: then nothing was made with it either
-            own = known_key(state_folder())  # what was made with --mine, or on the page
+        with suppress(GlsplatError):  # without a state folder no key was made
+            own = known_key(state_folder())  # which signs avatars of --mine and of the page
         if own is not None:
             policy.trust_own(own.public)
     if args.scene is None:
@@ -57,7 +57,7 @@ def policy_of(args: ServeOptions, scene: SceneFile, name: str) -> ConsentPolicy:
 
 
 def signing(uploads: UploadConfig | None, policy: ConsentPolicy) -> UploadConfig | None:
-    """``uploads``, so that what is made is signed with a key that this server keeps, and trusts."""
+    """Return ``uploads`` with a signature for new avatars, by a key that this server keeps and trusts."""
     if uploads is None:
         return None
     key = kept_key(state_folder())
@@ -70,7 +70,7 @@ class _Signing:
         self._key, self._policy = key, policy
 
     def __call__(self, name: str, data: bytes, account: str) -> bytes:
-        """The file with a record for the ``account`` that had it made, "" without accounts. On any thread."""
+        """Return the file with a consent record for ``account`` ("" without accounts). Called on any thread."""
         today = datetime.now(UTC).date()
         signed = sign_data(
             data,

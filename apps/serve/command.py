@@ -63,7 +63,7 @@ def check(args: ServeOptions) -> None:
 
 
 def server_config(args: ServeOptions, keys: Keys | None = None, watermark: WatermarkKey | None = None) -> ServerConfig:
-    """The checked configuration, with TLS and token of ``keys``, else those that the arguments name.
+    """Return the checked configuration, with TLS and token of ``keys``, or of the options without it.
 
     Raises GlsplatError naming the option or the file that does not fit.
     """
@@ -106,7 +106,7 @@ def server_config(args: ServeOptions, keys: Keys | None = None, watermark: Water
 
 
 def _pixels(args: ServeOptions) -> tuple[int, int]:
-    """Width and height of an eye where requests name none."""
+    """Return width and height of an eye where requests name none."""
     return args.size or (min(1024, args.max_size),) * 2
 
 
@@ -116,12 +116,12 @@ def _shown_name(args: ServeOptions) -> str:
 
 
 def scene_name(args: ServeOptions) -> str:
-    """What clients call the scene among the avatars."""
+    """Return the scene's name among the avatars."""
     return Path(args.scene).stem if args.scene else "default"
 
 
 def other_avatars(args: ServeOptions) -> dict[str, Rigged]:
-    """The avatars of --avatar by the names of their files. Raises UsageError for two of one name and for none."""
+    """Return the avatars of --avatar by file name. Raises UsageError for a taken name, or no avatar."""
     found: dict[str, Rigged] = {}
     for path in args.avatar:
         if path.stem in (scene_name(args), *found):

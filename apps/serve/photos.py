@@ -1,4 +1,4 @@
-"""What makes the avatars of ``--allow-upload``: this package's own reconstructor, in a process of its own."""
+"""Make the avatars of --allow-upload by this package's own reconstructor, in a process of its own."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def upload_config(args: ServeOptions) -> UploadConfig | None:
 
     for model in PHOTO.models:
         path_of(model.name)
-    # on its user's own machine drawing steps back (net/server.py); elsewhere others look on meanwhile, and go first
+    # on its user's own machine drawing yields to the work (net/server.py); elsewhere drawing for others goes first
     config = UploadConfig(folder=args.allow_upload, make=make_avatar)
     return replace(config, nice=0) if is_loopback(args.host) and not args.trusted_proxy else config
 
 
 def make_avatar(order: Order, progress: Progress) -> Avatar:
-    """An avatar of the order's pictures. Raises LowConfidenceError for what the capture check finds, GlsplatError."""
-    # here, in the process that does the work: the server itself needs none of this
+    """Return an avatar of the order's pictures. Raises LowConfidenceError for findings of the check, GlsplatError."""
+    # imported in the process that does the work
     from glsplat.errors import CaptureError
     from glsplat.extras.authoring.photo.photo_file import Photo, photo_of
     from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruct, refuse

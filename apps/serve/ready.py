@@ -1,4 +1,4 @@
-"""What the terminal says once clients can connect: where the page is, how a headset gets there, what to trust."""
+"""The lines in the terminal once clients can connect: the page's address, a QR code, the certificate."""
 
 from __future__ import annotations
 
@@ -30,35 +30,35 @@ class Place:
 
     @property
     def local(self) -> bool:
-        """True if only this machine reaches it."""
+        """Whether only this machine can reach the server."""
         return is_loopback(self.host)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Addresses or names by which a browser reaches it, the best first; never empty."""
+        """Addresses or names for browsers, the best first; never empty."""
         if self.host in ("127.0.0.1", "localhost"):
             return ("localhost",)
         return reachable_at(self.host) or machine_names()[-1:] or ("localhost",)
 
     @property
     def here(self) -> str:
-        """Its name for a browser on this machine."""
+        """The server's name for a browser on this machine."""
         return "localhost" if self.host in ("0.0.0.0", "::") else self.names[0]
 
     def url(self, name: str, path: str, scheme: str = "http") -> str:
-        """An address under a name; ``scheme`` is http or ws, with TLS https or wss."""
+        """Return an address under a name; ``scheme`` is http or ws, which becomes https or wss with TLS."""
         secure = "s" if self.keys.tls else ""
         return f"{scheme}{secure}://{f'[{name}]' if ':' in name else name}:{self.port}{path}"
 
     def page(self, name: str, *, token: bool = False) -> str:
-        """The page's address under a name; with the token behind ``#``, which browsers keep to themselves."""
+        """Return the page's address under a name; a token stands behind ``#``, a part that browsers do not send."""
         return self.url(name, "/vr") + (f"#token={self.keys.token}" if token and self.keys.token else "")
 
 
 def announce(place: Place, out: TextIO, show_qr: bool, status: bool = True) -> None:
-    """Print how to get to the page. The token is shown to people only: on a terminal, or with ``show_qr``.
+    """Print the addresses. The token is printed to a terminal only, or with ``show_qr``.
 
-    Without ``status`` the status page is nobody's to open.
+    ``status`` is False where nobody may open the status page.
     """
     person = out.isatty()
     name, *others = place.names
@@ -107,7 +107,7 @@ def _print_qr(address: str, out: TextIO, person: bool) -> None:
 def open_page(place: Place) -> threading.Thread:
     """Open the page in this machine's browser, without waiting for it.
 
-    Without the token: a program's arguments can be read by everybody on the machine. The page asks for it.
+    The address has no token, as every user of the machine can read a program's arguments. The page asks for it.
     """
     address = place.page(place.here)
 

@@ -20,13 +20,13 @@ __all__ = ["Running", "study_of"]
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A study that is served, and how its two pages are reached."""
+    """A study that is served, and the addresses of its two pages."""
 
     lead: StudyLead
     options: ServeOptions  # of the server, with the study's avatars
 
     def pages(self, place: Place, *, secret: bool) -> dict[str, str]:
-        """The participant's and the experimenter's address, with what lets them in behind ``#``."""
+        """Return the addresses for participant and experimenter; ``secret`` adds their secrets behind ``#``."""
         token = f"&token={place.keys.token}" if place.keys.token else ""
         paths = {"participant": "/vr/study.html", "experimenter": "/vr/watch.html"}
         return {
@@ -35,11 +35,11 @@ class Running:
         }
 
     def fields(self, place: Place) -> dict[str, str]:
-        """The addresses for programs, and the file that has the secrets, which go behind ``#study=``."""
+        """Return the addresses for programs, and the file with the secrets, which go behind ``#study=``."""
         return self.pages(place, secret=False) | {"keys": str(self.lead.live.store.folder / KEYS)}
 
     def announce(self, place: Place, out: TextIO) -> None:
-        """Print the addresses; the secrets are shown to people only."""
+        """Print the addresses, on a terminal with the secrets."""
         for who, address in self.pages(place, secret=out.isatty()).items():
             print(f"  {who:<11} {address}", file=out)
         if not out.isatty():

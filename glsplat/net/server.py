@@ -235,7 +235,7 @@ class Server:
         return stats | merged(feature.stats(user) for feature in self.features)
 
     def session(self, user: User | None = None) -> dict[str, Any]:
-        """What /session says to an account of the scene and of the server: all to choose from before connecting."""
+        """Return /session for an account: all there is to choose from before connecting."""
         most, wire = self.config.max_clients, self._wire
         avatars = self.catalogue.fields(self.gate.rights.drivable(user, self.catalogue.names))
         session = {
@@ -261,7 +261,7 @@ class Server:
 
     @property
     def _wire(self) -> WireOptions:
-        """What counts where requests are silent, in the size that was found to be drawn often enough."""
+        """The options of requests that name none, with the size that is drawn often enough."""
         wire = self.config.wire
         return wire if self.fitted is None else replace(wire, size=(self.fitted.side, self.fitted.side))
 

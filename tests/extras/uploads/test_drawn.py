@@ -38,8 +38,8 @@ DARK = replace(PERSON, splats=replace(PERSON.splats, sh=PERSON.splats.sh * -1))
 
 def server_of(folder: Path, **options):
     config = ServerConfig(port=0, wire=WireOptions(size=SIZE), limits=LIMITS)
-    served = ServedScene(file=SceneFile.of(PERSON))
-    return assemble(served, config, uploads=UploadConfig(folder=folder, make=make, nice=0), **options)
+    served = ServedScene(file=SceneFile.of(PERSON), **options)
+    return assemble(served, config, uploads=UploadConfig(folder=folder, make=make, nice=0))
 
 
 async def picture(server, name: str | None = None, **more) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_what_lies_in_the_folder_is_offered_and_what_is_no_avatar_left_out(tmp_p
     (tmp_path / "photo-abcdefgh.glb").write_bytes(b"glTF, but not really")
     (tmp_path / "notes.txt").write_text("of somebody")
     (tmp_path / " x.glb").write_bytes(b"")
-    offered = server_of(tmp_path, own_process=False).session()["avatars"]
+    offered = server_of(tmp_path).session()["avatars"]
     assert [(one["name"], one["made"]) for one in offered] == [("default", False), ("mine", False)]
     assert len(caplog.records) == 3 and all("left out" in record.message for record in caplog.records)
 
