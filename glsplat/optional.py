@@ -1,4 +1,4 @@
-"""Extras by name: the core looks them up here and never imports one, so that each folder of extras may be absent."""
+"""Modules by name. The core looks extras up here and never imports one, so that each folder of extras may be absent."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 
-__all__ = ["extra_module", "has_extra", "missing", "plugin"]
+__all__ = ["extra_module", "has_extra", "missing", "plugin", "thumbnail"]
 
 
 def has_extra(name: str) -> bool:
@@ -34,6 +34,15 @@ def plugin(name: str) -> ModuleType | None:
         if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
             raise
         return None
+
+
+def thumbnail(content: object) -> bytes | None:
+    """Return a PNG of splats or an avatar for a notebook; None where it cannot be drawn.
+
+    Values stand below the renderer: it is imported when a notebook shows one.
+    """
+    picture: bytes | None = import_module("glsplat.renderer.thumbnail").thumbnail(content)
+    return picture
 
 
 def missing(extra: str, what: str) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import flag, frozen, instance, listed, number, own, own_whole, plain, restored, rows, shares
 from glsplat.errors import FormatError
+from glsplat.optional import thumbnail
 
 if TYPE_CHECKING:
     from glsplat.light.surface import Surface
@@ -186,6 +187,10 @@ class Splats:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return restored, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture for notebooks; None where no OpenGL context can be made."""
+        return thumbnail(self)
 
     def __repr__(self) -> str:
         more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")
