@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen_mapping, listed
 from glsplat.errors import FormatError
+from glsplat.optional import thumbnail
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
@@ -112,6 +113,10 @@ class Avatar:
                 raise FormatError(f"level {i + 1}: its shapes need the avatar's names, in their order")
             if level.content.levels:
                 raise FormatError(f"level {i + 1}: a level has no levels of its own")
+
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture for notebooks; None where no OpenGL context can be made."""
+        return thumbnail(self)
 
     def __repr__(self) -> str:
         levels = f", {len(self.levels)} levels" if self.levels else ""

@@ -17,6 +17,7 @@ __all__ = [
     "missing_package",
     "plugin",
     "require_package",
+    "thumbnail",
 ]
 
 
@@ -68,6 +69,15 @@ def plugin(name: str) -> ModuleType | None:
         if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
             raise
         return None
+
+
+def thumbnail(content: object) -> bytes | None:
+    """Return a PNG of splats or an avatar for a notebook; None where it cannot be drawn.
+
+    Values stand below the renderer: it is imported when a notebook shows one.
+    """
+    picture: bytes | None = import_module("glsplat.renderer.thumbnail").thumbnail(content)
+    return picture
 
 
 def missing(extra: str, what: str) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import Value, flag, frozen, instance, listed, number, own, own_whole, plain, rows, shares
 from glsplat.errors import FormatError
+from glsplat.optional import thumbnail
 
 if TYPE_CHECKING:
     from glsplat.light.surface import Surface
@@ -180,6 +181,10 @@ class Splats(Value):
         alphas = plain(opacities, "opacities")
         alphas = alphas.reshape(-1) if alphas.ndim == 0 or alphas.shape[1:] == (1,) else alphas
         return cls(means, quats, scales, alphas, sh, antialias, cones, cones_psnr, surface=surface)
+
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture for notebooks; None where no OpenGL context can be made."""
+        return thumbnail(self)
 
     def __repr__(self) -> str:
         more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")

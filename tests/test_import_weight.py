@@ -21,6 +21,7 @@ ROWS = [  # statement, libraries, modules of glsplat at most
     ("import glsplat", "", 1),
     ("import glsplat.tracking.sample", "", 8),  # the names of expressions among them
     ("import glsplat.net.messages", "", 30),
+    ("from glsplat import Avatar, Splats", "", 20),  # their pictures in notebooks import the renderer when shown
     ("from glsplat import default_avatar; default_avatar()", "", ANY),
     ("from glsplat import Renderer", "moderngl", ANY),
     ("from glsplat.net.client import Client", "aiohttp simplejpeg", 38),

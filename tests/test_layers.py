@@ -40,6 +40,7 @@ WITHIN = {
         ["pipeline"],
         ["gpu_scene"],
         ["renderer"],
+        ["thumbnail"],
     ],
     "tracking": [["solve"]],
     "net": [

@@ -5,8 +5,7 @@ import sys
 import numpy as np
 
 import glsplat
-from glsplat.extras.evaluate import SCORE_POSES, score
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
+from glsplat.extras.evaluate import SCORE_POSES, MeshTruth, score
 
 if len(sys.argv) < 3:
     sys.exit(__doc__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -15,11 +15,22 @@ from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Depths", "Images", "Views", "check_driver", "checked_depth", "checked_out", "checked_pose", "checked_views"]
+__all__ = [
+    *("Depths", "Images", "Pixel", "Views"),
+    *("check_driver", "checked_depth", "checked_out", "checked_pose", "checked_views"),
+]
+
+if TYPE_CHECKING:
+    import typing_extensions
+
+    Pixel = typing_extensions.TypeVar("Pixel", np.uint8, np.float32, default=np.uint8)
+else:
+    Pixel = TypeVar("Pixel", np.uint8, np.float32)
+"""What images hold, by ``RenderConfig.output``. Type checkers take it from ``out`` or the variable, else uint8."""
 
 Views = Iterable[Camera]
 Images = NDArray[Any]
-"""[V, H, W, 4] uint8 or float32, as the config says."""
+"""[V, H, W, 4] uint8 or float32."""
 Depths = NDArray[np.float32]
 """[V, H, W] metres."""
 

@@ -19,7 +19,7 @@ from glsplat.errors import ContextError, GlsplatError
 from glsplat.gl.context import Context, create_context
 from glsplat.gl.owner import ContextGuard, release_later
 from glsplat.renderer import checks
-from glsplat.renderer.checks import Depths, Images, Views
+from glsplat.renderer.checks import Depths, Images, Pixel, Views
 from glsplat.renderer.draw import Slices
 from glsplat.renderer.gpu_scene import GpuScene
 from glsplat.renderer.levels import Selector
@@ -150,13 +150,13 @@ class Renderer:
 
     @overload
     def render(
-        self, views: Views, pose: Pose | None = ..., *, depth: Literal[False] = ..., out: Images | None = ...
-    ) -> Images: ...
+        self, views: Views, pose: Pose | None = ..., *, depth: Literal[False] = ..., out: NDArray[Pixel] | None = ...
+    ) -> NDArray[Pixel]: ...
 
     @overload
     def render(
-        self, views: Views, pose: Pose | None = ..., *, depth: Literal[True], out: Images | None = ...
-    ) -> tuple[Images, Depths]: ...
+        self, views: Views, pose: Pose | None = ..., *, depth: Literal[True], out: NDArray[Pixel] | None = ...
+    ) -> tuple[NDArray[Pixel], NDArray[np.float32]]: ...
 
     def render(
         self,
@@ -164,8 +164,8 @@ class Renderer:
         pose: Pose | None = None,  # of the one avatar; default: the item's own, else zero; ignored without a skeleton
         *,
         depth: bool = False,  # also return expected depths
-        out: Images | None = None,  # [V, H, W, 4] where the images go; default: a new array
-    ) -> Images | tuple[Images, Depths]:
+        out: NDArray[Pixel] | None = None,  # [V, H, W, 4] where the images go; default: a new array
+    ) -> NDArray[Pixel] | tuple[NDArray[Pixel], NDArray[np.float32]]:
         """Return the images [V, H, W, 4], row 0 at the top: RGB over the background and accumulated alpha.
 
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
@@ -365,10 +365,10 @@ class Prepared:
     def render(
         self,
         *,
-        out: Images | None = None,  # as of Renderer.render()
+        out: NDArray[Pixel] | None = None,  # as of Renderer.render()
         between: Callable[[], None] | None = None,  # called between two slices; what it raises ends the picture
         slice_cost: float = math.inf,  # covered pixels of a pass; a costlier pass is drawn in slices of about that
-    ) -> Images:
+    ) -> NDArray[Pixel]:
         """Return the images of ``Renderer.render()``, the same bytes whatever the slices."""
         renderer = self._renderer
         if renderer._prepared is not self:

@@ -60,6 +60,14 @@ def main(folder: Path) -> int:
             pair: NDArray[np.uint8] = renderer.render(eyes(head, size), moved(2, step))
             picture: NDArray[np.uint8] = glsplat.straight(pair, background=(1, 1, 1))
             total += int(picture[..., 3].astype(np.int64).sum())
+        images, depths = renderer.render(eyes(head, size), depth=True)
+        metres: NDArray[np.float32] = depths
+        total += int(images.sum()) + int(metres.max())
+    exact = glsplat.RenderConfig(output="float32")
+    with glsplat.Renderer(scene, size=(size, size), config=exact, context=context) as renderer:
+        floats: NDArray[np.float32] = renderer.render([single(size)])
+        into = renderer.render([single(size)], out=np.empty((1, size, size, 4), np.float32))
+        total += int(floats.sum() + into.sum())
     context.release()
     try:
         glsplat.load(folder / "nothing.ply")

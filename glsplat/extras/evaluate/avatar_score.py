@@ -79,7 +79,8 @@ def score(
         for view in range(views):
             azimuth = FIRST + 360 * view / views
             camera = camera_around(vertices[used], azimuth, renderer.size[0], grey)
-            picture = np.clip(renderer.render([camera], pose)[0, ..., :3], 0, 1)
+            image: NDArray[np.float32] = renderer.render([camera], pose)
+            picture = np.clip(image[0, ..., :3], 0, 1)
             milliseconds = renderer.timings["total"]
             wanted = np.clip(truth.render([camera], pose)[0, ..., :3], 0, 1)
             boxes = [_box(vertices[hand], camera) for hand in hands if len(hand)]
