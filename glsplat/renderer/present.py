@@ -51,7 +51,7 @@ class Present:
         self._box = (left, top, width, height)
 
     def run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
-        """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; layouts other than mono are for pairs.
+        """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; all layouts but mono need a pair.
 
         Values are clamped and rounded by the fixed-point framebuffer, as in resolve.frag.glsl.
         """
