@@ -16,15 +16,15 @@ from glsplat.config import CULL_PSNR, LEAN, MAX_LEVELS
 from glsplat.data import PEOPLE, default_avatar, embedded_file
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats import suffixes
+from glsplat.formats.motion_files import KINDS, split_choice
 from glsplat.formats.registry import load
+from glsplat.formats.scene_file import UPS, SceneFile, load_scene, upright
 from glsplat.formats.transform import transformed
 from glsplat.io.files import naming, open_regular
 from glsplat.light.light import PRESETS, Light
 from glsplat.meshes import RiggedMesh
-from glsplat.motion.loading import KINDS, split_choice
 from glsplat.optional import plugin
 from glsplat.scene import Content, Rigged, Scene, is_rigged
-from glsplat.scenes.scene_file import UPS, SceneFile, load_scene, upright
 from glsplat.skinning.driven import why_not_tracked
 from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.skeleton import Skeleton
@@ -211,7 +211,7 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
 
     Raises UsageError where there is neither.
     """
-    from glsplat.motion.loading import embedded_motions, load_motion
+    from glsplat.formats.motion_files import embedded_motions, load_motion
 
     if not split_choice(name)[0].exists() and name not in embedded_motions():
         known = ", ".join(embedded_motions()) or "none"

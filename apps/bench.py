@@ -13,11 +13,11 @@ from glsplat.extras.evaluate.frames import WARM_UP, Bench
 from glsplat.extras.evaluate.machine import machine
 from glsplat.extras.evaluate.speed.budget import search
 from glsplat.extras.evaluate.speed.profile import profile
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, SceneLike, is_rigged
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
 

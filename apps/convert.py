@@ -17,11 +17,11 @@ from glsplat.errors import FormatError
 from glsplat.extras.formats.fidelity import read_back
 from glsplat.formats import save, suffixes
 from glsplat.formats.registry import load
+from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.light import Light
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content, Scene
-from glsplat.scenes.scene_file import upright
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 

@@ -15,9 +15,9 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.data import embedded_file
 from glsplat.extras.consent.file import OnFile, on_file
 from glsplat.formats import recognise
+from glsplat.formats.scene_file import SceneFile
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import is_rigged
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_driven, why_not_tracked
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.skin import strongest_joint

@@ -17,13 +17,13 @@ from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import DebugConfig, RenderConfig
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats.camera_file import read_cameras
+from glsplat.formats.motion_files import KINDS
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import create_context
-from glsplat.motion.loading import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.optional import missing, plugin
 from glsplat.renderer import Renderer
-from glsplat.scenes.camera_file import read_cameras
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.views import orbited, view_of, viewing_point
 

@@ -31,13 +31,13 @@ ROWS = [  # statement, libraries, modules of glsplat at most
 EXTRAS = [
     ("import glsplat.tracking", "", 2),
     (
-        "from glsplat.motion.loading import load_embedded_motion as load; load('walk', __import__('glsplat')"
+        "from glsplat.formats.motion_files import load_embedded_motion as load; load('walk', __import__('glsplat')"
         ".default_avatar().skeleton).resampled(11.0)",
         "",
         ANY,
     ),
     ("import glsplat.tracking.tracker", "", ANY),
-    ("import glsplat.scenes.scene_file", "", ANY),
+    ("import glsplat.formats.scene_file", "", ANY),
     ("import glsplat.extras.authoring.posed", "", ANY),
     ("import glsplat.extras.authoring.cones", "cv2 scipy", ANY),
     ("import glsplat.extras.authoring.reconstruct.photos", "cv2 scipy simplejpeg", ANY),

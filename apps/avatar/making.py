@@ -31,10 +31,10 @@ from glsplat.extras.authoring.surface import FEWEST, make_avatar
 from glsplat.extras.formats.person import read_body
 from glsplat.extras.rigs.meshes.rig_map import read_rig_map
 from glsplat.formats import load_splats, save, suffixes
+from glsplat.formats.motion_files import embedded_motions, load_embedded_motion
+from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.io.files import naming, replace_file
-from glsplat.motion.loading import embedded_motions, load_embedded_motion
-from glsplat.scenes.scene_file import upright
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.splats import Level
 

@@ -17,8 +17,8 @@ from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.rig_map import read_rig_map
 from glsplat.formats.format import opened
 from glsplat.formats.registry import sniffed
+from glsplat.formats.scene_file import upright
 from glsplat.meshes import RiggedMesh
-from glsplat.scenes.scene_file import upright
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton

@@ -12,11 +12,11 @@ from pathlib import Path
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import FormatError
-from glsplat.motion.loading import KINDS
+from glsplat.formats.motion_files import KINDS
+from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.motion import Motion
 from glsplat.net.guard.access import read_token
 from glsplat.scene import skeleton_of
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose, load_pose
 

@@ -16,12 +16,12 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import opened
 from glsplat.formats.gltf.container import read_container
 from glsplat.formats.gltf.nodes import only_moves
+from glsplat.formats.motion_files import embedded_motions
+from glsplat.formats.pose_files import are_poses
 from glsplat.formats.registry import sniffed
-from glsplat.motion.loading import embedded_motions
+from glsplat.formats.scene_file import SceneFile, load_scene
 from glsplat.motion.motion import Motion
-from glsplat.motion.poses import are_poses
 from glsplat.scene import Content, SceneLike
-from glsplat.scenes.scene_file import SceneFile, load_scene
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.skinning.skeleton import Skeleton

@@ -23,9 +23,9 @@ from glsplat.extras.openxr.placing import VIEWS
 from glsplat.extras.openxr.runtime import Runtime
 from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.wearer import Wearer
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
 from glsplat.net.guard.access import read_token
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import record
 from glsplat.tracking.sample import Sample

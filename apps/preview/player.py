@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.motion import Motion
 from glsplat.rotations import quaternion_product, quaternion_vectors, vector_quaternions
 from glsplat.scene import Item, is_rigged
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
 from glsplat.motion.motion import Motion
 from glsplat.renderer.present import Layout, Present, view_size
 from glsplat.scene import SceneLike
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.views import viewing_point
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.motions.derive import derive, truth_from_motion, with_expressions
-from glsplat.motion.loading import KINDS, embedded_motions
+from glsplat.formats.motion_files import KINDS, embedded_motions
 from glsplat.motion.motion import Motion
 from glsplat.net.client import Client
 from glsplat.net.guard.access import read_token

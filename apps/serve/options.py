@@ -16,11 +16,11 @@ from typing import Any
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.errors import FormatError, GlsplatError
+from glsplat.formats.scene_file import UPS
 from glsplat.light.light import PRESETS
 from glsplat.net.backends.gl import MAX_TIME
 from glsplat.net.guard.forwarded import Network, proxy_network
 from glsplat.net.options import MAX_WINDOW, NAME
-from glsplat.scenes.scene_file import UPS
 from glsplat.tracking.solvers import SOLVERS, SolverName
 
 from ..args import detail_level, size

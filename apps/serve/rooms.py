@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from glsplat.formats.scene_file import SceneFile, load_scene
 from glsplat.scene import Scene
-from glsplat.scenes.scene_file import SceneFile, load_scene
 
 from ..usage import UsageError
 from .options import SEATS, ServeOptions

@@ -17,8 +17,8 @@ from glsplat.errors import FormatError
 from glsplat.extras.evaluate.tracking_rows import SOLVERS, Row, rows_of
 from glsplat.extras.evaluate.tracking_score import WINDOW, mean_score
 from glsplat.extras.learned.network import load_network
+from glsplat.formats.motion_files import embedded_motions
 from glsplat.io.files import replace_file
-from glsplat.motion.loading import embedded_motions
 from glsplat.tracking.tracker import TrackerConfig
 
 from ..args import motion_of

@@ -16,7 +16,7 @@ from glsplat.extras.learned.network import load_network, save_network
 from glsplat.extras.training.clips import TrainingClip, clips_of, looks_away, unit_of_skeleton
 from glsplat.extras.training.fit import TrainingConfig, evaluate, fit, lessons_of
 from glsplat.extras.training.standing import Stance, stances_of, stood
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.motion.motion import Motion
 
 from ..progress import Progress, each

@@ -23,8 +23,8 @@ from glsplat.extras.browser.web_format.write import web_file
 from glsplat.extras.browser.web_shaders import programs_json
 from glsplat.extras.consent.file import OnFile, on_file
 from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.io.files import replace_file
-from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.motion.motion import Motion
 
 from ..args import load_avatar

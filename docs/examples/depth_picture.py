@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 import glsplat
-from glsplat.motion import load_motion
+from glsplat.formats import load_motion
 
 out = sys.argv[1] if len(sys.argv) > 1 else "depth.png"
 avatar = glsplat.default_avatar()

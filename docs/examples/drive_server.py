@@ -6,7 +6,7 @@ from pathlib import Path
 
 import glsplat
 from glsplat.camera import head_matrix
-from glsplat.motion import load_motion
+from glsplat.formats import load_motion
 from glsplat.net import Client
 
 url = sys.argv[1] if len(sys.argv) > 1 else "ws://127.0.0.1:8000/ws"

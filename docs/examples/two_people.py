@@ -7,7 +7,7 @@ import numpy as np
 
 import glsplat
 from glsplat.data import person
-from glsplat.motion import load_motion
+from glsplat.formats import load_motion
 
 out = sys.argv[1] if len(sys.argv) > 1 else "people.png"
 

@@ -5,7 +5,7 @@ import sys
 import cv2
 
 import glsplat
-from glsplat.motion import load_motion
+from glsplat.formats import load_motion
 
 out = sys.argv[1] if len(sys.argv) > 1 else "walk.mp4"
 avatar = glsplat.default_avatar()

@@ -1,4 +1,9 @@
+from .camera_file import camera_from_json as camera_from_json
+from .camera_file import load_cameras as load_cameras
+from .camera_file import read_cameras as read_cameras
 from .format import Format as Format
+from .motion_files import embedded_motions as embedded_motions
+from .motion_files import load_motion as load_motion
 from .registry import all_formats as all_formats
 from .registry import load as load
 from .registry import load_content as load_content
@@ -7,3 +12,5 @@ from .registry import losses as losses
 from .registry import recognise as recognise
 from .registry import save as save
 from .registry import suffixes as suffixes
+from .scene_file import SceneFile as SceneFile
+from .scene_file import load_scene as load_scene

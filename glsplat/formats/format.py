@@ -87,7 +87,7 @@ class Format:
 
     ``load`` reads an open file at its start, ``save`` writes a scene to its target (by io.files.replace_file); None
     where the format is not read so, or not written. ``read_motion(opened, skeleton, forward, choice, corrections)``
-    returns a Motion (motion/loading.py). All raise FormatError. ``loses`` yields a sentence for each thing that a
+    returns a Motion (formats/motion_files.py). All raise FormatError. ``loses`` yields a sentence for each thing that a
     saved file does not keep, rounding apart; sentences for ``rigs``, ``cones``, ``levels`` and ``surfaces`` that are
     False are added to it. ``order`` returns which splats a file has, in its order, where that is not all as they come.
     """

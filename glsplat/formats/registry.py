@@ -35,7 +35,12 @@ __all__ = [
 log: logging.Logger = logging.getLogger("glsplat.formats")
 
 # modules whose add_formats() puts rows into the registry; of extras, NAME is glsplat.extras.NAME.rows
-_CORE = ("glsplat.formats.ply", "glsplat.formats.gltf.splats", "glsplat.motion.poses", "glsplat.scenes.scene_file")
+_CORE = (
+    "glsplat.formats.ply",
+    "glsplat.formats.gltf.splats",
+    "glsplat.formats.pose_files",
+    "glsplat.formats.scene_file",
+)
 _EXTRAS = ("formats", "rigs", "motions")
 
 # for the message where an extra is not installed
@@ -78,7 +83,7 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
     The format is recognised by content, whatever the file's name, unless ``format`` names it: "ply" or another key of
     ``glsplat.formats.all_formats()``. Splats with a skin are an Avatar; a mesh of triangles (glTF, VRM, OBJ, a person
     in .npz) is a RiggedMesh, on one joint where nothing moves it; a scene file is a Scene, whose background and motions
-    ``glsplat.scenes.load_scene`` has. An open file is read from where it stands and stays open. A level of detail that
+    ``glsplat.formats.load_scene`` has. An open file is read from where it stands and stays open. A level of detail that
     is broken is left out, which is logged. With ``strict`` it is refused, as are NaN and infinity, which are kept or
     mended otherwise. Raises FormatError, one line that names the file.
 

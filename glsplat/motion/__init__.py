@@ -1,4 +1,4 @@
-"""Motion: recorded movement of a skeleton, its readers, and the embedded library."""
+"""Motion: recorded movement of a skeleton."""
 
 import lazy_loader
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net import server as server_module
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.gl import MAX_TIME, RendererBackend
@@ -28,7 +29,6 @@ from glsplat.net.worker.thread import ThreadWorker
 from glsplat.net.worker.worker import Worker
 from glsplat.optional import missing, plugin
 from glsplat.scene import Rigged, SceneLike, is_rigged
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_driven, why_not_tracked
 from glsplat.tracking.solvers import SOLVERS, SolverName
 

@@ -1,4 +1,4 @@
-"""What a caller hands to render(): views, a pose, where images go, checked before anything is drawn."""
+"""Checks of the arguments of render(), before anything is drawn."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Depths = NDArray[np.float32]
 
 
 def check_driver(config: RenderConfig, context: Context) -> None:
-    """Raises ContextError where the driver cannot do what the config asks for by name."""
+    """Raise ContextError if the driver cannot do what the config names."""
     driver = context.driver
     if config.debug.layers == "vertex" and not context.vertex_layers:
         raise ContextError(f"{driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
@@ -47,7 +47,7 @@ def check_driver(config: RenderConfig, context: Context) -> None:
 
 
 def checked_views(cameras: Views, size: tuple[int, int], what_to_do: str = "") -> list[Camera]:
-    """The cameras as a list: at least one, all of ``size`` (width, height). Raises GlsplatError."""
+    """Return the cameras as a list: at least one, all of ``size`` (width, height). Raises GlsplatError."""
     if isinstance(cameras, Camera):
         raise GlsplatError("render needs a list of cameras, not one Camera; write render([camera])")
     try:
@@ -67,7 +67,7 @@ def checked_views(cameras: Views, size: tuple[int, int], what_to_do: str = "") -
 
 
 def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
-    """The pose, or the zero pose for none. Raises PoseError if it does not fit ``what`` has so many joints."""
+    """Return the pose, or the zero pose for None. Raises PoseError if ``what`` has another number of ``joints``."""
     if pose is None:
         return Pose.zero(joints)
     instance(pose, Pose, "render", PoseError, "make one of your values first")
@@ -77,14 +77,14 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
 
 
 def checked_depth(depth: bool, dtype: str) -> bool:
-    """Whether depths are wanted. Raises GlsplatError for a target whose alpha is too coarse to divide them by."""
+    """Return whether depths are wanted. Raises GlsplatError for a target whose alpha is too coarse to divide by."""
     if flag(depth, "depth", GlsplatError) and dtype == "f1":
         raise GlsplatError("depth needs a float target, 8 bits of alpha make it metres off; use target='16f' or '32f'")
     return bool(depth)
 
 
 def checked_out(out: Images | None, shape: tuple[int, ...], dtype: DTypeLike) -> Images:
-    """``out``, or a new array if there is none. Raises GlsplatError where images of ``shape`` cannot be put into it."""
+    """Return ``out``, or a new array for None. Raises GlsplatError if ``out`` cannot hold images of ``shape``."""
     if out is None:
         return np.empty(shape, dtype)
     if not isinstance(out, np.ndarray):

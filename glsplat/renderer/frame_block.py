@@ -1,4 +1,4 @@
-"""FrameBlock: the one per-frame write, a std140 uniform block that mirrors shaders/frame.glsl."""
+"""FrameBlock: cameras and settings of a frame, a std140 uniform block that mirrors shaders/frame.glsl."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ VIEW_DTYPE = np.dtype(
 
 
 def frame_dtype(views: int) -> np.dtype[np.void]:
-    """The numpy record of struct Frame for that many views; all members are vec4, so std140 adds no padding."""
+    """Return the numpy record of struct Frame; all members are vec4, so std140 adds no padding."""
     return np.dtype(
         [
             ("views", VIEW_DTYPE, (views,)),
@@ -39,7 +39,7 @@ def frame_dtype(views: int) -> np.dtype[np.void]:
 
 
 class FrameBlock:
-    """Composes cameras in float64, subtracts the scene's origin, then rounds to float32 once."""
+    """Owns the buffer. Cameras are composed in float64 about the scene's origin, then rounded to float32 once."""
 
     def __init__(self, ctx: moderngl.Context, views: int) -> None:
         self._record = np.zeros((), frame_dtype(views))

@@ -1,4 +1,4 @@
-"""GpuSorter: the depth order by radix sort in compute shaders (OpenGL 4.3). Contract and oracle: sort.py."""
+"""Sort on the GPU: the order of sort.py by radix sort in compute shaders (OpenGL 4.3)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from glsplat.shaders import Programs
 
 __all__ = ["GpuSorter"]
 
-BLOCK = 1024  # THREADS * RUN of radix.glsl
-DIGIT = 4  # bits a pass; 32 and 16 bits both make an even number of passes, so the result ends where it began
+BLOCK_KEYS = 1024  # THREADS * RUN of radix.glsl
+DIGIT_BITS = 4  # a pass; 32 and 16 bits both make an even number of passes, so the result ends where it began
 
 
 class GpuSorter:
-    """Sorts keys in place and writes the order; nothing comes back to the host. Scratch space is borrowed."""
+    """Sorts keys in place and writes the order; nothing is read back. Scratch space is borrowed."""
 
     def __init__(
         self,
@@ -29,9 +29,9 @@ class GpuSorter:
         scratch: moderngl.Buffer,  # >= 8 N bytes, free until the records are written; holds the costs [N] uint32
         count: int,
         views: int,
-        bits: int = 32,  # 16 looks at the upper half of a key only
+        bits: int = 32,  # 16: by the upper half of a key only
         corners: int = 4,  # vertices of an instance of the indirect draw
-        pulled: bool = False,  # they are all in one instance
+        pulled: bool = False,  # all vertices are in one instance
     ) -> None:
         if not self.fits(ctx, scratch):
             limit = ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]
@@ -39,9 +39,9 @@ class GpuSorter:
         self._ctx, self._count, self._views = ctx, count, views
         self._start = np.array(([0, 1] if pulled else [corners, 0]) + [0] * 14, np.uint32)
         self._pulled_corners = corners if pulled else 0
-        self._shifts = range(32 - bits, 32, DIGIT)
+        self._shifts = range(32 - bits, 32, DIGIT_BITS)
         self._buffers = (keys, order, scratch)
-        self._groups = max(1, -(-count // BLOCK))
+        self._groups = max(1, -(-count // BLOCK_KEYS))
         with ExitStack() as stack:  # releases what was made if a later allocation fails
             self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
             stack.callback(self._histogram.release)
@@ -53,11 +53,11 @@ class GpuSorter:
 
     @staticmethod
     def fits(ctx: moderngl.Context, scratch: moderngl.Buffer) -> bool:
-        """Whether shaders can bind the largest buffer."""
+        """Return whether shaders can bind the largest buffer."""
         return scratch.size <= int(ctx.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
 
     def run(self) -> None:
-        """Keys to order."""
+        """Sort the keys and write the order."""
         if not self._count:
             return
         keys, order, scratch = self._buffers
@@ -74,7 +74,7 @@ class GpuSorter:
             self._dispatch("scatter", self._groups, **settings)
 
     def counts(self) -> tuple[int, dict[str, int], int]:
-        """Splats drawn, splats culled by reason, and the cost in blocks of 4x4 pixels; waits for the GPU."""
+        """Read back splats drawn, splats culled by reason, and the cost in blocks of 4x4 pixels. Waits for the GPU."""
         if not self._count:
             return 0, dict.fromkeys(CULL_REASONS.values(), 0), 0
         data = np.frombuffer(self.indirect.read(), np.uint32)

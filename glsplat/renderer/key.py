@@ -1,4 +1,4 @@
-"""KeyPass: a sortable depth a splat, or the reason why no view draws it. A vertex shader with transform feedback."""
+"""Key: a sortable depth per splat, or the reason why no view draws it. A vertex shader with transform feedback."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from glsplat.shaders import Programs, Variant
 __all__ = ["BLOCK_PIXELS", "KeyPass"]
 
 BLOCK_PIXELS = 16
-"""Pixels of a block of 4x4: the unit in which key.vert.glsl counts costs, and the least that rasterizers work on."""
+"""Pixels of a block of 4x4, in which key.vert.glsl counts costs: rasterizers work on whole blocks."""
 
 _ROW_BYTES = 12  # key, tiles, cost
 
 
 class KeyPass:
-    """A sortable depth a splat, or the reason why no view draws it, the tiles it touches, and what it costs.
+    """Writes a key per splat, the tiles that it touches and its cost.
 
-    For the GPU sorter into two buffers. For the host into one, row by row: of two, Mesa's softpipe (22.3.6) leaves the
-    second unwritten when it was drawn from in between.
+    The GPU sorter gets two buffers. The host gets one, row by row: of two, Mesa's softpipe (22.3.6) leaves the second
+    unwritten if it was drawn from in between.
     """
 
     def __init__(
@@ -49,8 +49,8 @@ class KeyPass:
     def run(self, ranges: Sequence[tuple[int, int]]) -> None:
         """Write keys, tiles and costs of the splats in ``ranges``, first index and number of each.
 
-        For the host one range after the other; for the GPU sorter every splat keeps its place, and the others are
-        marked as not to be drawn.
+        The host gets the ranges one after the other. For the GPU sorter every splat keeps its place, and splats outside
+        of the ranges are marked as not shown.
         """
         if len(self._outputs) == 1:
             self._found = 0
@@ -66,20 +66,20 @@ class KeyPass:
             spare.write(bytes(8 * (end - first)), offset=8 * first)
 
     def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]:
-        """[N] the keys, [N] the packed tiles and [N] blocks of 4x4 pixels a splat covers (0: not drawn), on the host.
+        """Read back keys [N], packed tiles [N] and covered blocks of 4x4 pixels [N] (0: not drawn).
 
-        N splats of the ranges, in their order. To be read before the records are written; the arrays are reused by the
-        next call.
+        Of the N splats of the ranges, in their order. Call it before the records are written; the next call reuses the
+        arrays.
         """
         rows, columns = self._rows[: self._found], self._columns[:, : self._found]
         if self._found:
             self._outputs[0].read_into(rows, size=rows.nbytes)
-            columns[:] = rows.T  # what follows goes through them one by one
+            columns[:] = rows.T  # contiguous columns: they are used one by one
         keys, tiles, costs = columns
         return keys, tiles, costs
 
     def read_costs(self, ranges: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:
-        """[N] the same costs where the GPU sorts: it has not begun yet. Waits for the GPU."""
+        """Read back the costs [N] before the GPU sorts. Waits for the GPU."""
         found = np.frombuffer(self._outputs[-1].read(8 * self._count), np.uint32)[1::2]
         return np.concatenate([found[:0], *(found[first : first + count] for first, count in ranges)])
 
@@ -89,7 +89,7 @@ class KeyPass:
 
 
 def _gaps(ranges: Sequence[tuple[int, int]], count: int) -> Iterator[tuple[int, int]]:
-    """First index and end of what lies between, before and behind the ranges, up to ``count``."""
+    """Yield first index and end of each gap before, between and after the ranges, up to ``count``."""
     at = 0
     for first, length in (*ranges, (count, 0)):
         if first > at:

@@ -1,4 +1,4 @@
-"""Present: the float layers of a frame to a window (or any 8-bit framebuffer), with text over them."""
+"""Present: draw the float layers of a frame to a window (or any 8-bit framebuffer), with text over them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _TARGET_UNIT, _TEXT_UNIT = 0, 1
 
 
 def view_size(window: tuple[int, int], layout: Layout) -> tuple[int, int]:
-    """Pixels of one view in a window of ``window`` pixels; side by side an odd column stays black."""
+    """Return the size of one view in a window of ``window`` pixels; side by side an odd column stays black."""
     width, height = window
     return max(1, width // 2 if layout == "side-by-side" else width), max(1, height)
 
 
 class Present:
-    """Every pixel of the window is one texel of a layer: nothing is filtered, what is shown is what was rendered."""
+    """Copies layers to a window texel by pixel, without filtering."""
 
     def __init__(self, context: Context | moderngl.Context) -> None:
         self._context = context
@@ -38,7 +38,7 @@ class Present:
         self._box = (0, 0, 0, 0)
 
     def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
-        """What lies over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window, or nothing."""
+        """Set what lies over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window, or None."""
         if image is None:
             self._box = (0, 0, 0, 0)
             return
@@ -51,7 +51,7 @@ class Present:
         self._box = (left, top, width, height)
 
     def run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
-        """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; its views decide what layouts work.
+        """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; all layouts but mono need a pair.
 
         Values are clamped and rounded by the fixed-point framebuffer, as in resolve.frag.glsl.
         """
@@ -79,7 +79,7 @@ class Present:
         array.render(moderngl.TRIANGLES, vertices=3)
 
     def _array(self, anaglyph: int, text: int, lifted: int) -> moderngl.VertexArray:
-        """The program of what is on show, compiled when it is first needed."""
+        """Return the vertex array of a program, compiled when it is first needed."""
         key = (anaglyph, text, lifted)
         if key not in self._arrays:
             flags = Variant().defines()

@@ -1,4 +1,4 @@
-"""ProjectPass: the sorted splats' footprints in all views, one record a splat."""
+"""Project: write a record per sorted splat, with its footprints in all views."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["ProjectPass"]
 
 
 class ProjectPass:
-    """Runs through ``order`` and gathers from the arena's textures, so the records come out sorted."""
+    """Gathers from the arena's textures in the order of ``order``, so the records come out sorted."""
 
     def __init__(self, context: Context, programs: Programs, variant: Variant, count: int) -> None:
         ctx = context.ctx
         program = programs.feedback("project", variant, [name for name, _ in record_layout(variant)])
         self.count: int = 0
-        self._orphans = not context.software  # a GPU may still read the order before; software is done with it
+        self._orphans = not context.software  # a GPU may still read the last order; software has finished
         with ExitStack() as stack:  # releases what was made if a later allocation fails
             self.order: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
             stack.callback(self.order.release)
@@ -33,7 +33,7 @@ class ProjectPass:
             self._owned = stack.pop_all()
 
     def write_order(self, order: NDArray[np.uint32]) -> None:
-        """Set the splats to draw and their order (indices, far to near)."""
+        """Set the splats to draw: indices, far to near."""
         self.count = len(order)
         if self.count:
             if self._orphans:
@@ -41,9 +41,9 @@ class ProjectPass:
             self.order.write(np.ascontiguousarray(order))
 
     def run(self, light: Light | None = None) -> None:
-        """Project the splats of ``order``; under ``light`` with variant.lit."""
+        """Project the splats of ``order``, under ``light`` with variant.lit."""
         if self.count:
-            if light is not None:  # the program may have been run under another one since
+            if light is not None:  # another pipeline may have set another one
                 uniform = self._array.program["light"]
                 assert isinstance(uniform, moderngl.Uniform)
                 uniform.write(light.uniforms().tobytes())

@@ -1,7 +1,8 @@
-"""The depth order, CPU side: keys to indices far to near. Contract shared with gpu_sort.py.
+"""Sort on the CPU: keys to indices, far to near. gpu_sort.py has the same contract.
 
 A key is the camera z of the sorting eye as a sortable uint32 (all 32 bits), nearest smallest; of equal keys the lower
-index is the nearer, so it is drawn later. Codes above every depth say why a splat is not drawn. Same bytes on repeat.
+index is the nearer, so it is drawn later. Codes above every depth are the reasons for not drawing a splat. The same
+keys give the same bytes.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ FIRST_CULLED = 0xFFFFFF00
 CULL_REASONS = {1: "out of range", 2: "transparent", 3: "degenerate", 4: "outside", 5: "hidden"}
 """Code of project.glsl -> name in the statistics."""
 NOT_SHOWN = FIRST_CULLED + 7
-"""A splat of the arena that this picture leaves out: nobody counts it."""
+"""Code of a splat of the arena that this picture does not show; it is not counted."""
 
 
 def sorted_indices(keys: NDArray[np.uint32], bits: int = 32) -> NDArray[np.uint32]:
-    """Indices of the splats to draw, far to near; ``bits`` 16 keeps only the upper half of a key (a knob)."""
+    """Return indices of the splats to draw, far to near; ``bits`` 16 sorts by the upper half of a key only."""
     visible = np.flatnonzero(keys < FIRST_CULLED).astype(np.uint32)
     if bits == 16:
         # numpy sorts 16-bit integers by radix, stable
@@ -35,9 +36,9 @@ def covered_box(
     width: int,
     height: int,
 ) -> tuple[int, int, int, int]:
-    """Pixels (x, y, width, height) outside of which every view shows only its background.
+    """Return the box (x, y, width, height; pixels) outside of which every view shows only its background.
 
-    Never empty, and with a rim of background wherever it does not reach the picture's edge (ByteTarget.read).
+    Never empty, and with a rim of background wherever it does not reach the picture's edge (read_back.read_bytes).
     """
     if not len(tiles):
         return 0, 0, 1, 1
@@ -50,7 +51,7 @@ def covered_box(
 
 
 def count_culled(keys: NDArray[np.uint32]) -> dict[str, int]:
-    """How many splats were not drawn, by reason."""
+    """Return the number of splats that are not drawn, by reason."""
     if keys.max(initial=0) < FIRST_CULLED:
         return dict.fromkeys(CULL_REASONS.values(), 0)
     codes = np.bincount(keys[keys >= FIRST_CULLED] - np.uint32(FIRST_CULLED), minlength=6)

@@ -12,25 +12,25 @@ class FrameStats:
     """What one call of render() did."""
 
     splats: int  # in the scene, at the levels of detail that were drawn
-    drawn: int  # of them, summed over the passes of the call
-    skipped: int  # not finite or without a rotation: never uploaded
-    culled: dict[str, int] = field(default_factory=dict)  # by reason
-    sorted: bool = True  # False where the previous order still held
-    covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height outside of which is only background
-    cost: int = 0  # covered pixels (renderer.Prepared); counted only where it was prepared
-    posed: int = 0  # items that were skinned or placed anew, each level of detail by itself
-    levels: tuple[int, ...] = ()  # of detail, one an item of splats that is shown; 0 is the finest
-    coarsest: bool = True  # no visible item has a coarser level than it was drawn with
+    drawn: int  # of these, summed over the passes of the call
+    skipped: int  # splats that are not finite or have no rotation: never uploaded
+    culled: dict[str, int] = field(default_factory=dict)  # splats by reason
+    sorted: bool = True  # False: the previous order was used again
+    covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height in pixels; only background outside
+    cost: int = 0  # covered pixels, if counted by Renderer.prepare()
+    posed: int = 0  # items that were skinned or placed, each level of detail counted
+    levels: tuple[int, ...] = ()  # of detail, one per shown item of splats; 0 is the finest
+    coarsest: bool = True  # every visible item was drawn at its coarsest level
 
     def plus(self, drawn: int, culled: dict[str, int], covered: tuple[int, int, int, int], cost: int) -> FrameStats:
-        """With one more pass."""
+        """Return the sums with one more pass."""
         sums = {reason: self.culled.get(reason, 0) + count for reason, count in culled.items()}
         box = union(self.covered, covered)
         return replace(self, drawn=self.drawn + drawn, culled=sums, covered=box, cost=self.cost + cost)
 
 
 def union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """The smallest box that holds both; an empty one adds nothing."""
+    """Return the smallest box that holds both boxes; an empty one adds nothing."""
     if not (a[2] and a[3]):
         return b
     if not (b[2] and b[3]):

@@ -17,9 +17,9 @@ import pytest
 import glsplat
 from glsplat import Avatar, Camera, GlsplatError, Pose, RenderConfig, Skeleton, Skin, Splats
 from glsplat.config import DebugConfig, with_fields
+from glsplat.formats.camera_file import camera_from_json, read_cameras
 from glsplat.meshes import RiggedMesh
 from glsplat.net.reply import Reply
-from glsplat.scenes.camera_file import camera_from_json, read_cameras
 from tests.api.variants import sheet
 
 VIEW = glsplat.look_at((0, 0, 3), (0, 0, 0))

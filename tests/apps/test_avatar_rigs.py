@@ -13,7 +13,7 @@ from apps.cli import main
 from glsplat.avatar import Avatar
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.formats import load
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.rigs.gltf.built import FAMILIES, Family, build

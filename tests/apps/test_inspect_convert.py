@@ -19,7 +19,7 @@ from glsplat.extras.authoring.detail.measure import MeasureConfig
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import load, save
-from glsplat.scenes.scene_file import upright
+from glsplat.formats.scene_file import upright
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
 from tests.apps.cli import mistake, ok

@@ -13,10 +13,9 @@ import pytest
 from apps.cli import main
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.formats import load, save
+from glsplat.formats import load, load_scene, save
+from glsplat.formats.scene_file import upright
 from glsplat.light.light import Light
-from glsplat.scenes import load_scene
-from glsplat.scenes.scene_file import upright
 from tests.apps.cli import mistake, ok
 from tests.light.lit import random_light, surfaced
 from tests.scenes import limb

@@ -16,8 +16,7 @@ from apps.serve.command import other_avatars
 from apps.serve.options import ServeOptions
 from apps.tracking.options import skeleton_of
 from apps.usage import UsageError
-from glsplat.formats import save
-from glsplat.scenes import load_scene
+from glsplat.formats import load_scene, save
 from tests.scene.people import boxes, save_person
 from tests.scenes import cloud
 

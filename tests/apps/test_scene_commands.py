@@ -14,11 +14,10 @@ import pytest
 from glsplat import reference
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.formats import save
+from glsplat.formats import load_scene, save
+from glsplat.formats.scene_file import upright
 from glsplat.pictures import straight
 from glsplat.renderer import Renderer
-from glsplat.scenes import load_scene
-from glsplat.scenes.scene_file import upright
 from tests.apps.cli import mistake, ok, run
 from tests.compare import Difference
 from tests.scene.worlds import reference_of

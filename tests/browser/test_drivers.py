@@ -10,8 +10,8 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.motion.fitted import body_of
-from glsplat.motion.loading import load_embedded_motion
 from glsplat.net.messages import Decoder
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose

@@ -22,8 +22,8 @@ class Absent:
     def find_spec(self, name, path=None, target=None):
         if name.startswith("glsplat.extras."): raise ModuleNotFoundError(name, name=name)
 sys.meta_path.insert(0, Absent())
-from glsplat.motion import load_motion
-from glsplat.scenes import load_scene
+from glsplat.formats import load_motion
+from glsplat.formats import load_scene
 skeleton = glsplat.default_avatar().skeleton
 for path in sys.argv[1:]:
     try: print("motion", len(load_motion(path, skeleton))) if "motion" in path else print(glsplat.load(path))

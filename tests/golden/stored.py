@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.scenes.camera_file import load_cameras
+from glsplat.formats.camera_file import load_cameras
 from glsplat.splats import Splats
 from tests.formats.scenes import load_ply
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from glsplat import reference
 from glsplat.camera import Camera, sorting_camera
+from glsplat.formats.camera_file import load_cameras
 from glsplat.renderer import Renderer
-from glsplat.scenes.camera_file import load_cameras
 from glsplat.splats import Splats
 from tests.compare import Difference, assert_contract
 from tests.formats.scenes import load_ply

@@ -35,7 +35,7 @@ from dataclasses import replace
 import numpy as np
 import glsplat
 from glsplat.config import LEAN
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 avatar = glsplat.default_avatar()
 pose = load_motion("walk", avatar.skeleton).at(0.3)
 pictures, levels = [], []

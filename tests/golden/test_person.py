@@ -10,7 +10,7 @@ import pytest
 from glsplat import reference
 from glsplat.camera import sorting_camera, stereo_cameras
 from glsplat.data import default_avatar
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.renderer import Renderer
 from tests.compare import assert_contract
 

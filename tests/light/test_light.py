@@ -13,11 +13,11 @@ from apps.serve.rooms import lit_rooms
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.visibility import sphere
+from glsplat.formats.scene_file import SceneFile
 from glsplat.light.light import Light
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.scene_renderer import SceneRenderer
 from glsplat.scene import Item, Scene
-from glsplat.scenes.scene_file import SceneFile
 from tests.light.lit import random_light
 from tests.scenes import limb
 

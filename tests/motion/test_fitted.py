@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.motion.loading import embedded_motions, load_motion
+from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 from tools.data.motions import library, to_json

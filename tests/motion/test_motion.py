@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glsplat.errors import PoseError
-from glsplat.motion.loading import embedded_motions, load_motion
+from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS

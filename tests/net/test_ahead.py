@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.extras.motions.derive import derive, truth_from_motion
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.backends.tracking import MOST, PART, Ahead, TrackingSolver
 from glsplat.net.messages import Arrival, Decoder, Request
 from glsplat.net.session import Session, SessionConfig

@@ -11,7 +11,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN
 from glsplat.data import default_avatar
 from glsplat.extras.evaluate.metrics.pixels import psnr
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 

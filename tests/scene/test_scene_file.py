@@ -15,13 +15,12 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.formats import all_formats, load_content, recognise, save
+from glsplat.formats import all_formats, load_content, load_scene, recognise, save
 from glsplat.formats.format import Opened, opened
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.formats.registry import recognised
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.scene_file import MAX_ITEMS, upright
 from glsplat.scene import similarity
-from glsplat.scenes import load_scene
-from glsplat.scenes.scene_file import MAX_ITEMS, upright
 from tests.scenes import cloud, limb
 from tests.skinning.avatars import part
 

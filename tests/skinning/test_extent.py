@@ -12,9 +12,9 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.motion.loading import embedded_motions, load_motion
+from glsplat.formats.motion_files import embedded_motions, load_motion
+from glsplat.net.backends.extent import Extent
 from glsplat.rotations import rotation_matrices
-from glsplat.skinning.extent import Extent
 from glsplat.skinning.pose import Pose
 from tests.scenes import limb
 from tests.skinning.avatars import part

@@ -13,7 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.motion.loading import embedded_motions, load_motion
+from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.compare import assert_contract

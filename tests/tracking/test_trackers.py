@@ -16,7 +16,7 @@ import pytest
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.evaluate.tracking_score import TrackingScore, score
 from glsplat.extras.motions.derive import MOUNTS, Disturbance, TrueMotion, derive, disturb, truth_from_motion
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Calibration, Sample, Tracker, TrackerConfig, calibrate

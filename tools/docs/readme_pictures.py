@@ -24,13 +24,13 @@ from PIL import Image
 import glsplat
 from apps.serve.wiring import assemble
 from glsplat.data import participants_folder, person
+from glsplat.formats.motion_files import load_motion
+from glsplat.formats.scene_file import SceneFile
 from glsplat.io.files import replace_file
-from glsplat.motion.loading import load_motion
 from glsplat.net.options import ServerConfig
 from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import Server
 from glsplat.rotations import FLIP_YZ
-from glsplat.scenes.scene_file import SceneFile
 from tests.browser.served import Served
 from tests.browser.vr import settings
 from tools.docs.chromium import chromium, page_of

@@ -24,8 +24,8 @@ import numpy as np
 import glsplat
 from apps.serve.wiring import assemble
 from glsplat.data import PEOPLE, participants_folder
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.served_scene import ServedScene
-from glsplat.scenes.scene_file import SceneFile
 from tests.browser.opened import Opened
 from tests.browser.served import Served
 from tests.browser.vr import enter, fresh, hands, pose, see, settings, steer

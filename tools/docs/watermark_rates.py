@@ -21,7 +21,7 @@ from glsplat.config import RenderConfig
 from glsplat.extras.watermark.detect import WINDOW, detect
 from glsplat.extras.watermark.mark import Watermark, marked
 from glsplat.formats import load
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.renderer import Renderer
 from tests.extras.watermark.attacks import ATTACKS
 

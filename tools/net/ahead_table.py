@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
 from glsplat.extras.motions.derive import Disturbance, derive, disturb, truth_from_motion
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.net.backends.tracking import MOST, PART
 from glsplat.tracking.tracker import Tracker
 

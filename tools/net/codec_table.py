@@ -26,7 +26,7 @@ from glsplat.data import default_avatar
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import psnr
 from glsplat.extras.far_links.video import CODECS, STEPS, VideoStream
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.codec.encode import Encoder, covered_box
 from glsplat.net.codec.encoded import Box
 from glsplat.renderer import Renderer

@@ -24,7 +24,7 @@ from apps.replay.streaming import observer
 from glsplat.avatar import Avatar
 from glsplat.data import PEOPLE, person
 from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.codec.encode import covered_box, encode_picture
 from glsplat.net.pace.ladder import SCALES
 from glsplat.renderer import Renderer

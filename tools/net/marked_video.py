@@ -21,7 +21,7 @@ from glsplat.extras.far_links.video import CODECS, STEPS, VideoStream
 from glsplat.extras.far_links.video_reader import VideoReader
 from glsplat.extras.watermark import Watermark
 from glsplat.extras.watermark.detect import detect
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.codec.encode import encode_picture
 from glsplat.renderer import Renderer
 

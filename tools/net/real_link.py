@@ -23,7 +23,7 @@ from apps.replay.command import load_drive
 from apps.replay.link import Link, link, over
 from apps.replay.streaming import Result, observer, stream
 from glsplat.data import default_avatar
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.client import Client
 from glsplat.net.codec.encode import covered_box

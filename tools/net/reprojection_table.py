@@ -24,7 +24,7 @@ from glsplat.camera import head_matrix
 from glsplat.data import PEOPLE, person
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import psnr
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.codec import depth as server
 from glsplat.net.codec.encode import covered_box

@@ -30,7 +30,7 @@ from apps.webpage.command import baked
 from glsplat.extras.authoring.posed import posed_splats
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.extras.browser.web_shaders import programs_json
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.net.codec.encode import encode_picture
 from glsplat.views import view_of
 from tests import needs

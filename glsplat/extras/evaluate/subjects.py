@@ -20,10 +20,10 @@ from glsplat.extras.authoring.surface import SamplerConfig, make_avatar
 from glsplat.extras.evaluate.frames import FOV
 from glsplat.extras.formats.person import read_person
 from glsplat.formats import load_splats
-from glsplat.motion.loading import load_motion
+from glsplat.formats.camera_file import load_cameras
+from glsplat.formats.motion_files import load_motion
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content
-from glsplat.scenes.camera_file import load_cameras
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton

@@ -20,11 +20,11 @@ from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.extras.speech.idle import IdleFace
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.renderer.targets import Target
 from glsplat.scene import Item, Scene, SceneLike, is_rigged, similarity
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_tracked
 from glsplat.timing import StageTimer
 from glsplat.tracking.calibration import Calibration

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
+from glsplat.net.backends.extent import Extent
 from glsplat.scene import Rigged
-from glsplat.skinning.extent import Extent
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
 

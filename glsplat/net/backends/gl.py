@@ -19,8 +19,8 @@ from glsplat.renderer.stats import union
 from glsplat.scene import Rigged, SceneLike
 
 if TYPE_CHECKING:
+    from glsplat.formats.scene_file import SceneFile
     from glsplat.net.codec.depth import DepthGrid
-    from glsplat.scenes.scene_file import SceneFile
 
 __all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
 

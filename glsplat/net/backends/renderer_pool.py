@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.scene_renderer import SceneRenderer
 from glsplat.renderer import Renderer
 from glsplat.renderer.lru_cache import LruCache
 from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
-from glsplat.scenes.scene_file import SceneFile
 
 __all__ = ["MAX_RENDERERS", "RendererPool"]
 

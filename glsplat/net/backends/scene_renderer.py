@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import others_share
 from glsplat.net.backends.figure_bounds import FigureBounds
@@ -22,7 +23,6 @@ from glsplat.renderer import Prepared, Renderer
 from glsplat.renderer.checks import checked_pose
 from glsplat.renderer.levels import Selector
 from glsplat.scene import Item, Rigged, Scene, is_rigged
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 

@@ -7,7 +7,7 @@ from importlib import resources
 
 from aiohttp import web
 
-from glsplat.motion.loading import embedded_motions
+from glsplat.formats.motion_files import embedded_motions
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.pages.site import File, Site
 from glsplat.net.rights import user_of

@@ -13,12 +13,11 @@ import pytest
 from apps.preview.cameras import Options
 from apps.preview.viewer import Viewer
 from glsplat.data import default_avatar
-from glsplat.formats import save
+from glsplat.formats import load_scene, save
+from glsplat.formats.motion_files import load_embedded_motion
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
-from glsplat.motion.loading import load_embedded_motion
 from glsplat.renderer import Renderer
-from glsplat.scenes import load_scene
-from glsplat.scenes.scene_file import SceneFile
 from tests.scenes import cloud
 from tests.skinning.avatars import part
 

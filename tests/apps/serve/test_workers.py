@@ -13,10 +13,10 @@ from apps.serve.workers import workers_of
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.extras.workers.options import Workers
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.client import Client
 from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import ServerConfig
-from glsplat.scenes.scene_file import SceneFile
 from tests.apps.cli import serving
 
 

@@ -16,7 +16,7 @@ from glsplat import Avatar, Item, Pose, Scene
 from glsplat.extras.browser.web_format.layout import HEAD
 from glsplat.extras.browser.web_format.read import decode_avatar
 from glsplat.extras.browser.web_format.write import encode_avatar
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.renderer.levels import Proxy, chosen
 from glsplat.skinning.expression import ARKIT
 from tests.browser.draw.conftest import Bench, floats, posed

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import glsplat
 from glsplat import Avatar, Camera, Item, Pose, RenderConfig, Renderer, Scene
 from glsplat.config import with_fields
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.renderer.project import ProjectPass
 from glsplat.views import view_of
 from tests import scenes

@@ -15,7 +15,7 @@ from glsplat.extras.learned.network import PoseNetwork, embedded_network
 from glsplat.extras.learned.solver import LearnedSolver
 from glsplat.extras.motions.batch import forward_all
 from glsplat.extras.motions.derive import Disturbance, derive, disturb, truth_from_motion
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker
 from glsplat.tracking.solve.body import FEET, HEAD, WRISTS, Body

@@ -34,7 +34,7 @@ from glsplat.extras.training.fit import (
 )
 from glsplat.extras.training.recurrent import Learner, started
 from glsplat.extras.training.standing import TALL, stances_of, stood
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.body import ANKLES, FEET, PELVIS, SPINE1, SPINE3, WRISTS, Body
 from glsplat.tracking.solve.solution import Solution, Targets

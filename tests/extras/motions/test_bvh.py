@@ -10,7 +10,7 @@ from glsplat.errors import PoseError
 from glsplat.extras.motions.bvh import parse_acclaim, parse_bvh
 from glsplat.extras.motions.retarget import retarget
 from glsplat.extras.rigs.match import match_rig
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 

@@ -10,7 +10,7 @@ from glsplat.errors import PoseError
 from glsplat.extras.evaluate.baseline import baseline
 from glsplat.extras.evaluate.tracking_score import mean_score, score
 from glsplat.extras.motions.derive import Disturbance, TrueMotion, derive, disturb, truth_from_motion
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.body import Body
 

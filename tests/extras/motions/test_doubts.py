@@ -14,7 +14,7 @@ from apps.args import motion_of
 from glsplat.errors import PoseError
 from glsplat.extras.motions.corrections import Corrections, split_corrections
 from glsplat.extras.motions.doubts import doubt
-from glsplat.motion.loading import embedded_motions, load_motion
+from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from glsplat.extras.motions.bvh import parse_bvh
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES

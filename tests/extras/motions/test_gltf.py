@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.errors import PoseError
 from glsplat.formats import load
-from glsplat.motion.loading import load_motion
+from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.motions.clips import NODES, glb, turned, write

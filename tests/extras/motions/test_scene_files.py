@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from glsplat.data import default_avatar
-from glsplat.formats import save
-from glsplat.scenes import load_scene
+from glsplat.formats import load_scene, save
 from tests.extras.motions.clips import glb, turned
 from tests.skinning.avatars import part
 

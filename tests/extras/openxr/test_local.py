@@ -21,10 +21,10 @@ from glsplat.extras.openxr.runtime import Fov
 from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.swapchains import fitting
 from glsplat.extras.openxr.wearer import Wearer
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer.targets import Target
 from glsplat.scene import Item, Scene
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.splats import Splats
 from glsplat.tracking.calibration import Calibration
 from tests.extras.openxr.fake import DEPTH24, DEPTH32F, HEAD, RGBA8, RGBA16F, SRGB8, FakeRuntime

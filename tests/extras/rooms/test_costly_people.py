@@ -16,6 +16,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN
 from glsplat.data import default_avatar
 from glsplat.errors import BudgetError, GlsplatError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import PictureBudget, others_share
@@ -26,7 +27,6 @@ from glsplat.net.fields import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Scene, similarity
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from tests.net.running import opened
 

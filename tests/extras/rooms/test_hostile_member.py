@@ -15,6 +15,7 @@ from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.extras.rooms.person import FADE, SILENT
 from glsplat.extras.rooms.room import RoomError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import RendererPool
@@ -24,7 +25,6 @@ from glsplat.net.reply import Reply
 from glsplat.net.room_view import VisiblePerson
 from glsplat.net.served_scene import TrackingOptions
 from glsplat.scene import Rigged, Scene
-from glsplat.scenes.scene_file import SceneFile
 from tests.extras.rooms.hostile import Hostile
 from tests.extras.rooms.meeting import Meeting, RefusedError
 from tests.scene.people import boxes

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
+from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.net.backend import RenderJob
@@ -22,7 +23,6 @@ from glsplat.net.messages import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Rigged, Scene, similarity
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from tests.scene.people import boxes
 from tests.scenes import cloud

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.lettering import draw_labels
@@ -25,7 +26,6 @@ from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.scene import Scene, similarity
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from tests.net.running import running
 

@@ -18,11 +18,11 @@ from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.extras.uploads.job import UploadConfig
 from glsplat.extras.uploads.routes import Uploads
 from glsplat.formats import save
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import ServerConfig
-from glsplat.scenes.scene_file import SceneFile
 from tests.extras.uploads.conftest import described
 from tests.extras.uploads.makers import PICTURE, make
 from tests.scenes import limb

@@ -17,12 +17,12 @@ from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
 from glsplat.extras.uploads.job import UploadConfig
 from glsplat.formats import save
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.client import Client as Streaming
 from glsplat.net.messages import WireOptions
 from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import Server, ServerConfig
-from glsplat.scenes.scene_file import SceneFile
 from tests.extras.uploads.conftest import GUARD, LIMITS, Client
 from tests.extras.uploads.makers import PICTURE, make
 from tests.net.legacy.test_legacy import thinned

@@ -14,8 +14,8 @@ from glsplat.extras.evaluate.metrics.flip import flip
 from glsplat.extras.watermark import detect as detecting
 from glsplat.extras.watermark.detect import ALARM, WINDOW, detect
 from glsplat.extras.watermark.mark import Watermark
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.gl.context import Context
-from glsplat.motion.loading import load_embedded_motion
 from glsplat.renderer import Renderer
 from tests.extras.watermark.attacks import ATTACKS
 

@@ -17,10 +17,10 @@ import glsplat
 from apps.serve.wiring import assemble
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.extras.workers.options import Workers
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.client import Client
 from glsplat.net.served_scene import ServedScene
 from glsplat.net.server import ServerConfig
-from glsplat.scenes.scene_file import SceneFile
 from tests.extras.workers.fakes import GUARD, until
 from tests.net.running import running
 

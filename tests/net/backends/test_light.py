@@ -16,6 +16,7 @@ from glsplat.errors import ProtocolError
 from glsplat.extras.rooms.member import Member
 from glsplat.extras.rooms.person import Person
 from glsplat.extras.rooms.room import Room
+from glsplat.formats.scene_file import SceneFile
 from glsplat.light.light import Light
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
@@ -24,7 +25,6 @@ from glsplat.net.messages import Decoder, PictureOptions, Request
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Renderer
 from glsplat.scene import Item, Scene, similarity
-from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.pose import Pose
 from tests.light.lit import random_light, surfaced
 from tests.net.wire import EYE

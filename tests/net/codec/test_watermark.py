@@ -12,7 +12,7 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.extras.watermark.detect import detect
 from glsplat.extras.watermark.mark import WatermarkKey
-from glsplat.motion.loading import load_embedded_motion
+from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.client import Client
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig

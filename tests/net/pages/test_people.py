@@ -15,11 +15,11 @@ import pytest
 from apps.serve.wiring import assemble
 from glsplat.data import PEOPLE, default_avatar, person
 from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import WithPeople
 from glsplat.net.served_scene import ServedScene, TrackingOptions, server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.scenes.scene_file import SceneFile
 from tests.net.conftest import FakeBackend
 
 

@@ -12,10 +12,10 @@ from typing import Any
 
 from glsplat.camera import Camera
 from glsplat.errors import FormatError
+from glsplat.formats.camera_file import camera_from_json
 from glsplat.formats.registry import load
 from glsplat.io.files import open_regular
 from glsplat.meshes import RiggedMesh
-from glsplat.scenes.camera_file import camera_from_json
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Participant", "digest_of", "participants_in"]

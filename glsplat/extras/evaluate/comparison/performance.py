@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.evaluate.avatar_poses import Rotations, fist, pose_of
+from glsplat.formats.motion_files import load_motion
 from glsplat.meshes import RiggedMesh
-from glsplat.motion.loading import load_motion
 from glsplat.motion.motion import Motion
 from glsplat.rotations import slerp
 from glsplat.skinning.pose import Pose

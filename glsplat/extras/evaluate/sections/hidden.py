@@ -22,8 +22,8 @@ from glsplat.extras.evaluate.frames import FOV, WARM_UP, Series
 from glsplat.extras.evaluate.probe import Probe
 from glsplat.extras.evaluate.sections.measure import Tick, frame_cost
 from glsplat.extras.evaluate.subjects import Subject
+from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.gl.context import Context
-from glsplat.motion.loading import embedded_motions, load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.views import view_of, viewing_point
 

@@ -8,9 +8,9 @@ import pytest
 from glsplat.data import default_avatar
 from glsplat.extras.authoring.fit.body import open_body
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
+from glsplat.formats.motion_files import load_motion
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.fitted import leg_length
-from glsplat.motion.loading import load_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS

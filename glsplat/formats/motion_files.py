@@ -10,9 +10,9 @@ from typing import Any
 
 from glsplat.errors import FormatError, PoseError
 from glsplat.formats.format import Format, Opened, opened
+from glsplat.formats.pose_files import POSES, are_poses, read_folder
 from glsplat.formats.registry import sniffed
 from glsplat.motion.motion import Motion
-from glsplat.motion.poses import POSES, are_poses, read_folder
 from glsplat.optional import missing, plugin
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton

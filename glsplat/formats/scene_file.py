@@ -212,7 +212,7 @@ class _Reading:
     def _motion(self, name: str, folder: Path, skeleton: Skeleton) -> Motion:
         """Load a file in the folder, or an embedded motion where there is none of that name."""
         # here: a server of scenes that stand still needs none of it
-        from glsplat.motion.loading import embedded_motions, load_embedded_motion, load_motion
+        from glsplat.formats.motion_files import embedded_motions, load_embedded_motion, load_motion
 
         embedded = name in embedded_motions() and not (folder / name).exists()
         whole = embedded or "#" not in name or (folder / name).exists()

@@ -1,5 +1,0 @@
-"""Scene files, with what moves in them, and camera files."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
