@@ -25,7 +25,7 @@ ROWS = [  # statement, libraries, modules of glsplat at most
     ("from glsplat import default_avatar; default_avatar()", "", ANY),
     ("from glsplat import Renderer", "moderngl", ANY),
     ("from glsplat.net.client import Client", "aiohttp simplejpeg", 38),
-    ("import apps.serve.command", "aiohttp simplejpeg", 125),  # extras only where an option asks for them
+    ("import apps.serve.command", "aiohttp simplejpeg", 130),  # extras only where an option asks for them
     ("import apps.render", "moderngl cv2", ANY),  # cv2 writes PNG and clips
 ]
 EXTRAS = [
