@@ -1,5 +1,5 @@
 // Forward kinematics: joint rotations to the bones that the shaders blend. Twins: glsplat/skinning/skeleton.py and
-// the placement of glsplat/renderer/stage.py. All in doubles; matrices are 3x4, row by row.
+// the placement of glsplat/renderer/skin.py. All in doubles; matrices are 3x4, row by row.
 
 /** Where an item stands by default: {translation, rotation [x, y, z, w], scale}. */
 export const HERE = Object.freeze({ translation: [0, 0, 0], rotation: [0, 0, 0, 1], scale: 1 });

@@ -1,4 +1,4 @@
-// One item's splats on the GPU, and the pass that writes them posed. Twin: glsplat/renderer/stage.py.
+// One item's splats on the GPU, and the pass that writes them posed. Twins: glsplat/renderer/stage.py, skin.py.
 
 import { rigid } from './bones.js';
 import { bind, buffer, feedback, texture, vertexArray } from './gpu.js';
