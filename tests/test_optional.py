@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from glsplat import optional
 from glsplat.errors import GlsplatError
 from glsplat.formats import all_formats
+from glsplat.net import served_scene, session
 from glsplat.net.backends import tracking
 from glsplat.net.client import Client, client
+from glsplat.net.messages import Decoder
+from glsplat.net.options import ServerConfig
 
 NAMES = "ply glb gltf poses scene compressed-ply splat ksplat spz sog obj npz bvh amc amass"
 
@@ -45,3 +50,31 @@ def test_what_needs_an_absent_extra_is_refused_in_one_line(monkeypatch: pytest.M
         Client("ws://127.0.0.1:9/ws", video=True)
     with pytest.raises(GlsplatError, match=r"^moving idle eyes needs glsplat\.extras\.speech, which is not installed$"):
         tracking._idle_face()
+
+
+def test_a_server_needs_the_extras_that_its_configuration_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(served_scene.standard_features(ServerConfig(rooms={"lab": 2}))) > 2
+    monkeypatch.setattr(served_scene, "plugin", lambda name: None)
+    assert [type(one).__name__ for one in served_scene.standard_features(ServerConfig())] == ["Pages"]
+    for config, line in (
+        (ServerConfig(rooms={"lab": 2}), "a room needs glsplat.extras.rooms"),
+        (ServerConfig(webtransport=True), "WebTransport needs glsplat.extras.far_links"),
+    ):
+        with pytest.raises(GlsplatError, match=f"^{line}, which is not installed$"):
+            served_scene.standard_features(config)
+
+
+def test_without_far_links_pictures_do_not_follow_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = json.dumps({"v": 1, "type": "ack", "ack": 0, "arrival": {"age": 20.0, "held": 0.0}})
+    for absent in (False, True):
+        if absent:
+            monkeypatch.setattr(session, "_link_module", lambda: None)
+        one = session.Session(Decoder(), session.SessionConfig(adapt=True))
+        assert one.receive(answer, 0.0) is None and one.counts.malformed == 0
+        assert (one.link is None) is absent and one.rest(0.0) == 0.0
+
+
+def test_a_missing_package_is_an_import_error_with_the_command() -> None:
+    optional.require_package("video", "json", "video")
+    with pytest.raises(ImportError, match=r"^video needs nosuch\.av: pip install 'glsplat\[video\]', or leave it out$"):
+        optional.require_package("video", "nosuch.av", "video", "leave it out")
