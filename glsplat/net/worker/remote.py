@@ -20,7 +20,7 @@ __all__ = ["RemoteWorker"]
 _OPEN_S = 60.0  # to make a context and load a scene
 _CLOSE_S = 5.0  # to end in order ...
 _GRACE_S = 0.5  # ... and in the middle of a picture
-_KEPT = 4  # avatars, with parts hidden or not, that a worker keeps loaded (backends/renderer_pool.py, KEPT)
+_KEPT = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
 
 
 class RemoteWorker:
