@@ -57,10 +57,6 @@ class ServerView(Protocol):
         """Take an avatar out of the catalogue and end its clients' connections; False where it was not in there."""
         ...
 
-    def wake(self, client: ClientStream) -> None:
-        """Wake the drawer: a picture of the client may be drawn now."""
-        ...
-
 
 class Feature:
     """Base class of the server's features."""
