@@ -481,9 +481,8 @@ async def _lost_picture(answer: Answer) -> Taken | None:
 
 def _shows_others(job: RenderJob) -> bool:
     """Return whether other people of a room are in a picture."""
-    if job.room is None or not job.others:
-        return False
-    return any(person.key != job.room.viewer and person.opacity > 0 for person in job.room.people)
+    room = job.room if job.others else None
+    return room is not None and any(person.key != room.viewer and person.opacity > 0 for person in room.people)
 
 
 def _others_may_be_at_fault(error: Exception) -> bool:
