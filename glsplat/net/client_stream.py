@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.errors import PoseError
 from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.codec.depth import DepthGrid
@@ -159,6 +160,15 @@ class Taken:
         requested = self.request.options if member is None else member.options(self.request)
         return requested if rung is None else replace(requested, quality=rung.quality, crop=rung.crop)
 
+    def solved(self) -> tuple[Solved | None, dict[str, float]]:
+        """Return the pose of a request with tracking, and ``ik`` in ms. Raises PoseError where it is not solved."""
+        if self.request.tracking is None:
+            return None, {}
+        if self.solution is None:
+            raise PoseError(self.client.untracked)
+        solved, ms = self.solution.result()
+        return solved, {"ik": ms}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
@@ -275,6 +285,7 @@ class ClientStream:
     cost: float = field(default=0.0, init=False)  # seconds of a picture, lately; 0: none was drawn yet
     newest: Encoded | None = field(default=None, init=False)  # JPEGs that it was sent last, for the status page
     _redraw: tuple[Taken, asyncio.Future[Answer]] | None = field(default=None, init=False)
+    _wake: Callable[[], None] = field(default=lambda: None, init=False)
 
     @property
     def place_key(self) -> str:
@@ -306,6 +317,23 @@ class ClientStream:
     def offer(self, datagrams: DatagramTransport) -> None:
         """Offer the client datagrams for its pictures."""
         self.datagrams = datagrams
+
+    def join(self, wake: Callable[[], None]) -> None:
+        """Take part in a render loop, which ``wake`` wakes up."""
+        self._wake = wake
+
+    def wake(self) -> None:
+        """Have the render loop check whether a picture can be drawn: there is a request, or room in the window."""
+        if self._redraw is not None or self.session.waits_for_picture:
+            self._wake()
+
+    def received(self, request: Request | None, now: float) -> None:
+        """Take note of a message: the tracking of a ``request`` is solved while pictures are drawn."""
+        if request is not None and request.tracking is not None and self.solving is not None:
+            self.solving.add(request if self.member is None else self.member.meeting(request))
+        if request is not None and self.member is not None:
+            self.member.received(request, now)
+        self.wake()
 
     def ready(self, solved: Callable[[], None], poses: bool = False) -> bool:
         """Return whether a request for a picture (or for ``poses``) can be answered without waiting for its tracking.
@@ -342,6 +370,7 @@ class ClientStream:
         """Have a picture drawn again before any other; return its new answer."""
         answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._redraw = taken, answer
+        self._wake()
         return answer
 
     def take_redraw(self) -> tuple[Taken, asyncio.Future[Answer]] | None:

@@ -123,7 +123,7 @@ class Conversation:
                 elif message.type == WSMsgType.PONG:
                     if session.link is not None:
                         session.link.ponged(bytes(message.data), clock())
-                        self._drawer.wake(self.client)
+                        self.client.wake()
                 else:  # closed, or a malformed frame that aiohttp has answered (1002, 1007, 1009)
                     return
             if await self._take(text, outcome):
@@ -151,7 +151,7 @@ class Conversation:
             if received is not None:
                 for observer in self.client.observers:
                     observer.request_received(received)
-            self._drawer.received(self.client, received)
+            self.client.received(received, clock())
             self._poses_due()
         return False
 
@@ -213,7 +213,7 @@ class Conversation:
                 for observer in self.client.observers:
                     observer.reply_sent(outgoing.messages)
             self._poses_due()
-            self._drawer.wake(self.client)
+            self.client.wake()
             if outgoing.ends:
                 with contextlib.suppress(TimeoutError):
                     await self._farewell(Close("", POLICY_VIOLATION, outgoing.ends, breach=True))

@@ -6,13 +6,9 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from glsplat.net.backend import PoseSolver
 from glsplat.net.client_stream import Answer, ClientStream, Outgoing
-from glsplat.net.guard.limits import Bucket, CpuShare
-from glsplat.net.messages import Request
 from glsplat.net.pace.stages import StageTimes
-from glsplat.net.pose_queue import PoseQueue
-from glsplat.net.worker.encoding import ClientVideo
+from glsplat.net.worker.encoding import PictureEncoder
 
 __all__ = ["Drawer"]
 
@@ -22,11 +18,7 @@ class Drawer(Protocol):
 
     stages: StageTimes
     should_yield: Callable[[], bool]  # set by the server: returns whether others need the processor that draws
-
-    @property
-    def codecs(self) -> tuple[str, ...]:
-        """Of video."""
-        ...
+    encoder: PictureEncoder  # of pixels, and of video
 
     @property
     def driver(self) -> str:
@@ -65,30 +57,12 @@ class Drawer(Protocol):
         """Close the workers."""
         ...
 
-    def pose_queue(
-        self, solver: PoseSolver | None, share: CpuShare | None = None, samples: Bucket | None = None
-    ) -> PoseQueue | None:
-        """Return the queue of a new client's tracking samples, with its limits; None without a solver."""
-        ...
-
-    def video(self) -> ClientVideo | None:
-        """Return the video of a new client; None where there is none."""
-        ...
-
     def add(self, client: ClientStream) -> None:
         """Draw for a client from now on."""
         ...
 
     def remove(self, client: ClientStream) -> None:
         """Forget a client."""
-        ...
-
-    def received(self, client: ClientStream, request: Request | None) -> None:
-        """Take note of a message of the client."""
-        ...
-
-    def wake(self, client: ClientStream) -> None:
-        """Take note of a request, or of room in the client's window."""
         ...
 
     async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:

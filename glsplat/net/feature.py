@@ -67,10 +67,6 @@ class ServerView(Protocol):
         """Take an avatar out of the catalogue and end its clients' connections; False where it was not in there."""
         ...
 
-    def wake(self, client: ClientStream) -> None:
-        """Wake the drawer: a picture of the client may be drawn now."""
-        ...
-
     def worn_avatars(self, user: User | None) -> set[str]:
         """Return the avatars of people that an account may meet, by all features."""
         ...

@@ -42,7 +42,7 @@ class InternalClient:
                 raise GlsplatError("the server's own request is not understood")
             client = ClientStream(0, session, address="the server's own pages", shown=avatar, notice=notice)
             drawer.add(client)
-            drawer.received(client, taken)
+            client.received(taken, self._clock())
             try:
                 answer = await asyncio.wait_for(client.answers.get(), _TIMEOUT_S)
                 if not isinstance(answer, Drawn):

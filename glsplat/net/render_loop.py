@@ -11,7 +11,6 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -20,17 +19,15 @@ from typing import Any, Protocol
 
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.gl.software import is_software
-from glsplat.net.backend import PoseSolver, RenderJob, Solved
+from glsplat.net.backend import RenderJob, Solved
 from glsplat.net.client_stream import Answer, ClientStream, Drawn, Outgoing, Redraw, Refused, Taken
 from glsplat.net.guard.fault_tracker import FaultTracker
-from glsplat.net.guard.limits import Bucket, CpuShare
 from glsplat.net.messages import Request
 from glsplat.net.pace.adaptive_quality import AdaptiveQuality
 from glsplat.net.pace.fair_queue import FairQueue
 from glsplat.net.pace.stages import StageTimes
-from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.reply import pack_reply, pack_single
-from glsplat.net.worker.encoding import ClientVideo, PictureEncoder
+from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.worker import Worker
 
 __all__ = ["LoopOwner", "RenderLoop"]
@@ -106,13 +103,7 @@ class RenderLoop:
         self._leaving: dict[int, Callable[[], None]] = {}  # by client: called once its picture in hand is drawn
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
-        self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._task: asyncio.Task[None] | None = None
-
-    @property
-    def codecs(self) -> tuple[str, ...]:
-        """Of video."""
-        return self.encoder.codecs
 
     @property
     def drawing_for(self) -> float:
@@ -141,14 +132,14 @@ class RenderLoop:
         try:
             self.driver = await self.worker.open(self._worker_lost)
             self.living = True
-        except BaseException as error:
+        except BaseException:
             self._gone = True
-            if self._owner is None or not isinstance(error, GlsplatError):
+            if self._owner is None:
                 await self._close()
-                raise
-            self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
             raise
-        self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
+        finally:
+            if self.living or self._owner is not None:
+                self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
 
     async def ended(self) -> None:
         """Wait until the render loop gives up. Raises ContextError: the worker is lost and cannot be started anew."""
@@ -173,28 +164,15 @@ class RenderLoop:
             await self.worker.close()
         except Exception:  # its driver is gone, or its objects are: the process ends anyway
             log.exception("%s could not be closed", self.worker.name)
-        finally:
-            self._solve_thread.shutdown(wait=False, cancel_futures=True)
-            if self._owner is None:
-                self.encoder.close()
+        if self._owner is None:
+            self.encoder.close()
 
     # -------------------------------------------------------------------------------------------------------- clients
-
-    def pose_queue(
-        self, solver: PoseSolver | None, share: CpuShare | None = None, samples: Bucket | None = None
-    ) -> PoseQueue | None:
-        """Return the queue of a client's tracking samples, with its limits; None without a solver."""
-        if solver is None:
-            return None
-        return PoseQueue(solver, self._solve_thread, self._clock, share=share, samples=samples)
-
-    def video(self) -> ClientVideo | None:
-        """Return the video of a new client; None where there is none."""
-        return self.encoder.video(self._clock)
 
     def add(self, client: ClientStream) -> None:
         """Draw for a client from now on."""
         self.clients[client.number] = client
+        client.join(self._wake.set)
         self._turns.add(client.address, client, client.cost or None)
         kept = client.session.kept
         if kept is not None and client.solving is not None:  # another render loop has waited for it until now
@@ -225,25 +203,10 @@ class RenderLoop:
         self.living, self._gone = False, True
         self._wake.set()
 
-    def received(self, client: ClientStream, request: Request | None) -> None:
-        """Take note of a message: the tracking of a ``request`` is solved while other pictures are drawn."""
-        if request is not None and request.tracking is not None and client.solving is not None:
-            client.solving.add(request if client.member is None else client.member.meeting(request))
-        if request is not None and client.member is not None:
-            client.member.received(request, self._clock())
-        self.wake(client)
-
-    def wake(self, client: ClientStream) -> None:
-        """Take note of a request, or of room in the client's window."""
-        if client.redraws or client.session.waits_for_picture:
-            self._wake.set()
-
     async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
         """Return an answer as it is sent, once it is drawn and encoded. Marks it as being sent."""
         while (taken := await _lost_picture(answer)) is not None:
-            redrawn = client.redraw(taken)
-            self.wake(client)
-            answer = await redrawn
+            answer = await client.redraw(taken)
         session = client.session
         if isinstance(answer, Refused):
             request = answer.request
@@ -349,7 +312,9 @@ class RenderLoop:
     async def _answer(self, taken: Taken) -> Drawn | Redraw | Refused:
         job = None
         try:
-            solved, times = await _solution(taken)
+            if taken.solution is not None and not taken.solution.done():
+                await asyncio.wait([asyncio.wrap_future(taken.solution)])
+            solved, times = taken.solved()
             job = self._job(taken, solved)
             return await self._draw(taken, job, solved, times)
         except Exception as error:
@@ -502,18 +467,6 @@ class RenderLoop:
             self._owner.opened(self)
 
 
-async def _solution(taken: Taken) -> tuple[Solved | None, dict[str, float]]:
-    """Return the pose of a request with tracking, and ``ik`` in ms. Raises PoseError where it is not solved."""
-    if taken.request.tracking is None:
-        return None, {}
-    if taken.solution is None:
-        raise PoseError(taken.client.untracked)
-    if not taken.solution.done():
-        await asyncio.wait([asyncio.wrap_future(taken.solution)])
-    solved, ms = taken.solution.result()
-    return solved, {"ik": ms}
-
-
 async def _lost_picture(answer: Answer) -> Taken | None:
     """Return a picture that has to be drawn again: its worker was lost while it drew, or while it encoded."""
     if isinstance(answer, Redraw):
@@ -529,9 +482,8 @@ async def _lost_picture(answer: Answer) -> Taken | None:
 
 def _shows_others(job: RenderJob) -> bool:
     """Return whether other people of a room are in a picture."""
-    if job.room is None or not job.others:
-        return False
-    return any(person.key != job.room.viewer and person.opacity > 0 for person in job.room.people)
+    room = job.room if job.others else None
+    return room is not None and any(person.key != room.viewer and person.opacity > 0 for person in room.people)
 
 
 def _others_may_be_at_fault(error: Exception) -> bool:

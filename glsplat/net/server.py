@@ -12,6 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -36,6 +37,7 @@ from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_opt
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.clients import client_fields
 from glsplat.net.pages.headers import set_headers
+from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.rights import Rights, user_of
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
@@ -85,6 +87,7 @@ class Server:
         self.fitting: asyncio.Task[None] | None = None  # finds it
         self.all_offered: asyncio.Event = asyncio.Event()
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, drawer.stages.lately)
+        self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._responder = next(filter(None, (feature.pose_responder(self) for feature in self.features)), None)
         self._running: list[Feature] = []  # those that have started
         self._later = later
@@ -172,6 +175,7 @@ class Server:
         if self._runner is not None:
             await self._runner.cleanup()
         await self.drawer.stop()
+        self._solve_thread.shutdown(wait=False, cancel_futures=True)
 
     async def run(self, started: Callable[[], None] | None = None) -> None:
         """Serve until SIGINT or SIGTERM, then stop in order; a second signal ends the process at once.
@@ -251,7 +255,7 @@ class Server:
             "quality": wire.quality,
             "light": None if wire.light is None else wire.light.to_json(),
             "window": self.config.session.window,
-            "video": self.drawer.codecs,
+            "video": self.drawer.encoder.codecs,
             "clients": len(self.clients),
             "max_clients": most,
             "full": len(self.clients) >= most,
@@ -341,7 +345,9 @@ class Server:
         client = ClientStream(
             number,
             session,
-            self.drawer.pose_queue(solver, share, quota.samples),
+            None
+            if solver is None
+            else PoseQueue(solver, self._solve_thread, clock, share=share, samples=quota.samples),
             address=address,
             shown=one,
             account="" if user is None else user.name,
@@ -349,7 +355,7 @@ class Server:
             label=driven_by(asked.name) if asked.label else "",
             notice=partial(rights.label, user, asked.avatar),
             share=share,
-            video=self.drawer.video(),
+            video=self.drawer.encoder.video(clock),
         )
         self.clients[number] = client
         try:
@@ -375,10 +381,6 @@ class Server:
     def worn_avatars(self, user: User | None) -> set[str]:
         """Return the avatars of people that an account may meet, by all features."""
         return {name for feature in self.features for name in feature.worn_avatars(user)}
-
-    def wake(self, client: ClientStream) -> None:
-        """Wake the drawer: a picture of the client may be drawn now."""
-        self.drawer.wake(client)
 
     def feature(self, kind: type[F]) -> F:
         """Return the feature of that class. Raises LookupError."""

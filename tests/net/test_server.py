@@ -66,13 +66,13 @@ async def test_encoding_overlaps_the_next_drawing(serve, fake_backend, cameras, 
     backend, second = fake_backend(), threading.Event()
     backend.fail = lambda request: second.set() if request.frame_id == 2 else None
     async with serve(backend) as server:
-        encode = server.drawer._encoder.encode
+        encode = server.drawer.encoder._encoder.encode
 
         def waiting(*args):
             assert second.wait(HANG)  # the first picture is ready when the second one has been drawn
             return encode(*args)
 
-        monkeypatch.setattr(server.drawer._encoder, "encode", waiting)
+        monkeypatch.setattr(server.drawer.encoder._encoder, "encode", waiting)
         async with Client(server.url, timeout=HANG) as client:
             await client.send(cameras)
             await until(lambda: backend.drawn)

@@ -1,10 +1,10 @@
 """Workers that are Ray's actors, on any number of machines (extra ``glsplat[ray]``).
 
-Ray places them by their share of GPUs and CPUs, starts them and ends them. Pictures go from the actor's own socket to
-the gateway: a call of an actor takes 1.5 ms and copies what it returns through the object store.
+Ray places actors by their share of GPUs and CPUs, starts them and ends them. Pictures go from the actor's own socket
+to the gateway: a call of an actor takes 1.5 ms and copies its result through the object store.
 
-Ray's driver is in a process of its own. It ends with Ray's head, and the gateway should not: who is connected is drawn
-for by the actors, which need no head. So they are detached from the driver, and end with the gateway's connection.
+Ray's driver runs in a process of its own, because it ends with Ray's head. The gateway does not: connected clients are
+served by the actors, which need no head. They are detached from the driver, and end with the gateway's connection.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ Address = tuple[str, int]
 
 _HOST = re.compile(r"[\w.-]+:\d+")  # of addresses as Ray takes them
 
-_ROOM = 60.0  # seconds until Ray has room for an actor and its process runs
-_DRIVER = 30.0  # seconds beyond that for the process that speaks with Ray
-_END = 3.0  # seconds that Ray has for ending an actor that is done, or itself
-_UNHEARD = 2000  # milliseconds in which the other machine's kernel has to confirm what was sent
+_ROOM_S = 60.0  # until Ray has room for an actor and its process runs
+_DRIVER_S = 30.0  # beyond that, for the answer of Ray's driver
+_END_S = 3.0  # for Ray to end an actor that is done, or itself
+_UNACKNOWLEDGED_MS = 2000  # until the other machine's kernel has to acknowledge data
 
 
 def require_ray() -> None:
@@ -50,52 +50,52 @@ class RayCluster:
     """A Ray cluster with workers that run what ``make()`` returns.
 
     ``address`` as for ``ray.init``: None is the cluster that RAY_ADDRESS or this machine names, else one is started
-    here. ``cpus`` and ``gpus`` are what an actor takes of a node.
+    here. ``cpus`` and ``gpus`` are the share of a node for one actor.
     """
 
     def __init__(
         self, make: Callable[[], Backend], address: str | None = None, cpus: float = 1.0, gpus: float = 0.0
     ) -> None:
         require_ray()
-        self._told = make, address, cpus, gpus
+        self._options = make, address, cpus, gpus
         self.secret: bytes = secrets.token_bytes(32)
         self._lock = threading.Lock()
         self._driver: _Driver | None = None
 
     def launchers(self, count: int) -> list[RayLauncher]:
-        """For so many workers."""
+        """Return the launchers of ``count`` workers."""
         return [RayLauncher(self, f"Ray worker {index}") for index in range(1, count + 1)]
 
     def room(self) -> int:
-        """Workers that the cluster has room for, at least one: by GPUs where they take some, else one a node."""
+        """Return the workers that fit into the cluster, at least 1: by GPUs where they take some, else one a node."""
         return int(self.ask("room"))
 
     def ask(self, *order: Any, pending: Callable[[Future[Any]], None] = lambda _: None) -> Any:
-        """Have Ray's driver do that, and wait for it. Raises ContextError. From any thread.
+        """Give Ray's driver an order, and return its answer. Blocks; from any thread. Raises ContextError.
 
-        ``pending`` is given the answer to come: another thread may end the waiting.
+        ``pending`` gets the future of the answer, with which another thread may end the waiting.
         """
         with self._lock:
             if self._driver is None or not self._driver.alive:
-                self._driver = _Driver(*self._told, self.secret)
+                self._driver = _Driver(*self._options, self.secret)
             driver = self._driver
         answer = driver.ask(order)
         pending(answer)
         try:
-            return answer.result(_ROOM + _DRIVER)
+            return answer.result(_ROOM_S + _DRIVER_S)
         except TimeoutError:
             driver.end()
-            raise ContextError(f"Ray did not answer within {_ROOM + _DRIVER:g} s; is its head there?") from None
+            raise ContextError(f"Ray did not answer within {_ROOM_S + _DRIVER_S:g} s; is its head there?") from None
 
     def end(self, actor: str, seconds: float) -> None:
-        """Have Ray end an actor after so long. Without Ray's driver nothing: it ends with its connection."""
+        """Have Ray end an actor after ``seconds``. Without Ray's driver it ends with its connection."""
         driver = self._driver
         if driver is not None and driver.alive:
             with suppress(TimeoutError, GlsplatError):
                 driver.ask(("end", actor, seconds)).result(seconds + 1.0)
 
     def close(self) -> None:
-        """End Ray's driver, and the cluster if it was started for it."""
+        """End Ray's driver, and its cluster if it started one."""
         with self._lock:
             if self._driver is not None:
                 self._driver.end()
@@ -109,9 +109,9 @@ class RayLauncher:
         self.slots: None = None
         self._cluster = cluster
         self._actor: str | None = None
-        self._connection: socket.socket | None = None  # until it is handed over
+        self._connection: socket.socket | None = None  # until ``start`` returns it
         self._starting = threading.Lock()
-        self._pending: Future[Any] | None = None  # what Ray was asked last
+        self._pending: Future[Any] | None = None  # answer of the newest order
 
     async def start(self) -> tuple[socket.socket, bytes]:
         """Have Ray start an actor, and connect to it. Raises ContextError, WorkerLostError."""
@@ -121,20 +121,20 @@ class RayLauncher:
         return connection, key
 
     async def cause(self) -> tuple[str, bool]:
-        """Not known: who ends an actor's process, and whether its machine is there, Ray knows seconds later."""
+        """Blame no picture: Ray reports how an actor ended only after several seconds."""
         return "the actor's process or its machine has ended", False
 
     def stopped(self) -> bool:
-        """Not known."""
+        """Return False: Ray does not report it."""
         return False
 
     async def end(self, seconds: float) -> None:
-        """Wait for the actor to end of itself, then have Ray end it."""
+        """Wait for the actor to end, then have Ray end it."""
         await asyncio.to_thread(self._end, seconds)
 
     def _end(self, seconds: float) -> None:
-        if self._pending is not None:  # nobody waits for it any more; an actor without a gateway ends
-            _settle(self._pending, ContextError("the gateway does not want the actor any more"))
+        if self._pending is not None:  # an actor without a gateway ends
+            _settle(self._pending, ContextError("the gateway does not need the actor any more"))
         with self._starting:
             connection, self._connection = self._connection, None
             actor, self._actor = self._actor, None
@@ -153,8 +153,8 @@ class RayLauncher:
         try:
             connection = socket.create_connection(address, GREETING_S)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            if hasattr(socket, "TCP_USER_TIMEOUT"):  # a machine that is gone says nothing
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNHEARD)
+            if hasattr(socket, "TCP_USER_TIMEOUT"):  # a machine that is gone does not close its sockets
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
             key = greet(connection, self._cluster.secret, worker=False)
         except (EOFError, OSError) as error:
             if connection is not None:
@@ -168,12 +168,12 @@ class RayLauncher:
 
 
 class _Driver:
-    """The process that speaks with Ray, as the gateway sees it."""
+    """Ray's driver, as the gateway sees it: the process that calls Ray."""
 
-    def __init__(self, *told: Any) -> None:
+    def __init__(self, *options: Any) -> None:
         spawn = multiprocessing.get_context("spawn")
         self._pipe, theirs = spawn.Pipe()
-        self._process = spawn.Process(target=_drive, args=(theirs, *told), name="glsplat ray driver", daemon=True)
+        self._process = spawn.Process(target=_drive, args=(theirs, *options), name="glsplat ray driver", daemon=True)
         self._process.start()
         theirs.close()
         self._asked: dict[int, Future[Any]] = {}
@@ -197,7 +197,7 @@ class _Driver:
         self.alive = False
         with suppress(OSError):
             self._pipe.send(None)
-        self._process.join(_END)
+        self._process.join(_END_S)
         self._process.kill()
 
     def _read(self) -> None:
@@ -213,7 +213,7 @@ class _Driver:
 
 
 def _settle(future: Future[Any], answer: Any) -> None:
-    with suppress(InvalidStateError):  # it was settled by another thread
+    with suppress(InvalidStateError):  # another thread has settled it
         if isinstance(answer, Exception):
             future.set_exception(answer)
         else:
@@ -228,19 +228,19 @@ def _drive(
 ) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    os.dup2(2, 1)  # Ray speaks to people there
+    os.dup2(2, 1)  # Ray prints messages there
     os.environ.setdefault("RAY_worker_niceness", "0")  # of a cluster that is started here; Ray's own is 15
     import ray
 
     error: Exception | None = None
     try:
-        if address is not None and _HOST.fullmatch(address):  # Ray itself tries for a minute
+        if address is not None and _HOST.fullmatch(address):  # fail at once: Ray itself tries for a minute
             host, port = address.rsplit(":", 1)
             socket.create_connection((host, int(port)), GREETING_S).close()
         ray.init(address, log_to_driver=False, namespace="glsplat", configure_logging=False)
         kind = ray.remote(num_cpus=cpus, num_gpus=gpus, max_restarts=0, max_concurrency=2, lifetime="detached")(_Actor)
         made = ray.put(make)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # Ray has its own idea of it
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # Ray has set a handler of its own
     except Exception as found:
         error = ContextError(f"Ray cannot be reached: {_line(found)}")
     actors: dict[str, tuple[Any, Any]] = {}
@@ -254,12 +254,12 @@ def _drive(
     def start() -> tuple[str, Address]:
         actor = kind.remote(made, secret)
         try:
-            address = ray.get(actor.listen.remote(), timeout=_ROOM)
+            address = ray.get(actor.listen.remote(), timeout=_ROOM_S)
         except Exception as found:
             ray.kill(actor)
             if isinstance(found, ray.exceptions.GetTimeoutError):
                 what = f"{cpus:g} CPUs and {gpus:g} GPUs"
-                raise ContextError(f"Ray had no room within {_ROOM:g} s for a worker that takes {what}") from None
+                raise ContextError(f"Ray had no room within {_ROOM_S:g} s for a worker that takes {what}") from None
             raise ContextError(f"Ray could not start a worker: {_line(found)}") from None
         name = secrets.token_hex(8)
         actors[name] = actor, actor.ended.remote()
@@ -289,16 +289,16 @@ def _drive(
         while (asked := pipe.recv()) is not None:
             threading.Thread(target=answer, args=asked, daemon=True).start()
             if error is not None:
-                break  # the next one asked gets a new driver, which tries again
+                break  # the next order gets a new driver, which tries again
     if error is not None:
-        threading.Event().wait(0.2)  # for the answer
+        threading.Event().wait(0.2)  # until the answer is sent
     with suppress(Exception):
         ray.shutdown()
     os._exit(0)
 
 
 def _line(error: BaseException) -> str:
-    """The last line that says something: before it there may be an actor's traceback."""
+    """Return the last line that is not empty: an actor's traceback may come before it."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1][:200] if lines else type(error).__name__
 
@@ -315,26 +315,26 @@ class _Actor:
         self._over = threading.Event()
 
     def listen(self) -> Address:
-        """Where the gateway may connect, within a minute."""
+        """Return the address to which the gateway may connect, within a minute."""
         import ray
 
-        with suppress(OSError, AttributeError):  # behind all else of the machine, it would be late; not all may say so
+        with suppress(OSError, AttributeError):  # at Ray's niceness it would be late; needs a right
             os.setpriority(os.PRIO_PROCESS, 0, 0)
         gpus = ray.get_gpu_ids()
-        if gpus:  # OpenGL knows nothing of CUDA_VISIBLE_DEVICES
+        if gpus:  # OpenGL ignores CUDA_VISIBLE_DEVICES
             os.environ.setdefault("GLSPLAT_DEVICE", str(gpus[0]))
         host = ray.util.get_node_ip_address()
         listening = socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-        listening.settimeout(_ROOM)
+        listening.settimeout(_ROOM_S)
         threading.Thread(target=self._accept, args=(listening,), daemon=True).start()
         return host, listening.getsockname()[1]
 
     def ended(self) -> None:
-        """Returns once the gateway has ended it in order."""
+        """Wait until the gateway has ended it in order."""
         self._over.wait()
 
     def _accept(self, listening: socket.socket) -> None:
-        with listening, suppress(OSError):  # nobody came in time, or the gateway is here
+        with listening, suppress(OSError):  # closed: by the time-out, or once the gateway is connected
             while True:
                 connection, _ = listening.accept()
                 threading.Thread(target=self._serve, args=(connection, listening), daemon=True).start()
@@ -353,5 +353,5 @@ class _Actor:
             connection.close()
             return
         self._over.set()
-        threading.Event().wait(_END)  # for Ray to end it, if Ray is there
+        threading.Event().wait(_END_S)  # until Ray ends it, if Ray is there
         os._exit(0)

@@ -21,7 +21,7 @@ class Workers:
 
     count: int | None = 1
     ray: bool = False
-    cpus: float = 1.0  # of its node, that an actor takes
+    cpus: float = 1.0  # of its node, for one actor
     gpus: float = 0.0
     address: str | None = None  # as for ray.init; None: RAY_ADDRESS, a cluster on this machine, or a new one
 

@@ -1,8 +1,8 @@
-"""Which worker draws for whom. Only reckoning: no I/O, no clock.
+"""Assigns clients to workers. No I/O, no clock.
 
-A worker's load is the time in which everybody on it gets one picture: the sum of what its clients' pictures take, over
-its share of a GPU. Clients of one room stay together. Others go where their avatar lies already, as long as that
-worker is quick enough, or not much slower than the quickest would be.
+The load of a worker is the time in which each of its clients gets one picture: the sum of their pictures' times, over
+its share of a GPU. Clients of one room stay together. Others go where their avatar is loaded already, as long as that
+worker is quick enough, or not much slower than the quickest one.
 """
 
 from __future__ import annotations
@@ -13,40 +13,40 @@ from dataclasses import dataclass
 __all__ = ["PlacedClient", "PlacedWorker", "better", "choose"]
 
 QUICK = 1 / 90
-"""Seconds: a worker whose clients all get their picture within that is not looked at for load."""
+"""Seconds: a worker with a smaller load is quick enough."""
 
 MUCH = 1.5
-"""Times as slow as the quickest: then an avatar is loaded there rather."""
+"""Times as slow as the quickest worker: then the avatar is loaded there instead."""
 
-_GAIN = 0.8  # what a move has to bring the slower of two workers down to
-_UNKNOWN = 0.02  # seconds of a picture where none was drawn yet
+_GAIN = 0.8  # of the slower worker's load: at most that has to be left after a move
+_UNKNOWN_S = 0.02  # time of a picture where none was drawn yet
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedClient:
-    """One that is drawn for."""
+    """A client, for placement."""
 
     number: int
-    key: str  # "avatar:NAME" or anything that is to stay together, such as "room:NAME"
+    key: str  # "avatar:NAME", or of clients that stay together, such as "room:NAME"
     cost: float = 0.0  # seconds a picture; 0: not known
 
     @property
     def together(self) -> bool:
-        """Whether all of its key have to be on one worker."""
+        """Whether all clients with its key have to be on one worker."""
         return not self.key.startswith("avatar:")
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedWorker:
-    """One that draws."""
+    """A worker, for placement."""
 
     clients: tuple[PlacedClient, ...] = ()
-    has: frozenset[str] = frozenset()  # keys of what it has loaded
+    has: frozenset[str] = frozenset()  # keys of the avatars that it has loaded
     share: float = 1.0  # of a GPU, or any measure of its speed
 
 
 def choose(client: PlacedClient, workers: Sequence[PlacedWorker]) -> int | None:
-    """The place in ``workers`` of the one that is to draw for ``client``; None where there are none."""
+    """Return the index of the worker for a client; None where there are none."""
     if not workers:
         return None
     if client.together:
@@ -62,7 +62,7 @@ def choose(client: PlacedClient, workers: Sequence[PlacedWorker]) -> int | None:
 
 
 def better(workers: Sequence[PlacedWorker]) -> tuple[tuple[int, ...], int] | None:
-    """The move that helps most: the numbers of clients that belong together, and where to; None where none helps."""
+    """Return the best move: the numbers of clients that stay together, and the index of their worker; None: no gain."""
     typical = _typical(workers)
     loads = [_load(worker, typical) for worker in workers]
     if len(workers) < 2:
@@ -89,4 +89,4 @@ def _load(worker: PlacedWorker, typical: float, more: Sequence[PlacedClient] = (
 
 def _typical(workers: Sequence[PlacedWorker]) -> float:
     known = [one.cost for worker in workers for one in worker.clients if one.cost]
-    return sum(known) / len(known) if known else _UNKNOWN
+    return sum(known) / len(known) if known else _UNKNOWN_S

@@ -16,15 +16,11 @@ from typing import Any
 
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.extras.workers.placement import PlacedClient, PlacedWorker, better, choose
-from glsplat.net.backend import PoseSolver
 from glsplat.net.client_stream import Answer, ClientStream, Outgoing
 from glsplat.net.guard.fault_tracker import FaultTracker
-from glsplat.net.guard.limits import Bucket, CpuShare
-from glsplat.net.messages import Request
 from glsplat.net.pace.stages import StageTimes
-from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.render_loop import RenderLoop
-from glsplat.net.worker.encoding import ClientVideo, PictureEncoder
+from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.launcher import WorkerLauncher
 from glsplat.net.worker.remote import RemoteWorker
 
@@ -70,11 +66,6 @@ class WorkerPool:
         self._last_lost = 0.0  # clock seconds
         self._over: asyncio.Future[None]
         self._restarting: asyncio.Task[None] | None = None
-
-    @property
-    def codecs(self) -> tuple[str, ...]:
-        """Of video."""
-        return self.encoder.codecs
 
     @property
     def driver(self) -> str:
@@ -125,16 +116,6 @@ class WorkerPool:
         if self._close is not None:
             await asyncio.to_thread(self._close)
 
-    def pose_queue(
-        self, solver: PoseSolver | None, share: CpuShare | None = None, samples: Bucket | None = None
-    ) -> PoseQueue | None:
-        """Return the queue of a client's tracking samples; all are solved on one thread."""
-        return self._render_loops[0].pose_queue(solver, share, samples)
-
-    def video(self) -> ClientVideo | None:
-        """Return the video of a new client; None where there is none."""
-        return self.encoder.video(self._clock)
-
     def add(self, client: ClientStream) -> None:
         """Draw for a client from now on, with the worker that suits it."""
         self._place(client)
@@ -146,17 +127,10 @@ class WorkerPool:
             render_loop.remove(client)
         self._balance()
 
-    def received(self, client: ClientStream, request: Request | None) -> None:
-        """Take note of a message."""
-        self._loop_of(client).received(client, request)
-
-    def wake(self, client: ClientStream) -> None:
-        """Take note of a request, or of room in the client's window."""
-        self._loop_of(client).wake(client)
-
     async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
         """Return an answer as it is sent; a picture whose worker was lost is drawn by another one first."""
-        return await self._loop_of(client).pack(client, answer)
+        render_loop = self._clients.get(client.number, (client, None))[1] or self._render_loops[0]
+        return await render_loop.pack(client, answer)
 
     def workers(self) -> list[dict[str, Any]]:
         """Return ``workers`` of /stats."""
@@ -236,10 +210,6 @@ class WorkerPool:
     def _refuses(self, render_loop: RenderLoop, avatar: str) -> bool:
         """Return whether a worker could not load an avatar a moment ago."""
         return self._refused.get((render_loop, avatar), 0.0) > self._clock()
-
-    def _loop_of(self, client: ClientStream) -> RenderLoop:
-        """Return the client's loop; any, while it waits for one."""
-        return self._clients.get(client.number, (client, None))[1] or self._render_loops[0]
 
     def _state(self, render_loop: RenderLoop) -> PlacedWorker:
         clients = (PlacedClient(one.number, one.place_key, one.cost) for one in render_loop.clients.values())

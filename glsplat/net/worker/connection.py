@@ -193,22 +193,21 @@ class WorkerConnection(asyncio.Protocol):
             late, last = now - last - _BEAT_S, now
             if not self.opened.done():
                 continue
-            if self._pinged is None:
+            self._since += max(0.0, late)  # this event loop itself stood still: answers may wait to be read
+            if self._drawing and now - self._since > self._seconds + HANG_S:
+                self.end(f"the worker did not draw within {self._seconds + HANG_S:g} s", True)
+            elif self._pinged is None:
                 self._pinged = now
                 self._transport.write(self._writer.pack(Kind.PING))
-                continue
-            self._pinged += max(0.0, late)  # this event loop itself stood still: answers may wait to be read
-            silent, most = now - self._pinged, self._patience()
-            if silent > most:
-                self.end(
-                    f"the worker did not answer within {most:g} s",
-                    bool(self._drawing) and self._begun and not self._stopped(),
-                )
-            elif self._drawing and now - self._since > self._seconds + HANG_S:
-                self.end(f"the worker did not draw within {self._seconds + HANG_S:g} s", True)
+            else:
+                self._pinged += max(0.0, late)
+                silent, most = now - self._pinged, self._patience()
+                if silent > most:
+                    blames = self.busy and self._begun and not self._stopped()
+                    self.end(f"the worker did not answer within {most:g} s", blames)
 
     def _patience(self) -> float:
-        drawing = bool(self._drawing) and self._begun
+        drawing = self.busy and self._begun
         if self._alone() or (drawing and self._patient):
             return self._seconds + HANG_S
         return _BUSY_S if drawing else _SILENT_S

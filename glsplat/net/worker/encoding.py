@@ -24,6 +24,9 @@ MAX_VIDEOS = _VIDEO_THREADS + 1
 """Pictures of all videos that are coded or wait for it: each holds memory that drawing needs."""
 
 
+def _nothing(images: NDArray[np.uint8]) -> None: ...
+
+
 class VideoStream(Protocol):
     """Codes the pictures of one client as video (extras/far_links). Called on one thread at a time."""
 
@@ -80,7 +83,7 @@ class PictureEncoder:
         rendered: Rendered,
         options: PictureOptions,
         video: ClientVideo | None = None,
-        observe: Callable[[NDArray[np.uint8]], None] = lambda images: None,
+        observe: Callable[[NDArray[np.uint8]], None] = _nothing,
     ) -> Future[Encoded]:
         """Encode a picture as a JPEG, or as the next one of ``video`` where ``options`` ask for it.
 
@@ -106,10 +109,11 @@ class PictureEncoder:
         self._encoder.close()
 
     def _jpegs(
-        self, rendered: Rendered, options: PictureOptions, observe: Callable[[NDArray[np.uint8]], None]
+        self, rendered: Rendered, options: PictureOptions, observe: Callable[[NDArray[np.uint8]], None] = _nothing
     ) -> Encoded:
         observe(rendered.images)
-        return self._encode(rendered, options)
+        images, covered = rendered.images, rendered.covered
+        return self._encoder.encode(images, options.quality, options.crop, covered, options.alpha)
 
     def _code(
         self,
@@ -124,10 +128,7 @@ class PictureEncoder:
         assert options.video is not None
         observe(rendered.images)
         how = options.video.codecs, options.quality, rendered.covered, options.alpha, options.video.key
-        return stream.encode(rendered.images, *how) or self._encode(rendered, options)
-
-    def _encode(self, rendered: Rendered, options: PictureOptions) -> Encoded:
-        return self._encoder.encode(rendered.images, options.quality, options.crop, rendered.covered, options.alpha)
+        return stream.encode(rendered.images, *how) or self._jpegs(rendered, options)
 
     def _made_room(self, _: Future[Encoded]) -> None:
         for call in self.on_room:

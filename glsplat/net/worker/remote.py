@@ -33,17 +33,13 @@ class RemoteWorker:
     def __init__(
         self, launcher: WorkerLauncher, seconds: float = 5.0, alone: Callable[[], bool] = lambda: True
     ) -> None:
+        self.name: str = launcher.name
         self.launcher: WorkerLauncher = launcher
         self._seconds, self._alone = seconds, alone
         self._link: WorkerConnection | None = None
         self._lost: Callable[[], None]
         self._cancelled = False
         self._loaded: OrderedDict[tuple[str, tuple[str, ...]], None] = OrderedDict()  # the newest last
-
-    @property
-    def name(self) -> str:
-        """The launcher's."""
-        return self.launcher.name
 
     @property
     def loaded(self) -> frozenset[str]:

@@ -6,20 +6,22 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TypeVar
 
 from glsplat.net.backend import Backend, Interruptible, Rendered, RenderJob
 
 __all__ = ["ThreadWorker"]
 
+R = TypeVar("R")
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 
 class ThreadWorker:
     """Holds Python's lock while the driver draws: other threads of the process wait (see ``process_worker``)."""
 
-    name = "the OpenGL context"
-
     def __init__(self, backend: Backend) -> None:
+        self.name: str = "the OpenGL context"
         self._backend = backend
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="render")
         self._cancelled = False
@@ -28,12 +30,12 @@ class ThreadWorker:
 
     async def open(self, lost: Callable[[], None]) -> str:
         """Open the backend; a lost context shows in ``draw``."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._backend.open)
+        return await self._run(self._backend.open)
 
     async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
         """Draw; the pixels are always here."""
         self._cancelled = False
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._backend.render, job)
+        return await self._run(partial(self._backend.render, job))
 
     def cancel(self) -> None:
         """Give up the picture in hand, where the backend is interruptible."""
@@ -41,14 +43,17 @@ class ThreadWorker:
 
     async def rebuild(self) -> str:
         """Close the backend and open it again."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._reopen)
+        return await self._run(self._reopen)
 
     async def close(self) -> None:
         """Close the backend after the picture in hand."""
         try:
-            await asyncio.get_running_loop().run_in_executor(self._thread, self._backend.close)
+            await self._run(self._backend.close)
         finally:
             self._thread.shutdown(wait=False)
+
+    async def _run(self, work: Callable[[], R]) -> R:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
 
     def _reopen(self) -> str:
         try:

@@ -14,10 +14,8 @@ __all__ = ["Worker"]
 class Worker(Protocol):
     """Draws one picture after the other: on a thread of this process, or in another one, on any machine."""
 
-    @property
-    def name(self) -> str:
-        """For people, in the log and in /stats."""
-        ...
+    name: str
+    """For people, in the log and in /stats."""
 
     async def open(self, lost: Callable[[], None]) -> str:
         """Start; return the driver string. ``lost`` is called when the worker ends by itself. Raises GlsplatError."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
@@ -18,7 +17,8 @@ from glsplat.net.client_stream import ClientStream, Drawn, PoseAnswer
 from glsplat.net.codec.encoded import Encoded
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import client_options
-from glsplat.net.render_loop import RenderLoop, _solution
+from glsplat.net.pose_queue import PoseQueue
+from glsplat.net.render_loop import RenderLoop
 from glsplat.net.reply import Reply, pack_reply, parse_reply
 from glsplat.net.rights import Rights
 from glsplat.net.session import Close, Session, SessionConfig, Warn
@@ -54,7 +54,6 @@ class Meeting:
         self.rooms._server = SimpleNamespace(clock=lambda: self.now, gate=gate, close_client=close)  # type: ignore[assignment]
         self._offers, self._draw, self._numbers = offers, draw, 0
         self._loop = RenderLoop(ThreadWorker(FakeBackend()), clock=lambda: self.now)
-        self._loop._solve_thread = _Here()  # type: ignore[assignment]
         self._answers = PoseResponder(lambda name: name.encode().ljust(32), lambda name: "", clock=lambda: self.now)
 
     def enter(self, query: Mapping[str, str]) -> ClientStream:
@@ -64,10 +63,9 @@ class Meeting:
         self._numbers += 1
         session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, self.now)
         solver = None if one.solver is None else one.solver(asked.height, asked.span)
-        client = ClientStream(self._numbers, session, self._loop.pose_queue(solver), shown=one)
+        solving = None if solver is None else PoseQueue(solver, _Here(), lambda: self.now, lambda: self.now)
+        client = ClientStream(self._numbers, session, solving, shown=one)
         self.rooms.client_opened(client, asked)
-        if client.solving is not None:
-            client.solving._cpu = lambda: self.now
         return client
 
     def leave(self, client: ClientStream, goodbye: bool) -> None:
@@ -83,14 +81,14 @@ class Meeting:
         if outcome is None:
             return None
         assert isinstance(outcome, Request)
-        self._loop.received(client, outcome)
+        client.received(outcome, self.now)
         return self._posed(client) if outcome.poses else self._pictured(client)
 
     def _pictured(self, client: ClientStream) -> Reply:
         taken = self._loop._take(client)
         request, session = taken.request, client.session
         try:
-            solved, times = asyncio.run(_solution(taken))
+            solved, times = taken.solved()
             job = self._loop._job(taken, solved)
             self._draw(job)
         except BaseException:

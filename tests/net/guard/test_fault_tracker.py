@@ -147,7 +147,7 @@ async def test_clients_that_leave_take_no_picture_slot_with_them():
     for i in range(30):
         client = ClientStream(i, Session(Decoder()))
         render_loop.add(client)
-        render_loop.received(client, client.session.receive(native(1), 0.0))
+        client.received(client.session.receive(native(1), 0.0), 0.0)
         answer = await asyncio.wait_for(client.answers.get(), HANG)
         packing = asyncio.create_task(render_loop.pack(client, answer))
         for _ in range(i % 3):

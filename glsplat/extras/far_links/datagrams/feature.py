@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from glsplat.extras.far_links.datagrams.way import SecondWay
@@ -30,7 +29,6 @@ class Datagrams(Feature):
 
     async def start(self, server: ServerView) -> None:
         """Listen. Raises GlsplatError where the port is in use."""
-        self._wake = server.wake
         await self.listener.open(server.config.access.host, server.port)
 
     async def stop(self) -> None:
@@ -39,8 +37,7 @@ class Datagrams(Feature):
 
     def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
         """Offer the client datagrams once its link is worth it."""
-        wake = partial(self._wake, client)
-        client.offer(SecondWay(self.listener, client.session, client.address, self._clock, wake))
+        client.offer(SecondWay(self.listener, client.session, client.address, self._clock, client.wake))
 
     def stats(self, user: User | None) -> Mapping[str, Any]:
         """Return ``datagrams`` of /stats."""
