@@ -17,6 +17,7 @@ from glsplat.errors import ContextError, GlsplatError, PoseError
 from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
+from glsplat.renderer.read_back import read_floats
 from tests import needs
 from tests.api.current_context import asked, nothing_current
 from tests.api.variants import BACK, KINDS, SIZE, VIEWS, bent, splats
@@ -212,7 +213,7 @@ def test_draw_shows_what_render_returns() -> None:
                 drawn, render_stats = np.empty_like(expected), renderer.stats
                 target = renderer.draw(views)
                 with renderer.context:
-                    target.read(drawn)
+                    read_floats(target, drawn)
                 assert np.array_equal(drawn, expected)
                 assert renderer.stats.drawn == render_stats.drawn and renderer.stats.culled == render_stats.culled
                 assert np.array_equal(renderer.render(views), expected)

@@ -146,7 +146,7 @@ def test_broken_off_at_any_line(pictures: Callable[[Kind], list[NDArray[Any]]], 
             views, pose = plan[following]
             picture = renderer.render(views, pose)
             assert np.array_equal(picture, expected[following]), (kind.name, breaker.where, index, following)
-            if isinstance(renderer, Renderer):
+            if type(renderer) is Renderer:
                 assert renderer.stats.drawn > 0 and renderer.stats.splats > 0
         renderer.release()
         if users is not None and context is not None:

@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.gl.context import Context
 from glsplat.renderer.lru_cache import LruCache
-from glsplat.renderer.reach import reach_of
+from glsplat.renderer.mesh_buffers import reach_of
 from glsplat.renderer.stage import ItemBuffers
 from glsplat.renderer.stats import union
 from glsplat.renderer.targets import MAX_SIZES, TargetPool
