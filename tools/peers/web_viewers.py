@@ -104,7 +104,7 @@ def files() -> dict[str, bytes]:
 
 
 class Own:
-    """glsplat's own renderer: draws, reads back and encodes walking frames, as ``glsplat serve`` does by ``exact``."""
+    """glsplat's own renderer: draws, reads back and encodes walking frames, as ``serve`` with ``exact``."""
 
     def __init__(self, side: int, distance: float, height: float) -> None:
         self._avatar = glsplat.default_avatar()
