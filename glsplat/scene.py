@@ -175,11 +175,18 @@ class Scene:
     ((1, 48, 64, 4), (1, 48, 64))
     """
 
-    def __init__(self, items: Iterable[Item] = (), *, light: Light | None = None) -> None:
+    def __init__(
+        self,
+        items: Iterable[Item] = (),
+        *,
+        light: Light | None = None,
+        transform: ArrayLike | None = None,  # [4, 4]
+    ) -> None:
         if isinstance(items, (Splats, Avatar, RiggedMesh, Item, str)) or not isinstance(items, Iterable):
             raise GlsplatError(f"a scene needs a list of Items, not {type(items).__name__}; write Scene([Item(...)])")
         self._items: list[Item] = []
         self.light = light
+        self._transform = _checked(np.eye(4) if transform is None else transform)
         for item in listed(items, "a scene", GlsplatError):
             self.add(item)
 
@@ -205,6 +212,15 @@ class Scene:
 
             instance(light, Light, "a scene's light", GlsplatError)
         self._light: Light | None = light
+
+    @property
+    def transform(self) -> NDArray[np.float64]:
+        """[4, 4] the cameras' world from the scene, applied after each item's own; read only, assign a new one."""
+        return self._transform
+
+    @transform.setter
+    def transform(self, transform: ArrayLike) -> None:
+        self._transform = _checked(transform)
 
     @property
     def items(self) -> tuple[Item, ...]:

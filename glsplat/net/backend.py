@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.fields import DEFAULT, PictureOptions
 from glsplat.net.messages import Request
+from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
@@ -39,6 +41,7 @@ class RenderJob:
 
     cameras: tuple[Camera, ...]  # one or two, left first
     pose: Pose | None = None  # None: the rest pose
+    place: NDArray[np.float64] | None = None  # [4, 4] from the scene to the user's space; None: they are the same
     frame_id: int | None = None  # of its request
     options: PictureOptions = DEFAULT
     avatar: str = ""  # which of those the server offers; empty: its first, or the scene
@@ -122,13 +125,26 @@ class Placing(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """What a request with tracking comes to in the avatar's space."""
+    """What a request with tracking comes to."""
 
     pose: Pose
-    cameras: tuple[Camera, ...]  # of the request, moved from the user's room to the avatar's space
     notes: tuple[str, ...] = ()  # what was out of the ordinary ("left_lost", ...), told to the client
     scale: float = 1.0  # user metres = avatar metres * scale
     floor: float = 0.0  # y of the user's floor in metres; 0 in the avatar's space
+
+    @property
+    def place(self) -> NDArray[np.float64]:
+        """[4, 4] from the avatar's space to the user's. Raises PoseError where nobody can stand there."""
+        try:
+            return similarity((0.0, self.floor, 0.0), scale=self.scale)
+        except GlsplatError as error:
+            raise PoseError(f"nobody can stand at this scale and floor: {error}") from None
+
+    def seen(self, camera: Camera) -> Camera:
+        """Return a camera of the user's space in the avatar's."""
+        viewmat = camera.viewmat.copy()
+        viewmat[:3, 3] = -viewmat[:3, :3] @ ((camera.position - (0, self.floor, 0)) / self.scale)
+        return replace(camera, viewmat=viewmat, near=camera.near / self.scale, far=camera.far / self.scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

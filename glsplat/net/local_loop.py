@@ -112,12 +112,12 @@ class LocalLoop(RenderLoop):
 
     def _draw(self, frame: Frame) -> Future[Encoded]:
         """On the render thread: the pose where tracking was sent, the picture, and its encoding under way."""
-        job, scale, floor = self._job(frame)
+        job = self._job(frame)
         start = self._begin(frame)
         rendered = self._backend.render(job)
         done = rendered.done or _nothing
         try:
-            self._note(frame, rendered, start, scale, floor)
+            self._note(frame, rendered, start)
             for observer in frame.channel.observers:
                 observer.picture_drawn(rendered.images)
             # from here: the event loop need not hear of it first

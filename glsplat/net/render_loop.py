@@ -339,13 +339,13 @@ class RenderLoop(ABC):
             return "too many pictures that cost too much" if channel.session.overspent(self._clock()) else ""
         return ""
 
-    def _job(self, frame: Frame) -> tuple[RenderJob, float, float]:
-        """What is to be drawn, at the pose that tracking came to, or everybody of the room; the user's scale and floor.
+    def _job(self, frame: Frame) -> RenderJob:
+        """What is to be drawn, at the pose that tracking came to, or everybody of the room.
 
         Raises PoseError where tracking is not solved.
         """
         request, channel = frame.request, frame.channel
-        pose, cameras, room, solved, scale, floor = request.pose, frame.cameras, None, None, 1.0, 0.0
+        pose, cameras, room, solved, place = request.pose, frame.cameras, None, None, None
         if request.tracking is not None:
             if frame.solution is None:
                 raise PoseError(channel.untracked)
@@ -355,11 +355,12 @@ class RenderLoop(ABC):
             pose = None
             cameras, room = channel.member.look(request, cameras, solved, frame.arrived, self._clock())
         elif solved is not None:
-            pose, scale, floor = solved.pose, solved.scale, solved.floor
-            cameras = frame.drawn = frame.detail.resized(solved.cameras)
+            pose, place = solved.pose, solved.place
+            frame.drawn = tuple(map(solved.seen, cameras))
         frame.job = job = RenderJob(
             cameras=cameras,
             pose=pose,
+            place=place,
             frame_id=request.frame_id,
             options=frame.options,
             avatar=channel.shown.name,
@@ -371,7 +372,7 @@ class RenderLoop(ABC):
             mark=channel.session.mark,
             others=0.0 if frame.alone else self._blame.others(channel.address, self._clock()),
         )
-        return job, scale, floor
+        return job
 
     def _begin(self, frame: Frame) -> float:
         """The time at which drawing begins."""
@@ -379,7 +380,7 @@ class RenderLoop(ABC):
         frame.times["wait"] = (start - frame.arrived) * 1e3 - frame.times.get("ik", 0.0)  # solving is no waiting
         return start
 
-    def _note(self, frame: Frame, rendered: Rendered, start: float, scale: float, floor: float) -> None:
+    def _note(self, frame: Frame, rendered: Rendered, start: float) -> None:
         """What is known of a picture once it is drawn."""
         now = self._clock()
         frame.times["render"] = (now - start) * 1e3
@@ -387,11 +388,8 @@ class RenderLoop(ABC):
         self._adaptive_quality.drawn(frame.channel.number, now - start, rendered.coarsest, now, frame.smaller)
         if len(rendered.images) != len(frame.request.eyes):
             raise RuntimeError(f"{len(frame.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
-        frame.places = {
-            name: [round(v * scale + floor * (i % 3 == 1), 5) for i, v in enumerate(place)]
-            for name, place in rendered.places.items()
-        }
-        frame.depth = tuple(grid.scaled(scale) for grid in rendered.depth)
+        frame.places = {name: [round(v, 5) for v in place] for name, place in rendered.places.items()}
+        frame.depth = rendered.depth
         if frame.channel.member is not None:
             frame.channel.member.posed(rendered.posed)
         frame.times |= {name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")}

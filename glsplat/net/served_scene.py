@@ -133,9 +133,7 @@ class ServedScene:
         ``options`` are those of RendererBackend: device, avatars, max_cost, max_time.
         """
         more = {"avatars": self.avatars, "rooms": dict(self.rooms), "config": self.rendering} | options
-        if self.file.motions:  # in one pickle with the scene, so that the items are the same
-            more["pose_at"] = self.file.pose_at
-        return partial(RendererBackend, self.file.scene, size, **more)
+        return partial(RendererBackend, self.file, size, **more)
 
     def _describe(self, name: str, avatar: Rigged) -> AvatarInfo:
         return self.tracking.describe(name, avatar)

@@ -74,6 +74,7 @@ class GpuScene:
         self.arenas = 0  # made so far
         self._present: tuple[Item, ...] = ()  # of the scene as the frame's beginning finds it: other threads change it
         self.light: Light | None = None  # of the scene, likewise
+        self._transform = scene.transform  # likewise
         self._visible: list[Item] = []  # the visible splat items among them, in order
         self._visible_meshes: list[Item] = []
         try:
@@ -212,7 +213,7 @@ class GpuScene:
 
     def _look(self, layers: int) -> None:
         """Which items there are, and which of them are visible and in the views' layers, once a frame."""
-        self._present, self.light = self.scene.items, self.scene.light
+        self._present, self.light, self._transform = self.scene.items, self.scene.light, self.scene.transform
         visible = [item for item in self._present if item.visible]
         self._unseen = frozenset(id(item) for item in visible if not item.layers & layers)
         self._visible = [item for item in visible if not isinstance(item.content, RiggedMesh)]
@@ -329,7 +330,7 @@ class GpuScene:
         return Arena(self._context, buffers, posed=posed, degree=degree, signed=mixed, culled=culled, kinds=kinds)
 
     def _placement(self, item: Item, pose: Pose | None) -> Placement:
-        transform = item.transform
+        transform = self._transform @ item.transform
         linear = transform[:3, :3]
         size = 1.0 if np.array_equal(transform, np.eye(4)) else float(np.cbrt(np.linalg.det(linear)))
         bones = weights = None

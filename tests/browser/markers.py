@@ -82,7 +82,7 @@ class _AsTracked:
     def solve(self, request: Request, now: float) -> Solved:
         assert request.frame_id is not None and request.tracking is not None
         samples[request.frame_id] = request.tracking
-        return Solved(Pose(np.zeros((55, 3))), request.cameras)
+        return Solved(Pose(np.zeros((55, 3))))
 
 
 def as_tracked(height: float | None, span: float | None) -> _AsTracked:

@@ -15,7 +15,7 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.visibility import sphere
 from glsplat.light.light import Light
 from glsplat.net.backends.renderer_pool import RendererPool
-from glsplat.net.backends.room import RoomRenderer
+from glsplat.net.backends.scene_renderer import SceneRenderer
 from glsplat.scene import Item, Scene
 from glsplat.scenes.scene_file import SceneFile
 from tests.light.lit import random_light
@@ -133,7 +133,7 @@ def test_the_scene_its_parts_and_other_avatars() -> None:
     light: Any = random_light(1)
     make: Any = Drawn
     pool = RendererPool(Scene([Item(default_avatar())], light=light), {"ann": limb(20)}, make)
-    for one in (pool.get(), pool.get("ann"), pool.get("", ("head",))):
+    for one in (pool.get(), pool.get("ann")):
         assert one.scene.light is light and len(one.scene) == 1
     assert RendererPool(limb(20), {"ann": limb(20)}, make).get("ann").scene.light is None
 
@@ -144,4 +144,4 @@ def test_rooms_keep_their_own_light_and_take_the_servers() -> None:
     found = lit_rooms(rooms, SceneFile.of(Scene([Item(limb(20))], light=servers)))
     assert found["lit"].scene.light is own and found["plain"].scene.light is servers
     make: Any = Drawn
-    assert RoomRenderer(found["lit"], lambda name: limb(20), make).scene.light is own
+    assert SceneRenderer(found["lit"], make, lambda name: limb(20)).scene.light is own

@@ -21,6 +21,7 @@ from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
+from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 from tests.extras.accounts.test_accounts import WS
@@ -143,7 +144,7 @@ class Solver:
 
     def solve(self, request, now):
         self.calls.append(request)
-        return Solved(Pose.zero(), request.cameras[::-1], ("left_lost",))
+        return Solved(Pose.zero(), ("left_lost",), scale=1.25, floor=-0.5)
 
 
 async def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend):
@@ -159,8 +160,8 @@ async def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend
     assert first.tracking == Sample.from_json(tracking, first.t / 1e3) and second.t > first.t
     assert reply.info["tracking"] == ["left_lost"] and "ik" in reply.info["times"]
     drawn = backend.drawn[0]
-    assert drawn.pose is not None and drawn.cameras[0].viewmat[0, 3] < 0 < reply.info["eyes"][0]["viewmat"][3]
-    np.testing.assert_allclose(drawn.cameras[1].position, [-0.0275, 1.6, 0], atol=1e-12)
+    assert drawn.pose is not None and np.allclose(drawn.place, similarity((0, -0.5, 0), scale=1.25))
+    np.testing.assert_allclose(drawn.cameras[0].position, [-0.0275, 1.6, 0], atol=1e-12)
 
 
 async def test_what_is_asked_in_vain_is_said_with_the_reason(serve, cameras):

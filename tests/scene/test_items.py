@@ -58,6 +58,25 @@ def test_what_is_left_out_is_as_if_it_were_not_there(renderer_of: Make, context:
 
 
 @pytest.mark.gl
+def test_a_scene_that_is_placed_is_its_items_placed(renderer_of: Make) -> None:
+    turn = similarity((0.1, -0.2, 0.1), rotation=(0.1, 0.3, 0.2, 0.9), scale=1.3)
+    own = [None, similarity((0.2, 0, 0), scale=0.5), similarity((0, 0.3, 0))]
+    contents = [limb(200, degree=1), cloud(500, 2), upright(0.1, 0.5, (200, 30, 30))]
+    scene = Scene([Item(one, transform=place) for one, place in zip(contents, own, strict=True)])
+    still, placed = renderer_of(scene), renderer_of(scene)
+    before = placed.render([camera()])
+    scene.transform = turn
+    each = Scene(Item(item.content, transform=turn @ item.transform) for item in scene)
+    image = placed.render([camera()])
+    assert np.array_equal(image, renderer_of(each).render([camera()])) and not np.array_equal(image, before)
+    scene.transform = np.eye(4)
+    assert np.array_equal(placed.render([camera()]), still.render([camera()]))
+    with pytest.raises(GlsplatError, match="one scale for all axes"):
+        scene.transform = np.diag([1, 2, 1, 1])
+    assert np.array_equal(scene.transform, np.eye(4))
+
+
+@pytest.mark.gl
 def test_an_old_order_is_not_taken_for_another_selection(renderer_of: Make) -> None:
     one, two = Item(cloud(300)), Item(cloud(300, seed=7), transform=similarity((0.1, 0, 0)))
     renderer, new = (renderer_of(Scene([one, two]), sort_period=4) for _ in range(2))

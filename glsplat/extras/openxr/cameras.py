@@ -68,19 +68,13 @@ def camera_of(
     size: tuple[int, int],
     shown: NDArray[np.float64],  # [4, 4] the user's room to the room as it is shown; of a mirror a reflection
     background: ArrayLike = (0.0, 0.0, 0.0),
-    scale: float = 1.0,  # metres of the user a metre of the scene
-    floor: float = 0.0,  # y of the user's floor
 ) -> Camera:
     """What an eye sees of the user's own room while that is shown elsewhere (``Place.shown``).
 
     viewmat = diag(1, -1, -1, 1) inverse(T_W_e) shown (docs/conventions.md); in a mirror its determinant is -1.
     """
     viewmat = FLIP_YZ @ rigid_inverse(matrix_of(view.pose)) @ shown
-    if scale != 1 or floor != 0:  # the avatar's own metres (Tracker.to_avatar)
-        place = -viewmat[:3, :3].T @ viewmat[:3, 3]
-        place[1] -= floor
-        viewmat[:3, 3] = -viewmat[:3, :3] @ (place / scale)
-    return Camera(viewmat, intrinsics(view.fov, size), *size, background=background, near=NEAR / scale)
+    return Camera(viewmat, intrinsics(view.fov, size), *size, background=background, near=NEAR)
 
 
 def _kept(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -40,7 +40,6 @@ class DepthRange:
 
     near: float  # metres
     far: float
-    unit: float = 1.0  # metres of what the target's depths count in
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +163,7 @@ class EyePass:
         if target.lift is not None:
             values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
         if depth is not None:
-            values["depth_range"] = depth.near, depth.far, depth.unit
+            values["depth_range"] = depth.near, depth.far
         if around is not None:
             values |= {
                 "glass_from_pixel": _columns(around.glass_from_pixel),

@@ -23,7 +23,7 @@ from glsplat.extras.speech.idle import IdleFace
 from glsplat.gl.context import Context
 from glsplat.passes.target import Target
 from glsplat.renderer import Renderer
-from glsplat.scene import Item, Scene, SceneLike, is_rigged
+from glsplat.scene import Item, Scene, SceneLike, is_rigged, similarity
 from glsplat.scenes.scene_file import SceneFile
 from glsplat.skinning.driven import why_not_tracked
 from glsplat.timing import StageTimer
@@ -145,10 +145,10 @@ class LocalShow:
             self._advance(min(max(now - self._time, 0.0), 0.1))
         self._time = now
         moment = self.wearer.look(runtime, timing, focused)
-        scale, floor = 1.0, 0.0
         if self._tracker is not None and self._source is not None and moment is not None:
             self._source.pose = self._tracker.update(self._idle.fill(moment.sample))
-            scale, floor = self._tracker.calibration.scale, self._tracker.calibration.floor
+            known = self._tracker.calibration
+            self._scene.transform = similarity((0.0, known.floor, 0.0), scale=known.scale)
         if moment is not None:
             self._show(moment.place)
         views = sighted(runtime.views(timing.display_time))
@@ -158,9 +158,9 @@ class LocalShow:
         place = moment.place
         background = (0.0, 0.0, 0.0) if place.glass is not None else self._background
         self.views = views
-        self.cameras = [camera_of(view, eyes.size, place.shown, background, scale, floor) for view in views]
+        self.cameras = [camera_of(view, eyes.size, place.shown, background) for view in views]
         self._around = surroundings(views, eyes.size, place, self._floor)
-        depth = DepthRange(NEAR, FAR, scale) if eyes.depth else None
+        depth = DepthRange(NEAR, FAR) if eyes.depth else None
         begun = time.perf_counter()
         self._target = self._renderer.draw(self.cameras, depth=eyes.depth)
         if self._finish is not None:
@@ -190,6 +190,8 @@ class LocalShow:
             self._headless()
         if self._own_item is not None and self._source is not None:
             self._own_item.pose, self._own_item.transform = self._source.pose, self._source.transform
+        if self._own is not None:
+            self._own.transform = self._scene.transform
         wanted: ViewName = "own" if own and self._own is not None else "mirror"
         if self._loaded != wanted and (self._loaded is not None or wanted == "own"):
             scene = self._own if wanted == "own" and self._own is not None else self._scene

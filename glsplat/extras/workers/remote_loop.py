@@ -32,7 +32,7 @@ _PAUSES = (0.0, 0.5, 1.0)  # seconds before each attempt to start a worker anew 
 _LATER = 5.0  # ... and before all further ones
 _OPEN = 60.0  # seconds to make a context and load a scene
 _CLOSE = 5.0  # seconds to end in order
-_HAS = 4  # avatars, with parts hidden or not, that a worker keeps loaded (backends/renderer_pool.py, KEPT)
+_HAS = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
 _LEARN = 0.1  # how far a picture moves what its client's are expected to take
 _REFUSED = 60.0  # seconds for which an avatar is not tried again on a worker that could not load it
 
@@ -182,7 +182,7 @@ class RemoteLoop(RenderLoop):
     async def _picture(self, frame: Frame) -> Awaitable[Encoded]:
         if frame.solution is not None and not frame.solution.done():
             await asyncio.wait([asyncio.wrap_future(frame.solution)])
-        job, scale, floor = self._job(frame)
+        job = self._job(frame)
         start = self._begin(frame)
         channel, link = frame.channel, self._link
         if link is None:
@@ -206,7 +206,7 @@ class RemoteLoop(RenderLoop):
             places=said.places,
             depth=said.depth,
         )
-        self._note(frame, rendered, start, scale, floor)
+        self._note(frame, rendered, start)
         return encoded
 
     def _suspects_others(self, frame: Frame, error: Exception) -> bool:

@@ -50,13 +50,12 @@ class RendererBackend:
 
     def __init__(
         self,
-        scene: SceneLike,
+        scene: SceneLike | SceneFile,  # the motions of a file play from open() on
         pixels: tuple[int, int],
         device: str | None = None,
         config: RenderConfig | None = None,
         max_cost: float | None = None,  # None: most_cost(config)
         max_time: float = MAX_TIME,
-        pose_at: Callable[[float], None] | None = None,  # brings the scene to a time in seconds since open()
         avatars: Mapping[str, Rigged] | None = None,  # by RenderJob.avatar; any other name is the scene
         rooms: Mapping[str, SceneFile] | None = None,  # the background of each
         name: str | None = None,  # of the scene: then any other name is an avatar that is missing here
@@ -67,7 +66,7 @@ class RendererBackend:
         self._max_cost = most_cost(self._config) if max_cost is None else max_cost
         self._max_time = max_time
         self._scene, self._pixels, self._device = scene, pixels, device
-        self._pose_at, self._opened = pose_at, 0.0
+        self._opened = 0.0
         self._avatars = {} if avatars is None else avatars  # which may be empty yet
         self._rooms = rooms or {}
         self._name = name
@@ -115,10 +114,7 @@ class RendererBackend:
         budget = PictureBudget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
         try:
             renderer.resize(first.width, first.height)
-            seconds = time.monotonic() - self._opened
-            if self._pose_at is not None:
-                self._pose_at(seconds)
-            one.follow(request, seconds)
+            one.follow(request, time.monotonic() - self._opened)
             renderer.selector, renderer.step = one.selector(request.viewer), request.mark
             renderer.selector.bias = request.detail
             images = budget.render(one.prepare(request, self._max_cost), self.place)
@@ -128,7 +124,7 @@ class RendererBackend:
                 from glsplat.net.backends.depth import depth_grids  # here: it needs a driver, as above
 
                 start = time.perf_counter()
-                depth = depth_grids(renderer, one.views(request), request.pose)
+                depth = depth_grids(renderer, one.views(request))
                 timings["depth"] = (time.perf_counter() - start) * 1e3
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")

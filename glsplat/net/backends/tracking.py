@@ -111,7 +111,7 @@ class TrackingSolver:
         self._face = face
 
     def solve(self, request: Request, now: float) -> Solved:
-        """Filter and solve the next sample, bring the cameras to the avatar's scale."""
+        """Filter and solve the next sample."""
         sample = request.tracking
         assert sample is not None
         t = self._clock.time(None if request.t is None else sample.t, now)
@@ -123,17 +123,7 @@ class TrackingSolver:
         self._tracker.prediction = self._ahead.update(request.arrival)
         pose = self._tracker.update(sample)
         known = self._tracker.calibration
-        moved = known.scale != 1 or known.floor != 0
-        cameras = tuple(map(self._camera, request.cameras)) if moved else request.cameras
-        return Solved(pose, cameras, self._tracker.flags, known.scale, known.floor)
-
-    def _camera(self, camera: Camera) -> Camera:
-        place = np.eye(4)
-        place[:3, 3] = camera.position
-        viewmat = camera.viewmat.copy()
-        viewmat[:3, 3] = -viewmat[:3, :3] @ self._tracker.to_avatar(place)[:3, 3]
-        scale = self._tracker.calibration.scale
-        return replace(camera, viewmat=viewmat, near=camera.near / scale, far=camera.far / scale)
+        return Solved(pose, self._tracker.flags, known.scale, known.floor)
 
 
 def _watcher(cameras: tuple[Camera, ...]) -> list[Sequence[float]]:

@@ -6,7 +6,7 @@ is near moves most.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,10 +29,6 @@ class DepthGrid:
     low: float  # 1 / metres along the camera's axis, of byte 0
     high: float  # of byte 255
     data: bytes  # row by row from the top
-
-    def scaled(self, scale: float) -> DepthGrid:
-        """The same where lengths are ``scale`` times as large."""
-        return replace(self, low=self.low / scale, high=self.high / scale)
 
     def metres(self) -> NDArray[np.float64]:
         """[rows, columns] camera z."""

@@ -35,7 +35,9 @@ def test_tracking_becomes_a_pose_in_the_avatars_space():
     np.testing.assert_array_equal(solved.pose.rotations, expected.rotations)
     np.testing.assert_array_equal(solved.pose.trans, expected.trans)
     assert "left_lost" in solved.notes
-    for mine, theirs in zip(solved.cameras, requests[19].cameras, strict=True):
+    np.testing.assert_allclose(solved.place @ (0, 1, 0, 1), (0, 1.35, 0, 1))
+    for theirs in requests[19].cameras:
+        mine = solved.seen(theirs)
         np.testing.assert_allclose(mine.position, (theirs.position - (0, 0.1, 0)) / 1.25)
         np.testing.assert_array_equal(mine.viewmat[:3, :3], theirs.viewmat[:3, :3])
 

@@ -92,16 +92,6 @@ def test_facing_is_a_half_turn_and_own_nothing() -> None:
     assert placing("facing", head, room=True).view == "own" and placing("mirror", head, room=True).whole
 
 
-def test_the_avatars_metres(rng: np.random.Generator) -> None:
-    """A user 1.1 times as tall whose floor is at -0.2."""
-    view = ViewPose((0.2, 1.5, 0.3, 0.1, 0.2, 0.0, 0.9), Fov(-0.8, 0.9, 0.7, -0.9))
-    place = placing("mirror", matrix_of((0, 1.6, 0, 0, 0, 0, 1)))
-    plain, scaled = (camera_of(view, (64, 64), place.shown, scale=s, floor=f) for s, f in ((1, 0), (1.1, -0.2)))
-    for point in rng.normal(size=(20, 3)):
-        mine, avatar = plain.viewmat @ [*point, 1], scaled.viewmat @ [*((point - [0, -0.2, 0]) / 1.1), 1]
-        assert np.allclose(mine[:3], 1.1 * avatar[:3])
-
-
 def test_planes_are_met_where_rays_meet_them(rng: np.random.Generator) -> None:
     view = ViewPose((0.2, 1.5, 0.3, 0.1, 0.2, 0.0, 0.9), Fov(-0.8, 0.9, 0.7, -0.9))
     camera, eye, K = camera_of(view, (64, 48), np.eye(4)), matrix_of(view.pose), intrinsics(view.fov, (64, 48))

@@ -86,7 +86,7 @@ class Meeting:
         frame = self._loop._next_frame(channel)
         request, session = frame.request, channel.session
         try:
-            job, _, _ = self._loop._job(frame)
+            job = self._loop._job(frame)
             self._draw(job)
         except BaseException:
             session.failed(request, "", "")

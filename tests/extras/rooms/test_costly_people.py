@@ -21,7 +21,7 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import PictureBudget, others_share
 from glsplat.net.backends.gl import RendererBackend, most_cost
 from glsplat.net.backends.renderer_pool import RendererPool
-from glsplat.net.backends.room import RoomRenderer
+from glsplat.net.backends.scene_renderer import SceneRenderer
 from glsplat.net.fields import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
@@ -71,7 +71,7 @@ def job(*people: VisiblePerson, camera: Camera = VIEW, viewer: int = 0, **more: 
     return RenderJob(cameras=(camera,), frame_id=1, room=RoomView("lab", 0, viewer, people), **more)
 
 
-Make = Callable[..., RoomRenderer]
+Make = Callable[..., SceneRenderer]
 
 
 @pytest.fixture
@@ -79,12 +79,11 @@ def room_of(context: Context) -> Iterator[Make]:
     """Makes empty rooms in which everybody wears that avatar."""
     pools: list[RendererPool] = []
 
-    def make(figure: Avatar = PERSON, **config: Any) -> RoomRenderer:
+    def make(figure: Avatar = PERSON, **config: Any) -> SceneRenderer:
         rendering = replace(LEAN, output="uint8", **config)
         renderer = partial(Renderer, size=(SIZE, SIZE), config=rendering, context=context)
         pools.append(RendererPool(Scene([Item(figure)]), {}, renderer, {"lab": SceneFile.of(Scene())}))
         one = pools[-1].of(job(ANN))
-        assert isinstance(one, RoomRenderer)
         return one
 
     yield make
@@ -93,12 +92,12 @@ def room_of(context: Context) -> Iterator[Make]:
     assert context.ctx.error == "GL_NO_ERROR"
 
 
-def prepared(room: RoomRenderer, one: RenderJob, most: float = MOST) -> Prepared:
+def prepared(room: SceneRenderer, one: RenderJob, most: float = MOST) -> Prepared:
     room.follow(one, 0.0)
     return room.prepare(one, most)
 
 
-def costs(room: RoomRenderer, one: RenderJob) -> dict[str, int]:
+def costs(room: SceneRenderer, one: RenderJob) -> dict[str, int]:
     """Of each person's items as they are drawn now."""
     found: dict[str, int] = {}
     for item, cost in room.renderer.prepare(room.views(one), itemised=True).items.items():
@@ -221,7 +220,6 @@ def test_who_cannot_be_drawn_is_left_out_and_nobody_else(context: Context, caplo
     def shown(*people: VisiblePerson, viewer: int = 0) -> tuple[NDArray[np.uint8], list[str]]:
         request = job(*people, viewer=viewer)
         one = pool.of(request)
-        assert isinstance(one, RoomRenderer)
         return prepared(one, request).render().copy(), [label.text for label in one.labels(request)]
 
     alone, both = shown(ann), shown(ann, bob)

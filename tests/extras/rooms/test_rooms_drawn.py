@@ -16,8 +16,8 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends.renderer_pool import RendererPool, SceneRenderer
-from glsplat.net.backends.room import RoomRenderer
+from glsplat.net.backends.renderer_pool import RendererPool
+from glsplat.net.backends.scene_renderer import SceneRenderer
 from glsplat.net.messages import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Renderer
@@ -69,7 +69,7 @@ def drawing(context: Context) -> Callable[[Scene], Renderer]:
     return partial(Renderer, size=(SIZE, SIZE), config=RenderConfig(output="uint8"), context=context)
 
 
-def left_out(one: SceneRenderer | RoomRenderer, request: RenderJob) -> list[Item]:
+def left_out(one: SceneRenderer, request: RenderJob) -> list[Item]:
     return [item for item in one.scene if not item.layers & one.views(request)[0].layers]
 
 

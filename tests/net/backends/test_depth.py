@@ -14,7 +14,7 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
-from glsplat.net.backend import AvatarInfo, RenderJob, Solved
+from glsplat.net.backend import RenderJob
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.process import ProcessBackend
@@ -71,15 +71,8 @@ def test_a_target_of_8_bits_has_none():
         assert backend.render(job()).depth == ()
 
 
-class Tall:
-    """A user twice as large as the avatar."""
-
-    def solve(self, request, now):
-        return Solved(Pose(np.zeros((55, 3))), request.cameras, scale=2.0)
-
-
-async def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
-    """And nobody else gets a byte more."""
+async def test_it_is_sent_to_clients_that_ask(serve, fake_backend):
+    """And no other gets a byte more."""
 
     class Deep(fake_backend):
         def render(self, request):
@@ -87,18 +80,15 @@ async def test_it_is_sent_to_who_asks_in_their_own_metres(serve, fake_backend):
             grid = grid_of(np.full((SIDE, SIDE), 0.8))
             return replace(rendered, depth=(grid,) * len(rendered.images)) if request.options.depth else rendered
 
-    offered = (AvatarInfo(name="tall", solver=lambda height, span: Tall()),)
-    async with serve(Deep(), offered=offered) as server, aiohttp.ClientSession() as http:
+    async with serve(Deep()) as server, aiohttp.ClientSession() as http:
         async with http.ws_connect(server.url) as ws:
             answers = []
-            head = {"tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}}
-            asked = [{}, {"depth": True}, {"depth": False}, {"depth": True, **head}, {"depth": 1}]
+            asked = [{}, {"depth": True}, {"depth": False}, {"depth": 1}]
             for number, more in enumerate(asked, 1):
                 await ws.send_str(native(number, **{"ack": number - 1, **more}))
                 answers.append((await asyncio.wait_for(ws.receive(), HANG)).data)
-            plain, deep, without, tall, refused = answers
+            plain, deep, without, refused = answers
     assert parse_reply(plain).depth == parse_reply(without).depth == ()
     assert "depth" not in parse_reply(plain).info
     assert len(parse_reply(deep).depth) == 2 and np.allclose(parse_reply(deep).depth[1].metres(), 1.25, atol=1e-4)
-    assert np.allclose(parse_reply(tall).depth[0].metres(), 2.5, atol=1e-4)
     assert json.loads(refused)["error"]["code"] == "bad_field"

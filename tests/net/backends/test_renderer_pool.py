@@ -13,9 +13,9 @@ from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.backend import Rendered, RenderJob, Solved
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.backends.renderer_pool import KEPT
+from glsplat.net.backends.renderer_pool import MAX_RENDERERS
 from glsplat.net.client import Client
 from glsplat.net.messages import PictureOptions
 from glsplat.net.served_scene import TrackingOptions, gl_server
@@ -64,7 +64,7 @@ def test_each_is_drawn_as_if_it_were_alone(backend) -> None:
             pose = BENT if len(avatar.skeleton) == 55 else None
             assert (backend.render(request(avatar=name, pose=pose)).images == direct(avatar, pose=pose)).all()
             hidden = backend.render(request(avatar="big", hide=("head",))).images
-            assert len(backend._pool) <= KEPT
+            assert len(backend._pool) <= MAX_RENDERERS
     assert (hidden == direct(BIG.without("head"))).all() and (hidden != direct(BIG)).any()
 
 
@@ -147,6 +147,33 @@ def test_where_the_avatar_is() -> None:
                 assert [box[1, 1], bare[1, 1]] == pytest.approx(tops, abs=1e-4) and bare[1, 1] < box[1, 1] - 0.05
     finally:
         backend.close()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(("scale", "floor"), [(0.8, 0.0), (1.25, -1.2), (0.01, 0.3), (50.0, -20.0)])
+def test_a_placed_scene_is_what_moved_eyes_see(scale: float, floor: float) -> None:
+    """Seen by eyes that are scaled alike: the same picture; places and depths are in the user's metres."""
+    scene = Scene([Item(limb(200).splats, transform=similarity((-0.5, 1, 0))), Item(PERSON)])
+    solved = Solved(BENT, scale=scale, floor=floor)
+    to_user = similarity((0, floor, 0), scale=scale)
+    eyes = []
+    for camera in PAIR:
+        viewmat = camera.viewmat @ np.linalg.inv(to_user)
+        viewmat[:3] *= scale
+        eyes.append(replace(camera, viewmat=viewmat, near=camera.near * scale, far=camera.far * scale))
+    asked = PictureOptions(box=True, depth=True)
+    with opened(RendererBackend(scene, SIZE)) as backend:
+        own = backend.render(RenderJob(cameras=tuple(PAIR), pose=BENT, options=asked))
+        expected = own.images.copy()
+        placed = backend.render(RenderJob(cameras=tuple(eyes), pose=BENT, place=solved.place, options=asked))
+        assert Difference.of(placed.images / 255, expected / 255).psnr >= 55
+    for eye, camera in zip(eyes, PAIR, strict=True):
+        np.testing.assert_allclose(solved.seen(eye).viewmat, camera.viewmat, atol=1e-9)
+    for name, place in own.places.items():
+        moved = np.reshape(place, (-1, 3)) * scale + (0, floor, 0)
+        np.testing.assert_allclose(np.reshape(placed.places[name], (-1, 3)), moved, rtol=1e-6, atol=1e-6 * scale)
+    for mine, theirs in zip(placed.depth, own.depth, strict=True):
+        np.testing.assert_allclose(mine.metres(), theirs.metres() * scale, rtol=0.02)
 
 
 @pytest.mark.gl

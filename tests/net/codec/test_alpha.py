@@ -20,6 +20,7 @@ from glsplat.net.reply import pack_reply, parse_reply
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.renderer import Renderer
+from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
 from tests.net.running import running
@@ -91,7 +92,7 @@ def test_alpha_is_true_false_or_straight(message, words):
 
 
 async def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, fake_backend):
-    """A user of 1.25 times the avatar: the client's room has its own eyes, the picture was drawn with others."""
+    """A user of 1.25 times the avatar: the avatar is placed in the client's room; its own space has other eyes."""
     backend, calibration = fake_backend(), Calibration(scale=1.25, floor=0.1)
     solver = TrackingSolver(default_avatar().skeleton, calibration)
     offered = [AvatarInfo(name="default", solver=lambda height, span: solver)]
@@ -104,7 +105,11 @@ async def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, fa
             np.testing.assert_allclose(np.reshape(eye["viewmat"], (4, 4)), camera.viewmat)
             assert (eye["near"], eye["far"]) == (0.5, 20.0)
     assert "drawn" not in posed.info
+    place = backend.drawn[0].place
+    np.testing.assert_allclose(place, similarity((0, 0.1, 0), scale=1.25))
     for eye, camera, drawn in zip(tracked.info["drawn"], PAIR, backend.drawn[0].cameras, strict=True):
-        np.testing.assert_allclose(np.reshape(eye["viewmat"], (4, 4)), drawn.viewmat)
-        np.testing.assert_allclose(drawn.position, (camera.position - (0, 0.1, 0)) / 1.25)
+        np.testing.assert_allclose(drawn.viewmat, camera.viewmat)
+        viewmat = camera.viewmat @ place  # which scales all lengths
+        viewmat[:3] /= 1.25
+        np.testing.assert_allclose(np.reshape(eye["viewmat"], (4, 4)), viewmat)
         assert (eye["near"], eye["far"]) == (0.4, 16.0)

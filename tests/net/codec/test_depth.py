@@ -16,7 +16,6 @@ def test_depths_come_back_within_their_steps():
     assert (grid.columns, grid.rows, len(grid.data)) == (5, 7, 35)
     step = (1 / metres.min() - 1 / metres.max()) / 255
     assert np.abs(1 / grid.metres() - 1 / metres).max() <= 0.5001 * step
-    assert np.allclose(grid.scaled(0.5).metres(), 0.5 * grid.metres())
 
 
 def test_where_nothing_is_it_goes_on_from_what_is_beside():

@@ -26,7 +26,7 @@ class Solver:
         rotations = np.zeros((55, 3))
         rotations[12] = (0.1, 0.2, -0.3)
         pose = glsplat.Pose(rotations, request.tracking.head[:3], expression=request.tracking.expression)
-        return Solved(pose, request.cameras, ("left_lost",), scale=1.25, floor=0.5)
+        return Solved(pose, ("left_lost",), scale=1.25, floor=0.5)
 
 
 def avatar(count: int = 40, seed: int = 1) -> glsplat.Avatar:

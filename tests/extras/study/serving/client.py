@@ -40,7 +40,7 @@ class Solver:
 
     def solve(self, request: Request, now: float) -> Solved:
         self.requests.append(request)
-        return Solved(Pose.zero(55), request.cameras)
+        return Solved(Pose.zero(55))
 
 
 class Client:

@@ -1,0 +1,342 @@
+"""SceneRenderer: one scene, the people in it, and what draws both for each client. A client alone is a room of one."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.detail.selector import Selector
+from glsplat.errors import GlsplatError
+from glsplat.net.backend import RenderJob
+from glsplat.net.backends.budget import others_share
+from glsplat.net.backends.figure_bounds import FigureBounds
+from glsplat.net.labels import Label
+from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.passes.views import checked_pose
+from glsplat.renderer import Prepared, Renderer
+from glsplat.scene import Item, Rigged, Scene, is_rigged
+from glsplat.scenes.scene_file import SceneFile
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+
+__all__ = ["SceneRenderer"]
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
+_LABEL_HEIGHT = 0.3  # metres from the joint of the head to the middle of the label, of a person of _LABEL_STATURE
+_LABEL_STATURE = 1.7  # metres
+
+_LABEL_SIGMAS = 4.0
+"""Standard deviations of a splat that count for its label: a fifth more than are drawn, as splats that are projected
+beside the picture come out a little larger (RenderConfig.max_sigma)."""
+
+_PLACE_SIGMAS = 2.0  # standard deviations of a splat that count for the box of an avatar
+
+_MAX_VIEWERS = 64  # whose levels of detail are remembered
+
+_ROOM, _HEADS = 1, 2
+"""Layers: of everything, and of all heads for pictures that hide none. Each other layer belongs to one person."""
+
+_FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """The items of one person.
+
+    The head of splats is an item of its own, so that nothing is posed twice. A mesh is there with and without its head.
+    """
+
+    figure: Rigged
+    headless_figure: Rigged
+    label_bounds: FigureBounds
+    whole: tuple[Item, ...]
+    headless: tuple[Item, ...]  # what pictures show that hide the person's own head
+    split: bool  # whether these differ; False: nobody has asked yet
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """All of them, each once."""
+        return tuple(dict.fromkeys(self.whole + self.headless))
+
+    @property
+    def splats(self) -> int:
+        """Splats of the finest level of detail; 0 of a mesh."""
+        contents = (item.content for item in self.whole)
+        return sum(len(content.splats) for content in contents if isinstance(content, Avatar))
+
+    def set_layers(self, own: int, visible: bool) -> None:
+        """Put the items into their layers, ``own`` being the person's; into none where they are not ``visible``."""
+        for item in self.items:
+            if item not in self.whole:
+                layers = own
+            else:
+                layers = _ROOM if item in self.headless else ~(_ROOM | own)
+            item.layers = layers if visible else 0
+
+
+class SceneRenderer:
+    """Draws one scene with its people for all who look at it.
+
+    Of a room ``file`` is the background, and ``figure_of`` returns the avatars of people by name. Without ``figure_of``
+    each client looks at the scene alone and drives its one avatar, if it has one. ``make`` makes the renderer.
+    """
+
+    def __init__(
+        self, file: SceneFile, make: Callable[[Scene], Renderer], figure_of: Callable[[str], Rigged] | None = None
+    ) -> None:
+        self._file = file
+        self._driven = file.avatar if figure_of is None else None
+        self._figure_of = figure_of or self._driven_figure
+        self._people: dict[int, _Shown | None] = {}  # by key; None: their avatar cannot be had
+        self._unfit: set[int] = set()  # keys of people whose pose cannot be drawn
+        self._place_bounds = lru_cache(2)(partial(FigureBounds, sigmas=_PLACE_SIGMAS))
+        items = (item for item in file.scene if item is not self._driven)
+        self.scene: Scene = Scene(items, light=file.scene.light)
+        if self._driven is not None:
+            self._replace(0, _shown(self._driven.name, self._driven_figure(""), split=False))
+        self.renderer: Renderer = make(self.scene)
+        # each viewer, by number, keeps its levels of detail
+        self.selector: Callable[[int], Selector] = lru_cache(_MAX_VIEWERS)(lambda viewer: Selector())
+
+    @property
+    def nbytes(self) -> int:
+        """GPU bytes."""
+        return sum(self.renderer.nbytes().values())
+
+    def follow(self, job: RenderJob, seconds: float) -> None:
+        """Bring everybody to where they are; ``seconds`` is the time of the scene's own motions.
+
+        The light is the viewer's own, if they sent one. People whose avatar cannot be had, or cannot take their pose,
+        are left out of the others' pictures.
+
+        Raises GlsplatError where the viewer's own avatar cannot be had, posed, or shown without a head.
+        """
+        self._file.pose_at(seconds)
+        self.scene.transform = np.eye(4) if job.place is None else job.place
+        self.scene.light = job.options.light or self._file.scene.light
+        view = self._view(job)
+        if _hides_head(job) and not view.people:
+            raise GlsplatError("parts can be left out of one avatar, this scene has none or several")
+        new = {one.key: self._enter(one, job, view) for one in view.people if self._is_missing(one.key, job, view)}
+        here = {one.key for one in view.people}
+        for gone in self._people.keys() - here:
+            self._replace(gone, None)
+            del self._people[gone]
+        for key, shown in new.items():
+            self._replace(key, shown)
+        self._unfit = {one.key for one in view.people if not self._pose(one, one.key == view.viewer)}
+        self._set_layers(view, self._unfit if job.others else here - {view.viewer})
+
+    def prepare(self, job: RenderJob, max_cost: float) -> Prepared:
+        """Prepare the picture of a request that ``follow`` was given, of which ``max_cost`` covered pixels are drawn.
+
+        Others who add too much to it (``others_share``) are drawn at their coarsest level of detail, then left out.
+        So only the scene and the viewer's own avatar can cost more than ``max_cost``.
+        """
+        view, views, renderer = self._view(job), self.views(job), self.renderer
+        others = [shown for key, shown in self._people.items() if shown is not None and key != view.viewer]
+        if not (others and job.others):
+            return renderer.prepare(views, None if view.people else job.pose)
+        share = job.others * others_share(max_cost, views, sum(shown.splats for shown in others))
+        each = {one: job.others * others_share(max_cost, views, one.splats, each=True) for one in others if one.splats}
+        prepared = renderer.prepare(views)
+        posed = renderer.stats.posed
+        for reduce in (_coarser, _left_out, _left_out):  # again, should costs have been other than were expected
+            if prepared.cost <= min(share, max_cost, *each.values()):
+                break
+            prepared = renderer.prepare(views, itemised=True)
+            costs = {one: sum(prepared.items.get(item, 0) for item in one.items) for one in each}
+            room = min(share, max_cost - (prepared.cost - sum(costs.values())))
+            if room < 0 or (sum(costs.values()) <= room and all(costs[one] <= each[one] for one in each)):
+                break
+            reduce(costs, each, room)
+            prepared = renderer.prepare(views)
+        renderer.stats = replace(renderer.stats, posed=posed)
+        return prepared
+
+    def views(self, job: RenderJob) -> list[Camera]:
+        """Return the cameras of a request that ``follow`` was given, in the layers of what its viewer sees."""
+        view = self._view(job)
+        keys = [one.key for one in view.people]
+        hidden = _hides_head(job) and view.viewer in keys
+        layers = _ROOM | (_own(keys.index(view.viewer)) if hidden else _HEADS)
+        return [replace(camera, layers=layers) for camera in job.cameras]
+
+    def labels(self, job: RenderJob) -> list[Label]:
+        """Return the labels of all people, those that cost too much included.
+
+        In a room the viewer's own only where that head is seen.
+        """
+        view = self._view(job)
+        own = view.viewer if job.room is not None and _hides_head(job) else None
+        return [
+            _label_of(one, shown, self.scene.transform @ one.transform)
+            for one in view.people
+            if one.label and one.key != own and one.key not in self._unfit
+            if (shown := self._people[one.key]) is not None
+        ]
+
+    def places(self, job: RenderJob) -> dict[str, list[float]]:
+        """Return where the avatar is that a client drives alone, as in Rendered, if the request asks for it."""
+        view = self._view(job)
+        if job.room is not None or not (job.options.box and view.people):
+            return {}
+        (one,), shown = view.people, self._people[view.viewer]
+        assert shown is not None
+        skeleton = shown.figure.skeleton
+        pose = checked_pose(one.pose, len(skeleton), "avatar")
+        transform = self.scene.transform @ one.transform
+        box = self._place_bounds(shown.headless_figure if _hides_head(job) else shown.figure).box(pose, transform)
+        found = {"box": box, "feet": _feet(skeleton, pose, transform)}
+        return {name: array.ravel().tolist() for name, array in found.items() if array is not None}
+
+    def release(self) -> None:
+        """Delete what draws it."""
+        self.renderer.release()
+
+    def _view(self, job: RenderJob) -> RoomView:
+        """Return everybody in the picture: of a client alone the one avatar, posed by its request or the scene."""
+        if job.room is not None:
+            return job.room
+        one = self._driven
+        if one is None:
+            return RoomView("", 0, 0, ())
+        pose = one.pose if job.pose is None else job.pose
+        person = VisiblePerson(0, one.name, job.avatar, pose, one.transform, one.opacity, job.label)
+        return RoomView("", 0, 0, (person,))
+
+    def _driven_figure(self, name: str) -> Rigged:
+        """Return the avatar that a client alone drives."""
+        assert self._driven is not None and is_rigged(self._driven.content)
+        return self._driven.content
+
+    def _is_missing(self, key: int, job: RenderJob, view: RoomView) -> bool:
+        """Return whether somebody's items have to be made; where that failed, only for the viewer once more."""
+        if key not in self._people:
+            return True
+        shown, own = self._people[key], key == view.viewer
+        return own and (shown is None or (_hides_head(job) and not shown.split))
+
+    def _enter(self, one: VisiblePerson, job: RenderJob, view: RoomView) -> _Shown | None:
+        """Return what is shown of somebody. Raises what keeps the viewer's own avatar from being had."""
+        own = one.key == view.viewer
+        try:
+            figure = self._figure_of(one.avatar)
+            # people of a room mostly hide their own heads: their items are made only once
+            split = (own and _hides_head(job)) or (job.room is not None and "head" in figure.skeleton.names)
+            return _shown(one.name, figure, split)
+        except (GlsplatError, OSError, KeyError) as error:
+            if own:
+                raise
+            log.warning("person %d of a room is not shown to the others: %s", one.key, error)
+            return None
+
+    def _replace(self, key: int, shown: _Shown | None) -> None:
+        """Put somebody's items into the scene, instead of those that were there."""
+        for item in _items(self._people.get(key)):
+            self.scene.remove(item)
+        for item in _items(shown):
+            self.scene.add(item)
+        self._people[key] = shown
+
+    def _pose(self, one: VisiblePerson, own: bool) -> bool:
+        """Bring somebody to where they are; return whether that can be. Raises what keeps the viewer's ``own``."""
+        finest = 0 if self._driven is None else self._driven.finest
+        try:
+            for item in _items(self._people[one.key]):
+                item.pose, item.transform, item.opacity, item.finest = one.pose, one.transform, one.opacity, finest
+        except GlsplatError as error:
+            if own:
+                raise
+            if one.key not in self._unfit:
+                log.warning("person %d of a room is not shown to the others: %s", one.key, error)
+            return False
+        return True
+
+    def _set_layers(self, view: RoomView, out: Collection[int]) -> None:
+        """Put everybody into their layers; people who have faded, or are in ``out``, into none."""
+        for place, one in enumerate(view.people):
+            shown = self._people[one.key]
+            if shown is not None:
+                shown.set_layers(_own(place), one.opacity > 0 and one.key not in out)
+
+
+def _hides_head(job: RenderJob) -> bool:
+    return "head" in job.options.hide
+
+
+def _own(place: int) -> int:
+    """Return the layer of pictures from the own eyes, without a head, of the person in that place."""
+    return 4 << place
+
+
+def _items(shown: _Shown | None) -> tuple[Item, ...]:
+    return () if shown is None else shown.items
+
+
+def _shown(name: str, figure: Rigged, split: bool) -> _Shown:
+    """Return the items of a person called ``name``, with the head ``split`` off. Raises PoseError without a head."""
+    whole, bounds = Item(figure, name=name), FigureBounds(figure, _LABEL_SIGMAS, whole=True)
+    if not split:
+        return _Shown(figure, figure, bounds, (whole,), (whole,), split)
+    rest = figure.without("head")
+    if not isinstance(figure, Avatar) or not isinstance(rest, Avatar):
+        return _Shown(figure, rest, bounds, (whole,), (Item(rest, name=name),), split)
+    parts = [Item(part, name=name) for part in (rest, figure.only("head"))]
+    return _Shown(figure, rest, bounds, tuple(parts), tuple(parts[:1]), split)
+
+
+def _label_of(one: VisiblePerson, shown: _Shown, transform: NDArray[np.float64]) -> Label:
+    """Return the label of a person whom ``transform`` places: over its head, or over the highest joint of others.
+
+    As the splats of a body lie several deep, it fades later than each of them does.
+    """
+    skeleton, bounds = shown.figure.skeleton, shown.label_bounds
+    rest = skeleton.rest[:, :3, 3]
+    joint = skeleton.names.index("head") if "head" in skeleton.names else int(rest[:, 1].argmax())
+    bones = np.eye(4)[:3] if one.pose is None else one.pose.bones(skeleton)[joint]
+    stature = float(rest[:, 1].max() - rest[:, 1].min())
+    above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT * stature / _LABEL_STATURE, 0)
+    place = np.asarray(transform[:3, :3] @ above + transform[:3, 3], np.float64)
+    box = partial(bounds.box, one.pose, transform)
+    return Label(one.label, place, opacity=1 - (1 - one.opacity) ** 8, box=box)
+
+
+def _feet(skeleton: Skeleton, pose: Pose, transform: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return [4, 3] metres, where a pose touches the ground; None where the skeleton has no such joints."""
+    if not set(_FEET) <= set(skeleton.names):
+        return None
+    joints = [skeleton.names.index(name) for name in _FEET]
+    bones = transform[:3, :3] @ pose.bones(skeleton)[joints]
+    turned: NDArray[np.float64] = np.einsum("nij,nj->ni", bones[:, :, :3], skeleton.joints[joints])
+    return turned + bones[:, :, 3] + transform[:3, 3]
+
+
+def _coarser(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
+    """Draw people at their coarsest level of detail if they cost more than an equal share of ``room``."""
+    left = most = room
+    for number, cost in enumerate(sorted(costs.values())):  # what the others leave is shared by those who take more
+        most = left / (len(costs) - number)
+        left -= min(cost, most)
+    for one, cost in costs.items():
+        if cost > min(most, each[one]):
+            for item in one.items:
+                item.finest = len(item.content.levels)  # type: ignore[union-attr]  # no meshes: they have no cost here
+
+
+def _left_out(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
+    """Leave out people who cost more than one may, then the most costly, until the others fit into ``room``."""
+    total = sum(costs.values())
+    for one, cost in sorted(costs.items(), key=lambda pair: -pair[1]):
+        if total > room or cost > each[one]:
+            total -= cost
+            for item in one.items:
+                item.layers = 0
