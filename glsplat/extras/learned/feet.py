@@ -23,7 +23,7 @@ from glsplat.tracking.solve.quat import (
 )
 from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solve.stepping.leg import TIPTOE_RAD, Leg, LegPose
-from glsplat.tracking.solve.stepping.two_legs import USEFUL_STEP_M, USEFUL_TURN_RAD, TwoLegs
+from glsplat.tracking.solve.stepping.legs import USEFUL_STEP_M, USEFUL_TURN_RAD, TwoLegs
 
 __all__ = ["Feet"]
 
