@@ -1,4 +1,4 @@
-"""Two legs under a pelvis, and the analytic solver's steps: planted until balance or gait asks; crouch, tiptoe, jump."""
+"""Two legs of a pelvis, and the analytic solver's steps: planted until balance or gait asks; crouch, tiptoe, jump."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from math import cos, exp, hypot, sin
 
 from glsplat.tracking.solve.body import FEET, PELVIS, Body
+from glsplat.tracking.solve.foot import HOLD, Foot
+from glsplat.tracking.solve.gait import Gait
+from glsplat.tracking.solve.leg import REFERENCE_LEG_M, SOFT, TIPTOE_RAD, Leg, LegPose
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
-from glsplat.tracking.solve.stepping.foot import HOLD, Foot
-from glsplat.tracking.solve.stepping.gait import Gait
-from glsplat.tracking.solve.stepping.leg import REFERENCE_LEG_M, SOFT, TIPTOE_RAD, Leg, LegPose
 from glsplat.tracking.solve.tracked import AFLOAT_M, TrackedFoot
 
 __all__ = ["USEFUL_STEP_M", "USEFUL_TURN_RAD", "Legs", "TwoLegs"]
