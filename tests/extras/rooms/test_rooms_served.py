@@ -268,4 +268,4 @@ def test_the_second_bad_picture_of_an_address_is_one_too_many() -> None:
     assert not blame.again("b", 1000.0)  # forgotten
     for i in range(10000):
         assert not blame.again(f"c{i}", 1001.0)
-    assert len(blame._since) <= 4096
+    assert len(blame._last) <= 4096
