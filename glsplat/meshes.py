@@ -32,13 +32,11 @@ class MeshPart:
         """True where texels of alpha below one half cut holes (hair, brows, lashes)."""
         return bool((self.texture[..., 3] < 128).any())
 
-    def sample(self, uv: NDArray[np.float64], *, nearest: bool = False) -> NDArray[np.float64]:
+    def sample(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return RGBA in [0, 1] at texture coordinates [..., 2]: bilinear, texel centres at +0.5."""
         height, width = self.texture.shape[:2]
         x = uv[..., 0] % 1.0 * width - 0.5
         y = (1.0 - uv[..., 1] % 1.0) * height - 0.5
-        if nearest:
-            return self.texture[np.rint(y).astype(int) % height, np.rint(x).astype(int) % width] / 255.0
         x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
         fx, fy = (x - x0)[..., None], (y - y0)[..., None]
         x1, y1 = np.clip(x0 + 1, 0, width - 1), np.clip(y0 + 1, 0, height - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from importlib import resources
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,12 @@ from glsplat.tracking.sample import Sample
 __all__ = ["embedded_recording", "json_lines", "record", "replay", "write_lines"]
 
 MAX_LINE_BYTES = 1 << 20
+DECIMALS = 6  # of written numbers
 
 
-def record(path: str | Path, samples: Iterable[Sample], digits: int = 6) -> int:
+def record(path: str | Path, samples: Iterable[Sample]) -> int:
     """Write samples and return their number; the file appears when it is complete."""
-    return write_lines(path, (sample.to_json() for sample in samples), digits)
+    return write_lines(path, (sample.to_json() for sample in samples))
 
 
 def replay(path: str | Path) -> Iterator[Sample]:
@@ -42,15 +44,15 @@ def embedded_recording() -> list[Sample]:
         return list(replay(path))
 
 
-def write_lines(path: str | Path, objects: Iterable[dict[str, Any]], digits: int = 6) -> int:
-    """Write JSON Lines with numbers rounded to ``digits`` decimals, NaN as null; return the number of lines."""
+def write_lines(path: str | Path, objects: Iterable[dict[str, Any]]) -> int:
+    """Write JSON Lines with numbers rounded to DECIMALS, NaN as null; return the number of lines."""
     count = 0
 
     def lines() -> Iterator[bytes]:
         nonlocal count
         for item in objects:
             count += 1
-            yield json.dumps(_rounded(item, digits), separators=(",", ":")).encode() + b"\n"
+            yield json.dumps(_rounded(item), separators=(",", ":")).encode() + b"\n"
 
     replace_file(path, lines())
     return count
@@ -72,11 +74,11 @@ def json_lines(path: str | Path) -> Iterator[tuple[int, Any]]:
                 ) from None
 
 
-def _rounded(value: Any, digits: int) -> Any:
+def _rounded(value: Any) -> Any:
     if isinstance(value, float):
-        return round(value, digits) if value == value and abs(value) != float("inf") else None
+        return round(value, DECIMALS) if isfinite(value) else None
     if isinstance(value, dict):
-        return {key: _rounded(item, digits) for key, item in value.items()}
+        return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_rounded(item, digits) for item in value]
+        return [_rounded(item) for item in value]
     return value

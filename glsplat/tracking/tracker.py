@@ -17,13 +17,13 @@ from glsplat.tracking.body_trackers import BodyTrackers
 from glsplat.tracking.calibration import Calibration, SessionCalibration
 from glsplat.tracking.checked_solver import CheckedSolver, repeated, zero_pose
 from glsplat.tracking.config import TrackerConfig
-from glsplat.tracking.face import EYES, eye_turn, finite_expression
+from glsplat.tracking.face import eye_turn, finite_expression
 from glsplat.tracking.filters import HeadAndHandFilters
 from glsplat.tracking.fingers import BothHandsFingers
 from glsplat.tracking.guard import Guard
 from glsplat.tracking.judge import InputJudge, Moment
 from glsplat.tracking.sample import Sample
-from glsplat.tracking.solve.body import FINGERS, Body
+from glsplat.tracking.solve.body import EYES, FINGERS, Body
 from glsplat.tracking.solve.quat import rotation_vector, sub
 from glsplat.tracking.solve.solution import Solution, Solver
 from glsplat.tracking.solvers import SolverName, solver_of

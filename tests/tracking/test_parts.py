@@ -23,13 +23,13 @@ from glsplat.tracking.config import HAND_POSITION, HAND_ROTATION, HEAD_POSITION,
 from glsplat.tracking.filters import PositionFilter, RotationFilter
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import ANKLES, COLLARS, ELBOWS, HEAD, HIPS, KNEES, PELVIS, SHOULDERS, WRISTS, Body
+from glsplat.tracking.solve.foot import Foot
+from glsplat.tracking.solve.gait import Gait
+from glsplat.tracking.solve.leg import Leg
+from glsplat.tracking.solve.legs import STEP_S, STEP_TURN_RAD, Legs
 from glsplat.tracking.solve.limits import clamp_joint, violation
 from glsplat.tracking.solve.quat import IDENTITY, inverse_mul, mul, rotate, rotation_angle, to_quat, yaw_quat
 from glsplat.tracking.solve.solution import Targets
-from glsplat.tracking.solve.stepping.foot import Foot
-from glsplat.tracking.solve.stepping.gait import Gait
-from glsplat.tracking.solve.stepping.leg import Leg
-from glsplat.tracking.solve.stepping.legs import STEP_S, STEP_TURN_RAD, Legs
 from glsplat.tracking.solve.tracked import FOUND_S, TrackedFoot
 from tests.tracking.moves import DT, Stage, seconds
 

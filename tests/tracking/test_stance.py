@@ -18,8 +18,8 @@ from glsplat.tracking import Sample, Tracker, TrackerConfig
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.checked_solver import checked
 from glsplat.tracking.solve.body import ANKLES, ELBOWS, FEET, HEAD, KNEES, PELVIS, SHOULDERS, WRISTS, Body
+from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.solution import Solution, Targets
-from glsplat.tracking.solve.stepping.foot import Foot
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from tests.tracking.moves import DT, Stage, Track, head_turn, seconds
 

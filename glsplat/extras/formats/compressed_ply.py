@@ -57,7 +57,7 @@ class _Table:
     dtype: np.dtype[np.void]
 
     def rows(self, file: BinaryIO, at: int, count: int) -> NDArray[np.void]:
-        """``count`` rows from the row ``at`` on."""
+        """Read ``count`` rows from the row ``at``."""
         rows = np.empty(count, self.dtype)
         file.seek(self.start + at * self.dtype.itemsize)
         if file.readinto(rows.view(np.uint8).data) != rows.nbytes:  # type: ignore[attr-defined]
@@ -66,7 +66,7 @@ class _Table:
 
 
 def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
-    """The splats of an open file of ``size`` bytes, in its order.
+    """Read the splats of an open file of ``size`` bytes, in its order.
 
     Raises FormatError where the header lacks something, or declares more than the file holds.
     """
@@ -116,7 +116,7 @@ def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
 
 
 def _check_properties(chunk: Element, vertex: Element) -> bool:
-    """Whether the chunks have bounds of colours; FormatError when they or the vertices lack something."""
+    """Return whether the chunks have bounds of colours. Raises FormatError where properties are missing."""
     coloured = any(f"min_{name}" in chunk.properties for name in _COLOUR)
     named = (*_POSITION, *_SCALE, *(_COLOUR if coloured else ()))
     for name in (f"{end}_{name}" for end in ("min", "max") for name in named):
@@ -131,7 +131,7 @@ def _check_properties(chunk: Element, vertex: Element) -> bool:
 
 
 def _check_harmonics(sh: Element | None, count: int) -> int:
-    """SH degree of the element sh; FormatError when it does not fit to so many splats."""
+    """Return the SH degree of the element sh. Raises FormatError when it does not fit the number of splats."""
     if sh is None:
         return 0
     if set(sh.properties.values()) - {"u1"}:
@@ -142,7 +142,7 @@ def _check_harmonics(sh: Element | None, count: int) -> int:
 
 
 def _bounds(rows: NDArray[np.void], coloured: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lower and upper ones [C, 9] of positions, logarithms of scales, colours."""
+    """Return lower and upper bounds [C, 9] of positions, logarithms of scales, colours."""
     low, high = np.zeros((len(rows), 9)), np.ones((len(rows), 9))
     with np.errstate(invalid="ignore"):  # a NaN that signals
         for at, name in enumerate((*_POSITION, *_SCALE, *(_COLOUR if coloured else ()))):
@@ -151,17 +151,17 @@ def _bounds(rows: NDArray[np.void], coloured: bool) -> tuple[NDArray[np.float64]
 
 
 def _unpacked(words: NDArray[np.uint32], bits: tuple[int, ...]) -> NDArray[np.float64]:
-    """[N, len(bits)] in 0 to 1."""
+    """Return the fields [N, len(bits)] of words, 0 to 1."""
     return np.stack([_field(words, bits, at) / (2**wide - 1) for at, wide in enumerate(bits)], axis=1)
 
 
 def _field(words: NDArray[np.uint32], bits: tuple[int, ...], at: int) -> NDArray[np.uint32]:
-    """The whole numbers in one field of words whose fields have so many bits."""
+    """Return the integers in one field of words whose fields have so many bits."""
     return words >> np.uint32(sum(bits[at + 1 :])) & np.uint32(2 ** bits[at] - 1)
 
 
 def _quaternions(words: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """[N, 4] wxyz."""
+    """Return quaternions [N, 4] wxyz."""
     others = (_unpacked(words, _ROTATION)[:, 1:] - 0.5) * 2**0.5
     largest = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))
     which = _field(words, _ROTATION, 0)
@@ -183,7 +183,7 @@ def save_compressed_ply(splats: Splats, target: Source) -> None:
 
 
 def _order(splats: Splats) -> NDArray[np.intp]:
-    """Which splats a file has, in the order it has them in."""
+    """Return the indices of a file's splats, in its order."""
     kept = np.flatnonzero(splats.drawable())
     return kept[morton_order(splats.means[kept])]
 
@@ -208,7 +208,7 @@ def _packed(splats: Splats, order: NDArray[np.intp]) -> Iterator[bytes]:
 
 
 def _values(splats: Splats, index: NDArray[np.intp]) -> NDArray[np.float64]:
-    """[N, 3, 3] what lies between bounds: positions, logarithms of scales, colours."""
+    """Return the bounded values [N, 3, 3]: positions, logarithms of scales, colours."""
     with np.errstate(divide="ignore"):
         logarithms = np.log(np.abs(splats.scales[index].astype(np.float64)))
     clipped = np.clip(logarithms, -_LOG_LIMIT, _LOG_LIMIT)
@@ -216,14 +216,14 @@ def _values(splats: Splats, index: NDArray[np.intp]) -> NDArray[np.float64]:
 
 
 def _ends(values: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """[C, 3, 3] least and greatest of each chunk."""
+    """Return the least and greatest value [C, 3, 3] of each chunk."""
     starts = np.arange(0, len(values), _CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     return low.astype(np.float32), high.astype(np.float32)
 
 
 def _words(splats: Splats, index: NDArray[np.intp]) -> NDArray[np.uint32]:
-    """[N, 4] in the order of _WORDS."""
+    """Return the words [N, 4] in the order of _WORDS."""
     values = _values(splats, index)
     chunks = np.arange(len(index)) // _CHUNK
     low, high = (ends.astype(np.float64)[chunks] for ends in _ends(values))
@@ -242,7 +242,7 @@ def _words(splats: Splats, index: NDArray[np.intp]) -> NDArray[np.uint32]:
 
 
 def _word(parts: NDArray[np.floating], bits: tuple[int, ...]) -> NDArray[np.uint32]:
-    """[N] words of the fields [N, len(bits)], which are in 0 to 1 or are clamped."""
+    """Return the words [N] of fields [N, len(bits)], clamped to 0 to 1."""
     word = np.zeros(len(parts), np.uint32)
     for at, wide in enumerate(bits):
         most = 2**wide - 1

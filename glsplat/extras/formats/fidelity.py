@@ -1,4 +1,4 @@
-"""How far a file is from what was saved in it: what rounding, clamping and leaving out did, as numbers."""
+"""Measure the differences between a file and the splats that were saved in it."""
 
 from __future__ import annotations
 
@@ -35,10 +35,9 @@ class Error:
 
 @dataclass(frozen=True)
 class Fidelity:
-    """What became of the splats of a scene in a file.
+    """Differences between the splats of a scene and of its file.
 
-    Compared are splats that are finite and no longer than 0 in rotation on both sides. ``saved`` and ``found`` are how
-    many there were and are.
+    Splats that are finite and have a rotation on both sides are compared. ``saved`` and ``found`` are their numbers.
     """
 
     saved: int
@@ -52,7 +51,7 @@ class Fidelity:
     opacities: Error  # in [0, 1], clamped
 
     def words(self) -> Iterator[str]:
-        """What is worse than rounding to float32, a phrase each; nothing for a file that holds what was saved."""
+        """Yield a phrase for each difference that is larger than rounding to float32."""
         if self.found != self.saved:
             yield f"{self.saved - self.found} of {self.saved} splats are not there"
         for name, unit, error, rounding in (
@@ -68,7 +67,7 @@ class Fidelity:
 
 
 def read_back(scene: Splats | Avatar, path: Source) -> Fidelity:
-    """What the file at ``path``, which ``scene`` was saved in, holds of its splats. Raises FormatError."""
+    """Compare ``scene`` with the file at ``path`` that it was saved in. Raises FormatError."""
     name = registry.recognise(path)
     order = registry.all_formats()[name].order
     saved = splats_of(scene)
@@ -76,7 +75,7 @@ def read_back(scene: Splats | Avatar, path: Source) -> Fidelity:
 
 
 def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None) -> Fidelity:
-    """The differences between ``saved`` and what is ``found`` in its file.
+    """Return the differences between ``saved`` and the splats ``found`` in its file.
 
     Splat i of the file is splat ``order[i]`` of those saved (Format.order), or splat i without an order. Raises
     FormatError where the numbers do not fit: 1,000 splats of which the file has 999, and no order says which.

@@ -78,7 +78,7 @@ class _Section:
 
 
 def read_ksplat(file: BinaryIO, size: int) -> Splats:
-    """The splats of an open file of ``size`` bytes, in its order; SH of the highest degree that a section has.
+    """Read the splats of an open file of ``size`` bytes, in its order; SH of the highest degree of its sections.
 
     Raises FormatError for another version, and where a header does not fit to the file.
     """
@@ -149,7 +149,7 @@ def _sections(file: BinaryIO, size: int, count: int, level: int) -> Iterator[_Se
 
 
 def _record(level: int, degree: int) -> np.dtype[np.void]:
-    """A splat."""
+    """Return the type of a splat's record."""
     position, others, harmonics = (("<f4",) * 3, ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))[level]
     fields = [("mean", position, 3), ("scale", others, 3), ("rot", others, 4), ("rgba", "u1", 4)]
     return np.dtype([*fields, ("sh", harmonics, 3 * _COEFFICIENTS[degree])])
@@ -158,7 +158,7 @@ def _record(level: int, degree: int) -> np.dtype[np.void]:
 def _blocks(
     file: BinaryIO, size: int, section: _Section, level: int
 ) -> Iterator[tuple[NDArray[np.void], NDArray[np.float64]]]:
-    """Some splats at a time, and the middles [N, 3] of their buckets (of level 0 there are none)."""
+    """Yield splats in blocks, with the centres [N, 3] of their buckets (level 0 has none)."""
     ends, middles = _buckets(file, size, section) if level else (np.empty(0, np.int64), np.empty((0, 3)))
     for at in range(0, section.count, _BLOCK):
         count = min(_BLOCK, section.count - at)
@@ -167,7 +167,7 @@ def _blocks(
 
 
 def _buckets(file: BinaryIO, size: int, section: _Section) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Behind which splat each bucket ends, and its middle. Raises FormatError where they hold too few splats."""
+    """Return the ends of the buckets and their centres. Raises FormatError where they hold too few splats."""
     lengths = _rows(file, section.lengths, section.partial, np.dtype("<u4"), size).astype(np.int64)
     ends = np.append(np.full(section.full, section.bucket, np.int64), lengths).cumsum()
     held = int(ends[-1]) if len(ends) else 0
@@ -177,7 +177,7 @@ def _buckets(file: BinaryIO, size: int, section: _Section) -> tuple[NDArray[np.i
 
 
 def _rows(file: BinaryIO, at: int, count: int, dtype: np.dtype[_Row], size: int) -> NDArray[_Row]:
-    """``count`` rows from the byte ``at`` on, where the file has so many."""
+    """Read ``count`` rows from the byte ``at``. Raises FormatError where the file is shorter."""
     if at + count * dtype.itemsize > size:
         raise FormatError(f"truncated: the headers declare {at + count * dtype.itemsize} bytes, the file has {size}")
     file.seek(at)
@@ -188,7 +188,7 @@ def _rows(file: BinaryIO, at: int, count: int, dtype: np.dtype[_Row], size: int)
 
 
 def _sniff(start: Opened) -> bool:
-    """By the header's first bytes: a font that begins with the same four has huge numbers behind them."""
+    """Return whether the header is a KSPLAT's: a font with the same first four bytes has huge numbers behind them."""
     if start.named(*KSPLAT.suffixes):  # of other versions too, to be refused by name
         return start.head.startswith(b"\0") and start.head[2:4] == b"\0\0"
     sections, level = (int.from_bytes(start.head[at:to], "little") for at, to in ((4, 8), (20, 22)))

@@ -27,7 +27,7 @@ _NIBBLES = np.stack([_BYTES >> 4, _BYTES & 15], axis=1)
 
 
 def unpacked(data: bytes, mode: str, count: int, stride: int, filtered: str, what: str) -> bytes:
-    """``count`` elements of ``stride`` bytes. Raises FormatError naming ``what`` for data that do not hold them."""
+    """Decode ``count`` elements of ``stride`` bytes. Raises FormatError naming ``what`` for invalid data."""
     try:
         if mode == "ATTRIBUTES" and filtered in ("NONE", "EXPONENTIAL"):
             if not 0 < stride <= 256 or stride % 4:
@@ -45,7 +45,7 @@ def unpacked(data: bytes, mode: str, count: int, stride: int, filtered: str, wha
 
 
 def _vertices(data: U8, count: int, stride: int) -> U8:
-    """[count, stride]"""
+    """Decode vertices [count, stride]."""
     # a group of zeros takes two bits
     if len(data) < 1 + max(_TAIL, stride) or data[0] != 0xA0 or count * stride > 64 * len(data):
         raise ValueError
@@ -75,7 +75,7 @@ def _vertices(data: U8, count: int, stride: int) -> U8:
 
 
 def _group(data: U8, at: int, bits: int, out: U8) -> int:
-    """Sixteen differences into ``out``; returns where the next begin."""
+    """Decode sixteen differences into ``out``; return the position of the next."""
     if bits == 3:
         out[:] = data[at : at + 16]
         return at + 16
@@ -93,7 +93,7 @@ def _group(data: U8, at: int, bits: int, out: U8) -> int:
 
 
 def _exponential(data: U8) -> NDArray[np.float32]:
-    """Each 32 bits a signed mantissa of 24 below a signed exponent of two of 8."""
+    """Decode floats of 32 bits: a signed mantissa of 24 below a signed exponent of two of 8."""
     words = np.ascontiguousarray(data).view("<i4")
     return np.ldexp((words << 8 >> 8).astype(np.float64), words >> 24).astype("<f4")
 

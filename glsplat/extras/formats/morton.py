@@ -12,7 +12,7 @@ _CROWD = 256  # of one cell, more are ordered by a grid of their own
 
 
 def morton_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
-    """The order [N] of finite positions [N, 3]: by x, y and z interleaved, x lowest, on a grid of 1024 cells an axis.
+    """Return the Morton order [N] of finite positions [N, 3], x lowest, on a grid of 1024 cells an axis.
 
     Cells with more than 256 splats have a grid of their own inside (so SuperSplat orders them); equal ones stay in
     the order in which they came.
@@ -40,7 +40,7 @@ def morton_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def _spread(cells: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Numbers of 10 bits with two zeros before each bit."""
+    """Return numbers of 10 bits with two zeros before each bit."""
     for shift, mask in ((16, 0xFF0000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         cells = (cells ^ (cells << np.uint32(shift))) & np.uint32(mask)
     return cells

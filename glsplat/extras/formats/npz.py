@@ -17,7 +17,7 @@ _MOST = 1 << 30
 
 
 def array_names(file: BinaryIO) -> list[str]:
-    """What the archive's arrays are called, to tell its kind; [] of a file that is none."""
+    """Return the names of the archive's arrays; [] for a file that is none."""
     try:
         with np.load(file, allow_pickle=False) as archive:
             return list(archive.files)
@@ -35,7 +35,7 @@ def read_arrays(
     optional: Sequence[str] = (),
     error: type[GlsplatError] = FormatError,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays by name: all that the archive ``file`` holds, or ``keys`` and those of ``optional`` that are there.
+    """Read arrays by name: all of the archive ``file``, or ``keys`` and the present ones of ``optional``.
 
     Nothing else is unpacked, and no pickle is read. ``what`` ("a person") begins the message of the ``error`` that is
     raised for a file that is no archive, is damaged, lacks one of the ``keys`` or holds more than a gigabyte. OSError

@@ -33,7 +33,7 @@ class Obj:
 
 
 def parse_obj(text: str) -> Obj:
-    """Raises ValueError or IndexError for what is no OBJ."""
+    """Parse the lines of an OBJ. Raises ValueError or IndexError for invalid ones."""
     points: list[list[float]] = []
     coordinates: list[list[float]] = [[0.0, 0.0]]  # index 0: none
     triangles: list[list[int]] = []
@@ -72,7 +72,7 @@ def parse_obj(text: str) -> Obj:
 
 
 def textures_of(source: Path, library: str | None) -> Iterator[tuple[str, NDArray[np.uint8], bool]]:
-    """(material, RGBA, whether it is an image) of each Kd and map_Kd, in the order of the material file.
+    """Yield (material, RGBA, is an image) of each Kd and map_Kd, in the order of the material file.
 
     Raises FormatError for an image that is not beside the file.
     """
@@ -101,12 +101,12 @@ def textures_of(source: Path, library: str | None) -> Iterator[tuple[str, NDArra
 
 
 def flat(colour: tuple[float, ...] = (_GREY,) * 3) -> NDArray[np.uint8]:
-    """A texture of one colour, 0 to 255."""
+    """Return a texture of one colour, 0 to 255."""
     return np.tile(np.array([*colour, 255], np.uint8), (4, 4, 1))
 
 
 def _beside(source: Path, name: str) -> Path | None:
-    """A file in the folder of ``source`` or below; None where there is none, or elsewhere."""
+    """Return a file in the folder of ``source`` or below; None where it is absent or elsewhere."""
     try:
         folder = source.resolve().parent
         file = (folder / name).resolve()
@@ -116,7 +116,7 @@ def _beside(source: Path, name: str) -> Path | None:
 
 
 def _index(word: str, count: int) -> int:
-    """An OBJ index from 1, negative from the end."""
+    """Return the index of an OBJ index, which counts from 1, or backwards from the end."""
     value = int(word)
     value = count + 1 + value if value < 0 else value
     if not 1 <= value <= count:
@@ -125,7 +125,7 @@ def _index(word: str, count: int) -> int:
 
 
 def _read(start: Opened) -> RiggedMesh:
-    """All that the file shows, standing."""
+    """Read the file as a standing mesh."""
     try:
         obj = parse_obj(start.file.read().decode("utf-8", "replace"))
     except (ValueError, IndexError) as error:

@@ -70,7 +70,7 @@ def _part(data: Mapping[str, NDArray[Any]], i: int, name: str, path: str) -> Mes
 
 
 def read_body(path: str | Path) -> RiggedMesh:
-    """An untextured rigged body (.npz): v_template, faces, joints, parents, joint_names, skin_indices, skin_weights.
+    """Read an untextured rigged body (.npz): v_template, faces, joints, parents, joint_names, skin_indices, _weights.
 
     Raises FormatError naming the file and the key.
     """
@@ -94,7 +94,7 @@ def _body(start: Opened) -> RiggedMesh:
 
 
 def read_skeleton(path: str | Path) -> Skeleton:
-    """The skeleton of a body or a person archive (.npz). Raises FormatError naming the file and the key."""
+    """Read the skeleton of a body or a person archive (.npz). Raises FormatError naming the file and the key."""
     with opened(path) as start:
         data = read_arrays(start.file, "a body", _JOINTS)
         with _refused():
@@ -103,7 +103,7 @@ def read_skeleton(path: str | Path) -> Skeleton:
 
 @contextmanager
 def _refused() -> Iterator[None]:
-    """What numbers that do not fit raise, as FormatError."""
+    """Turn the errors of numbers that do not fit into FormatError."""
     try:
         yield
     except (PoseError, TypeError, ValueError) as error:
@@ -111,7 +111,7 @@ def _refused() -> Iterator[None]:
 
 
 def _face(data: Mapping[str, NDArray[Any]]) -> Morphs | None:
-    """The expressions of a body: expr_names (T), expr_ptr (T + 1), expr_idx (M) and expr_val (M, 3) metres."""
+    """Return the expressions of a body: expr_names (T), expr_ptr (T + 1), expr_idx (M) and expr_val (M, 3) metres."""
     if any(key not in data for key in _FACE):
         return None
     names = tuple(map(str, data["expr_names"]))

@@ -16,7 +16,7 @@ _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), 
 
 
 def clean_png(data: bytes) -> bytes:
-    """The same pixels without anything else. ``data`` has passed ``read_header``. Raises FormatError for damage."""
+    """Return the PNG with its pixels alone. ``data`` has passed ``read_header``. Raises FormatError for damage."""
     chunks: dict[bytes, list[bytes]] = {name: [] for name in _NEEDED}
     place, name = 8, b""
     while name != b"IEND":
@@ -47,7 +47,7 @@ def clean_png(data: bytes) -> bytes:
 
 
 def _palette(chunks: dict[bytes, list[bytes]], colour: int, depth: int) -> list[tuple[bytes, bytes]]:
-    """The palette, filled up so that every pixel has an entry, and its transparency."""
+    """Return the palette, filled up so that every pixel has an entry, and its transparency."""
     if colour != 3:
         clear = chunks[b"tRNS"][0] if chunks[b"tRNS"] else b""
         return [(b"tRNS", clear)] if len(clear) == {0: 2, 2: 6}.get(colour) else []
@@ -61,7 +61,7 @@ def _palette(chunks: dict[bytes, list[bytes]], colour: int, depth: int) -> list[
 
 
 def _rows(width: int, height: int, bits: int, woven: bool) -> list[tuple[int, int]]:
-    """Number of rows, and bytes a row without its filter byte; seven times where the picture is interlaced."""
+    """Return the number of rows and the bytes of a row without its filter byte; seven pairs if interlaced."""
     sizes = [(width, height)]
     if woven:
         sizes = [(-(-(width - x) // dx), -(-(height - y) // dy)) for x, y, dx, dy in _ADAM7]
@@ -69,7 +69,7 @@ def _rows(width: int, height: int, bits: int, woven: bool) -> list[tuple[int, in
 
 
 def _unpacked(packed: bytes, size: int) -> tuple[bytes, int]:
-    """The pixels with their filter bytes, ``size`` bytes, and how many packed bytes they took."""
+    """Return the ``size`` bytes of pixels with filter bytes, and the number of their packed bytes."""
     machine = zlib.decompressobj()
     try:
         pixels = machine.decompress(packed, size)

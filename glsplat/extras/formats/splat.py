@@ -50,7 +50,7 @@ def read_splat(file: BinaryIO, size: int) -> Splats:
 
 
 def looks_like_splat(data: bytes, *, named: bool = False) -> bool:
-    """Whether bytes without any magic can be a .splat: most positions finite, most scales positive, and no text.
+    """Return whether bytes can be a .splat: most positions finite, most scales positive, and no text.
 
     ``named`` so: flat splats and ones that are not finite are taken too, as far as no scale is negative.
     """
@@ -66,7 +66,7 @@ def looks_like_splat(data: bytes, *, named: bool = False) -> bool:
 
 
 def _holes(rows: NDArray[np.void]) -> float:
-    """The part of the records that is all zero: even a splat of zeros has 128s in its quaternion."""
+    """Return the share of records of zeros: even a splat of zeros has 128s in its quaternion."""
     return float(1 - rows.view(np.uint64).reshape(-1, 4).any(axis=1).mean()) if len(rows) else 0.0
 
 
@@ -87,7 +87,7 @@ def hidden(which: NDArray[np.bool_]) -> Iterator[str]:
 
 
 def _hidden(splats: Splats) -> NDArray[np.bool_]:
-    """[N] True where what keeps a splat from being drawn is no number of 8 bits."""
+    """Return [N] True where an attribute that is stored in 8 bits is not finite: these become transparent."""
     kept = np.isfinite(splats.quats).all(axis=1) & np.isfinite(splats.opacities)
     return ~(kept & np.isfinite(splats.sh).all(axis=(1, 2)))
 

@@ -73,7 +73,7 @@ def read_spz(file: BinaryIO, size: int, *, turn: bool = True) -> Splats:
 
 
 def spz_splats(data: bytes) -> Splats:
-    """The splats of an SPZ file that lies in a bufferView of glTF (KHR_gaussian_splatting_compression_spz_2).
+    """Read the splats of an SPZ file in a bufferView of glTF (KHR_gaussian_splatting_compression_spz_2).
 
     Axes are left as they are: the accessors' bounds of real files are those of the stored numbers, and CesiumJS and
     Cesium Native read them so. Raises FormatError.
@@ -110,7 +110,7 @@ class _Inflated:
         self._file, self._unpack = file, zlib.decompressobj(31)
 
     def read(self, count: int) -> bytearray:
-        """The next ``count`` bytes, fewer at the end."""
+        """Read the next ``count`` bytes, fewer at the end."""
         out = bytearray()
         while len(out) < count and not self._unpack.eof:
             block = self._unpack.unconsumed_tail or self._file.read(_BLOCK)
@@ -123,13 +123,13 @@ class _Inflated:
         return out
 
     def end(self) -> None:
-        """Raises FormatError when something else than padding follows."""
+        """Check that only padding follows. Raises FormatError."""
         if (self._unpack.unused_data + self._file.read(_BLOCK)).strip(b"\0"):
             raise FormatError("something follows the end of the gzip stream; is this one file?")
 
 
 def _single(read: Callable[[int], Bytes], most: int) -> tuple[SpzHeader, list[Bytes], Bytes]:
-    """Versions 1 to 3: header, attributes and extensions, of a stream that has at most so many bytes."""
+    """Read versions 1 to 3: header, attributes and extensions, of a stream with a limit of bytes."""
     header, flags = _header(read(_HEADER.size), 3)
     needed = header.count * sum(header.widths)
     if needed > most:
@@ -148,7 +148,7 @@ def _single(read: Callable[[int], Bytes], most: int) -> tuple[SpzHeader, list[By
 
 
 def _streams(file: BinaryIO, size: int, head: bytes) -> tuple[SpzHeader, list[Bytes], Bytes]:
-    """Version 4: the same, each attribute that takes any bytes as a stream of its own."""
+    """Read version 4: the same, each attribute that takes any bytes as a stream of its own."""
     if len(head) < 32:
         raise FormatError(f"truncated: the header of SPZ version 4 has 32 bytes, this file has {len(head)}")
     header, flags = _header(head[: _HEADER.size], 4)
@@ -174,7 +174,7 @@ def _streams(file: BinaryIO, size: int, head: bytes) -> tuple[SpzHeader, list[By
 
 
 def _stream(file: BinaryIO, left: int, size: int) -> bytearray:
-    """``size`` bytes out of the next ``left``."""
+    """Unpack ``size`` bytes out of the next ``left``."""
     zstd = _zstd()
     unpack, out = zstd.ZstdDecompressor(), bytearray()
     while not unpack.eof and len(out) <= size:
@@ -199,7 +199,7 @@ def _zstd() -> ModuleType:
 
 
 def _header(data: Bytes, newest: int) -> tuple[SpzHeader, int]:
-    """The header and its flags, checked as far as it can be alone."""
+    """Return the checked header and its flags."""
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
         raise FormatError("no SPZ file: it does not start with a header of 16 bytes that begins with NGSP")
     _, version, count, degree, bits, flags, _ = _HEADER.unpack(data)
@@ -213,7 +213,7 @@ def _header(data: Bytes, newest: int) -> tuple[SpzHeader, int]:
 
 
 def _turned(splats: Splats, extensions: Bytes) -> Splats:
-    """``splats``, read as if they had the axes of SPZ, from the axes that an extension names."""
+    """Turn ``splats``, read with the axes of SPZ, from the axes that an extension names."""
     system, at = "RUB", 0
     while at + 8 <= len(extensions):
         kind, length = struct.unpack_from("<II", extensions, at)

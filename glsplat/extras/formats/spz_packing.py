@@ -76,7 +76,7 @@ class SpzHeader:
 
 
 def unpacked(header: SpzHeader, attributes: Sequence[Bytes], *, turn: bool) -> Splats:
-    """The splats of the file's attributes, each ``count`` times its width long; SH of degree 4 is left out.
+    """Return the splats of the file's attributes, each ``count`` times its width long; SH of degree 4 is left out.
 
     With ``turn`` in the axes of a 3DGS PLY, else in the file's own.
     """
@@ -106,7 +106,7 @@ def unpacked(header: SpzHeader, attributes: Sequence[Bytes], *, turn: bool) -> S
 
 
 def packed(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
-    """The bytes behind the header, of version 2 or 3, in the axes of SPZ.
+    """Return the bytes behind the header, of version 2 or 3, in the axes of SPZ.
 
     A splat that is never drawn, since something of it is not finite or its quaternion is zero, becomes a transparent
     one in the origin: SPZ has no such numbers.
@@ -136,7 +136,7 @@ def packed(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
 
 
 def position_bits(splats: Splats) -> int:
-    """Bits of the positions' fraction: 12, or as many as reach all but one in a thousand of the splats."""
+    """Return the bits of the positions' fraction: 12, or as many as reach all but one in a thousand of the splats."""
     reach = np.abs(splats.means).max(axis=1, initial=0)
     reach = np.sort(reach[np.isfinite(reach)])
     if not len(reach):
@@ -146,7 +146,7 @@ def position_bits(splats: Splats) -> int:
 
 
 def lost(splats: Splats) -> Iterator[str]:
-    """What ``packed`` does not keep, rounding apart, a sentence each."""
+    """Yield a sentence for each thing that ``packed`` does not keep, rounding apart."""
     drawn = splats.drawable()
     yield from hidden(~drawn)
     with np.errstate(all="ignore"):
@@ -174,7 +174,7 @@ def lost(splats: Splats) -> Iterator[str]:
 
 
 def _buckets(splats: Splats) -> F32:
-    """[K - 1, 1] of each coefficient above degree 0."""
+    """Return the bucket sizes [K - 1, 1] of the coefficients above degree 0."""
     return np.repeat(_BUCKETS, (3, 5, 7))[: splats.sh.shape[1] - 1, None]
 
 
@@ -191,14 +191,14 @@ def _positions(data: U8, header: SpzHeader) -> NDArray[np.floating]:
 
 
 def _first_three(data: U8) -> F32:
-    """[N, 4] wxyz of x, y and z; bytes of a longer quaternion than one are left for ``normalised``."""
+    """Return quaternions [N, 4] wxyz of x, y and z; ``normalised`` shortens those longer than one."""
     xyz = _SIGNED[data]
     w = np.sqrt(np.maximum(0, 1 - np.einsum("ni,ni->n", xyz, xyz)))
     return np.concatenate([w[:, None], xyz], axis=1)
 
 
 def _smallest_three(data: U8) -> F32:
-    """[N, 4] wxyz: two bits say which component is the largest, and a sign and nine bits each what the others are."""
+    """Return quaternions [N, 4] wxyz of two bits for the index of the largest, a sign and nine bits for the others."""
     words = data.view("<u4")
     largest = (words[:, 0] >> 30).astype(np.intp)
     fields = words >> _SHIFTS
@@ -228,5 +228,5 @@ def _as_smallest_three(xyzw: F32) -> bytes:
 
 @cache
 def _sh_signs() -> F32:
-    """[16, 1] what the half turn does to each coefficient: it keeps it, or turns its sign."""
+    """Return the signs [16, 1] of the coefficients after half a turn."""
     return frozen(np.rint(sh_rotations(HALF_TURN, 3).diagonal()).astype(np.float32)[:, None])

@@ -19,7 +19,7 @@ _MOST = 1 << 26  # pixels: a small file may claim more than there is memory
 
 
 def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.uint8]:
-    """RGBA uint8 [H, W, 4] of a JPEG, PNG or WebP; FormatError naming ``where`` if it is none, or damaged."""
+    """Decode a JPEG, PNG or WebP to RGBA uint8 [H, W, 4]; FormatError naming ``where`` if it is none, or damaged."""
     buffer = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
     if buffer.dtype != np.uint8 or buffer.ndim != 1:
         raise FormatError(f"{where}: a texture is the bytes of a file, not {buffer.dtype} of shape {buffer.shape}")
@@ -43,7 +43,7 @@ def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.ui
 
 
 def _decoded(head: bytes, data: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
-    """RGBA; None or any error of the decoders where it is damaged. They say nothing on standard error."""
+    """Decode to RGBA; None or an error of the decoder where it is damaged. Nothing is printed to stderr."""
     if head.startswith(b"\xff\xd8"):
         space = simplejpeg.decode_jpeg_header(data, strict=False)[2]
         if space != "CMYK":
@@ -65,7 +65,7 @@ def _decoded(head: bytes, data: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
 
 
 def _size(head: bytes, data: NDArray[np.uint8]) -> tuple[int, int]:
-    """Width and height that a picture claims, before a pixel is unpacked; 0, 0 of other kinds."""
+    """Return the width and height in a picture's header; 0, 0 for other kinds."""
     if len(head) < 32:
         return 0, 0
     if head.startswith(b"\x89PNG\r\n\x1a\n"):

@@ -8,6 +8,9 @@ from math import exp, hypot, sqrt
 from glsplat.extras.learned.hints import FootHint
 from glsplat.extras.learned.velocity import Velocity
 from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.foot import Foot
+from glsplat.tracking.solve.leg import TIPTOE_RAD, Leg, LegPose
+from glsplat.tracking.solve.legs import USEFUL_STEP_M, USEFUL_TURN_RAD, TwoLegs
 from glsplat.tracking.solve.quat import (
     JointPose,
     Quat,
@@ -21,9 +24,6 @@ from glsplat.tracking.solve.quat import (
     wrap,
     yaw_quat,
 )
-from glsplat.tracking.solve.stepping.foot import Foot
-from glsplat.tracking.solve.stepping.leg import TIPTOE_RAD, Leg, LegPose
-from glsplat.tracking.solve.stepping.two_legs import USEFUL_STEP_M, USEFUL_TURN_RAD, TwoLegs
 
 __all__ = ["Feet"]
 

@@ -38,7 +38,7 @@ Array = NDArray[np.float32]
 TORSO_SMOOTHING_S = (0.024, 0.024, 0.024)  # of low passes, one after the other, on torso and knees
 JUMP_SMOOTHING_S = 0.04  # in which feet take up the difference between a tick and the prediction of the last one
 MISS_SHARE = 0.3  # of the newest tick in the smoothed steps and misses of feet
-CONFIDENT_MISS = 1.3  # times 1 less the miss of a foot, as a part of its step, is the confidence
+CONFIDENCE_GAIN = 1.3  # of 1 - miss / step of a foot
 ROUNDING_S = 1e-6
 
 
@@ -169,7 +169,8 @@ class Hints:
         tick = self._newest
         assert tick is not None
         part = min(self._since_s / TICK_S, 1.0)
-        self._offsets = [scale(offset, exp(-dt / JUMP_SMOOTHING_S)) for offset in self._offsets]
+        fade = exp(-dt / JUMP_SMOOTHING_S)
+        self._offsets = [scale(offset, fade) for offset in self._offsets]
         ankles_feet = [add(pull(a, b, part), o) for a, b, o in zip(tick.now, tick.ahead, self._offsets, strict=True)]
         pose: _Pose = (tick.pelvis, tick.chest, tick.pelvis_at, *tick.knees, *tick.stance)
         self._stages = self._stages or [pose] * len(TORSO_SMOOTHING_S)
@@ -183,7 +184,7 @@ class Hints:
             ankle, ball = ankles_feet[side], ankles_feet[side + 2]
             x, y, z = sub(ball, ankle)
             rest_yaw, rest_slope = self.rest[side]
-            confidence = CONFIDENT_MISS * (1 - self._misses[side] / max(self._steps[side], 1e-3))
+            confidence = CONFIDENCE_GAIN * (1 - self._misses[side] / max(self._steps[side], 1e-3))
             step = sub(tick.ahead[side + 2], tick.now[side + 2])
             feet.append(
                 FootHint(

@@ -16,6 +16,7 @@ from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.arms import Arms
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.height_limit import HeightLimit
+from glsplat.tracking.solve.legs import Legs
 from glsplat.tracking.solve.quat import (
     Quat,
     Vec,
@@ -35,7 +36,6 @@ from glsplat.tracking.solve.quat import (
 from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver, assembled
 from glsplat.tracking.solve.spine import Spine, Torso
-from glsplat.tracking.solve.stepping.legs import Legs
 from glsplat.tracking.solve.tracked import TrackedPelvis
 
 __all__ = ["LearnedSolver"]

@@ -8,9 +8,9 @@ from math import exp, hypot
 from glsplat.extras.learned.hints import FootHint
 from glsplat.extras.learned.velocity import Velocity
 from glsplat.tracking.solve.body import Body
+from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.quat import Vec, add, clamp, length, pull, rotate, sub, swing_twist_y, wrap, yaw_quat
 from glsplat.tracking.solve.solution import Targets
-from glsplat.tracking.solve.stepping.foot import Foot
 
 __all__ = ["NETWORK_SHARE", "HeadRest", "Stance"]
 

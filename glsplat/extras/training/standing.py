@@ -17,9 +17,9 @@ from glsplat.motion.motion import Motion
 from glsplat.rotations import matrix_quaternions, quaternion_product, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, SPINE1, SPINE3, Body
+from glsplat.tracking.solve.foot import Foot
+from glsplat.tracking.solve.leg import Leg
 from glsplat.tracking.solve.quat import Quat, Vec, add, inverse_mul, mul, power, rotate
-from glsplat.tracking.solve.stepping.foot import Foot
-from glsplat.tracking.solve.stepping.leg import Leg
 
 __all__ = ["Stance", "stances_of", "stood"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import math
 import socket
 import ssl
@@ -51,7 +50,7 @@ class Gate:
         share = max_clients if access.local else (max_clients + 1) // 2
         self.limits = limits
         self.addresses: Addresses = Addresses(limits, limits.per_address or share)
-        self.notices: Notices = Notices(logging.getLogger("glsplat.net"), clock)
+        self.notices: Notices = Notices(clock)
         self.rights: Rights = rights
         self.refused = 0  # requests
         self.is_trusted: Callable[[web.Request], bool] = lambda request: False  # counted like a file of the page

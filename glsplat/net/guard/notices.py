@@ -7,20 +7,24 @@ from collections.abc import Callable
 
 __all__ = ["Notices"]
 
+INTERVAL_S = 60.0  # between lines of one kind
+
+log: logging.Logger = logging.getLogger("glsplat.net")
+
 
 class Notices:
-    """Log ``notices("kind", "text")`` as a warning unless one of that kind was logged within ``every`` seconds."""
+    """Log ``notices("kind", "text")`` as a warning unless one of that kind was logged within INTERVAL_S."""
 
-    def __init__(self, log: logging.Logger, clock: Callable[[], float], every: float = 60.0) -> None:
-        self._log, self._clock, self._every = log, clock, every
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
         self._logged: dict[str, tuple[float, int]] = {}  # kind: time of the last line, notices since
 
     def __call__(self, kind: str, text: str) -> None:
         """Log a notice; ``kind`` is one of a few words of the program, never of a peer."""
         now = self._clock()
         last, left_out = self._logged.get(kind, (float("-inf"), 0))
-        if now - last < self._every:
+        if now - last < INTERVAL_S:
             self._logged[kind] = last, left_out + 1
             return
         self._logged[kind] = now, 0
-        self._log.warning("%s%s", text, f" ({left_out} more like it since the last line)" if left_out else "")
+        log.warning("%s%s", text, f" ({left_out} more like it since the last line)" if left_out else "")

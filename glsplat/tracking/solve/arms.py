@@ -8,12 +8,12 @@ from math import atan2, exp, pi
 
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import COLLARS, ELBOWS, SHOULDERS, SPINE3, WRISTS, Body
+from glsplat.tracking.solve.foot import Axis
 from glsplat.tracking.solve.limb import Limb, perpendicular, two_bone
 from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import Quat, Vec, about, add, clamp, conj, distance, dot, mul, pull, rotate, sub, unit
 from glsplat.tracking.solve.solution import Targets
 from glsplat.tracking.solve.spine import Torso
-from glsplat.tracking.solve.stepping.foot import Axis
 
 __all__ = ["Arm", "ArmPose", "Arms"]
 

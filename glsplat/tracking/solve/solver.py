@@ -20,15 +20,15 @@ from glsplat.tracking.solve.body import (
     WRISTS,
     Body,
 )
+from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.heading import Heading
 from glsplat.tracking.solve.height_limit import HeightLimit
+from glsplat.tracking.solve.leg import Leg, LegPose
+from glsplat.tracking.solve.legs import Legs
 from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, add, clamp, inverse_mul, mul, pull, rotate, sub, yaw_quat
 from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.spine import SPINES, Spine, Torso
-from glsplat.tracking.solve.stepping.foot import Foot
-from glsplat.tracking.solve.stepping.leg import Leg, LegPose
-from glsplat.tracking.solve.stepping.legs import Legs
 from glsplat.tracking.solve.tracked import TrackedPelvis
 
 __all__ = ["AnalyticSolver", "assembled"]

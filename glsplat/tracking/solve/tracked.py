@@ -5,10 +5,10 @@ from __future__ import annotations
 from math import atan2, exp
 
 from glsplat.tracking.solve import quat
+from glsplat.tracking.solve.foot import MAX_FOOT_SPEED, Foot
+from glsplat.tracking.solve.leg import REFERENCE_LEG_M, Leg, LegPose
 from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, Vec, add, clamp, length, mul, pull, rotate, sub
 from glsplat.tracking.solve.spine import Spine, Torso
-from glsplat.tracking.solve.stepping.foot import MAX_FOOT_SPEED, Foot
-from glsplat.tracking.solve.stepping.leg import REFERENCE_LEG_M, Leg, LegPose
 
 __all__ = ["AFLOAT_M", "TrackedFoot", "TrackedPelvis", "TrackedWeight"]
 

@@ -42,7 +42,7 @@ class DatagramListener:
     def __init__(self, clock: Callable[[], float]) -> None:
         self.refused = 0
         self._offers: Offers[PathUser] = Offers(clock)
-        self._notices = Notices(logging.getLogger("glsplat.net"), clock)
+        self._notices = Notices(clock)
         self._configuration = QuicConfiguration(
             alpn_protocols=H3_ALPN,
             is_client=False,

@@ -14,7 +14,7 @@ _ROUNDS = 10
 
 
 def codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """256 numbers in ascending order, and for each of the finite ``values`` the index of the nearest.
+    """Return 256 numbers in ascending order, and for each of the finite ``values`` the index of the nearest.
 
     Up to 256 different values (as float32) are kept as they are. Of more, none is off by more than 1/60 of the
     distance between the smallest and the largest, and where values are dense, by much less.
@@ -32,7 +32,7 @@ def codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray
 
 
 def _distinct(flat: NDArray[np.float32]) -> NDArray[np.float32] | None:
-    """The different values in order; None when they are more than a codebook has."""
+    """Return the distinct values in order; None when they are more than a codebook has."""
     if len(np.unique(flat[: 16 * SIZE])) > SIZE:
         return None
     few = np.unique(flat)
@@ -65,7 +65,7 @@ def _means(flat: NDArray[np.float32]) -> NDArray[np.float32]:
 def _centres(
     cells: NDArray[np.int64], counts: NDArray[np.float64], sums: NDArray[np.float64], old: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The mean of what fell into each cell; the old centre of an empty one."""
+    """Return the mean of each cell; the old centre of an empty one."""
     number = np.bincount(cells, counts, SIZE)
     return np.sort(np.where(number > 0, np.bincount(cells, sums, SIZE) / np.maximum(number, 1), old))
 

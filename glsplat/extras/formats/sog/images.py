@@ -18,7 +18,7 @@ _CHUNKS = 16  # of a WebP, before its image
 
 
 def decoded(package: Package, name: str, least: int, most: int) -> NDArray[np.uint8]:
-    """[H, W, 4] RGBA of the image ``name``: WebP without loss, or PNG; alpha 255 where it has none.
+    """Decode RGBA [H, W, 4] of the image ``name``: WebP without loss, or PNG; alpha 255 where it has none.
 
     Raises FormatError, before anything is decoded, when it has fewer than ``least`` or more than ``most`` pixels, or
     more bytes than so many pixels can take.
@@ -52,7 +52,7 @@ def decoded(package: Package, name: str, least: int, most: int) -> NDArray[np.ui
 
 
 def encoded(image: NDArray[np.uint8]) -> bytes:
-    """[H, W, 4] RGBA as a WebP without loss, colours under an alpha of 0 included (OpenCV 4.13 and newer)."""
+    """Encode RGBA [H, W, 4] as a WebP without loss, colours under an alpha of 0 included (OpenCV 4.13 and newer)."""
     import cv2
 
     # older ones know lossless as a quality above 100, and set colours that nobody sees to black
@@ -65,7 +65,7 @@ def encoded(image: NDArray[np.uint8]) -> bytes:
 
 
 def _size(head: bytes, name: str) -> tuple[int, int]:
-    """Width and height, from the header alone."""
+    """Return width and height, from the header alone."""
     try:
         if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
             return _webp_size(head, name)

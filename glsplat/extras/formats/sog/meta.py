@@ -84,7 +84,7 @@ class Meta:
 
 
 def parse(text: bytes) -> Meta:
-    """The tables that a meta.json speaks of. Raises FormatError, one line, for what is no such thing."""
+    """Parse the tables of a meta.json. Raises FormatError, one line, for an invalid one."""
     try:
         file = msgspec.json.decode(text.removeprefix(b"\xef\xbb\xbf"), type=_File)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
@@ -166,7 +166,7 @@ def _meta(
 
 
 def _book(values: list[float | None] | None, what: str) -> NDArray[np.float64]:
-    """[256] of a codebook; NaN beyond its end and where it holds null, which JSON has for NaN and infinity."""
+    """Return the numbers [256] of a codebook; NaN beyond its end and for null, JSON's NaN and infinity."""
     if values is None:
         raise FormatError(f"{what} of meta.json needs a codebook in version 2")
     book = np.full(256, np.nan)

@@ -26,7 +26,7 @@ Files = Iterable[tuple[str, bytes]]
 
 
 def write_zip(target: Source, files: Files) -> None:
-    """One file, stored: the images are compressed already. The same files give the same bytes."""
+    """Write one zip without compression, as images are compressed. The same files give the same bytes."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files:
@@ -37,10 +37,10 @@ def write_zip(target: Source, files: Files) -> None:
 
 
 def write_folder(folder: Path, files: Files) -> None:
-    """The files in ``folder``, which is made where it is not there (those above it are not).
+    """Write the files to ``folder``, which is made where it is absent (its parents are not).
 
-    Images get names that no file has, meta.json is replaced last, by a rename: whoever reads, and after any failure,
-    finds either all of the new or all of the old. The images that the old meta.json named go only then.
+    Images get unused names, and meta.json is replaced last, by a rename: readers find either all new or all old files,
+    also after a failure. The images of the old meta.json are deleted at the end.
     """
     made: list[Path] = []
     try:
@@ -75,7 +75,7 @@ def write_folder(folder: Path, files: Files) -> None:
 
 
 def _free(folder: Path, name: str, data: bytes) -> str:
-    """``name`` where nothing is called so, else with a part of the hash of ``data`` in it."""
+    """Return ``name`` if it is free, else with a part of the hash of ``data`` in it."""
     if not os.path.lexists(folder / name) or _same(folder / name, data):
         return name
     return f"{Path(name).stem}.{hashlib.sha256(data).hexdigest()[:12]}{Path(name).suffix}"
@@ -86,7 +86,7 @@ def _same(path: Path, data: bytes) -> bool:
 
 
 def _named_by(path: Path) -> set[str]:
-    """The images that an older meta.json names and a SOG would call so; none where it is not to be read."""
+    """Return the images of an older meta.json with names of a SOG; none where it cannot be read."""
     try:
         text = path.read_bytes() if path.stat().st_size < 1 << 20 else b""
         found = msgspec.json.decode(text, type=dict[str, object]).values()

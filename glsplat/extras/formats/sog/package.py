@@ -37,13 +37,13 @@ class Package(Protocol):
     """The files of a SOG by the names that meta.json gives them."""
 
     def meta(self) -> bytes:
-        """The bytes of meta.json."""
+        """Return the bytes of meta.json."""
 
     def open(self, name: str) -> AbstractContextManager[tuple[BinaryIO, int]]:
-        """The file ``name``, open at its start, and the bytes that it claims to have."""
+        """Open the file ``name``; return it and its claimed size in bytes."""
 
     def size(self, names: Iterable[str]) -> int:
-        """Bytes on disk of meta.json and the files ``names``, or of all there is."""
+        """Return the bytes on disk of meta.json and the files ``names``, or of all files."""
 
 
 class SogFolder:
@@ -53,13 +53,13 @@ class SogFolder:
         self._file, self._size, self._folder = file, size, folder
 
     def meta(self) -> bytes:
-        """The bytes of meta.json. FormatError when there are too many."""
+        """Return the bytes of meta.json. Raises FormatError when there are too many."""
         self._file.seek(0)
         return self._file.read(_fitting(self._size))
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[BinaryIO, int]]:
-        """The image ``name``; FormatError for one outside the folder, links that lead out among them."""
+        """Open the image ``name``. Raises FormatError for one outside the folder, also by a link."""
         if self._folder is None:
             raise FormatError("the images lie beside the meta.json, and an open file has no folder; give its path")
         folder = self._folder.resolve()
@@ -73,7 +73,7 @@ class SogFolder:
             yield file, size
 
     def size(self, names: Iterable[str]) -> int:
-        """Bytes of meta.json and of the images ``names``."""
+        """Return the bytes of meta.json and of the images ``names``."""
         total = self._size
         for name in names:
             with self.open(name) as (_, size):
@@ -108,13 +108,13 @@ class SogZip:
         self._root = "" if META in found else found[0].removesuffix(META)
 
     def meta(self) -> bytes:
-        """The bytes of meta.json. FormatError when there are too many."""
+        """Return the bytes of meta.json. Raises FormatError when there are too many."""
         with self.open(META) as (file, size):
             return file.read(_fitting(size))
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[BinaryIO, int]]:
-        """The member ``name``, unpacked as it is read, and its size as the directory claims it."""
+        """Open the member ``name``, unpacked while it is read; return it and its claimed size."""
         found = self._names.get(self._root + _inside(name), [])
         if not found:
             raise FormatError(f"{META} names {name!r:.60}, which the zip does not hold")
@@ -134,12 +134,12 @@ class SogZip:
             raise FormatError(f"{name:.60} cannot be unpacked: {_line(error)}") from None
 
     def size(self, _: Iterable[str]) -> int:
-        """Bytes of the zip."""
+        """Return the bytes of the zip."""
         return self._size
 
 
 def is_zip(file: BinaryIO, size: int) -> bool:
-    """Whether an open file is a zip that holds a meta.json."""
+    """Return whether an open file is a zip that holds a meta.json."""
     try:
         SogZip(file, size)
     except FormatError:
@@ -164,7 +164,7 @@ def _check_directory(file: BinaryIO, size: int) -> None:
 
 
 def _inside(name: str) -> str:
-    """``name`` where it is relative and leads nowhere else."""
+    """Return ``name`` if it is relative and stays inside."""
     if not name or "\\" in name or ":" in name or "\0" in name or {"", ".", ".."} & set(name.split("/")):
         raise FormatError(f"{META} names its images relative to itself, not {name!r:.60}")
     return name

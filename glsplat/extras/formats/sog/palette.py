@@ -18,12 +18,12 @@ Rows = NDArray[np.float32]
 
 
 def palette_size(count: int) -> int:
-    """Sets for ``count`` splats: the largest power of two that is not above it, 65536 at most (as splat-transform)."""
+    """Return the sets for ``count`` splats: the largest power of two up to it, at most 65536 (as splat-transform)."""
     return min(1 << 16, 1 << max(count.bit_length() - 1, 0)) if count else 0
 
 
 def palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
-    """At most ``size`` rows [P, D] that stand for all [N, D], and for each the index of its one; every one is in use.
+    """Return at most ``size`` rows [P, D] for all [N, D], and the index of the row of each; all rows are in use.
 
     Rows are halved at the mean of their widest dimension, those with the largest squared error first, until there
     are enough parts; then two rounds of k-means compare each row with the sets of the eight groups of 256 next to
@@ -58,7 +58,7 @@ def _palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
 
 
 def _halved(rows: Rows, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """An order of the rows in which ``size`` parts are contiguous, and where each begins; fewer where rows repeat."""
+    """Return an order of the rows with ``size`` contiguous parts, and their starts; fewer where rows repeat."""
     order = np.arange(len(rows))
     waiting: list[tuple[float, int, int]] = []
     starts = {0}
@@ -87,7 +87,7 @@ def _halved(rows: Rows, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]
 
 
 def _nearest(rows: Rows, firsts: NDArray[np.int64], centres: Rows) -> tuple[NDArray[np.int64], Rows]:
-    """For each row the nearest centre of the groups next to its own, and the squared distance."""
+    """Return for each row the nearest centre of the neighbouring groups, and the squared distance."""
     groups = len(firsts)
     edges = np.minimum(np.arange(groups + 1) * _GROUP, len(centres))
     middles = np.add.reduceat(centres, edges[:-1], axis=0) / np.diff(edges)[:, None]

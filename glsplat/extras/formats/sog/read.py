@@ -23,7 +23,7 @@ _PLACES = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 0, 3], [1, 2, 3, 0]])  # 
 
 
 def read_sog(file: BinaryIO, size: int, folder: Path | None) -> Splats:
-    """The splats of an open .sog, or of an open meta.json whose images lie in ``folder``.
+    """Read the splats of an open .sog, or of an open meta.json whose images lie in ``folder``.
 
     Coordinates are as the file has them, those of the PLY it was made of: SOG names no axis that points up. What
     others tolerate is: a rotation whose alpha is none of 252 to 255 is that of no turn, a label beyond the palette
@@ -75,7 +75,7 @@ class _Scene:
         return np.stack([self._meta.scales[axis][pixels[:, axis]] for axis in range(3)], axis=1)
 
     def colours(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """SH coefficients [N, K, 3] and opacities [N]."""
+        """Return SH coefficients [N, K, 3] and opacities [N]."""
         palette = self._palette()
         sh = np.empty((self._count, 1 + palette.shape[1], 3), np.float32)
         pixels = self._pixels("sh0")
@@ -91,7 +91,7 @@ class _Scene:
         return sh, opacities
 
     def _palette(self) -> NDArray[np.float32]:
-        """[P + 1, K - 1, 3] sets of further coefficients, the last of zeros; [1, 0, 3] of a file without."""
+        """Return sets of further coefficients [P + 1, K - 1, 3], the last of zeros; [1, 0, 3] without any."""
         meta = self._meta
         if meta.rest is None:
             return np.empty((1, 0, 3), np.float32)
@@ -107,6 +107,6 @@ class _Scene:
         return np.concatenate([meta.rest[sets], np.zeros((1, BANDS[bands], 3), np.float32)])
 
     def _pixels(self, what: str) -> NDArray[np.uint8]:
-        """[N, 4] RGBA, a splat each."""
+        """Return the RGBA [N, 4] of the splats."""
         image = decoded(self._package, self._meta.files[what], self._count, 4 * self._count + _SPARE)
         return image.reshape(-1, 4)[: self._count]

@@ -49,7 +49,7 @@ def save_sog(splats: Splats, target: Source) -> None:
 
 
 def _folder(target: Source) -> Path | None:
-    """Where an unpacked SOG goes; None for a .sog."""
+    """Return the folder of an unpacked SOG; None for a .sog."""
     if not isinstance(target, (str, bytes, os.PathLike)):
         return None
     name = os.fsdecode(target)

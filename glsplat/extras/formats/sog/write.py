@@ -30,24 +30,24 @@ Image = NDArray[np.uint8]
 
 
 def drawn(splats: Splats) -> Splats:
-    """The splats that a SOG can hold: those that are finite and have a rotation. No other is ever drawn."""
+    """Return the splats that a SOG can hold: finite ones with a rotation. No other is ever drawn."""
     kept = splats.drawable()
     return splats if kept.all() else splats.take(kept)
 
 
 def stored_order(splats: Splats) -> NDArray[np.intp]:
-    """Which of the splats a SOG has, in the order it has them in."""
+    """Return the indices of a SOG's splats, in its order."""
     kept = np.flatnonzero(splats.drawable())
     return kept[_along(_steps(splats.means[kept])[2])]
 
 
 def _along(steps: NDArray[np.uint16]) -> NDArray[np.intp]:
-    """By what is stored, so that a file that was read is written as it was."""
+    """Return the Morton order by the stored positions, so that a file that was read is written as it was."""
     return morton_order(steps.astype(np.float32))
 
 
 def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
-    """The files by their names, meta.json last; of ``drawn`` splats, at most 16380 squared."""
+    """Return the files by name, meta.json last; of ``drawn`` splats, at most 16380 squared."""
     count = len(splats)
     low, high, steps = _steps(splats.means)
     order = _along(steps)
@@ -83,7 +83,7 @@ def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
 
 
 def _steps(means: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint16]]:
-    """Lowest and highest of sign(x) ln(1 + abs(x)) by axis, and 16 bits between them for each."""
+    """Return the bounds of sign(x) ln(1 + abs(x)) by axis, and 16 bits between them for each."""
     if not len(means):
         return np.zeros(3), np.zeros(3), np.zeros((0, 3), np.uint16)
     logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
@@ -93,7 +93,7 @@ def _steps(means: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _smallest_three(quats: NDArray[np.float32]) -> Image:
-    """[N, 4]: the three smaller components, of the sign that makes the fourth positive, and which that one is."""
+    """Return [N, 4]: the three smaller components, signed so that the fourth is positive, and its index."""
     largest = np.abs(quats).argmax(axis=1)
     sign = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -1, 1)
     three = np.take_along_axis(quats, _KEPT[largest], axis=1).astype(np.float64) * sign
@@ -102,7 +102,7 @@ def _smallest_three(quats: NDArray[np.float32]) -> Image:
 
 
 def _by_place(sets: NDArray[np.float32], labels: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """The same palette in the order in which its sets are met on average: neighbours have near labels."""
+    """Return the palette ordered by the mean position of its sets in the file: neighbours have near labels."""
     met = np.bincount(labels, np.arange(len(labels)), len(sets)) / np.bincount(labels, minlength=len(sets))
     order = np.argsort(met, kind="stable")
     place = np.empty_like(order)
@@ -111,7 +111,7 @@ def _by_place(sets: NDArray[np.float32], labels: NDArray[np.int64]) -> tuple[NDA
 
 
 def _image(pixels: NDArray[np.integer], shape: tuple[int, int]) -> bytes:
-    """A WebP of [N, 2 to 4] channels; what is left of RGB is 0, of alpha and of pixels opaque black."""
+    """Return a WebP of [N, 2 to 4] channels; missing RGB is 0, missing alpha and pixels are opaque black."""
     image = np.zeros((shape[0] * shape[1], 4), np.uint8)
     image[:, 3] = 255
     image[: len(pixels), : pixels.shape[1]] = pixels

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import atan2, cos, exp, hypot, pi, sin, sqrt
 
+from glsplat.tracking.solve.leg import REFERENCE_LEG_M
 from glsplat.tracking.solve.quat import Vec, clamp
-from glsplat.tracking.solve.stepping.leg import REFERENCE_LEG_M
 
 __all__ = ["Gait"]
 

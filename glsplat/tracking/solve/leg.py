@@ -6,9 +6,9 @@ from math import acos, atan2, cos, exp, hypot, radians, sin, sqrt
 
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, Body
+from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.limb import Limb, two_bone
 from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, conj, distance, length, mul, pull, rotate, sub, unit
-from glsplat.tracking.solve.stepping.foot import Foot
 
 __all__ = ["REFERENCE_LEG_M", "SOFT", "TIPTOE_RAD", "Leg", "LegPose"]
 
