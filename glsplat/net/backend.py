@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.fields import DEFAULT, PictureOptions
 from glsplat.net.messages import Request
+from glsplat.net.wire_schema import DEFAULT, PictureOptions
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton

@@ -16,12 +16,12 @@ from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encoded import Encoded
-from glsplat.net.fields import PictureOptions
 from glsplat.net.guard.limits import CpuShare
 from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.session import Session
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.net.worker.encoding import ClientVideo
 
 if TYPE_CHECKING:

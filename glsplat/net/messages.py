@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from glsplat.camera import ORTHONORMAL, PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
-from glsplat.net.fields import (
+from glsplat.net.guard.duplicates import has_duplicates
+from glsplat.net.wire_schema import (
     DEFAULT,
     FAR,
     NEAR,
@@ -36,7 +37,6 @@ from glsplat.net.fields import (
     sample_of,
     video_of,
 )
-from glsplat.net.guard.duplicates import has_duplicates
 from glsplat.rotations import FLIP_X, FLIP_Z, nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton

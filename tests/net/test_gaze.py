@@ -14,8 +14,8 @@ from glsplat.errors import ProtocolError
 from glsplat.extras.rooms.member import Member
 from glsplat.extras.rooms.room import Room
 from glsplat.net.backends.tracking import TrackingSolver
-from glsplat.net.fields import MOST_FACES
 from glsplat.net.messages import Decoder, Request, eye_fields
+from glsplat.net.wire_schema import MOST_FACES
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration

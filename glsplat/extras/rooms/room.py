@@ -21,10 +21,10 @@ from glsplat.camera import Camera
 from glsplat.extras.rooms.person import Moved, Person, people_fields
 from glsplat.extras.rooms.seats import free_seat, seat
 from glsplat.net.codec.body import MOST, PoseHistory, Poses, yours
-from glsplat.net.fields import Place
 from glsplat.net.labels import driven_by
 from glsplat.net.options import RoomError
 from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.wire_schema import Place
 
 __all__ = ["Room"]
 

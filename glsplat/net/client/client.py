@@ -18,10 +18,10 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client.connection import ClientConnection, VideoReader
 from glsplat.net.client.dialing import check_token, checked_url, client_tls, not_connected
 from glsplat.net.client.request import encoder, request_message
-from glsplat.net.fields import Want, Wishes
 from glsplat.net.flow import FlowControl, ReceivedReply
 from glsplat.net.messages import MAX_BYTES
 from glsplat.net.reply import Reply
+from glsplat.net.wire_schema import Want, Wishes
 from glsplat.optional import missing, plugin
 from glsplat.skinning.pose import Pose
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.net.fields import Want, Wishes
 from glsplat.net.messages import VERSION, eye_fields
+from glsplat.net.wire_schema import Want, Wishes
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 

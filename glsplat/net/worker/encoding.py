@@ -14,7 +14,7 @@ from glsplat.io.machine import cores
 from glsplat.net.backend import Rendered
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.codec.encoded import Encoded
-from glsplat.net.fields import PictureOptions
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.optional import extra_module, missing, plugin
 
 __all__ = ["ClientVideo", "PictureEncoder", "VideoStream"]

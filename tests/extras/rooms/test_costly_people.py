@@ -23,8 +23,8 @@ from glsplat.net.backends.budget import PictureBudget, others_share
 from glsplat.net.backends.gl import RendererBackend, most_cost
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.scene_renderer import SceneRenderer
-from glsplat.net.fields import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
