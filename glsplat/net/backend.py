@@ -13,7 +13,7 @@ from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.messages import Request
-from glsplat.net.wire_schema import DEFAULT, PictureOptions
+from glsplat.net.wire_schema import DEFAULT_OPTIONS, PictureOptions
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -46,7 +46,7 @@ class RenderJob:
     pose: Pose | None = None  # None: the rest pose
     place: NDArray[np.float64] | None = None  # [4, 4] from the scene to the user's space; None: they are the same
     frame_id: int | None = None  # of its request
-    options: PictureOptions = DEFAULT
+    options: PictureOptions = DEFAULT_OPTIONS
     avatar: str = ""  # which of those the server offers; empty: its first, or the scene
     room: RoomView | None = None  # everybody in a room, instead of ``avatar`` alone
     viewer: int = 0  # who asks, for what a renderer keeps from picture to picture

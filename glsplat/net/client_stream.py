@@ -44,7 +44,7 @@ __all__ = [
 
 ANYTHING = AvatarInfo(name="")
 
-_COST_STEP = 0.1  # weight of each picture in the moving average of their times
+_COST_WEIGHT = 0.1  # weight of each picture in the moving average of their times
 
 
 class FrameObserver(Protocol):
@@ -113,7 +113,7 @@ class DatagramTransport(Protocol):
         """Return "datagrams" of the next reply, where the client accepts them and its link is worth it."""
         ...
 
-    def on_the_way(self, nbytes: int) -> int:
+    def link_bytes(self, nbytes: int) -> int:
         """Return the bytes on the link for a picture of ``nbytes``."""
         ...
 
@@ -385,7 +385,7 @@ class ClientStream:
 
     def picture_took(self, seconds: float) -> None:
         """Update the expected time of a picture."""
-        self.cost += (seconds - self.cost) * (_COST_STEP if self.cost else 1.0)
+        self.cost += (seconds - self.cost) * (_COST_WEIGHT if self.cost else 1.0)
 
     def picture_sent(self, encoded: Encoded) -> None:
         """Keep the JPEGs that are sent; of a video there are none."""

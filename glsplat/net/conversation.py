@@ -20,7 +20,7 @@ from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import MessageThrottle
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
-from glsplat.net.messages import MAX_BYTES, Request
+from glsplat.net.messages import MAX_MESSAGE_BYTES, Request
 from glsplat.net.session import Close, Warn
 
 __all__ = ["Conversation", "cut_off", "make_socket"]
@@ -262,7 +262,7 @@ def make_socket(heartbeat: float, timeout: float) -> web.WebSocketResponse:
     """Return the server's side of a WebSocket: seconds between pings, and until a client has to answer."""
     return web.WebSocketResponse(
         compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
-        max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given
+        max_msg_size=MAX_MESSAGE_BYTES + 1,  # aiohttp refuses messages of the size it is given
         heartbeat=heartbeat,
         autoping=False,  # answers to pings measure links
         timeout=timeout,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "RoomError", "ServerConfig", "client_options"]
 
 MAX_WINDOW = 8
-_FARTHEST = 100.0  # metres from a room's centre
+_MAX_ROOM_DISTANCE_M = 100.0  # metres from a room's centre
 NOT_ALLOWED = "not_allowed"
 """The code of the error for what exists, or might, and is not for this account now."""
 
@@ -68,7 +68,7 @@ class ServerConfig:
 
 
 _ALL = Rights()
-_NOTHING = "there is no avatar here that you may drive"
+_NO_AVATAR = "there is no avatar here that you may drive"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -113,7 +113,7 @@ def client_options(
     free = rights.drivable(user, listed)
     avatar = query.get("avatar", next(iter([*free, *listed]), ""))
     if avatar not in listed:
-        text = f"avatar needs a name of those offered here: {', '.join(free)}" if free else _NOTHING
+        text = f"avatar needs a name of those offered here: {', '.join(free)}" if free else _NO_AVATAR
         raise ProtocolError(rights.unseen or text, "bad_request" if user is None else NOT_ALLOWED)
     if why := rights.refusal(user, avatar):
         raise ProtocolError(why, NOT_ALLOWED)
@@ -154,8 +154,10 @@ def _place(given: str | None) -> tuple[float, float, float] | None:
         x, z, degrees = map(float, given.split(","))
     except ValueError:
         x = z = degrees = inf
-    if not (abs(x) <= _FARTHEST and abs(z) <= _FARTHEST and abs(degrees) <= 360):  # max() lets a NaN through
-        raise ProtocolError(f"at needs x,z,degrees: metres up to {_FARTHEST:g} and an angle up to 360")
+    if not (
+        abs(x) <= _MAX_ROOM_DISTANCE_M and abs(z) <= _MAX_ROOM_DISTANCE_M and abs(degrees) <= 360
+    ):  # max() lets a NaN through
+        raise ProtocolError(f"at needs x,z,degrees: metres up to {_MAX_ROOM_DISTANCE_M:g} and an angle up to 360")
     return x, z, radians(degrees)
 
 

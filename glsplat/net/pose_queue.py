@@ -22,10 +22,12 @@ from glsplat.net.messages import Request
 
 __all__ = ["PoseQueue", "SolutionFuture"]
 
-_MOST = 32  # samples that wait to be solved; beyond that the oldest are left out
-_FEW = 2  # that wait of a client who draws: its answer comes as soon as its newest is solved, not when a picture is due
-_FIRST = 1e-3  # seconds a sample is expected to take before any was solved ...
-_LEARN = 0.2  # ... and how far each one moves that
+_MAX_QUEUED = 32  # samples that wait to be solved; beyond that the oldest are left out
+_MAX_QUEUED_POSES = (
+    2  # that wait of a client who draws: its answer comes as soon as its newest is solved, not when a picture is due
+)
+_INITIAL_COST_S = 1e-3  # seconds a sample is expected to take before any was solved ...
+_COST_WEIGHT = 0.2  # ... and how far each one moves that
 
 SolutionFuture = Future[tuple[Solved, float]]
 """What a sample comes to, and the milliseconds that took."""
@@ -51,7 +53,7 @@ class PoseQueue:
         self.merged = 0  # samples left out in favour of a newer one, the budget being spent
         self._solver, self._thread, self._clock = solver, thread, clock
         self._solutions: deque[tuple[int | None, SolutionFuture]] = deque()  # by frame_id, oldest first
-        self._cost = _FIRST  # seconds of work the next sample is expected to take
+        self._cost = _INITIAL_COST_S  # seconds of work the next sample is expected to take
         self._unsolved: deque[tuple[Request, float, SolutionFuture, float]] = deque()  # and what was spent
         self._due: int | None = None  # frame_id of the sample that a picture waits for
         self._put_off: tuple[Request, float] | None = None  # the newest sample, beyond the budget
@@ -63,7 +65,9 @@ class PoseQueue:
         now = self._clock()
         self.merged += self._put_off is not None
         self._put_off = None
-        within = (self.share is None or self.share.left(now)) and not (request.poses and len(self._unsolved) >= _FEW)
+        within = (self.share is None or self.share.left(now)) and not (
+            request.poses and len(self._unsolved) >= _MAX_QUEUED_POSES
+        )
         if within and (self.samples is None or self.samples.take(now)):
             self._queue(request, now)
         else:
@@ -116,7 +120,7 @@ class PoseQueue:
         self._solutions.append((request.frame_id, solution))
         cost = self._cost
         self._spend(cost)
-        if len(self._solutions) > _MOST:
+        if len(self._solutions) > _MAX_QUEUED:
             oldest = 1 if self._solutions[0][0] == self._due else 0  # which is to be drawn
             self._solutions[oldest][1].cancel()
             del self._solutions[oldest]
@@ -154,7 +158,7 @@ class PoseQueue:
             solution.set_result((result, (self._clock() - start) * 1e3))
         took = self._cpu() - worked
         self._spend(took - cost)
-        self._cost += _LEARN * (took - self._cost)
+        self._cost += _COST_WEIGHT * (took - self._cost)
         try:
             self._thread.submit(self._solve_next)
         except RuntimeError:  # the server stops

@@ -34,12 +34,16 @@ __all__ = ["LoopOwner", "RenderLoop"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-_SICK = 3  # failed pictures in a row before /healthz reports it
+_UNHEALTHY_FAILURES = 3  # failed pictures in a row before /healthz reports it
 _STUCK_S = 10.0  # time of a picture before /healthz reports it
 _YIELD_FACTOR = 9.0  # pause after a picture while others need the processor, in times of the picture's
 _MAX_YIELD_S = 1.0
-_PAUSES_S = (0.0, 0.5, 1.0)  # before each attempt to start a worker anew; a loop without an owner then gives up ...
-_LATER_S = 5.0  # ... and before all further ones
+_REVIVE_PAUSES_S = (
+    0.0,
+    0.5,
+    1.0,
+)  # before each attempt to start a worker anew; a loop without an owner then gives up ...
+_REVIVE_PERIOD_S = 5.0  # ... and before all further ones
 
 
 class LoopOwner(Protocol):
@@ -114,7 +118,7 @@ class RenderLoop:
     def healthy(self) -> bool:
         """False while there is no worker, once several pictures in a row failed, or one takes far too long."""
         running = self._task is not None and not self._task.done()
-        return self.living and running and self.failures < _SICK and self.drawing_for <= _STUCK_S
+        return self.living and running and self.failures < _UNHEALTHY_FAILURES and self.drawing_for <= _STUCK_S
 
     @property
     def empty(self) -> bool:
@@ -234,7 +238,7 @@ class RenderLoop:
             if client.datagrams is not None and (offer := client.datagrams.offer()) is not None:
                 info["datagrams"] = offer
             packed = pack_reply(request.frame_id, eyes, encoded.pictures, info, encoded.alphas, depth)
-        nbytes = len(packed) if client.datagrams is None else client.datagrams.on_the_way(len(packed))
+        nbytes = len(packed) if client.datagrams is None else client.datagrams.link_bytes(len(packed))
         session.sending(request, nbytes, self._clock())
         return Outgoing(request, [packed])
 
@@ -448,7 +452,7 @@ class RenderLoop:
 
     async def _revive(self) -> None:
         """Start the worker anew, however often that takes; without an owner raise the error of the last attempt."""
-        for pause in chain(_PAUSES_S, repeat(_LATER_S)):
+        for pause in chain(_REVIVE_PAUSES_S, repeat(_REVIVE_PERIOD_S)):
             await asyncio.sleep(pause)
             try:
                 self.driver = await self.worker.rebuild()
@@ -458,7 +462,7 @@ class RenderLoop:
                 log.warning("%s cannot be started anew: %s", self.worker.name, error)
                 if self._owner is not None:
                     self._owner.failed(self, error)
-                elif self.attempts >= len(_PAUSES_S):
+                elif self.attempts >= len(_REVIVE_PAUSES_S):
                     raise
         self.attempts = self.failures = 0
         self._gone, self.living = False, True

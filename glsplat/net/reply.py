@@ -19,7 +19,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
-from glsplat.net.codec.body import Body, unpack_bodies
+from glsplat.net.codec.body import PersonPose, unpack_bodies
 from glsplat.net.messages import VERSION
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Reply:
     info: dict[str, Any] = field(default_factory=dict)
     nbytes: int = 0  # of the whole message
     alphas: dict[int, bytes] = field(default_factory=dict)  # grey JPEGs of the accumulated alpha, if asked for
-    bodies: tuple[Body, ...] = ()  # of a reply in poses: how those stand of whom there is news
+    bodies: tuple[PersonPose, ...] = ()  # of a reply in poses: how those stand of whom there is news
     depth: tuple[DepthGrid, ...] = ()  # how far away what is shown is, one an eye, if it was asked for
     video: tuple[NDArray[np.uint8], ...] = ()  # of a picture of a video: its eyes [H, W, 3 or 4], decoded
 

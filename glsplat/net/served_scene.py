@@ -14,7 +14,7 @@ from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net import server as server_module
 from glsplat.net.backend import AvatarInfo, Backend
-from glsplat.net.backends.gl import MAX_TIME, RendererBackend
+from glsplat.net.backends.gl import MAX_PICTURE_S, RendererBackend
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from glsplat.tracking.calibration import Calibration
 
 __all__ = [
-    "SEATS",
+    "DEFAULT_SEATS",
     "ServedScene",
     "TrackingOptions",
     "checked_avatar",
@@ -49,8 +49,8 @@ __all__ = [
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-_NAME_LENGTH = 64  # characters
-SEATS = 8
+_MAX_NAME_CHARS = 64  # characters
+DEFAULT_SEATS = 8
 """People that a room holds where nothing else is configured."""
 
 
@@ -125,7 +125,7 @@ class ServedScene:
 
     def configured(self, config: ServerConfig) -> ServerConfig:
         """Return ``config`` with the scene's light and the rooms, which may have their seats there."""
-        seats = {name: config.rooms.get(name, SEATS) for name in self.rooms}
+        seats = {name: config.rooms.get(name, DEFAULT_SEATS) for name in self.rooms}
         furnished = frozenset(name for name, room in self.rooms.items() if room.scene.items)
         wire = replace(config.wire, light=self.file.scene.light)
         return replace(config, wire=wire, rooms=seats, furnished=furnished)
@@ -169,7 +169,7 @@ def gl_server(
     )
     config = served.configured(config or ServerConfig())
     make = served.backend(config.wire.size)
-    backend = process_worker(make, config.wire.max_side, MAX_TIME) if own_process else make()
+    backend = process_worker(make, config.wire.max_side, MAX_PICTURE_S) if own_process else make()
     offers = served.offers()
     log_limits(offers)
     return server_of(backend, config, offers, features)
@@ -217,8 +217,8 @@ def standard_features(config: ServerConfig) -> list[Feature]:
 
 def checked_avatar(name: str, avatar: Rigged, rendering: RenderConfig | None) -> None:
     """Raise GlsplatError for a name that an address cannot hold, and for what cannot be drawn as an avatar."""
-    if not (isinstance(name, str) and 0 < len(name) <= _NAME_LENGTH and name.isprintable() and name.strip() == name):
-        raise GlsplatError(f"an avatar's name needs 1 to {_NAME_LENGTH} printable characters, not {name!r:.80}")
+    if not (isinstance(name, str) and 0 < len(name) <= _MAX_NAME_CHARS and name.isprintable() and name.strip() == name):
+        raise GlsplatError(f"an avatar's name needs 1 to {_MAX_NAME_CHARS} printable characters, not {name!r:.80}")
     if not is_rigged(avatar):
         raise GlsplatError(f'"{name}": clients choose avatars, not {type(avatar).__name__} without joints to move')
     splats = avatar.splats if isinstance(avatar, Avatar) else None

@@ -32,7 +32,7 @@ from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
 from glsplat.net.internal_client import InternalClient
 from glsplat.net.labels import driven_by
-from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
+from glsplat.net.messages import MAX_MESSAGE_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_options
 from glsplat.net.pace.fitting import Fitted
 from glsplat.net.pages.clients import client_fields
@@ -83,7 +83,7 @@ class Server:
         self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, rights)
         self.gate.is_trusted = lambda request: any(feature.is_trusted(request) for feature in self.features)
         self.internal_client: InternalClient = InternalClient(drawer, self.config.wire, self.config.session, clock)
-        self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
+        self.fitted: Fitted | None = None  # soon after it has started, where that was requested for
         self.fitting: asyncio.Task[None] | None = None  # finds it
         self.all_offered: asyncio.Event = asyncio.Event()
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, drawer.stages.lately)
@@ -92,7 +92,7 @@ class Server:
         self._running: list[Feature] = []  # those that have started
         self._later = later
         self._adder: asyncio.Task[None] | None = None
-        self._talks: dict[int, Conversation] = {}
+        self._conversations: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
         self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, clock()
         self._runner: web.AppRunner | None = None
@@ -114,7 +114,7 @@ class Server:
             listening.close()
             raise
         guards = [self.gate.guard, *(feature.guard for feature in self.features)]
-        app = web.Application(middlewares=guards, client_max_size=MAX_BYTES)
+        app = web.Application(middlewares=guards, client_max_size=MAX_MESSAGE_BYTES)
         app.add_routes([web.get("/ws", self._websocket)])
         for feature in self.features:
             app.add_routes(feature.routes())
@@ -168,7 +168,7 @@ class Server:
                     client.session.status()["under_way"] for client in self.clients.values()
                 ):
                     await asyncio.sleep(0.01)
-        closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
+        closing = [conversation.close(GOING_AWAY, "the server stops") for conversation in self._conversations.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.gate.close()
         await self._stop_features()
@@ -307,22 +307,22 @@ class Server:
                 raise
             status = 403 if error.code == NOT_ALLOWED else getattr(error, "status", 400)
             return web.Response(status=status, text=f"{error}\n")
-        talk = Conversation(
+        conversation = Conversation(
             *(client, ws, request, self.drawer, self.gate, self._responder),
             is_draining=lambda: self._draining,
             write_timeout=self.config.write_timeout,
         )
         try:
             await self.gate.accept(request, ws, entered)
-            self._talks[client.number] = talk
-            await talk.run()
+            self._conversations[client.number] = conversation
+            await conversation.run()
             return ws
         except (ConnectionError, TimeoutError):  # it neither reads nor listens
             cut_off(request)
             # gone before its handshake was answered: aiohttp would close what never opened
             return ws if ws.prepared else web.Response(status=400)
         finally:
-            self._close_client(client, talk.goodbye)
+            self._close_client(client, conversation.goodbye)
             self.gate.leave(request, entered)
 
     def _open_client(self, request: web.Request, quota: ClientQuota) -> ClientStream:
@@ -331,15 +331,15 @@ class Server:
         query: Mapping[str, str] = request.query
         for feature in self.features:
             query = feature.query(query)
-        asked = client_options(query, self._wire, self.config.session, self.catalogue.names, rights, user)
-        one = self.catalogue[asked.avatar]
-        solver = None if one.solver is None else one.solver(asked.height, asked.span)
+        requested = client_options(query, self._wire, self.config.session, self.catalogue.names, rights, user)
+        one = self.catalogue[requested.avatar]
+        solver = None if one.solver is None else one.solver(requested.height, requested.span)
         for feature in self.features:
             solver = feature.solver(solver)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
-        session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
-        session.refusal = partial(rights.refusal, user, asked.avatar)
+        session = Session(Decoder(requested.wire, one.skeleton, one.parts), requested.session, clock())
+        session.refusal = partial(rights.refusal, user, requested.avatar)
         session.sends_poses = self._responder is not None
         share = self._work.open(clock(), address)
         client = ClientStream(
@@ -351,17 +351,17 @@ class Server:
             address=address,
             shown=one,
             account="" if user is None else user.name,
-            driver=asked.name,
-            label=driven_by(asked.name) if asked.label else "",
-            notice=partial(rights.label, user, asked.avatar),
+            driver=requested.name,
+            label=driven_by(requested.name) if requested.label else "",
+            notice=partial(rights.label, user, requested.avatar),
             share=share,
             video=self.drawer.encoder.video(clock),
         )
         self.clients[number] = client
         try:
             for feature in self.features:
-                feature.client_opened(client, asked)
-            if asked.room is not None and client.member is None:
+                feature.client_opened(client, requested)
+            if requested.room is not None and client.member is None:
                 raise RoomError("there is no such room here", 404)
         except BaseException:  # also a fault of a feature
             self._close_client(client, goodbye=False)
@@ -373,8 +373,10 @@ class Server:
         there = self.catalogue.remove(name)
         for feature in self.features:
             feature.avatar_withdrawn(name)
-        shown = [talk for talk in self._talks.values() if talk.client.shown.name == name]
-        closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
+        shown = [
+            conversation for conversation in self._conversations.values() if conversation.client.shown.name == name
+        ]
+        closing = (conversation.close(GOING_AWAY, "this avatar is deleted") for conversation in shown)
         await asyncio.gather(*closing, return_exceptions=True)
         return there
 
@@ -391,9 +393,9 @@ class Server:
 
     def close_client(self, number: int, reason: str) -> None:
         """Close the connection of a client that did nothing wrong."""
-        talk = self._talks.get(number)
-        if talk is not None:
-            task = asyncio.create_task(talk.close(GOING_AWAY, reason))
+        conversation = self._conversations.get(number)
+        if conversation is not None:
+            task = asyncio.create_task(conversation.close(GOING_AWAY, reason))
             self._closing.add(task)
             task.add_done_callback(self._closing.discard)
 
@@ -401,7 +403,7 @@ class Server:
         self.drawer.remove(client)
         if client.share is not None:
             self._work.close(client.share)
-        self._talks.pop(client.number, None)
+        self._conversations.pop(client.number, None)
         del self.clients[client.number]
         for name, value in asdict(client.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)

@@ -11,7 +11,7 @@ from glsplat.errors import FormatError
 from glsplat.formats import load_content
 from glsplat.scene import Rigged
 
-__all__ = ["AvatarStore", "WithPeople"]
+__all__ = ["AvatarStore", "LazyAvatars"]
 
 
 class AvatarStore(Mapping[str, Rigged]):
@@ -47,7 +47,7 @@ class AvatarStore(Mapping[str, Rigged]):
         return self._folder / f"{name}.glb"
 
 
-class WithPeople(Mapping[str, Rigged]):
+class LazyAvatars(Mapping[str, Rigged]):
     """``given`` by name, then the embedded ``people`` of other names, each loaded when it is first asked for.
 
     What is pickled of it is names alone: the process that draws loads its own.

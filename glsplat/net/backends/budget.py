@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
 __all__ = ["PictureBudget", "others_share"]
 
-_LARGE = 2 * 2048 * 2048  # pixels of a picture to which others may add all that it may cost; smaller ones in proportion
-_EACH = 0.5  # of that for one of them
-_SPLAT_PIXELS = 64  # covered pixels of a splat in a view that are granted however small the picture is: four blocks
+_FULL_SHARE_PIXELS = (
+    2 * 2048 * 2048
+)  # pixels of a picture to which others may add all that it may cost; smaller ones in proportion
+_ONE_PERSON = 0.5  # of that for one of them
+_MIN_SPLAT_PIXELS = 64  # covered pixels of a splat in a view that are granted however small the picture is: four blocks
 
 
 def others_share(max_cost: float, views: Sequence[Camera], splats: int, each: bool = False) -> float:
@@ -29,8 +31,8 @@ def others_share(max_cost: float, views: Sequence[Camera], splats: int, each: bo
     force themselves on others.
     """
     pixels = sum(view.width * view.height for view in views)
-    share = (_EACH if each else 1.0) * max_cost * pixels / _LARGE
-    return max(share, float(_SPLAT_PIXELS * len(views) * splats))
+    share = (_ONE_PERSON if each else 1.0) * max_cost * pixels / _FULL_SHARE_PIXELS
+    return max(share, float(_MIN_SPLAT_PIXELS * len(views) * splats))
 
 
 class PictureBudget:

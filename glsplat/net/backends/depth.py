@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from glsplat.camera import Camera
-from glsplat.net.codec.depth import SIDE, DepthGrid, grid_of
+from glsplat.net.codec.depth import GRID_SIDE, DepthGrid, grid_of
 from glsplat.renderer import Renderer
 from glsplat.renderer.levels import Selector
 from glsplat.skinning.pose import Pose
 
 __all__ = ["depth_grids"]
 
-_COVERED = 0.1  # alpha of what counts as there: better the depth of what covers a part of a pixel than a made up one
+_MIN_ALPHA = 0.1  # alpha of what counts as there: better the depth of what covers a part of a pixel than a made up one
 
 
 def depth_grids(renderer: Renderer, views: Sequence[Camera], pose: Pose | None = None) -> tuple[DepthGrid, ...]:
@@ -29,15 +29,15 @@ def depth_grids(renderer: Renderer, views: Sequence[Camera], pose: Pose | None =
     if renderer.target_dtype == "f1":
         return ()
     renderer.selector, renderer.step = Selector(), None
-    renderer.resize(SIDE, SIDE)
+    renderer.resize(GRID_SIDE, GRID_SIDE)
     images, depths = renderer.render([_spread(view) for view in views], pose, depth=True)
     alpha = images[..., 3] / (255 if images.dtype == np.uint8 else 1)
-    there = (alpha > _COVERED) & (depths > 0)
+    there = (alpha > _MIN_ALPHA) & (depths > 0)
     return tuple(map(grid_of, np.divide(1, depths, out=np.full(depths.shape, np.nan), where=there)))
 
 
 def _spread(view: Camera) -> Camera:
     """A picture whose pixels have their middles at the grid's points: the outermost lie on the rim."""
-    width, height = (SIDE - 1) / view.width, (SIDE - 1) / view.height
+    width, height = (GRID_SIDE - 1) / view.width, (GRID_SIDE - 1) / view.height
     k = np.array([[width, 0, 0.5], [0, height, 0.5], [0, 0, 1]]) @ view.K
-    return replace(view, K=k, width=SIDE, height=SIDE)
+    return replace(view, K=k, width=GRID_SIDE, height=GRID_SIDE)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from glsplat.formats.scene_file import SceneFile
     from glsplat.net.codec.depth import DepthGrid
 
-__all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
+__all__ = ["MAX_COST", "MAX_PICTURE_S", "RendererBackend", "max_cost_of"]
 
 MAX_COST = 1e9
 """Covered pixels of a picture (renderer.Prepared.cost): eight times what a person needs who fills two eyes of 2048^2,
@@ -30,14 +30,14 @@ and more than twice what one needs whose face is in front of the eyes (docs/prot
 
 _LEAN_SHARE = 0.5  # of the covered pixels of a picture, where splats end as early as LEAN has them end
 
-MAX_TIME = 5.0
+MAX_PICTURE_S = 5.0
 """Seconds of a picture."""
 
-_SLICE = 1.0  # seconds; only pictures that take longer than that are drawn in slices
-_SLICE_LEAST = 1e6  # covered pixels
+_SLICE_S = 1.0  # seconds; only pictures that take longer than that are drawn in slices
+_MIN_SLICE_COST = 1e6  # covered pixels
 
 
-def most_cost(config: RenderConfig) -> float:
+def max_cost_of(config: RenderConfig) -> float:
     """Covered pixels of a picture as a server draws it: the same views are refused with LEAN and without."""
     return MAX_COST * (_LEAN_SHARE if config.max_sigma <= LEAN.max_sigma else 1.0)
 
@@ -54,8 +54,8 @@ class RendererBackend:
         pixels: tuple[int, int],
         device: str | None = None,
         config: RenderConfig | None = None,
-        max_cost: float | None = None,  # None: most_cost(config)
-        max_time: float = MAX_TIME,
+        max_cost: float | None = None,  # None: max_cost_of(config)
+        max_time: float = MAX_PICTURE_S,
         avatars: Mapping[str, Rigged] | None = None,  # by RenderJob.avatar; any other name is the scene
         rooms: Mapping[str, SceneFile] | None = None,  # the background of each
         name: str | None = None,  # of the scene: then any other name is an avatar that is missing here
@@ -63,7 +63,7 @@ class RendererBackend:
         self.abandoned: Callable[[], bool] = lambda: False
         self.place: NDArray[np.uint8] | None = None
         self._config = config or RenderConfig()
-        self._max_cost = most_cost(self._config) if max_cost is None else max_cost
+        self._max_cost = max_cost_of(self._config) if max_cost is None else max_cost
         self._max_time = max_time
         self._scene, self._pixels, self._device = scene, pixels, device
         self._opened = 0.0
@@ -90,7 +90,7 @@ class RendererBackend:
             prepared = renderer.prepare([view, view])  # nothing is compiled or sorted this time
             prepared.render()
             rate = prepared.cost / (time.perf_counter() - start)
-            self._slice_cost = max(_SLICE_LEAST, rate * _SLICE)
+            self._slice_cost = max(_MIN_SLICE_COST, rate * _SLICE_S)
         except BaseException:
             self._context.release()
             del self._context

@@ -22,22 +22,22 @@ from glsplat.renderer.stats import union
 
 __all__ = ["draw_labels"]
 
-_MIN_PIXELS, _MIN_SHARE = 12.0, 1 / 40  # of a line: pixels, and of the picture's height, however far away it is
-_MAX_SHARE = 1 / 8  # of the picture's height: a line at most, however near it is
-_MAX_BOARD = 0.5  # of the picture's height: all lines at most
+_MIN_LINE_PX, _MIN_LINE_SHARE = 12.0, 1 / 40  # of a line: pixels, and of the picture's height, however far away it is
+_MAX_LINE_SHARE = 1 / 8  # of the picture's height: a line at most, however near it is
+_MAX_BOARD_SHARE = 0.5  # of the picture's height: all lines at most
 _MAX_LINES = 8
-_NEAREST = 0.3  # metres from the eyes: labels stand no nearer, so that both eyes can read them
-_NOTICE_DISTANCE = 1.5  # metres from the eyes, where the picture allows it
+_MIN_DISTANCE_M = 0.3  # metres from the eyes: labels stand no nearer, so that both eyes can read them
+_NOTICE_DISTANCE_M = 1.5  # metres from the eyes, where the picture allows it
 _NOTICE_PLACE = 0.8  # of the way from the middle of the picture to its lower edge
 _NOTICE_SHARE = 0.03  # of the picture's height, a line
-_BEYOND = 1e7  # pixels from the picture, farther than which nothing is placed
-_ROUNDING = 1e-3  # pixels
-_RIM = 2.0  # pixels around a picture that count as in it: so far what is smaller than a pixel is spread
-_ROWS, _FONT, _WEIGHT = 40, 29, 500  # pixels of a line and of its letters before they are scaled; of their strokes
-_MARGIN = 8
-_WIDEST = 8192
-_GAP, _FADED = 2.0, 0.8  # pixels between two boards, and the opacity of one that had to give way
-_BACK, _INK = 0.6, 240  # alpha of the board, grey of the letters
+_MAX_OFFSET_PX = 1e7  # pixels from the picture, farther than which nothing is placed
+_ROUNDING_PX = 1e-3  # pixels
+_RIM_PX = 2.0  # pixels around a picture that count as in it: so far what is smaller than a pixel is spread
+_ROW_PX, _FONT_PX, _WEIGHT = 40, 29, 500  # pixels of a line and of its letters before they are scaled; of their strokes
+_MARGIN_PX = 8
+_MAX_WIDTH_PX = 8192
+_GAP_PX, _MOVED_OPACITY = 2.0, 0.8  # pixels between two boards, and the opacity of one that had to give way
+_BOARD_ALPHA, _INK_GREY = 0.6, 240  # alpha of the board, grey of the letters
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 Box = tuple[int, int, int, int]  # x, y, width, height
@@ -68,7 +68,7 @@ def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Se
     for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.place - middle))):
         if label.opacity > 0 and _shown(label, cameras):
             centres, depth = _seen(cameras, label.place)
-            line = max(_least(size), min(_MAX_SHARE * size[1], label.height * float(cameras[0].K[1, 1]) / depth))
+            line = max(_least(size), min(_MAX_LINE_SHARE * size[1], label.height * float(cameras[0].K[1, 1]) / depth))
             boards.append(_placed(label.text, centres, line, size, label.opacity, [one.boxes for one in boards]))
     changed: Box = (0, 0, 0, 0)
     for board in reversed(boards):  # the farthest first, the notice last
@@ -79,7 +79,7 @@ def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Se
 
 def _least(size: tuple[int, int]) -> float:
     """Pixels of a line that can be read in a picture of that size."""
-    return max(_MIN_PIXELS, _MIN_SHARE * size[1])
+    return max(_MIN_LINE_PX, _MIN_LINE_SHARE * size[1])
 
 
 def _notice_place(cameras: Sequence[Camera]) -> F64:
@@ -87,22 +87,22 @@ def _notice_place(cameras: Sequence[Camera]) -> F64:
     first = cameras[0]
     down = _NOTICE_PLACE * (first.height - float(first.K[1, 2])) / float(first.K[1, 1])
     eyes = np.mean([camera.position for camera in cameras], axis=0)
-    place: F64 = eyes + _NOTICE_DISTANCE * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
+    place: F64 = eyes + _NOTICE_DISTANCE_M * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
     return place
 
 
 def _seen(cameras: Sequence[Camera], place: F64) -> tuple[F64, float]:
     """[V, 2] pixels where the cameras see a place, and its mean depth in metres.
 
-    What is nearer than ``_NEAREST``, or behind the eyes, is taken to be at that depth, in its direction.
+    What is nearer than ``_MIN_DISTANCE_M``, or behind the eyes, is taken to be at that depth, in its direction.
     """
     points = np.array([camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3] for camera in cameras])
-    depths = np.maximum(points[:, 2], _NEAREST)
+    depths = np.maximum(points[:, 2], _MIN_DISTANCE_M)
     pixels = [
         (camera.K[0, 0] * x / depth + camera.K[0, 2], camera.K[1, 1] * y / depth + camera.K[1, 2])
         for camera, (x, y, _), depth in zip(cameras, points, depths, strict=True)
     ]
-    return np.clip(np.array(pixels), -_BEYOND, _BEYOND), float(depths.mean())
+    return np.clip(np.array(pixels), -_MAX_OFFSET_PX, _MAX_OFFSET_PX), float(depths.mean())
 
 
 def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
@@ -118,8 +118,8 @@ def _meets(camera: Camera, corners: F64) -> bool:
     x, y, z = (corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
     right, down = camera.K[0, 0] * x + camera.K[0, 2] * z, camera.K[1, 1] * y + camera.K[1, 2] * z
     depth = z > camera.near, z < camera.far
-    across = right > -_RIM * z, right < (camera.width + _RIM) * z
-    along = down > -_RIM * z, down < (camera.height + _RIM) * z
+    across = right > -_RIM_PX * z, right < (camera.width + _RIM_PX) * z
+    along = down > -_RIM_PX * z, down < (camera.height + _RIM_PX) * z
     return all(bool(each.any()) for each in (*depth, *across, *along))
 
 
@@ -128,11 +128,11 @@ def _placed(
 ) -> _Board:
     """Words of about ``line`` pixels a line whose middles are at ``centres`` [V, 2], or as near as they can be."""
     patch = _fitted(text, line, size)
-    tall = _line(patch, line, size) * len(patch) / _ROWS
+    tall = _line(patch, line, size) * len(patch) / _ROW_PX
     half = np.array([tall * patch.shape[1] / len(patch), tall]) / 2
     wanted = _inside(np.concatenate([centres - half, centres + half], axis=1), size)
     boxes = _apart(wanted, size, taken)
-    return _Board(patch, boxes, opacity * (1.0 if boxes is wanted else _FADED))
+    return _Board(patch, boxes, opacity * (1.0 if boxes is wanted else _MOVED_OPACITY))
 
 
 def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -147,7 +147,7 @@ def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
 
 def _line(patch: NDArray[np.uint8], line: float, size: tuple[int, int]) -> float:
     """Pixels of a line of words, at most ``line``, at which all of them fit into a picture of that size."""
-    return min(line, size[0] * _ROWS / patch.shape[1], _MAX_BOARD * size[1] * _ROWS / len(patch))
+    return min(line, size[0] * _ROW_PX / patch.shape[1], _MAX_BOARD_SHARE * size[1] * _ROW_PX / len(patch))
 
 
 def _inside(boxes: F64, size: tuple[int, int]) -> F64:
@@ -167,14 +167,14 @@ def _apart(boxes: F64, size: tuple[int, int], taken: Sequence[F64]) -> F64:
         return boxes
     others = np.array(taken)  # [T, V, 4]
     # just before and just behind each of those that are in the way
-    before = (others[:, :, :2] - boxes[:, 2:]).min(axis=1) - _GAP
-    behind = (others[:, :, 2:] - boxes[:, :2]).max(axis=1) + _GAP
+    before = (others[:, :, :2] - boxes[:, 2:]).min(axis=1) - _GAP_PX
+    behind = (others[:, :, 2:] - boxes[:, :2]).max(axis=1) + _GAP_PX
     columns, rows = np.concatenate([[(0.0, 0.0)], before, behind]).T
     for across, along in ((columns[:1], rows[rows <= 0]), (columns[:1], rows), (columns, rows)):
         moves = np.array(list(product(across, along)))
         moved = boxes + np.tile(moves, 2)[:, None]
         over = np.maximum(-moved[:, :, :2], moved[:, :, 2:] - size).max(axis=(1, 2))  # pixels beyond the picture
-        fits = over < _ROUNDING
+        fits = over < _ROUNDING_PX
         fits[fits] = ~_covers(moved[fits], taken)
         if fits.any():
             return np.asarray(moved[fits][np.abs(moves[fits]).sum(axis=1).argmin()])
@@ -213,12 +213,12 @@ def _patch(text: str, lines: int) -> NDArray[np.uint8]:
     """[rows, columns, 4] light letters on a dark, see-through board, premultiplied, in so many lines at most."""
     shown = text if hasattr(cv2, "FontFace") else text.encode("ascii", "replace").decode()
     written = [_written(part) for part in _wrapped(shown, lines)]
-    canvas = np.zeros((_ROWS * len(written), max(part.shape[1] for part in written), 3), np.uint8)
+    canvas = np.zeros((_ROW_PX * len(written), max(part.shape[1] for part in written), 3), np.uint8)
     for row, part in enumerate(written):
         start = (canvas.shape[1] - part.shape[1]) // 2
-        canvas[_ROWS * row : _ROWS * (row + 1), start : start + part.shape[1]] = part
+        canvas[_ROW_PX * row : _ROW_PX * (row + 1), start : start + part.shape[1]] = part
     ink = canvas[:, :, :1].astype(np.float32) / 255
-    out = np.concatenate([np.repeat(ink * _INK, 3, axis=2), 255 * (ink + (1 - ink) * _BACK)], axis=2)
+    out = np.concatenate([np.repeat(ink * _INK_GREY, 3, axis=2), 255 * (ink + (1 - ink) * _BOARD_ALPHA)], axis=2)
     out[[0, -1]] = out[:, [0, -1]] = 0  # a rim, for a smooth edge
     patch = np.rint(out).astype(np.uint8)
     patch.setflags(write=False)
@@ -236,14 +236,14 @@ def _wrapped(text: str, lines: int) -> list[str]:
 
 def _written(text: str) -> NDArray[np.uint8]:
     """[rows, columns, 3] white letters on black."""
-    start, white = (_MARGIN, _ROWS - 12), (255, 255, 255)
+    start, white = (_MARGIN_PX, _ROW_PX - 12), (255, 255, 255)
     if hasattr(cv2, "FontFace"):  # OpenCV 5: all scripts
         face = cv2.FontFace("sans")
-        x, _, wide, _ = cv2.getTextSize((_WIDEST, _ROWS), text, start, face, _FONT, _WEIGHT)
-        canvas = np.zeros((_ROWS, x + wide + _MARGIN, 3), np.uint8)
-        cv2.putText(canvas, text, start, white, face, _FONT, _WEIGHT)
+        x, _, wide, _ = cv2.getTextSize((_MAX_WIDTH_PX, _ROW_PX), text, start, face, _FONT_PX, _WEIGHT)
+        canvas = np.zeros((_ROW_PX, x + wide + _MARGIN_PX, 3), np.uint8)
+        cv2.putText(canvas, text, start, white, face, _FONT_PX, _WEIGHT)
     else:
         (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.9, 2)
-        canvas = np.zeros((_ROWS, 2 * _MARGIN + wide, 3), np.uint8)
+        canvas = np.zeros((_ROW_PX, 2 * _MARGIN_PX + wide, 3), np.uint8)
         cv2.putText(canvas, text, start, cv2.FONT_HERSHEY_SIMPLEX, 0.9, white, 2, cv2.LINE_AA)
     return canvas

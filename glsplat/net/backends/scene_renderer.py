@@ -30,8 +30,8 @@ __all__ = ["SceneRenderer"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-_LABEL_HEIGHT = 0.3  # metres from the joint of the head to the middle of the label, of a person of _LABEL_STATURE
-_LABEL_STATURE = 1.7  # metres
+_LABEL_HEIGHT_M = 0.3  # metres from the joint of the head to the middle of the label, of a person of _LABEL_STATURE_M
+_LABEL_STATURE_M = 1.7  # metres
 
 _LABEL_SIGMAS = 4.0
 """Standard deviations of a splat that count for its label: a fifth more than are drawn, as splats that are projected
@@ -304,7 +304,7 @@ def _label_of(one: VisiblePerson, shown: _Shown, transform: NDArray[np.float64])
     joint = skeleton.names.index("head") if "head" in skeleton.names else int(rest[:, 1].argmax())
     bones = np.eye(4)[:3] if one.pose is None else one.pose.bones(skeleton)[joint]
     stature = float(rest[:, 1].max() - rest[:, 1].min())
-    above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT * stature / _LABEL_STATURE, 0)
+    above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT_M * stature / _LABEL_STATURE_M, 0)
     place = np.asarray(transform[:3, :3] @ above + transform[:3, 3], np.float64)
     box = partial(bounds.box, one.pose, transform)
     return Label(one.label, place, opacity=1 - (1 - one.opacity) ** 8, box=box)

@@ -21,17 +21,17 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
-__all__ = ["MOST", "PART", "Ahead", "OneClock", "TrackingSolver"]
+__all__ = ["HORIZON_SHARE", "MAX_HORIZON_S", "PredictionHorizon", "TimestampMerger", "TrackingSolver"]
 
-PART, MOST = 0.8, 0.036
+HORIZON_SHARE, MAX_HORIZON_S = 0.8, 0.036
 """Of the age of pictures, how much poses are drawn ahead of their samples; seconds at most: more would tremble."""
 
-_AGES = 15  # of pictures, whose median counts
-_RAMP = 5e-4  # seconds a sample, by which that changes
-_CLOCK = 1e12  # seconds; a clock beyond has no room for a frame's time in a double
+_MEDIAN_AGES = 15  # of pictures, whose median counts
+_RAMP_S = 5e-4  # seconds a sample, by which that changes
+_MAX_CLOCK_S = 1e12  # seconds; a clock beyond has no room for a frame's time in a double
 
 
-class OneClock:
+class TimestampMerger:
     """One time line for samples of which only some carry the client's time; of either kind alone, their own clock.
 
     Where a sample with a time follows one without, or the other way round, as much time has passed as between their
@@ -45,7 +45,7 @@ class OneClock:
 
     def time(self, t: float | None, now: float) -> float:
         """Seconds of a sample that says ``t`` and arrived at ``now``."""
-        theirs = t is not None and abs(t) < _CLOCK
+        theirs = t is not None and abs(t) < _MAX_CLOCK_S
         stamp = t if t is not None and theirs else now
         if self._theirs is not None and theirs != self._theirs:
             self._shift = self._last + (now - self._arrived) - stamp
@@ -53,7 +53,7 @@ class OneClock:
         return self._last
 
 
-class Ahead:
+class PredictionHorizon:
     """How far ahead of a client's samples its pictures are to be drawn: for when they will be seen.
 
     By the age that the client says its pictures have (docs/protocol.md, section 5.1); who says nothing is drawn as it
@@ -62,15 +62,15 @@ class Ahead:
 
     def __init__(self) -> None:
         self.seconds: float = 0.0
-        self._ages: deque[float] = deque(maxlen=_AGES)
+        self._ages: deque[float] = deque(maxlen=_MEDIAN_AGES)
 
     def update(self, arrival: Arrival | None) -> float:
         """Seconds for the next sample, which came with that."""
         if arrival is not None:
             self._ages.append(arrival.age / 1e3)
         if self._ages:
-            wanted = min(PART * median(self._ages), MOST)
-            self.seconds += min(max(wanted - self.seconds, -_RAMP), _RAMP)
+            wanted = min(HORIZON_SHARE * median(self._ages), MAX_HORIZON_S)
+            self.seconds += min(max(wanted - self.seconds, -_RAMP_S), _RAMP_S)
         return self.seconds
 
 
@@ -105,8 +105,8 @@ class TrackingSolver:
         face: FaceFeed | None = None,
     ) -> None:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
-        self._clock = OneClock()
-        self._ahead = Ahead()
+        self._clock = TimestampMerger()
+        self._ahead = PredictionHorizon()
         self._idle = _idle_face() if idle else None
         self._face = face
 

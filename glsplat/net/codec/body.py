@@ -22,24 +22,35 @@ from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 
-__all__ = ["HERE", "MOST", "Body", "Place", "PoseHistory", "Poses", "pack_body", "place_of", "unpack_bodies", "yours"]
+__all__ = [
+    "AT_ORIGIN",
+    "MAX_BODIES",
+    "PersonPose",
+    "Placement",
+    "PoseHistory",
+    "Poses",
+    "for_recipient",
+    "pack_body",
+    "placement_of",
+    "unpack_bodies",
+]
 
 F64 = NDArray[np.float64]
 
-MOST = 255
+MAX_BODIES = 255
 """Bodies of one reply."""
 YOU, EXPRESSION, TRANSLATIONS = 1, 2, 4
 """Flags."""
 
 _HEAD = struct.Struct("<HHIIddBBH32s8f3f")
 _FLAGS, _OPACITY = 2, 28  # offsets
-_UNIT = 32767  # of a number of a quaternion
-_MOST = 1e6  # of any other number, as in a pose
-_SMALLEST = 1e-5  # of a scale
-_INDEX = {name: i for i, name in enumerate(ARKIT)}
+_QUATERNION_UNIT = 32767  # of a number of a quaternion
+_MAX_NUMBER = 1e6  # of any other number, as in a pose
+_MIN_SCALE = 1e-5  # of a scale
+_ARKIT_INDEX = {name: i for i, name in enumerate(ARKIT)}
 
 
-class Place(NamedTuple):
+class Placement(NamedTuple):
     """A similarity in parts."""
 
     translation: tuple[float, ...]  # [3] metres
@@ -47,11 +58,11 @@ class Place(NamedTuple):
     scale: float = 1.0
 
 
-HERE = Place((0.0, 0.0, 0.0))
+AT_ORIGIN = Placement((0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class PersonPose:
     """One person at one moment, as a client is told."""
 
     key: int  # of the person, as long as they are in the room; 0 alone
@@ -84,7 +95,7 @@ class PoseHistory:
 def pack_body(
     pose: Pose,
     sha256: bytes,
-    place: Place,
+    place: Placement,
     *,
     at: float,
     t: float | None,
@@ -95,7 +106,7 @@ def pack_body(
 ) -> bytes:
     """A body. What has no place in it is left out: weights beyond 0 to 1, and those of shapes that ARKit lacks."""
     quats = vector_quaternions(pose.rotations)
-    rotations = np.rint(quats[:, (1, 2, 3, 0)] * _UNIT).astype("<i2")
+    rotations = np.rint(quats[:, (1, 2, 3, 0)] * _QUATERNION_UNIT).astype("<i2")
     flags = YOU * you
     tail = [rotations.tobytes()]
     if pose.expression and (face := _face(pose.expression)) is not None:
@@ -114,7 +125,7 @@ def pack_body(
     return b"".join([head, *tail])
 
 
-def yours(body: bytes, you: bool, opacity: float) -> bytes:
+def for_recipient(body: bytes, you: bool, opacity: float) -> bytes:
     """The same for one of those who are sent it: is it they, and how much of it is left."""
     byte = round(255 * opacity)
     if not you and body[_OPACITY] == byte:
@@ -125,14 +136,14 @@ def yours(body: bytes, you: bool, opacity: float) -> bytes:
     return bytes(changed)
 
 
-def place_of(matrix: F64) -> Place:
+def placement_of(matrix: F64) -> Placement:
     """The parts of a similarity [4, 4]."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     w, x, y, z = quaternion_of(matrix[:3, :3] / (scale or 1.0)).tolist()
-    return Place(tuple(matrix[:3, 3].tolist()), (x, y, z, w), scale)
+    return Placement(tuple(matrix[:3, 3].tolist()), (x, y, z, w), scale)
 
 
-def unpack_bodies(data: bytes) -> list[Body]:
+def unpack_bodies(data: bytes) -> list[PersonPose]:
     """What stands behind the JSON of a reply in poses. Raises ProtocolError for anything that does not add up."""
     if not data:
         raise ProtocolError("expected the number of bodies behind a reply in poses", "bad_reply")
@@ -148,7 +159,7 @@ def unpack_bodies(data: bytes) -> list[Body]:
     return found
 
 
-def _unpacked(data: bytes) -> Body:
+def _unpacked(data: bytes) -> PersonPose:
     _, flags, key, frame_id, at, t, opacity, _, joints, sha, *numbers = _HEAD.unpack_from(data)
     need = _HEAD.size + 8 * joints + (len(ARKIT) if flags & EXPRESSION else 0)
     need += 2 if flags & TRANSLATIONS else 0
@@ -163,7 +174,7 @@ def _unpacked(data: bytes) -> Body:
         offset += len(ARKIT)
     if flags & TRANSLATIONS:
         translations = _translations(data, offset, joints)
-    if not (isfinite(at) and max(map(abs, numbers)) <= _MOST and numbers[7] >= _SMALLEST and lengths.all()):
+    if not (isfinite(at) and max(map(abs, numbers)) <= _MAX_NUMBER and numbers[7] >= _MIN_SCALE and lengths.all()):
         raise ProtocolError("a body needs numbers below 1e6, rotations and a scale", "bad_reply")
     turn = numbers[3:7]
     if not 0.9 < np.linalg.norm(turn) < 1.1:
@@ -174,7 +185,9 @@ def _unpacked(data: bytes) -> Body:
     except PoseError as error:
         raise ProtocolError(f"a body that is no pose: {error}", "bad_reply") from None
     place = similarity(numbers[:3], turn, numbers[7])
-    return Body(key, bool(flags & YOU), frame_id, at, t if isfinite(t) else None, opacity / 255, sha.hex(), place, pose)
+    return PersonPose(
+        key, bool(flags & YOU), frame_id, at, t if isfinite(t) else None, opacity / 255, sha.hex(), place, pose
+    )
 
 
 _MOVED = np.dtype([("joint", "<u2"), ("metres", "<f4", 3)])
@@ -205,7 +218,7 @@ def _face(expression: Mapping[str, float]) -> bytes | None:
     """52 bytes; None where nothing of it is ARKit's."""
     out = bytearray(len(ARKIT))
     for name, weight in expression.items():
-        at = _INDEX.get(name)
+        at = _ARKIT_INDEX.get(name)
         if at is not None:
             out[at] = round(255 * min(max(weight, 0.0), 1.0))
     return bytes(out) if any(out) else None

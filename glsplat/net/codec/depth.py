@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SIDE", "DepthGrid", "grid_of", "read_grids"]
+__all__ = ["GRID_SIDE", "DepthGrid", "grid_of", "read_grids"]
 
-SIDE = 32
+GRID_SIDE = 32
 """Columns and rows of a server's grids (docs/vr.md has what other numbers of them are worth)."""
 
-_MOST = 256  # columns and rows that a client takes
+_MAX_SIDE = 256  # columns and rows that a client takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ def read_grids(fields: Any, data: bytes) -> tuple[DepthGrid, ...]:
     """What ``DepthGrid.fields`` said and the bytes behind it. Raises ValueError for what does not fit together."""
     columns, rows = map(int, fields["grid"])
     ranges = [(float(low), float(high)) for low, high in fields["inverse"]]
-    if not (2 <= columns <= _MOST and 2 <= rows <= _MOST and len(data) == len(ranges) * columns * rows):
+    if not (2 <= columns <= _MAX_SIDE and 2 <= rows <= _MAX_SIDE and len(data) == len(ranges) * columns * rows):
         raise ValueError(f"{len(ranges)} grids of {columns} x {rows} in {len(data)} bytes")
     if not all(0 < low <= high < np.inf for low, high in ranges):
         raise ValueError("inverse depths need to be above 0")

@@ -19,7 +19,9 @@ from glsplat.net.codec.straight import straightened
 __all__ = ["Encoder", "covered_box", "encode_picture"]
 
 _BLOCK = 16  # pixels of a 4:2:0 block: boxes on its grid do not bleed
-_FINER = 10  # steps of quality by which an alpha that cuts straight colours is better: all of the edge is in it
+_ALPHA_QUALITY_BONUS = (
+    10  # steps of quality by which an alpha that cuts straight colours is better: all of the edge is in it
+)
 
 
 class Encoder:
@@ -74,7 +76,7 @@ def _one(
         image, known = image[y : y + h, x : x + w], None
     finer = 0
     if alpha == "straight":
-        image, finer = straightened(image), _FINER
+        image, finer = straightened(image), _ALPHA_QUALITY_BONUS
     picture = None if known is None else encode_covered(image, known, quality)
     # of alpha the whole: one channel takes the codec half the time, and lines of half as many pixels save none of it
     grey = encode_picture(image[..., 3:], min(quality + finer, 100)) if alpha else None

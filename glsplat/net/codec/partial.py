@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 __all__ = ["encode_covered"]
 
 _BLOCK = 16  # pixels of a 4:2:0 block (minimum coded unit)
-_WORTH = 0.8  # of the picture's blocks: above that the whole picture is encoded faster at once
-_CALL = 15  # blocks that could be encoded in the time that one more call takes
+_MAX_COVERED_SHARE = 0.8  # of the picture's blocks: above that the whole picture is encoded faster at once
+_CALL_BLOCKS = 15  # blocks that could be encoded in the time that one more call takes
 _SOF0, _SOS = 0xC0, 0xDA
 _BLACK = 0x28A28A00  # luminance 00 (no difference) 1010 (end of block), four times; chrominance 00 00, twice
 _END = b"\xff\xd9"
@@ -37,7 +37,7 @@ def encode_covered(image: NDArray[np.uint8], box: tuple[int, int, int, int], qua
         left = right = top = bottom = 0
     # two black blocks stay on the left, between which the others go, and one on the right
     first, last = max(0, left - 2), min(columns, right + 1)
-    if (last - first + _CALL) * (bottom - top) > _WORTH * columns * lines:
+    if (last - first + _CALL_BLOCKS) * (bottom - top) > _MAX_COVERED_SHARE * columns * lines:
         return None
     header, block = _black(1, quality)
     blank = _black(columns, quality)[1]

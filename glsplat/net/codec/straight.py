@@ -14,12 +14,14 @@ __all__ = ["straightened"]
 
 _BLOCK = 16  # pixels of a 4:2:0 block, in which chroma is coded; luma in quarters of it
 _AREA = _BLOCK * _BLOCK
-_SURE = 32  # alpha from which a pixel's own colour counts fully: below, it is made of few bits
+_OPAQUE_FROM = 32  # alpha from which a pixel's own colour counts fully: below, it is made of few bits
 
 _ALPHA = np.arange(256, dtype=np.float32)
-_OWN = np.minimum(_ALPHA / _SURE, 1)  # by alpha: how far a pixel's own colour counts
-_STRAIGHT = (_OWN * 255 / np.maximum(_ALPHA, 1)).astype(np.float32)  # ... and what its premultiplied one is to be times
-_OTHERS = (1 - _OWN).astype(np.float32)
+_OWN_SHARE = np.minimum(_ALPHA / _OPAQUE_FROM, 1)  # by alpha: how far a pixel's own colour counts
+_STRAIGHT = (_OWN_SHARE * 255 / np.maximum(_ALPHA, 1)).astype(
+    np.float32
+)  # ... and what its premultiplied one is to be times
+_MEAN_SHARE = (1 - _OWN_SHARE).astype(np.float32)
 # [256, 4]: which quarter of a block each of its pixels is in
 _HALF = np.kron(np.eye(2), np.ones((8, 1)))  # [16, 2]
 _QUARTERS = np.einsum("ya,xb->yxab", _HALF, _HALF).reshape(_AREA, 4).astype(np.float32)
@@ -45,7 +47,7 @@ def straightened(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     sums = np.where(sums[:, 3:] > 0, sums, sums.sum(axis=2, keepdims=True))
     means = (sums[:, :3] * (np.float32(255) / np.maximum(sums[:, 3:], 1))).reshape(-1, 4) @ _QUARTERS.T
     colour = values[:, :3] * _STRAIGHT[alpha][:, None]
-    colour += means.reshape(-1, 3, _AREA) * _OTHERS[alpha][:, None]
+    colour += means.reshape(-1, 3, _AREA) * _MEAN_SHARE[alpha][:, None]
     np.minimum(colour + 0.5, 255, out=colour)
     blocks[row, :, column, :, :3] = colour.astype(np.uint8).transpose(0, 2, 1).reshape(-1, _BLOCK, _BLOCK, 3)
     return out[:height, :width]

@@ -20,18 +20,18 @@ from glsplat.net.pace.ladder import SCALES, Rung
 __all__ = ["FULL", "AdaptiveQuality", "Detail"]
 
 BIAS = 0.5
-"""Halvings of the density a step, of the level of detail; at most _BIASES steps."""
+"""Halvings of the density a step, of the level of detail; at most _MAX_STEPS steps."""
 
-_BIASES = 16
-_LOOK, _FEW = 8, 3  # pictures whose median decides, and as many of those that are far too slow
-_FIRST = 2  # pictures of a detail that do not count: something is made for them
-_STEPS = 2  # of the level at once, at most: of pictures that were slow once not all is to be taken away
-_FAR = 1.5  # times what there is time for
-_ROOM = 0.85  # of the time: what the next better step may be expected to take
-_HOLD, _LONGEST = 2.0, 60.0  # seconds before something comes back, at first and at most
-_EARLY = 5.0  # seconds within which too slow again means that it came back too early
-_SEEN = 1.0  # seconds over which the time that a viewer takes is counted
-_DEARER = 2.0  # times, that a finer level costs at most
+_MAX_STEPS = 16
+_MEDIAN_OF, _MEDIAN_OF_SLOW = 8, 3  # pictures whose median decides, and as many of those that are far too slow
+_IGNORED_FIRST = 2  # pictures of a detail that do not count: something is made for them
+_MAX_STEPS_AT_ONCE = 2  # of the level at once, at most: of pictures that were slow once not all is to be taken away
+_FAR_TOO_SLOW = 1.5  # times what there is time for
+_HEADROOM = 0.85  # of the time: what the next better step may be expected to take
+_HOLD_S, _MAX_HOLD_S = 2.0, 60.0  # seconds before something comes back, at first and at most
+_TOO_EARLY_S = 5.0  # seconds within which too slow again means that it came back too early
+_LOAD_WINDOW_S = 1.0  # seconds over which the time that a viewer takes is counted
+_MAX_COST_RATIO = 2.0  # times, that a finer level costs at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,21 +71,21 @@ class _State:
 
     steps: int = 0  # of the level
     scale: int = 0  # index of SCALES
-    times: deque[float] = field(default_factory=lambda: deque(maxlen=_LOOK))
+    times: deque[float] = field(default_factory=lambda: deque(maxlen=_MEDIAN_OF))
     took: dict[tuple[int, int], float] = field(default_factory=dict)  # seconds, by (steps, scale), when it last was so
-    hold: float = _HOLD
+    hold: float = _HOLD_S
     since: float = 0.0  # when the detail changed last
     better: float | None = None  # when it last came back
     seen: float = 0.0
     coarsest: bool = False
     drawn: int = 0  # pictures since the detail changed
-    spent: deque[tuple[float, float]] = field(default_factory=deque)  # when, and seconds, of the last _SEEN
+    spent: deque[tuple[float, float]] = field(default_factory=deque)  # when, and seconds, of the last _LOAD_WINDOW_S
 
     def load(self, now: float) -> float:
         """The part of the renderer's time that its pictures took lately."""
-        while self.spent and now - self.spent[0][0] > _SEEN:
+        while self.spent and now - self.spent[0][0] > _LOAD_WINDOW_S:
             self.spent.popleft()
-        return sum(seconds for _, seconds in self.spent) / _SEEN
+        return sum(seconds for _, seconds in self.spent) / _LOAD_WINDOW_S
 
 
 class AdaptiveQuality:
@@ -104,7 +104,7 @@ class AdaptiveQuality:
             return FULL
         state = self._states.setdefault(viewer, _State(since=now))
         state.seen = now
-        for gone in [one for one, other in self._states.items() if now - other.seen > 60 * _SEEN]:
+        for gone in [one for one, other in self._states.items() if now - other.seen > 60 * _LOAD_WINDOW_S]:
             del self._states[gone]
         return Detail(-BIAS * state.steps, SCALES[state.scale])
 
@@ -119,43 +119,43 @@ class AdaptiveQuality:
         state.spent.append((now, seconds))
         state.coarsest = coarsest
         state.drawn += 1
-        if state.drawn <= _FIRST:
+        if state.drawn <= _IGNORED_FIRST:
             return
         state.times.append(seconds)
         took = float(np.median(state.times))
         own = took * self.rate
         loads = {one: other.load(now) for one, other in self._states.items()}
         # of the time there is: another viewer counts as much as this one, unless its pictures take little, small or few
-        excess = own + sum(min(own, _DEARER * load) for one, load in loads.items() if one != viewer)
-        if len(state.times) < (_FEW if excess > _FAR else _LOOK):
+        excess = own + sum(min(own, _MAX_COST_RATIO * load) for one, load in loads.items() if one != viewer)
+        if len(state.times) < (_MEDIAN_OF_SLOW if excess > _FAR_TOO_SLOW else _MEDIAN_OF):
             return
         if not smaller:
             state.took[state.steps, state.scale] = took
         if excess > 1:
-            self._worse(state, excess, now)
-        elif not smaller and now - state.since >= state.hold and excess * self._dearer(state, took) < _ROOM:
-            self._better(state, now)
+            self._reduce(state, excess, now)
+        elif not smaller and now - state.since >= state.hold and excess * self._cost_ratio(state, took) < _HEADROOM:
+            self._restore(state, now)
 
     def refused(self, viewer: int, now: float) -> None:
         """A picture was beyond its budget: the next one has less, whatever the rate."""
         state = self._states.get(viewer)
         if state is not None:
-            self._worse(state, np.inf, now)
+            self._reduce(state, np.inf, now)
 
-    def _worse(self, state: _State, excess: float, now: float) -> None:
-        if not state.coarsest and state.steps < _BIASES:
-            wanted = max(1, int(min(np.log2(excess) / BIAS, _STEPS)))
-            state.steps = min(state.steps + wanted, _BIASES)
+    def _reduce(self, state: _State, excess: float, now: float) -> None:
+        if not state.coarsest and state.steps < _MAX_STEPS:
+            wanted = max(1, int(min(np.log2(excess) / BIAS, _MAX_STEPS_AT_ONCE)))
+            state.steps = min(state.steps + wanted, _MAX_STEPS)
         elif state.scale < len(SCALES) - 1:
             state.scale += 1
         else:
             return
-        if state.better is not None and now - state.better < _EARLY:
-            state.hold = min(2 * state.hold, _LONGEST)
+        if state.better is not None and now - state.better < _TOO_EARLY_S:
+            state.hold = min(2 * state.hold, _MAX_HOLD_S)
         state.better = None
         self._changed(state, now)
 
-    def _better(self, state: _State, now: float) -> None:
+    def _restore(self, state: _State, now: float) -> None:
         if state.scale:
             state.scale -= 1
         elif state.steps:
@@ -166,10 +166,10 @@ class AdaptiveQuality:
         self._changed(state, now)
 
     @staticmethod
-    def _dearer(state: _State, took: float) -> float:
+    def _cost_ratio(state: _State, took: float) -> float:
         """How many times as long the next better step may take: as when it last was so, or as it would at most."""
         better = (state.steps, state.scale - 1) if state.scale else (state.steps - 1, 0)
-        most = (SCALES[state.scale - 1] / SCALES[state.scale]) ** 2 if state.scale else _DEARER
+        most = (SCALES[state.scale - 1] / SCALES[state.scale]) ** 2 if state.scale else _MAX_COST_RATIO
         return min(most, state.took.get(better, np.inf) / took)
 
     @staticmethod

@@ -18,12 +18,12 @@ __all__ = ["FairQueue"]
 
 K = TypeVar("K", bound=Hashable)
 
-_LONG = 4.0  # a picture that takes so many times the shortest of the others is long
-_FORGET = 0.8  # a client's longest picture counts this much with each shorter one after it
-_ACTIVE = 1.0  # seconds after its last request until a client of short pictures is not waited for
-_STALL = 0.25  # seconds: after a picture of that length long ones rest as long as it took, and in proportion ...
-_MOST_REST = 5.0  # ... up to so many times as long: then long pictures have a sixth of the time
-_LEAST = 1e-4  # seconds a picture is charged at least
+_LONG_RATIO = 4.0  # a picture that takes so many times the shortest of the others is long
+_LENGTH_DECAY = 0.8  # a client's longest picture counts this much with each shorter one after it
+_ACTIVE_S = 1.0  # seconds after its last request until a client of short pictures is not waited for
+_STALL_S = 0.25  # seconds: after a picture of that length long ones rest as long as it took, and in proportion ...
+_MAX_REST_RATIO = 5.0  # ... up to so many times as long: then long pictures have a sixth of the time
+_MIN_CHARGE_S = 1e-4  # seconds a picture is charged at least
 
 
 @dataclass(slots=True)
@@ -101,7 +101,7 @@ class FairQueue(Generic[K]):
         The client may have left meanwhile.
         """
         mine = self._addresses.setdefault(address, _Address(self._clock))
-        seconds = max(seconds, _LEAST)
+        seconds = max(seconds, _MIN_CHARGE_S)
         if mine.fresh:
             self._joining = max(self._joining, self._clock) + seconds
             mine.fresh = False
@@ -111,9 +111,9 @@ class FairQueue(Generic[K]):
         if client is None or client.length is None:
             mine.joining = max(mine.joining, mine.clock) + seconds
         if client is not None:
-            client.spent += seconds if own is None else max(own, _LEAST)
-            client.length = max(seconds, _FORGET * (client.length or 0.0))
-        until = now + seconds * min(_MOST_REST, seconds / _STALL)
+            client.spent += seconds if own is None else max(own, _MIN_CHARGE_S)
+            client.length = max(seconds, _LENGTH_DECAY * (client.length or 0.0))
+        until = now + seconds * min(_MAX_REST_RATIO, seconds / _STALL_S)
         if until > self._rest_until:
             self._rest_until, self._rest_after = until, seconds
 
@@ -123,11 +123,11 @@ class FairQueue(Generic[K]):
 
     def _longest_short(self, now: float) -> float:
         """Seconds above which a picture is long: by the shortest of those who asked a moment ago."""
-        since = now - _ACTIVE - self._last  # nobody was asked during the last picture
+        since = now - _ACTIVE_S - self._last  # nobody was asked during the last picture
         lengths = [
             client.length
             for address in self._addresses.values()
             for client in address.clients.values()
             if client.length is not None and client.asked >= since
         ]
-        return _LONG * min(lengths, default=float("inf"))
+        return _LONG_RATIO * min(lengths, default=float("inf"))

@@ -3,7 +3,7 @@
 The steps are those of docs/measured/ladder.md that no other beats in both bytes and LPIPS, over four avatars
 (``python -m tools.docs.measured ladder``). First of all what cannot be seen is left out: the black around the avatar,
 which takes over a third of a whole picture's bytes. Coarser chroma is no step: 4:1:1 takes more bytes than 4:2:0. How
-often pictures come is no matter of the table, which knows still pictures only: see ``GOOD``.
+often pictures come is no matter of the table, which knows still pictures only: see ``MAX_SMOOTH_LPIPS``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,17 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import exp, log
 
-__all__ = ["CALM", "CROPPED", "GOOD", "SCALES", "STEPS", "Rung", "Step", "ladder", "visible_loss"]
+__all__ = [
+    "CROPPED_SHARE",
+    "MAX_SMOOTH_LPIPS",
+    "REDUCED_FPS",
+    "SCALES",
+    "STEPS",
+    "Rung",
+    "Step",
+    "ladder",
+    "visible_loss",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +60,13 @@ STEPS = (
 )
 """By size, from the best quality that is on the front to the worst."""
 
-CROPPED = 0.62
+CROPPED_SHARE = 0.62
 """Bytes of the avatar's box, as parts of those of the whole picture."""
 
-GOOD, CALM = 0.03, 25.0
+MAX_SMOOTH_LPIPS, REDUCED_FPS = 0.03, 25.0
 """Up to that LPIPS pictures come as often as they are drawn; below, first so often a second; last of all, less."""
 
-_FINE = 2  # steps of quality from one rung to the next
+_QUALITY_STEP = 2  # steps of quality from one rung to the next
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +88,12 @@ class Rung:
 def ladder(quality: int, crop: bool) -> tuple[Rung, ...]:
     """The rungs below a picture of that ``quality``, whole or only its ``crop``; ever fewer bits, the first has 1."""
     asked = _interpolated(1.0, quality).nbytes
-    whole = 1.0 if crop else CROPPED
-    found = [Rung(1.0, quality, crop, 1.0), *([] if crop else [Rung(1.0, quality, True, CROPPED)])]
+    whole = 1.0 if crop else CROPPED_SHARE
+    found = [Rung(1.0, quality, crop, 1.0), *([] if crop else [Rung(1.0, quality, True, CROPPED_SHARE)])]
     for scale in SCALES:
         steps = [step for step in STEPS if step.scale == scale]
         best, worst = steps[0].quality, steps[-1].quality
-        for finer in [*range(min(best, quality), worst, -_FINE), worst]:
+        for finer in [*range(min(best, quality), worst, -_QUALITY_STEP), worst]:
             bits = whole * _interpolated(scale, finer).nbytes / asked
             if finer <= quality and bits < found[-1].bits:
                 found.append(Rung(scale, finer, True, bits))

@@ -34,7 +34,7 @@ class Pages(Feature):
         """Return the addresses of every server but the WebSocket's."""
         return [
             web.get("/healthz", self._healthz),
-            web.get("/stats", self._numbers),
+            web.get("/stats", self._stats),
             web.get("/session", self._session),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
@@ -45,7 +45,7 @@ class Pages(Feature):
         healthy = self._server.is_healthy()
         return web.Response(status=200 if healthy else 503, text="ok\n" if healthy else "not ready\n")
 
-    async def _numbers(self, request: web.Request) -> web.Response:
+    async def _stats(self, request: web.Request) -> web.Response:
         return web.json_response(self._server.stats(user_of(request)))
 
     async def _session(self, request: web.Request) -> web.Response:

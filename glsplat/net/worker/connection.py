@@ -17,7 +17,7 @@ import msgspec
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.worker.wire import (
     HEAD,
-    MAX_ANSWER,
+    MAX_ANSWER_BYTES,
     Kind,
     Order,
     RenderResult,
@@ -39,7 +39,7 @@ HANG_S = 10.0
 
 _BEAT_S = 0.25  # between two checks, and between pings of a worker that is silent
 _SILENT_S = 1.0  # without an answer to a ping, while the worker is idle
-_BUSY_S = 3.0  # the same while it draws: its driver holds Python's lock for a second at most (backends/gl.py, _SLICE)
+_BUSY_S = 3.0  # the same while it draws: its driver holds Python's lock for a second at most (backends/gl.py, _SLICE_S)
 
 
 class WorkerConnection(asyncio.Protocol):
@@ -139,7 +139,7 @@ class WorkerConnection(asyncio.Protocol):
         try:
             while len(buffer) - place >= HEAD.size:
                 length, kind, number = HEAD.unpack_from(buffer, place)
-                if length > MAX_ANSWER:
+                if length > MAX_ANSWER_BYTES:
                     raise ValueError(f"a message of {length} bytes")
                 end = place + HEAD.size + length
                 if len(buffer) < end:

@@ -31,7 +31,7 @@ __all__ = ["ProcessLauncher", "process_worker"]
 
 _EXIT_S = 0.5  # from the end of a worker's connection until its exit code is known
 _IMPORT_S = 60.0  # until a new process has imported what it needs, and answers
-_OUTSIDE = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM))  # sent by somebody: no picture is at fault
+_SENT_SIGNALS = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM))  # sent by somebody: no picture is at fault
 
 
 def process_worker(make: Callable[[], Backend], max_side: int, seconds: float = 5.0) -> RemoteWorker:
@@ -74,7 +74,7 @@ class ProcessLauncher:
         if code is None:
             return "the worker has closed its connection", False
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        return f"the worker's process ended ({how})", -code not in _OUTSIDE
+        return f"the worker's process ended ({how})", -code not in _SENT_SIGNALS
 
     def stopped(self) -> bool:
         """Return whether SIGSTOP or a debugger has stopped the process; False where the system does not report it."""

@@ -20,7 +20,7 @@ __all__ = ["RemoteWorker"]
 _OPEN_S = 60.0  # to make a context and load a scene
 _CLOSE_S = 5.0  # to end in order ...
 _GRACE_S = 0.5  # ... and in the middle of a picture
-_KEPT = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
+_MAX_LOADED = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
 
 
 class RemoteWorker:
@@ -79,7 +79,7 @@ class RemoteWorker:
             raise
         self._loaded[shown] = None
         self._loaded.move_to_end(shown)
-        if len(self._loaded) > _KEPT:
+        if len(self._loaded) > _MAX_LOADED:
             self._loaded.popitem(last=False)
         done = None
         if slots is not None and slot is not None:

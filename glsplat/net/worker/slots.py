@@ -23,7 +23,7 @@ from glsplat.net.worker.slot_writer import SLOTS, mapped
 __all__ = ["SHM", "Slots"]
 
 SHM = "/dev/shm"
-_ORDINARY = 2 * 1024 * 1024 * 4  # bytes of a slot that are allocated at the start: a pair of 1024x1024
+_INITIAL_BYTES = 2 * 1024 * 1024 * 4  # bytes of a slot that are allocated at the start: a pair of 1024x1024
 
 
 class Slots:
@@ -35,7 +35,7 @@ class Slots:
         self._file, self.folder = self._make()
         self.path: str = self._file.name
         self._slots = mapped(self._file, self.nbytes)
-        self._allocated = [min(_ORDINARY, self.slot_bytes)] * SLOTS  # bytes
+        self._allocated = [min(_INITIAL_BYTES, self.slot_bytes)] * SLOTS  # bytes
         self._loop: asyncio.AbstractEventLoop
         self._free: asyncio.Queue[int] = asyncio.Queue()
         for slot in range(SLOTS):
@@ -93,7 +93,7 @@ class Slots:
                 file = tempfile.NamedTemporaryFile(prefix="glsplat-", dir=folder, delete=False)
                 file.truncate(self.nbytes)
                 for slot in range(SLOTS):
-                    os.posix_fallocate(file.fileno(), slot * self.slot_bytes, min(_ORDINARY, self.slot_bytes))
+                    os.posix_fallocate(file.fileno(), slot * self.slot_bytes, min(_INITIAL_BYTES, self.slot_bytes))
                 return file, folder
             except OSError as error:
                 failures.append(_why(error, folder))

@@ -30,7 +30,7 @@ from glsplat.net.codec.encoded import Box, Encoded
 
 __all__ = [
     "HEAD",
-    "MAX_ANSWER",
+    "MAX_ANSWER_BYTES",
     "Failed",
     "Kind",
     "Order",
@@ -48,10 +48,10 @@ __all__ = [
     "receive",
 ]
 
-MAX_ANSWER = 256 * 2**20
+MAX_ANSWER_BYTES = 256 * 2**20
 """Bytes of a worker's message at most."""
 
-_MAX_ORDER = 2**24  # bytes of a server's message; a room's people bring up to 64 KiB of names and numbers each
+_MAX_ORDER_BYTES = 2**24  # bytes of a server's message; a room's people bring up to 64 KiB of names and numbers each
 _MAGIC = b"glsplat worker 4"
 _NONCE = _TAG = 32
 _SEAL = 16  # bytes of the hash behind a server's message
@@ -187,8 +187,8 @@ class Reader:
         """Wait for the next message. Raises EOFError at the end, GlsplatError for one that the server did not send."""
         head = receive(self._connection, HEAD.size)
         length, kind, number = HEAD.unpack(head)
-        if length > _MAX_ORDER:
-            raise GlsplatError(f"a request to a worker needs at most {_MAX_ORDER} bytes, not {length}")
+        if length > _MAX_ORDER_BYTES:
+            raise GlsplatError(f"a request to a worker needs at most {_MAX_ORDER_BYTES} bytes, not {length}")
         body = receive(self._connection, length)
         self._count += 1
         if not hmac.compare_digest(receive(self._connection, _SEAL), _seal(self._key, self._count, head, body)):
