@@ -41,7 +41,7 @@ WITHIN = {
     ],
     "tracking": [["solve"]],
     "net": [
-        ["codec", "labels", "pace", "room_view", "wire_schema"],
+        ["codec", "pace", "room_view", "wire_schema"],
         ["rights"],
         ["guard"],
         ["messages"],

@@ -304,6 +304,18 @@ class ClientStream:
         """Whether a picture has to be drawn again, before any other."""
         return self._redraw is not None
 
+    def stats(self, status: dict[str, Any], identity: bool) -> dict[str, Any]:
+        """Return the client in /stats, with the ``status`` of its session; its ``identity`` only where requested."""
+        return status | {
+            "id": self.number,
+            "form": self.session.last_form,
+            "size": "x".join(map(str, self.session.last_size)),
+            "datagrams": None if self.datagrams is None else self.datagrams.status(),
+            "avatar": self.shown.name if identity else None,
+            "room": self.room or None if identity else None,
+            "mark": status["mark"] if identity else None,
+        }
+
     def enter(self, room: str, member: RoomMember, name: str) -> None:
         """Enter a room as ``member``, who is called ``name`` there."""
         self.member, self.room, self.driver = member, room, name

@@ -170,9 +170,9 @@ class Decoder:
             found = "none" if m.v is None else f"{m.v}"[:20]
             raise ProtocolError(f'this server speaks version {VERSION}: send "v": {VERSION}, not {found}', "version")
         if m.frame_id is None:
-            found = [name for name in REQUEST_ONLY if getattr(m, name) not in (None, False)]
-            if m.ack is None or found:
-                raise ProtocolError("a request needs frame_id" + (f" (found {', '.join(found)})" if found else ""))
+            present = [name for name in REQUEST_ONLY if getattr(m, name) not in (None, False)]
+            if m.ack is None or present:
+                raise ProtocolError("a request needs frame_id" + (f" (found {', '.join(present)})" if present else ""))
             return Ack(m.ack, m.arrival)
         if m.pose is not None and m.tracking is not None:
             raise ProtocolError("a request has either pose or tracking, not both")

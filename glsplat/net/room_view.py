@@ -1,7 +1,8 @@
-"""The people of a room at one moment, as one picture shows them."""
+"""The people of a room at one moment, as one picture shows them, and their labels (docs/consent.md)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.skinning.pose import Pose
 
-__all__ = ["RoomView", "VisiblePerson"]
+__all__ = ["Label", "RoomView", "VisiblePerson", "driven_by"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,3 +53,20 @@ class RoomView:
         assert one.pose is not None  # who has none is not in the picture
         ground = self.from_room @ one.transform @ (*one.pose.trans, 1.0)
         return [round(float(v), 3) for v in ground[:3]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Label:
+    """Text over ``place`` [3] (metres), in every picture that shows any part of its thing."""
+
+    text: str
+    place: NDArray[np.float64]
+    height: float = 0.045  # metres of a line, within limits of readable pixels (backends/lettering.py)
+    opacity: float = 1.0
+    box: Callable[[], NDArray[np.float64] | None] | None = None
+    """Returns the thing's bounding box [2, 3], None for an empty thing. Without it the thing is ``place``."""
+
+
+def driven_by(name: str, notice: str = "") -> str:
+    """Return the label of a synthetic person whom ``name`` drives, with ``notice`` at its end."""
+    return ", ".join([f"driven by {name or 'somebody'}", "synthetic", *([notice] if notice else [])])

@@ -31,14 +31,13 @@ from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
 from glsplat.net.internal_client import InternalClient
-from glsplat.net.labels import driven_by
 from glsplat.net.messages import MAX_MESSAGE_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_options
 from glsplat.net.pace.fitting import Fitted
-from glsplat.net.pages.clients import client_fields
-from glsplat.net.pages.headers import set_headers
+from glsplat.net.pages.routes import set_headers
 from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.rights import Rights, user_of
+from glsplat.net.room_view import driven_by
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
@@ -210,12 +209,12 @@ class Server:
     def stats(self, user: User | None = None) -> dict[str, Any]:
         """The numbers of /stats, and of others what the account may see."""
         rights, clients, totals = self.gate.rights, [], asdict(self._totals)
-        for number, client in self.clients.items():
+        for client in self.clients.values():
             status, owner = client.session.status(), client.account
             for name in totals:
                 totals[name] += status[name]
             if rights.sees(user, "client", owner):
-                fields = client_fields(number, client, status, rights.sees(user, "identity", owner))
+                fields = client.stats(status, rights.sees(user, "identity", owner))
                 clients.append(fields | merged(feature.client_stats(user, client) for feature in self.features))
         stats = {
             "scene": self.config.scene if rights.sees(user, "avatar", self.catalogue.names[0]) else None,

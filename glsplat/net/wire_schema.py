@@ -56,11 +56,7 @@ __all__ = [
     "sample_of",
 ]
 
-DEFAULT_NEAR_M, DEFAULT_FAR_M, DEFAULT_SH_DEGREE = (
-    0.01,
-    1e10,
-    3,
-)  # of an eye without these fields, as of Camera
+DEFAULT_NEAR_M, DEFAULT_FAR_M, DEFAULT_SH_DEGREE = 0.01, 1e10, 3  # of an eye without these fields, as of Camera
 
 Numbers = list[float | list[float]]  # flat or nested once
 

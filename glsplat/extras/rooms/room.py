@@ -21,9 +21,8 @@ from glsplat.camera import Camera
 from glsplat.extras.rooms.person import Moved, Person, people_fields
 from glsplat.extras.rooms.seats import free_seat, seat
 from glsplat.net.codec.body import MAX_BODIES, PoseHistory, Poses, for_recipient
-from glsplat.net.labels import driven_by
 from glsplat.net.options import RoomError
-from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.room_view import RoomView, VisiblePerson, driven_by
 from glsplat.net.wire_schema import Position
 
 __all__ = ["Room"]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.net.labels import Label
+from glsplat.net.room_view import Label
 from glsplat.renderer.stats import union
 
 __all__ = ["draw_labels"]

@@ -16,9 +16,8 @@ from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import others_share
-from glsplat.net.backends.figure_bounds import FigureBounds
-from glsplat.net.labels import Label
-from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.backends.extent import FigureBounds
+from glsplat.net.room_view import Label, RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
 from glsplat.renderer.checks import checked_pose
 from glsplat.renderer.levels import Selector

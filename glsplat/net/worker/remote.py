@@ -3,24 +3,54 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from glsplat.errors import BudgetError, ContextError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.worker.connection import WorkerConnection
-from glsplat.net.worker.launcher import WorkerLauncher
+from glsplat.net.worker.slots import Slots
 from glsplat.net.worker.wire import Order, WorkerLostError
 
-__all__ = ["RemoteWorker"]
+__all__ = ["RemoteWorker", "WorkerLauncher"]
 
 _OPEN_S = 60.0  # to make a context and load a scene
 _CLOSE_S = 5.0  # to end in order ...
 _GRACE_S = 0.5  # ... and in the middle of a picture
 _MAX_LOADED = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
+
+
+class WorkerLauncher(Protocol):
+    """Holds one worker at a time; a new one is started where the last has ended."""
+
+    name: str
+    """For people: in the log and in /stats."""
+
+    @property
+    def slots(self) -> Slots | None:
+        """Memory that the worker shares with this process, for the pixels; None: it sends JPEGs."""
+        ...
+
+    async def start(self) -> tuple[socket.socket, bytes]:
+        """Start a worker; return its connection after the handshake, and its key. Raises GlsplatError."""
+        ...
+
+    async def cause(self) -> tuple[str, bool]:
+        """Return why the worker's connection ended, in a line, and whether its picture is likely to be at fault."""
+        ...
+
+    def stopped(self) -> bool:
+        """Return whether somebody has stopped the worker's process, so that no picture is why it is silent."""
+        ...
+
+    async def end(self, seconds: float) -> None:
+        """Wait ``seconds`` for the worker to end, then end it by force. Harmless where there is none."""
+        ...
 
 
 class RemoteWorker:
