@@ -1,6 +1,6 @@
-"""The server: aiohttp on one port for the WebSocket (/ws) and the pages (pages/).
+"""Server: aiohttp on one port for the WebSocket (/ws) and the pages.
 
-Glue only: what a message means is session.py's, who may connect is access.py's, who is drawn next is render_loop.py's.
+session.py handles messages, guard/ connections, render_loop.py the order of pictures.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 F = TypeVar("F", bound=Feature)
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
-DRAIN_GIVE_UP_S = 2.0  # a picture that takes longer is not waited for when the server stops
+DRAIN_GIVE_UP_S = 2.0  # a stopping server does not wait for a picture that takes longer
 
 
 class Server:
-    """Streams the avatars of ``catalogue`` as ``drawer`` draws them: its first, or the one that a client names.
+    """Streams the avatars of ``catalogue`` as ``drawer`` draws them.
 
     ``features`` add addresses and options, and observe clients. ``later`` returns more avatars to offer once clients
-    can connect; it runs in a thread. A drawer that has workers restarts them one by one on SIGHUP.
+    can connect; it runs in a thread. On SIGHUP a pool of workers restarts them one by one.
     """
 
     def __init__(
@@ -82,13 +82,13 @@ class Server:
         self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, rights)
         self.gate.is_trusted = lambda request: any(feature.is_trusted(request) for feature in self.features)
         self.internal_client: InternalClient = InternalClient(drawer, self.config.wire, self.config.session, clock)
-        self.fitted: Fitted | None = None  # soon after it has started, where that was requested for
-        self.fitting: asyncio.Task[None] | None = None  # finds it
+        self.fitted: Fitted | None = None  # size of pictures, found soon after the start if configured
+        self.fitting: asyncio.Task[None] | None = None  # finds ``fitted``
         self.all_offered: asyncio.Event = asyncio.Event()
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, drawer.stages.lately)
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._responder = next(filter(None, (feature.pose_responder(self) for feature in self.features)), None)
-        self._running: list[Feature] = []  # those that have started
+        self._running: list[Feature] = []  # features that have started
         self._later = later
         self._adder: asyncio.Task[None] | None = None
         self._conversations: dict[int, Conversation] = {}
@@ -126,12 +126,12 @@ class Server:
         cert = None if self.config.tls is None else self.config.tls[0]
         self.gate.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
         self._started = clock()
-        if self.config.fit:  # whoever connects meanwhile is offered the configured size
+        if self.config.fit:  # clients that connect meanwhile are offered the configured size
             self.fitting = asyncio.create_task(self._fit())
         self._adder = asyncio.create_task(self._add_later())
 
     async def _start_all(self) -> None:
-        """Start the render loop and the features beside each other; stop them again where one fails."""
+        """Start the render loop and the features concurrently; stop all of them where one fails."""
 
         async def start(feature: Feature) -> None:
             await feature.start(self)
@@ -157,7 +157,7 @@ class Server:
             await self._running.pop().stop()
 
     async def stop(self) -> None:
-        """Take no more requests, send the pictures under way, close the clients (1001), end the threads."""
+        """Drop further requests, send the pictures under way, close the clients (1001), end the threads."""
         self._draining = True
         for task in filter(None, (self.fitting, self._adder)):
             task.cancel()
@@ -180,7 +180,7 @@ class Server:
         """Serve until SIGINT or SIGTERM, then stop in order; a second signal ends the process at once.
 
         ``started`` is called once clients can connect. Raises ContextError, after stopping, when the OpenGL context
-        is lost and cannot be made again.
+        is lost and cannot be recreated.
         """
         done = asyncio.Event()
         loop = asyncio.get_running_loop()
@@ -207,7 +207,7 @@ class Server:
             ends[1].result()
 
     def stats(self, user: User | None = None) -> dict[str, Any]:
-        """The numbers of /stats, and of others what the account may see."""
+        """Return /stats for an account, with the clients that it may see."""
         rights, clients, totals = self.gate.rights, [], asdict(self._totals)
         for client in self.clients.values():
             status, owner = client.session.status(), client.account
@@ -238,7 +238,7 @@ class Server:
         return stats | merged(feature.stats(user) for feature in self.features)
 
     def session(self, user: User | None = None) -> dict[str, Any]:
-        """Return /session for an account: all there is to choose from before connecting."""
+        """Return /session for an account: the options of a connection."""
         most, wire = self.config.max_clients, self._wire
         avatars = self.catalogue.fields(self.gate.rights.drivable(user, self.catalogue.names))
         session = {
@@ -264,7 +264,7 @@ class Server:
 
     @property
     def _wire(self) -> WireOptions:
-        """The options of requests that name none, with the size that is drawn often enough."""
+        """The default options of requests, with the fitted size."""
         wire = self.config.wire
         return wire if self.fitted is None else replace(wire, size=(self.fitted.side, self.fitted.side))
 
@@ -284,7 +284,7 @@ class Server:
                 self.catalogue.add(one)
             for feature in self.features:
                 await feature.avatars_added()
-        except Exception:  # what is offered by now is shown all the same
+        except Exception:  # the avatars offered so far remain
             log.exception("not everybody can be offered")
         finally:
             self.all_offered.set()
@@ -316,16 +316,16 @@ class Server:
             self._conversations[client.number] = conversation
             await conversation.run()
             return ws
-        except (ConnectionError, TimeoutError):  # it neither reads nor listens
+        except (ConnectionError, TimeoutError):  # the client does not react
             cut_off(request)
-            # gone before its handshake was answered: aiohttp would close what never opened
+            # without a handshake there is no WebSocket that aiohttp could close
             return ws if ws.prepared else web.Response(status=400)
         finally:
             self._close_client(client, conversation.goodbye)
             self.gate.leave(request, entered)
 
     def _open_client(self, request: web.Request, quota: ClientQuota) -> ClientStream:
-        """Return a new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75."""
+        """Return a new client with the options of its address. Raises ProtocolError."""
         user, rights = user_of(request), self.gate.rights
         query: Mapping[str, str] = request.query
         for feature in self.features:
@@ -362,13 +362,13 @@ class Server:
                 feature.client_opened(client, requested)
             if requested.room is not None and client.member is None:
                 raise RoomError("there is no such room here", 404)
-        except BaseException:  # also a fault of a feature
+        except BaseException:  # a refusal, or a fault of a feature
             self._close_client(client, goodbye=False)
             raise
         return client
 
     async def withdraw(self, name: str) -> bool:
-        """Offer an avatar no more and end the connections that show it; False where it was not offered."""
+        """Withdraw an avatar and end the connections that show it; return False where it was not offered."""
         there = self.catalogue.remove(name)
         for feature in self.features:
             feature.avatar_withdrawn(name)
@@ -409,7 +409,7 @@ class Server:
         for feature in self.features:
             try:
                 feature.client_closed(client, goodbye)
-            except Exception:  # the other features hear of it all the same
+            except Exception:  # the other features are called all the same
                 log.exception("%s failed as client %d left", type(feature).__name__, client.number)
 
 

@@ -1,4 +1,4 @@
-"""The avatars beside the scene: those that were given, and those that lie in a folder when they are asked for."""
+"""Avatars by name: given ones, those in a folder, and embedded ones that are loaded on demand."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["AvatarStore", "LazyAvatars"]
 
 
 class AvatarStore(Mapping[str, Rigged]):
-    """``given`` by name, then NAME.glb of ``folder``, read anew each time; never the name of the ``scene``.
+    """``given`` avatars by name, then NAME.glb in ``folder``, read each time; never the name of the ``scene``.
 
-    What asks has made sure that a name is of those offered, so none leads out of the folder.
+    Callers pass offered names only, so that none leads out of the folder.
     """
 
     def __init__(self, given: Mapping[str, Rigged], folder: Path, scene: str) -> None:
@@ -48,9 +48,9 @@ class AvatarStore(Mapping[str, Rigged]):
 
 
 class LazyAvatars(Mapping[str, Rigged]):
-    """``given`` by name, then the embedded ``people`` of other names, each loaded when it is first asked for.
+    """``given`` avatars by name, then the embedded ``people`` of other names, loaded on first use.
 
-    What is pickled of it is names alone: the process that draws loads its own.
+    Only names of the embedded people are pickled; the process that draws loads its own.
     """
 
     def __init__(self, given: Mapping[str, Rigged], people: Collection[str]) -> None:

@@ -28,9 +28,9 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 class Extent:
     """Bounds of the splats or vertices of each joint, in 26 directions of the zero pose.
 
-    A splat, or a mesh's vertex, belongs to the joint in its first slot (an avatar's anchor). Boxes of both joints cover
-    blended ones nearly always. With ``every``, it belongs to all joints that move it: the box then holds everything in
-    any pose, with a looser fit.
+    A splat or vertex belongs to the joint in its first slot (an avatar's anchor); the boxes of its other joints nearly
+    always cover it, too. With ``every``, it belongs to all joints that move it: the box then holds everything in any
+    pose, but fits less tightly.
     """
 
     joints: NDArray[np.intp]  # [B] joints with splats
@@ -91,9 +91,9 @@ class Extent:
 
 
 class FigureBounds:
-    """The boxes of one figure: measured when the first is asked for. Splats count with ``sigmas`` of their size.
+    """The boxes of one figure, measured on first use. Splats count with ``sigmas`` standard deviations.
 
-    ``whole``: the box holds all of it in any pose, else nearly all, and fits more tightly (``Extent``).
+    With ``whole`` the box holds all of the figure in any pose; otherwise nearly all, and fits more tightly.
     """
 
     def __init__(self, figure: Rigged, sigmas: float, whole: bool = False) -> None:
@@ -111,7 +111,7 @@ class FigureBounds:
         moved = b"" if posed.translations is None else posed.translations.tobytes()
         shape = tuple(posed.expression.items())
         state = posed.rotations.tobytes(), posed.trans.tobytes(), moved, shape, transform.tobytes()
-        if state != self._state:  # else somebody else looks at them as they are
+        if state != self._state:  # viewers of the same pose share a box
             self._state, self._box = state, self._measured(posed, transform)
         return self._box
 
@@ -126,7 +126,7 @@ class FigureBounds:
         return np.asarray(box + size * grown * np.array([[-1.0], [1.0]]))
 
     def _grown(self, pose: Pose) -> float:
-        """Metres by which nothing moves farther with the pose's expression."""
+        """Return an upper bound in metres of the movements by the pose's expression."""
         figure = self.figure
         if not isinstance(figure, Avatar):
             return 0.0 if figure.morphs is None else figure.morphs.farthest(pose)

@@ -1,7 +1,7 @@
-"""Lettering: writes the words of labels.py into finished 8-bit pictures, on the host.
+"""Draws labels and notices into finished 8-bit pictures, on the CPU.
 
-Words are composited in the picture, after projection: each board of words lies in the picture as a whole, upright, and
-at a size that can be read, whatever the cameras are.
+Text is composited after projection: each board of text is upright, wholly inside the picture and of a readable size,
+whatever the cameras are.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["draw_labels"]
 
 _MIN_LINE_PX, _MIN_LINE_SHARE = 12.0, 1 / 40  # of a line: pixels, and of the picture's height, however far away it is
 _MAX_LINE_SHARE = 1 / 8  # of the picture's height: a line at most, however near it is
-_MAX_BOARD_SHARE = 0.5  # of the picture's height: all lines at most
+_MAX_BOARD_SHARE = 0.5  # of the picture's height: all lines of a board at most
 _MAX_LINES = 8
 _MIN_DISTANCE_M = 0.3  # metres from the eyes: labels stand no nearer, so that both eyes can read them
 _NOTICE_DISTANCE_M = 1.5  # metres from the eyes, where the picture allows it
@@ -46,7 +46,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(slots=True, eq=False)
 class _Board:
-    """Words in a picture: ``boxes`` [V, 4] are their left, upper, right and lower edge in each view, in pixels."""
+    """Text in a picture: ``boxes`` [V, 4] are its left, upper, right and lower edge in each view, in pixels."""
 
     patch: NDArray[np.uint8]
     boxes: F64
@@ -54,10 +54,10 @@ class _Board:
 
 
 def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Sequence[Label], notice: str = "") -> Box:
-    """Write labels and a notice into images [V, H, W, 4], premultiplied; returns the box that holds what changed.
+    """Draw labels and a notice into premultiplied images [V, H, W, 4]; return the box that changed, which may be empty.
 
-    Empty where nothing did. A label is in all views if any view shows its thing. Where two would cover each other the
-    farther one stands above the nearer, below or beside it, and fainter; the notice stands where it is.
+    A label is in all views if any view shows its thing. Of two labels that would overlap, the farther one moves above,
+    below or beside the nearer, and is fainter. The notice does not move.
     """
     size = cameras[0].width, cameras[0].height
     boards: list[_Board] = []
@@ -78,12 +78,12 @@ def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Se
 
 
 def _least(size: tuple[int, int]) -> float:
-    """Pixels of a line that can be read in a picture of that size."""
+    """Return the smallest readable height of a line, in pixels, in a picture of that size."""
     return max(_MIN_LINE_PX, _MIN_LINE_SHARE * size[1])
 
 
 def _notice_place(cameras: Sequence[Camera]) -> F64:
-    """[3] where a notice is, before both eyes and near the lower edge of what the first sees."""
+    """Return the position [3] of a notice, in front of both eyes and near the lower edge of the first eye's view."""
     first = cameras[0]
     down = _NOTICE_PLACE * (first.height - float(first.K[1, 2])) / float(first.K[1, 1])
     eyes = np.mean([camera.position for camera in cameras], axis=0)
@@ -92,10 +92,7 @@ def _notice_place(cameras: Sequence[Camera]) -> F64:
 
 
 def _seen(cameras: Sequence[Camera], place: F64) -> tuple[F64, float]:
-    """[V, 2] pixels where the cameras see a place, and its mean depth in metres.
-
-    What is nearer than ``_MIN_DISTANCE_M``, or behind the eyes, is taken to be at that depth, in its direction.
-    """
+    """Project a place; return its pixels [V, 2] and its mean depth in metres, at least ``_MIN_DISTANCE_M``."""
     points = np.array([camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3] for camera in cameras])
     depths = np.maximum(points[:, 2], _MIN_DISTANCE_M)
     pixels = [
@@ -106,7 +103,7 @@ def _seen(cameras: Sequence[Camera], place: F64) -> tuple[F64, float]:
 
 
 def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
-    """Whether any view may show some of what a label is for."""
+    """Return whether any view may show a part of a label's thing."""
     if any(_meets(camera, label.place[None]) for camera in cameras):
         return True
     box = None if label.box is None else label.box()
@@ -114,7 +111,7 @@ def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
 
 
 def _meets(camera: Camera, corners: F64) -> bool:
-    """Whether what lies between the corners [N, 3] may be in a picture: they are not all beyond one of its edges."""
+    """Return whether the hull of corners [N, 3] may be in a picture: not all are beyond one of its edges."""
     x, y, z = (corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
     right, down = camera.K[0, 0] * x + camera.K[0, 2] * z, camera.K[1, 1] * y + camera.K[1, 2] * z
     depth = z > camera.near, z < camera.far
@@ -126,7 +123,7 @@ def _meets(camera: Camera, corners: F64) -> bool:
 def _placed(
     text: str, centres: F64, line: float, size: tuple[int, int], opacity: float, taken: Sequence[F64]
 ) -> _Board:
-    """Words of about ``line`` pixels a line whose middles are at ``centres`` [V, 2], or as near as they can be."""
+    """Return text of about ``line`` pixels a line, centred at ``centres`` [V, 2] or as near as possible."""
     patch = _fitted(text, line, size)
     tall = _line(patch, line, size) * len(patch) / _ROW_PX
     half = np.array([tall * patch.shape[1] / len(patch), tall]) / 2
@@ -136,7 +133,7 @@ def _placed(
 
 
 def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Words in as few lines as can be read in a picture of that size, else in those that make them largest."""
+    """Return text in as few lines as are readable in a picture of that size, else in those of the largest letters."""
     best = _patch(text, 1)
     for lines in range(2, _MAX_LINES + 1):
         if _line(best, line, size) >= min(line, _least(size)):
@@ -146,27 +143,27 @@ def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def _line(patch: NDArray[np.uint8], line: float, size: tuple[int, int]) -> float:
-    """Pixels of a line of words, at most ``line``, at which all of them fit into a picture of that size."""
+    """Return the height of a line in pixels, at most ``line``, with which all text fits into the picture."""
     return min(line, size[0] * _ROW_PX / patch.shape[1], _MAX_BOARD_SHARE * size[1] * _ROW_PX / len(patch))
 
 
 def _inside(boxes: F64, size: tuple[int, int]) -> F64:
-    """``boxes`` [V, 4] moved into the picture: if it can be by the same in all views, which keeps their distance."""
-    low, high = -boxes[:, :2], np.array(size) - boxes[:, 2:]  # what each may be moved by
+    """Move ``boxes`` [V, 4] into the picture, by the same in all views if possible, which keeps their depth."""
+    low, high = -boxes[:, :2], np.array(size) - boxes[:, 2:]  # limits of each move
     least, most = low.max(axis=0), high.min(axis=0)
     moves = np.where(least <= most, np.clip(0.0, least, most), np.clip(0.0, low, high))
     return boxes + np.concatenate([moves, moves], axis=1)
 
 
 def _apart(boxes: F64, size: tuple[int, int], taken: Sequence[F64]) -> F64:
-    """``boxes`` [V, 4] moved as little as it takes for no view to show them over ``taken``: up, else down, or aside.
+    """Move ``boxes`` [V, 4] as little as possible so that no view shows them over ``taken``: up, else down, or aside.
 
-    By the same in all views. Unmoved where nothing is in the way, or there is no room for it.
+    The move is the same in all views. They stay where they are if nothing is in the way, or there is no room.
     """
     if not _covers(boxes[None], taken)[0]:
         return boxes
     others = np.array(taken)  # [T, V, 4]
-    # just before and just behind each of those that are in the way
+    # moves that end next to one of the others
     before = (others[:, :, :2] - boxes[:, 2:]).min(axis=1) - _GAP_PX
     behind = (others[:, :, 2:] - boxes[:, :2]).max(axis=1) + _GAP_PX
     columns, rows = np.concatenate([[(0.0, 0.0)], before, behind]).T
@@ -182,7 +179,7 @@ def _apart(boxes: F64, size: tuple[int, int], taken: Sequence[F64]) -> F64:
 
 
 def _covers(boxes: F64, taken: Sequence[F64]) -> NDArray[np.bool_]:
-    """[N] whether any view shows boxes [N, V, 4] over one of ``taken``."""
+    """Return [N] whether any view shows boxes [N, V, 4] over one of ``taken``."""
     found = np.zeros(len(boxes), np.bool_)
     for other in taken:
         apart = (boxes[:, :, :2] >= other[:, 2:]) | (other[:, :2] >= boxes[:, :, 2:])
@@ -191,11 +188,11 @@ def _covers(boxes: F64, taken: Sequence[F64]) -> NDArray[np.bool_]:
 
 
 def _draw(image: NDArray[np.uint8], board: _Board, left: float, top: float, width: float, height: float) -> Box:
-    """Write one board into one picture, between pixels if need be; returns the box that it changed."""
+    """Draw a board into a picture at subpixel accuracy; return the box that changed."""
     patch = board.patch
     x0, y0 = max(0, int(np.floor(left))), max(0, int(np.floor(top)))
     x1, y1 = min(image.shape[1], int(np.ceil(left + width))), min(image.shape[0], int(np.ceil(top + height)))
-    # shrunk first, so that thin strokes do not flicker: warping looks at four pixels only
+    # shrink first, so that thin strokes do not flicker: warping samples only four pixels
     shrunk = max(1, min(patch.shape[1], round(width))), max(1, min(patch.shape[0], round(height)))
     patch = cv2.convertScaleAbs(cv2.resize(patch, shrunk, interpolation=cv2.INTER_AREA), alpha=board.opacity)
     # pixel (i, j) covers [i, i+1) x [j, j+1) here, OpenCV's centres are at whole numbers
@@ -210,7 +207,7 @@ def _draw(image: NDArray[np.uint8], board: _Board, left: float, top: float, widt
 
 @lru_cache(maxsize=256)
 def _patch(text: str, lines: int) -> NDArray[np.uint8]:
-    """[rows, columns, 4] light letters on a dark, see-through board, premultiplied, in so many lines at most."""
+    """Return light letters on a dark, transparent board [rows, columns, 4], premultiplied, of at most ``lines``."""
     shown = text if hasattr(cv2, "FontFace") else text.encode("ascii", "replace").decode()
     written = [_written(part) for part in _wrapped(shown, lines)]
     canvas = np.zeros((_ROW_PX * len(written), max(part.shape[1] for part in written), 3), np.uint8)
@@ -226,7 +223,7 @@ def _patch(text: str, lines: int) -> NDArray[np.uint8]:
 
 
 def _wrapped(text: str, lines: int) -> list[str]:
-    """A text in so many lines at most, about equally long; words that are longer are cut."""
+    """Return a text in at most ``lines`` of about equal length; longer words are split."""
     for wide in range(-(-len(text) // lines), len(text)):
         found = textwrap.wrap(text, wide)
         if len(found) <= lines:
@@ -235,7 +232,7 @@ def _wrapped(text: str, lines: int) -> list[str]:
 
 
 def _written(text: str) -> NDArray[np.uint8]:
-    """[rows, columns, 3] white letters on black."""
+    """Return white letters on black [rows, columns, 3]."""
     start, white = (_MARGIN_PX, _ROW_PX - 12), (255, 255, 255)
     if hasattr(cv2, "FontFace"):  # OpenCV 5: all scripts
         face = cv2.FontFace("sans")
