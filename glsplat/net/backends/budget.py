@@ -16,11 +16,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PictureBudget", "others_share"]
 
-_FULL_SHARE_PIXELS = (
-    2 * 2048 * 2048
-)  # pixels of a picture to which others may add all that it may cost; smaller ones in proportion
-_ONE_PERSON = 0.5  # of that for one of them
-_MIN_SPLAT_PIXELS = 64  # covered pixels of a splat in a view that are granted however small the picture is: four blocks
+_FULL_SHARE_PIXELS = 2 * 2048 * 2048  # of a picture whose full cost others may use; in proportion for smaller ones
+_ONE_PERSON = 0.5  # limit for one person, as a share of the limit for all others
+_MIN_SPLAT_PIXELS = 64  # covered pixels of each splat and view that are granted in any picture: four blocks
 
 
 def others_share(max_cost: float, views: Sequence[Camera], splats: int, each: bool = False) -> float:

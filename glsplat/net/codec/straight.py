@@ -18,9 +18,8 @@ _OPAQUE_FROM = 32  # alpha from which a pixel's own colour counts fully: below i
 
 _ALPHA = np.arange(256, dtype=np.float32)
 _OWN_SHARE = np.minimum(_ALPHA / _OPAQUE_FROM, 1)  # weight of a pixel's own colour, by alpha
-_STRAIGHT = (_OWN_SHARE * 255 / np.maximum(_ALPHA, 1)).astype(
-    np.float32
-)  # ... and what its premultiplied one is to be times
+# [256] factor that makes a premultiplied colour straight, times its weight
+_STRAIGHT = (_OWN_SHARE * 255 / np.maximum(_ALPHA, 1)).astype(np.float32)
 _MEAN_SHARE = (1 - _OWN_SHARE).astype(np.float32)
 # [256, 4]: 1 where a pixel of a block is in that quarter
 _HALF = np.kron(np.eye(2), np.ones((8, 1)))  # [16, 2]

@@ -1,4 +1,4 @@
-"""RemoteWorker: draws in another process, on this machine or elsewhere, wherever its launcher starts it."""
+"""RemoteWorker: draws in another process, which a WorkerLauncher starts on this machine or elsewhere."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _MAX_LOADED = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py
 
 
 class WorkerLauncher(Protocol):
-    """Holds one worker at a time; a new one is started where the last has ended."""
+    """Starts, reaches and ends one worker at a time."""
 
     name: str
-    """For people: in the log and in /stats."""
+    """For the log and /stats."""
 
     @property
     def slots(self) -> Slots | None:
-        """Memory that the worker shares with this process, for the pixels; None: it sends JPEGs."""
+        """Memory for pixels that the worker shares with this process; None: it sends JPEGs."""
         ...
 
     async def start(self) -> tuple[socket.socket, bytes]:
@@ -45,7 +45,7 @@ class WorkerLauncher(Protocol):
         ...
 
     def stopped(self) -> bool:
-        """Return whether somebody has stopped the worker's process, so that no picture is why it is silent."""
+        """Return whether the worker's process is stopped, as by SIGSTOP: then its picture is not why it is silent."""
         ...
 
     async def end(self, seconds: float) -> None:
@@ -54,10 +54,10 @@ class WorkerLauncher(Protocol):
 
 
 class RemoteWorker:
-    """Pixels come through the launcher's shared memory, where it has some; else the worker encodes.
+    """Draws in another process. Pixels come through the launcher's shared memory, if any; else the worker encodes.
 
-    ``seconds`` limits the time of a picture: a worker that takes far longer hangs, and is ended. ``alone`` returns
-    whether no other worker could take over: then more patience costs nothing.
+    ``seconds`` limits the time of a picture: a worker that takes far longer is ended. ``alone`` returns whether there
+    is no other worker: then a longer wait costs nothing.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class RemoteWorker:
 
     @property
     def loaded(self) -> frozenset[str]:
-        """Names of the avatars that were drawn lately."""
+        """Names of the avatars that the worker keeps loaded."""
         return frozenset(avatar for avatar, _ in self._loaded)
 
     async def open(self, lost: Callable[[], None]) -> str:
@@ -82,7 +82,7 @@ class RemoteWorker:
         return await self._start()
 
     async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
-        """Draw; pixels in shared memory stay until ``done`` of what is returned is called, once."""
+        """Draw. Pixels in shared memory stay valid until ``done`` of the result is called, once."""
         link, slots, slot = self._link, self.launcher.slots, None
         if link is None:
             raise WorkerLostError("the worker has ended")
@@ -128,7 +128,7 @@ class RemoteWorker:
         )
 
     def cancel(self) -> None:
-        """Give up the picture in hand."""
+        """Cancel the present picture."""
         self._cancelled = True
         if self._link is not None:
             self._link.cancel()
