@@ -88,7 +88,6 @@ class Backend(Protocol):
 
         Raises GlsplatError. After a lost context that ends the server; no request of a client does.
         """
-        ...
 
     def render(self, job: RenderJob) -> Rendered:
         """Draw a picture.
@@ -96,11 +95,9 @@ class Backend(Protocol):
         Raises ContextLostError if the context is lost: the server then calls ``close`` and ``open``. Raises BudgetError
         if the picture is too costly. Any other error fails this picture only.
         """
-        ...
 
     def close(self) -> None:
         """Release everything; also called after an ``open`` that failed."""
-        ...
 
 
 @runtime_checkable
@@ -160,7 +157,6 @@ class PoseSolver(Protocol):
         Called for every request of the session in order, one at a time, also for requests that are never drawn, on a
         thread that is neither the event loop's nor the renderer's. May raise PoseError.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

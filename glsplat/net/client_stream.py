@@ -52,15 +52,12 @@ class FrameObserver(Protocol):
 
     def request_received(self, request: Request) -> None:
         """A request was accepted. Called on the event loop."""
-        ...
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
         """Pictures [V, H, W, 4] were drawn; may change them in place. Called on an encoding thread."""
-        ...
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
         """The socket took the messages of a reply. Called on the event loop."""
-        ...
 
 
 class RoomMember(Protocol):
@@ -69,41 +66,32 @@ class RoomMember(Protocol):
     @property
     def resume(self) -> str:
         """The token with which the person comes back on another connection."""
-        ...
 
     def meeting(self, request: Request) -> Request:
         """Return the request with the faces of the others, for the solver."""
-        ...
 
     def received(self, request: Request, at: float) -> None:
         """Note a request that arrived ``at`` seconds; its tracking may be solved much later."""
-        ...
 
     def options(self, request: Request) -> PictureOptions:
         """Return the options of the request's picture, in the room's space."""
-        ...
 
     def look(
         self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float
     ) -> tuple[tuple[Camera, ...], RoomView]:
         """Return the ``cameras`` of a request that arrived ``at`` seconds, in the room's space, and its people."""
-        ...
 
     def solved(self, request: Request, solved: Solved, at: float) -> None:
         """Show the person as ``solved``. Called on the solving thread. May raise PoseError."""
-        ...
 
     def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
         """Return the poses that changed since the last ones in the client's ``history``."""
-        ...
 
     def posed(self, count: int) -> None:
         """Count the people that were skinned for a picture."""
-        ...
 
     def fair_cost(self, seconds: float) -> float:
         """Return the seconds to charge a viewer for a picture that took ``seconds``: the mean of the room."""
-        ...
 
 
 class DatagramTransport(Protocol):
@@ -111,31 +99,24 @@ class DatagramTransport(Protocol):
 
     def offer(self) -> dict[str, str] | None:
         """Return "datagrams" of the next reply, where the client accepts them and its link gains by them."""
-        ...
 
     def link_bytes(self, nbytes: int) -> int:
         """Return the bytes on the link, parity included, of a picture of ``nbytes``."""
-        ...
 
     def send(self, frame_id: int, picture: bytes) -> bool:
         """Send a picture; return False where it has to go over the WebSocket."""
-        ...
 
     def ping(self, payload: bytes) -> bool:
         """Send a ping; return False where it has to go over the WebSocket."""
-        ...
 
     async def message(self) -> str:
         """Return the next message of the client."""
-        ...
 
     def status(self) -> dict[str, float]:
         """Return "datagrams" of the client in /stats."""
-        ...
 
     def close(self) -> None:
         """Close the connection."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

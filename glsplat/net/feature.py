@@ -49,27 +49,21 @@ class ServerView(Protocol):
 
     def stats(self, user: User | None = None) -> dict[str, Any]:
         """Return the object of /stats for an account."""
-        ...
 
     def session(self, user: User | None = None) -> dict[str, Any]:
         """Return the object of /session for an account."""
-        ...
 
     def is_healthy(self) -> bool:
         """Return whether pictures are drawn, and new clients may come."""
-        ...
 
     def close_client(self, number: int, reason: str) -> None:
         """Close the connection of a client that broke no limit."""
-        ...
 
     async def withdraw(self, name: str) -> bool:
         """Withdraw an avatar and end the connections that show it; return False where it was not offered."""
-        ...
 
     def worn_avatars(self, user: User | None) -> set[str]:
         """Return the avatars of people that an account may meet, by all features."""
-        ...
 
 
 class Feature:
@@ -115,7 +109,7 @@ class Feature:
         """Return the tracking solver of the client whose ``query`` was read last."""
         return solver
 
-    def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
+    def client_opened(self, client: ClientStream, requested: RequestedOptions) -> None:
         """Handle a new client; may call its methods, such as ``observe``. Raises ProtocolError to refuse it."""
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:

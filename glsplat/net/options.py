@@ -96,12 +96,9 @@ def client_options(
     Raises ProtocolError for an invalid option, with the code NOT_ALLOWED for one that the account may not have. The
     error does not reveal whether something exists that the account may not see.
     """
-    mirror, window = query.get("mirror"), query.get("window")
-    if mirror is not None:
-        if mirror not in ("0", "1"):
-            raise ProtocolError("mirror needs 0 or 1")
-        wire = replace(wire, mirror=mirror == "1")
-    if window is not None:
+    if "mirror" in query:
+        wire = replace(wire, mirror=_flag(query, "mirror"))
+    if (window := query.get("window")) is not None:
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
         session = replace(session, window=int(window), max_window=int(window))
@@ -115,8 +112,6 @@ def client_options(
         raise ProtocolError(why, NOT_ALLOWED)
     if "room" in query and not rights.sees(user, "room", query["room"]):
         raise ProtocolError("this account may not enter this room", NOT_ALLOWED)
-    if query.get("label", "0") not in ("0", "1"):
-        raise ProtocolError("label needs 0 or 1")
     return RequestedOptions(
         wire=wire,
         session=session,
@@ -126,9 +121,16 @@ def client_options(
         room=query.get("room"),
         name=_name(query.get("name"), user),
         resume=query.get("resume", ""),
-        label=query.get("label") == "1",
+        label=_flag(query, "label"),
         place=_place(query.get("at")),
     )
+
+
+def _flag(query: Mapping[str, str], name: str) -> bool:
+    given = query.get(name, "0")
+    if given not in ("0", "1"):
+        raise ProtocolError(f"{name} needs 0 or 1")
+    return given == "1"
 
 
 def _name(given: str | None, user: User | None) -> str:

@@ -51,19 +51,15 @@ class LoopOwner(Protocol):
 
     def lost(self, render_loop: RenderLoop) -> None:
         """Move the clients of a loop whose worker is lost."""
-        ...
 
     def opened(self, render_loop: RenderLoop) -> None:
-        """Give clients to a loop whose worker was started anew."""
-        ...
+        """Give clients to a loop whose worker was restarted."""
 
     def failed(self, render_loop: RenderLoop, error: GlsplatError) -> None:
-        """Note that a worker could not be started anew; it will be tried again."""
-        ...
+        """Note a failed attempt to restart a worker; more will follow."""
 
     def elsewhere(self, render_loop: RenderLoop, client: ClientStream) -> bool:
-        """Move a client whose avatar the loop's worker cannot load; return False where no worker may be able to."""
-        ...
+        """Move a client whose avatar the loop's worker cannot load; return False where no worker can."""
 
 
 class RenderLoop:
@@ -100,7 +96,7 @@ class RenderLoop:
         self._gone = False  # the worker has to be restarted
         self._stopping = False
         self._turns: FairQueue[ClientStream] = FairQueue()
-        self._leaving: dict[int, Callable[[], None]] = {}  # by client: called once its picture in hand is drawn
+        self._leaving: dict[int, Callable[[], None]] = {}  # by client: called after its present picture
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
         self._task: asyncio.Task[None] | None = None

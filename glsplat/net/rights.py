@@ -25,15 +25,12 @@ class User(Protocol):
     @property
     def name(self) -> str:
         """The account's name."""
-        ...
 
     def may_drive(self, avatar: str) -> bool:
         """Return whether the account may be shown, and drive, the avatar of that name."""
-        ...
 
     def may_enter(self, room: str) -> bool:
         """Return whether the account may enter the room of that name."""
-        ...
 
 
 class Accounts(Protocol):
@@ -41,15 +38,12 @@ class Accounts(Protocol):
 
     def known(self, token: str) -> User | None:
         """Return the account of a token that was verified before; None for any other."""
-        ...
 
     async def verified(self, token: str) -> User | None:
         """Verify a token by its hash; return its account, or None."""
-        ...
 
     def holds(self, user: Any) -> bool:
         """Return False once the account was removed, or its token or rights were changed."""
-        ...
 
 
 class Consent(Protocol):
@@ -57,23 +51,18 @@ class Consent(Protocol):
 
     def refusal(self, avatar: str, driver: str, now: float) -> str | None:
         """Return why the avatar may not be shown to that account now; None while it may."""
-        ...
 
     def lets(self, avatar: str, driver: str) -> bool:
         """Return whether the consent lets the account drive the avatar."""
-        ...
 
     def withheld(self, avatar: str, now: float) -> str | None:
         """Return why the avatar's splats are not handed out; None where they are."""
-        ...
 
     def label(self, avatar: str, driver: str = "") -> str:
         """Return the text that every picture of the avatar has to contain; "" for none."""
-        ...
 
     def maker(self, avatar: str) -> str:
         """Return the account that made the avatar; "" for none."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,6 @@ class FaceFeed(Protocol):
 
     def worn(self, wearer: object, sample: Sample, now: float) -> Sample:
         """Return the sample with the present face, if it is the wearer's."""
-        ...
 
 
 def _idle_face() -> Any:

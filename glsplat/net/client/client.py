@@ -166,7 +166,7 @@ class Client:
         async with connection.turn:
             connection.take_all()
             request = self._request(connection, cameras, pose=pose, tracking=tracking, **params)
-            return (await connection.ask_and_wait(*request, self._timeout)).reply
+            return (await connection.request_and_wait(*request, self._timeout)).reply
 
     async def poses(
         self, *, pose: Pose | Mapping[str, Any] | None = None, tracking: Mapping[str, Any] | None = None
@@ -180,7 +180,7 @@ class Client:
         async with connection.turn:
             connection.take_all()
             request = self._request(connection, None, pose=pose, tracking=tracking, want="pose")
-            return (await connection.ask_and_wait(*request, self._timeout)).reply
+            return (await connection.request_and_wait(*request, self._timeout)).reply
 
     async def send(
         self,
@@ -199,7 +199,7 @@ class Client:
         """
         connection = self._open()
         request = self._request(connection, cameras, pose=pose, tracking=tracking, want=want, **params)
-        await connection.ask(*request, subject)
+        await connection.send_request(*request, subject)
         return request[0]
 
     async def send_text(self, text: str) -> None:
@@ -226,7 +226,7 @@ class Client:
         message = request_message(number, cameras, t=now * 1e3, **fields)
         message |= connection.flow.acknowledging(now)
         if connection.video is not None and message.get("want") != "pose":
-            message["video"] = connection.video.wish()
+            message["video"] = connection.video.request_fields()
         try:
             data = encoder.encode(message)
         except (TypeError, ValueError, RecursionError) as error:  # JSON cannot hold it

@@ -28,13 +28,11 @@ __all__ = ["ClientConnection", "VideoReader"]
 class VideoReader(Protocol):
     """Decodes the video of one connection (extras/far_links)."""
 
-    def wish(self) -> dict[str, Any]:
+    def request_fields(self) -> dict[str, Any]:
         """Return ``video`` of the next request."""
-        ...
 
     def eyes(self, data: bytes, video: Mapping[str, Any], size: Any) -> tuple[NDArray[np.uint8], ...]:
         """Return the pictures [H, W, 3 or 4] of a reply with that ``video``, left first; none if undecodable."""
-        ...
 
 
 _MAX_UNREAD = 8  # pictures kept for receive(): the largest window of a server
@@ -83,7 +81,7 @@ class ClientConnection:
         await self._http.close()
         await self._until_closed()
 
-    async def ask(self, frame_id: int, text: str, now: float, subject: object = None) -> None:
+    async def send_request(self, frame_id: int, text: str, now: float, subject: object = None) -> None:
         """Send a request whose picture ``next`` returns. Raises ProtocolError."""
         self.flow.request(frame_id, now, subject)
         try:
@@ -111,11 +109,11 @@ class ClientConnection:
             if isinstance(item, ReceivedReply):
                 self.flow.take(item.reply.frame_id)
 
-    async def ask_and_wait(self, frame_id: int, text: str, now: float, timeout: float) -> ReceivedReply:
+    async def request_and_wait(self, frame_id: int, text: str, now: float, timeout: float) -> ReceivedReply:
         """Send a request and wait for its picture. Raises ProtocolError, also where the request was replaced."""
         future = self._waiting[frame_id] = self.loop.create_future()  # before sending: the answer may be quick
         try:
-            await self.ask(frame_id, text, now)
+            await self.send_request(frame_id, text, now)
             async with asyncio.timeout(timeout):
                 return await future
         except TimeoutError:

@@ -27,8 +27,8 @@ _ALPHA_QUALITY_BONUS = (
 class Encoder:
     """A small pool of encoding threads for all sessions. Close it when done."""
 
-    def __init__(self, threads: int = 2) -> None:
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="encode")
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="encode")
 
     def encode(
         self,

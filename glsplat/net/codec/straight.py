@@ -42,9 +42,7 @@ def straightened(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     row, column = np.nonzero((most.max(axis=2) > 0) & (least.min(axis=2) < 255))  # blocks on the silhouette
     pixels = blocks[row, :, column].reshape(-1, _AREA, 4).transpose(0, 2, 1).copy()  # [n, 4, 256]
     alpha, values = pixels[:, 3], pixels.astype(np.float32)
-    sums = (values.reshape(-1, _AREA) @ _QUARTERS).reshape(
-        -1, 4, 4
-    )  # by channel and quarter; one product is faster than n
+    sums = (values.reshape(-1, _AREA) @ _QUARTERS).reshape(-1, 4, 4)  # [n, channel, quarter]; one product, not n
     sums = np.where(sums[:, 3:] > 0, sums, sums.sum(axis=2, keepdims=True))
     means = (sums[:, :3] * (np.float32(255) / np.maximum(sums[:, 3:], 1))).reshape(-1, 4) @ _QUARTERS.T
     colour = values[:, :3] * _STRAIGHT[alpha][:, None]

@@ -39,7 +39,6 @@ class VideoStream(Protocol):
         key: bool = False,
     ) -> Encoded | None:
         """Return the next picture of ``images`` [V, H, W, 4]; None: it has to be a JPEG."""
-        ...
 
 
 class ClientVideo:

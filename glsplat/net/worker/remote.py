@@ -34,23 +34,18 @@ class WorkerLauncher(Protocol):
     @property
     def slots(self) -> Slots | None:
         """Memory for pixels that the worker shares with this process; None: it sends JPEGs."""
-        ...
 
     async def start(self) -> tuple[socket.socket, bytes]:
         """Start a worker; return its connection after the handshake, and its key. Raises GlsplatError."""
-        ...
 
     async def cause(self) -> tuple[str, bool]:
         """Return why the worker's connection ended, in a line, and whether its picture is likely to be at fault."""
-        ...
 
     def stopped(self) -> bool:
         """Return whether the worker's process is stopped, as by SIGSTOP: then its picture is not why it is silent."""
-        ...
 
     async def end(self, seconds: float) -> None:
         """Wait ``seconds`` for the worker to end, then end it by force. Harmless where there is none."""
-        ...
 
 
 class RemoteWorker:

@@ -19,23 +19,18 @@ class Worker(Protocol):
 
     async def open(self, lost: Callable[[], None]) -> str:
         """Start; return the driver string. ``lost`` is called when the worker ends by itself. Raises GlsplatError."""
-        ...
 
     async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
         """Draw a picture. The result has ``images``; or ``encoded``, where the worker encodes, except with ``pixels``.
 
         One call at a time. Raises the errors of ``Backend.render``; after ContextLostError call ``rebuild``.
         """
-        ...
 
     def cancel(self) -> None:
         """Cancel the present picture."""
-        ...
 
     async def rebuild(self) -> str:
         """Restart; return the driver string. Raises GlsplatError."""
-        ...
 
     async def close(self) -> None:
         """End, after the present picture or without it; harmless where ``open`` failed."""
-        ...
