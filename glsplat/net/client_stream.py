@@ -51,13 +51,13 @@ class FrameObserver(Protocol):
     """Observes the requests and pictures of one client for a feature of the server. Its methods return at once."""
 
     def request_received(self, request: Request) -> None:
-        """A request was accepted. Called on the event loop."""
+        """Handle an accepted request. Called on the event loop."""
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
-        """Pictures [V, H, W, 4] were drawn; may change them in place. Called on an encoding thread."""
+        """Handle drawn pictures [V, H, W, 4]; may change them in place. Called on an encoding thread."""
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
-        """The socket took the messages of a reply. Called on the event loop."""
+        """Handle a reply that the socket has taken. Called on the event loop."""
 
 
 class RoomMember(Protocol):

@@ -63,7 +63,7 @@ class _Shown:
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """All of them, each once."""
+        """All items, each once."""
         return tuple(dict.fromkeys(self.whole + self.headless))
 
     @property
