@@ -73,7 +73,7 @@ def cut_off(served: Any) -> None:
     """Break the connection of the first client, without a close."""
 
     def abort() -> None:
-        talk = next(iter(served.server._talks.values()))
+        talk = next(iter(served.server._conversations.values()))
         talk._request.transport.abort()
 
     served._loop.call_soon_threadsafe(abort)

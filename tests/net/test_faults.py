@@ -166,7 +166,7 @@ class Losing(FakeBackend):
 
 
 def losing(monkeypatch, last):
-    monkeypatch.setattr(render_loop, "_PAUSES_S", (0.0, 0.01, 0.02))
+    monkeypatch.setattr(render_loop, "_REVIVE_PAUSES_S", (0.0, 0.01, 0.02))
     backend = Losing(fail=lambda request: ContextLostError("lost") if request.frame_id == 2 else None)
     backend.last = last
     return backend

@@ -85,7 +85,7 @@ async def test_pings_whose_pongs_are_not_read_end_the_connection(serve, ahead):
     ahead.lead()
     async with serve(config=ServerConfig(port=0, limits=UNLIMITED, heartbeat=1e6)) as server:
         _, writer = await raw(server)
-        (talk,) = server._talks.values()
+        (talk,) = server._conversations.values()
         while not talk._ws._writer.transport.get_write_buffer_size():
             writer.write(frame(0x9, b"x" * 125) * 500)
             await asyncio.sleep(0)

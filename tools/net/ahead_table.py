@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from glsplat.data import default_avatar
 from glsplat.extras.motions.derive import Disturbance, derive, disturb, truth_from_motion
 from glsplat.formats.motion_files import load_motion
-from glsplat.net.backends.tracking import MOST, PART
+from glsplat.net.backends.tracking import HORIZON_SHARE, MAX_HORIZON_S
 from glsplat.tracking.tracker import Tracker
 
 RATE, SECONDS = 72, 12
@@ -46,7 +46,7 @@ def main(files: Sequence[str]) -> None:
         runs.append((truth.positions, disturb(derive(skeleton, truth, fingers=False), NOISE)))
     still = [_drawn(skeleton, samples, 0.0) for _, samples in runs]
     for age in AGES:
-        ahead, late = min(PART * age, MOST), round(age * RATE)
+        ahead, late = min(HORIZON_SHARE * age, MAX_HORIZON_S), round(age * RATE)
         cells = [f"{age * 1e3:.0f}", f"{ahead * 1e3:.0f}"]
         moved = [_drawn(skeleton, samples, ahead) for _, samples in runs]
         for joints in ([HEAD], list(HANDS)):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.net.backend import Rendered, RenderJob
-from glsplat.net.codec.depth import SIDE, grid_of
+from glsplat.net.codec.depth import GRID_SIDE, grid_of
 from tests.browser.conftest import OpenPage
 from tests.browser.immersive.test_places import LEFT, RIGHT, SIDES, Held
 from tests.browser.markers import offered
@@ -33,7 +33,7 @@ class Deep(Held):
         for camera in request.cameras:
             there = [camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3] for place in self._places(request).values()]
             pixels = np.array([(camera.K @ point)[:2] / point[2] for point in there])
-            x, y = np.meshgrid(np.linspace(0, camera.width, SIDE), np.linspace(0, camera.height, SIDE))
+            x, y = np.meshgrid(np.linspace(0, camera.width, GRID_SIDE), np.linspace(0, camera.height, GRID_SIDE))
             far = np.hypot(x[..., None] - pixels[:, 0], y[..., None] - pixels[:, 1])
             grids.append(grid_of(1 / np.array([point[2] for point in there])[far.argmin(axis=-1)]))
         return replace(rendered, depth=tuple(grids))

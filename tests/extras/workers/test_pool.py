@@ -150,8 +150,8 @@ async def test_an_avatar_that_is_not_on_every_worker(serve):
 
 async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
     """One of two: the other serves. None, again and again: the server ends."""
-    monkeypatch.setattr(loop_module, "_PAUSES_S", (0.0, 0.1, 0.1))
-    monkeypatch.setattr(loop_module, "_LATER_S", 0.2)
+    monkeypatch.setattr(loop_module, "_REVIVE_PAUSES_S", (0.0, 0.1, 0.1))
+    monkeypatch.setattr(loop_module, "_REVIVE_PERIOD_S", 0.2)
     broken = tmp_path / "broken"
     broken.touch()
     makes = [partial(Sleeper, fails=str(broken)), Sleeper]

@@ -17,7 +17,7 @@ from glsplat.data import default_avatar
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.codec.depth import SIDE, grid_of
+from glsplat.net.codec.depth import GRID_SIDE, grid_of
 from glsplat.net.reply import parse_reply
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.net.worker.process import process_worker
@@ -42,7 +42,7 @@ def test_it_is_how_far_away_the_picture_is():
     with Renderer(default_avatar(), size=SIZE, views=2) as renderer:
         images, depths = renderer.render(PAIR, REACHING, depth=True)
         grids = depth_grids(renderer, PAIR, REACHING)
-    rows, columns = (np.linspace(0, length - 1, SIDE).round().astype(int) for length in (SIZE[1], SIZE[0]))
+    rows, columns = (np.linspace(0, length - 1, GRID_SIDE).round().astype(int) for length in (SIZE[1], SIZE[0]))
     for image, true, grid in zip(images, depths, grids, strict=True):
         inside = image[..., 3] > 0.9 * image[..., 3].max()
         at = np.ix_(rows, columns)
@@ -78,7 +78,7 @@ async def test_it_is_sent_to_clients_that_ask(serve, fake_backend):
     class Deep(fake_backend):
         def render(self, request):
             rendered = super().render(request)
-            grid = grid_of(np.full((SIDE, SIDE), 0.8))
+            grid = grid_of(np.full((GRID_SIDE, GRID_SIDE), 0.8))
             return replace(rendered, depth=(grid,) * len(rendered.images)) if request.options.depth else rendered
 
     async with serve(Deep()) as server, aiohttp.ClientSession() as http:

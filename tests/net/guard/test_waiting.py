@@ -101,8 +101,8 @@ async def test_clients_that_leave_and_take_nothing_are_counted_again(serve: Serv
         for _ in range(8):
             peers.append(peer := small_peer(server))
             await loop.sock_sendall(peer, UPGRADE + frame(0x1, native(1, **LARGE).encode()))
-            await until(lambda: server._talks)
-            (transport,) = (talk._request.transport for talk in server._talks.values())
+            await until(lambda: server._conversations)
+            (transport,) = (talk._request.transport for talk in server._conversations.values())
             transports.append(transport)
             await until(lambda: transports[-1].get_write_buffer_size() > 0)
             await loop.sock_sendall(peer, frame(0x8, b"\x03\xe8"))  # it is going away
