@@ -45,8 +45,8 @@ def test_the_renderer_does_not_wait_for_the_page(open_page: OpenPage, serve: Any
     begun = set()
 
     def place(request: Any) -> dict[str, list[float]]:
-        for channel in list(served.server.clients.values()):
-            status = channel.session.status()
+        for client in list(served.server.clients.values()):
+            status = client.session.status()
             if status["under_way"] + status["unacknowledged"] > 1:
                 begun.add(request.frame_id)
         return {"red": [0, 1, 0]}

@@ -78,7 +78,7 @@ async def test_refusals_name_nothing_that_is_not_the_askers(serve, made):
                 assert status == 403 and not {"bob", "default", "boss"} & set(text.replace(",", " ").split())
                 assert name == "ann" or "ann" not in text.split()
         async with Client(f"{server.url}?room=lab", tokens["ann"]):
-            assert [channel.shown.name for channel in server.clients.values()] == ["ann"]
+            assert [stream.shown.name for stream in server.clients.values()] == ["ann"]
 
 
 async def test_guesses_are_counted_one_by_one_also_when_they_come_at_once(serve, made, monkeypatch):

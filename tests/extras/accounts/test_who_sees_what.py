@@ -233,7 +233,7 @@ async def world(folder: Path, **changes: Any) -> AsyncIterator[World]:
             await ann.render(eyes(64))
             for _ in range(2):  # the newest picture is another one
                 await bob.render(eyes(64))
-            marks = [channel.session.status()["mark"] for channel in server.clients.values()]
+            marks = [stream.session.status()["mark"] for stream in server.clients.values()]
             pictures = [await server.feature(Previews).small(number) for number in (1, 2)]
             assert pictures[0] != pictures[1]
             digest = server.feature(SplatFiles).file_digest("ann-avatar")
@@ -324,8 +324,8 @@ async def test_who_has_the_token_sees_all_but_of_a_private_server(tmp_path: Path
     async with running(config, tmp_path) as server, aiohttp.ClientSession() as http:
         async with Client(f"{server.url}?room=ann-room&avatar=ann-avatar&name=zoe", TOKEN) as ann:
             await ann.render(eyes(64))
-            (channel,) = server.clients.values()
-            mark, picture = channel.session.status()["mark"].encode(), await server.feature(Previews).small(1)
+            (stream,) = server.clients.values()
+            mark, picture = stream.session.status()["mark"].encode(), await server.feature(Previews).small(1)
             bodies, statuses = {}, {}
             for path in ("/", "/stats", "/status.json", "/metrics", "/history", "/session", "/pictures/1"):
                 url = f"http://127.0.0.1:{server.port}{path}"

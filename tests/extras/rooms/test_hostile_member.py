@@ -128,7 +128,7 @@ class Play:
     def asks(self, name: str) -> None:
         """A picture or bodies, which come, with everybody who moves well in them."""
         self.frame += 1
-        channel = self.friends[name]
+        client = self.friends[name]
         place = [self.chance.uniform(-0.2, 0.2), 0.0, self.chance.uniform(-0.1, 0.1)]
         message = {"v": 1, "frame_id": self.frame, "ack": self.acks[name], "t": 1e3 * self.meeting.now}
         pictured = name not in self.heard or self.chance.random() < 0.7  # at first: so that they are in others'
@@ -138,7 +138,7 @@ class Play:
             message["tracking"] = {"head": [place[0], 1.6, 0, 0, 1, 0, 0]}
         else:
             message["pose"] = {"trans": place}
-        reply = self.meeting.ask(channel, message)
+        reply = self.meeting.ask(client, message)
         assert reply is not None and reply.frame_id == self.frame
         self.acks[name] = self.frame
         self.heard[name] = self.meeting.now
@@ -216,9 +216,9 @@ class Play:
             self.refused += 1
 
     @staticmethod
-    def person(channel: ClientStream) -> Any:
-        assert channel.member is not None
-        return channel.member.person
+    def person(client: ClientStream) -> Any:
+        assert client.member is not None
+        return client.member.person
 
 
 def play(seeds: range, avatars: dict[str, Rigged], offers: dict[str, AvatarInfo]) -> float:

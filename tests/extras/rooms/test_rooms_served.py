@@ -130,7 +130,7 @@ async def test_a_token_brings_its_person_back_at_once(serve: Serve, name: str) -
                 now = (await again.render(EYES, pose=POSE)).info["room"]
                 assert [one["name"] for one in now["people"] if one["you"]] == [own["name"]]
                 assert now["resume"] == room["resume"]
-                seats = [channel.member.person.seat for channel in server.clients.values() if channel.member]
+                seats = [stream.member.person.seat for stream in server.clients.values() if stream.member]
                 assert np.allclose(seats[-1][:3, 3], (1, 0, 2))
                 with pytest.raises(ProtocolError, match="1001"):
                     while True:

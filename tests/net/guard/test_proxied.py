@@ -145,7 +145,7 @@ async def test_an_address_has_half_of_the_places(serve: Serve) -> None:
             socket_of(server.port, ANN) as (four, *_),
         ):
             assert [one, two, three, four] == ["101", "101", "429", "101"]
-            assert sorted(channel.address for channel in server.clients.values()) == [ANN, EVE, EVE]
+            assert sorted(stream.address for stream in server.clients.values()) == [ANN, EVE, EVE]
         await until(lambda: not server.clients)
         async with socket_of(server.port, EVE) as (again, *_):
             assert again == "101"

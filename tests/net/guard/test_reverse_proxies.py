@@ -159,7 +159,7 @@ async def test_clients_behind_a_proxy_are_told_apart(
             head = f"Host: {NAME}\r\nOrigin: https://{NAME}\r\nAuthorization: Bearer {TOKEN}\r\n{claims[1]}"
             writer.write(UPGRADE.replace(b"/ws", b"/glsplat/ws").replace(b"Host: 127.0.0.1\r\n", head.encode()))
             assert b" 101 " in await reader.readuntil(b"\r\n\r\n")
-            assert [channel.address for channel in server.clients.values()] == [EVE]
+            assert [stream.address for stream in server.clients.values()] == [EVE]
             writer.write(frame(0x1, native(1).encode()))
             assert await reader.readexactly(1) == b"\x82"  # a picture
             writer.transport.abort()

@@ -51,7 +51,7 @@ class Contested(FakeBackend):
 
     def _waiting(self) -> int:
         assert self.server is not None
-        return sum(channel.session.newest is not None for channel in list(self.server.clients.values()))
+        return sum(stream.session.newest is not None for stream in list(self.server.clients.values()))
 
 
 def contest(backend: Contested, clients: list[Callable[[Server], Awaitable[None]]]) -> None:

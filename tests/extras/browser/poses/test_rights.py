@@ -75,9 +75,9 @@ async def test_the_window_holds_poses_too(serve: Serve) -> None:
                 await ws.send_str(json.dumps(request | {"tracking": head(number), "t": number * 14.0}))
                 if number <= 2:
                     assert parse_reply((await ws.receive(timeout=HANG)).data).frame_id == number
-            (channel,) = server.clients.values()
-            await until(lambda: channel.session.counts.accepted == 20)
-            assert channel.session.counts.sent == 2 and channel.answers.empty()
+            (stream,) = server.clients.values()
+            await until(lambda: stream.session.counts.accepted == 20)
+            assert stream.session.counts.sent == 2 and stream.answers.empty()
             await ws.send_str(json.dumps({"v": 1, "ack": 2}))
             last = parse_reply((await ws.receive(timeout=HANG)).data)
             assert last.frame_id == 20 and last.bodies[0].pose.trans[0] == 20

@@ -114,8 +114,8 @@ def test_a_condition_is_applied_to_the_client(tmp_path: Path) -> None:
                 grey = np.median(pixels[pixels.max(1) > 25], axis=0) / 51.0  # what the backend draws
                 light = np.array([1, 1, 1] if condition == "fast" else [0.5, 0.25, 1.0])
                 assert np.abs(grey - light ** (1 / 2.2)).max() < 0.15
-                (channel,) = client.server.clients.values()
-                assert channel.shown.name == avatar
+                (stream,) = client.server.clients.values()
+                assert stream.shown.name == avatar
                 sample = client.solver.requests[-1].tracking
                 assert (sample.left is not None, sample.right is not None) == (hands, hands) and sample.head
                 status, picture = await client.post("picture", {}, "experimenter")

@@ -178,9 +178,9 @@ def test_errors_name_no_avatar_either(tmp_path: Path, monkeypatch: pytest.Monkey
         for query in ("avatar=nobody", "avatar=avatar-slow&room=x&name=.&at=y&label=z"):
             url = f"{client.server.url}?study={PAGE}&{query}"
             async with client.http.ws_connect(url, headers=AUTHORIZED):
-                (channel,) = client.server.clients.values()
-                assert channel.shown.name == client.lead._avatars[client.live.condition.name]
-                assert channel.member is None
+                (stream,) = client.server.clients.values()
+                assert stream.shown.name == client.lead._avatars[client.live.condition.name]
+                assert stream.member is None
             await until(lambda: not client.server.clients)
         wrong = await ask(client, "GET", f"/ws?study={PAGE}&height=tall", **WS)
         ws = await a_picture(client)
