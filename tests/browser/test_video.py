@@ -91,7 +91,7 @@ def test_what_is_shown_is_what_was_coded(open_page: OpenPage, serve: Any, coded:
     assert matching(page, 1)
     (channel,) = served.server.clients.values()
     before = len(coded)
-    channel.video._number += 1  # the page misses one: a key frame mends it
+    channel.video.stream._number += 1  # the page misses one: a key frame mends it
     page.meanwhile(lambda: any(one["key"] for one in coded[before:]))
     shown = page.stats()["shown"]
     page.until(f"window.glsplat.stats().shown > {shown + 5}")
