@@ -41,7 +41,7 @@ WITHIN = {
     ],
     "tracking": [["solve"]],
     "net": [
-        ["codec", "fields", "labels", "pace", "room_view"],
+        ["codec", "pace", "room_view", "wire_schema"],
         ["rights"],
         ["guard"],
         ["messages"],

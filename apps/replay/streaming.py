@@ -197,7 +197,7 @@ async def stream(
 
     async def ask_when_answered() -> None:
         while not over.is_set():
-            if client.flow.may_ask(policy, window, run.decoded):
+            if client.flow.may_request(policy, window, run.decoded):
                 await ask(time.perf_counter() - start)
                 await asyncio.sleep(1 / fps)  # tracking has nothing newer before
             else:

@@ -18,7 +18,7 @@ from glsplat.camera import PAPER_FOV, PAPER_IPD
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.scene_file import UPS
 from glsplat.light.light import PRESETS
-from glsplat.net.backends.gl import MAX_TIME
+from glsplat.net.backends.gl import MAX_PICTURE_S
 from glsplat.net.guard.forwarded import Network, proxy_network
 from glsplat.net.options import MAX_WINDOW, NAME
 from glsplat.tracking.solvers import SOLVERS, SolverName
@@ -182,7 +182,8 @@ class ServeOptions:
         "that repeat them are dropped (default 5e8, with exact 1e9)", _number(1, inf, "pixels"), sample=5e8,
     )  # fmt: skip
     max_time: float = _option(
-        MAX_TIME, "seconds that a picture may take; one that takes longer is abandoned, a second one ends its client",
+        MAX_PICTURE_S,
+        "seconds that a picture may take; one that takes longer is abandoned, a second one ends its client",
         _number(0.1, 600, "s"),
     )  # fmt: skip
     device: str | None = _option(

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from glsplat.data import person
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.backends.avatar_store import AvatarStore, WithPeople
-from glsplat.net.backends.gl import MAX_TIME
+from glsplat.net.backends.avatar_store import AvatarStore, LazyAvatars
+from glsplat.net.backends.gl import MAX_PICTURE_S
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.options import ServerConfig
@@ -38,8 +38,8 @@ def assemble(
     config: ServerConfig,
     *,
     device: str | None = None,  # EGL device: index or part of its name; with workers several, with commas between
-    max_cost: float | None = None,  # pixels that a picture may cover; None: most_cost
-    max_time: float = MAX_TIME,  # seconds that a picture may take
+    max_cost: float | None = None,  # pixels that a picture may cover; None: max_cost_of
+    max_time: float = MAX_PICTURE_S,  # seconds that a picture may take
     workers: Workers | None = None,  # draw and encode instead of one process (docs/scaling.md)
     uploads: UploadConfig | None = None,  # lets clients have avatars made of photographs
     consent: ConsentPolicy | None = None,  # of all that is shown, by the same names
@@ -61,7 +61,7 @@ def assemble(
         offers += kept
     log_limits(offers)
     if people:
-        choices = WithPeople(choices, people)
+        choices = LazyAvatars(choices, people)
     devices = [device] if workers is None or device is None else device.split(",")
     more: dict[str, Any] = {"avatars": choices, "max_cost": max_cost, "max_time": max_time}
     if workers is not None:

@@ -6,7 +6,6 @@ from .backend import RenderJob as RenderJob
 from .backend import Solved as Solved
 from .client.client import Client as Client
 from .feature import Feature as Feature
-from .fields import PictureOptions as PictureOptions
 from .messages import Request as Request
 from .options import ServerConfig as ServerConfig
 from .reply import Reply as Reply
@@ -14,3 +13,4 @@ from .served_scene import TrackingOptions as TrackingOptions
 from .served_scene import gl_server as gl_server
 from .served_scene import server_of as server_of
 from .server import Server as Server
+from .wire_schema import PictureOptions as PictureOptions

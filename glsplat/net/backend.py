@@ -1,4 +1,4 @@
-"""What the server needs of a renderer. The network code never sees OpenGL, only this."""
+"""The interface between the server and a renderer or a tracking solver; no OpenGL."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.fields import DEFAULT, PictureOptions
 from glsplat.net.messages import Request
+from glsplat.net.wire_schema import DEFAULT_OPTIONS, PictureOptions
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -40,101 +40,94 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RenderJob:
-    """What a renderer needs of a request: made once, when its picture is due, and never changed."""
+    """A picture to draw; made when it is due, and never changed."""
 
     cameras: tuple[Camera, ...]  # one or two, left first
     pose: Pose | None = None  # None: the rest pose
-    place: NDArray[np.float64] | None = None  # [4, 4] from the scene to the user's space; None: they are the same
+    place: NDArray[np.float64] | None = None  # [4, 4] user's space from scene; None: they are the same
     frame_id: int | None = None  # of its request
-    options: PictureOptions = DEFAULT
-    avatar: str = ""  # which of those the server offers; empty: its first, or the scene
-    room: RoomView | None = None  # everybody in a room, instead of ``avatar`` alone
-    viewer: int = 0  # who asks, for what a renderer keeps from picture to picture
+    options: PictureOptions = DEFAULT_OPTIONS
+    avatar: str = ""  # name of an offered one; "": the first one, or the scene
+    room: RoomView | None = None  # all people of a room, instead of ``avatar`` alone
+    viewer: int = 0  # number of the client; a renderer keeps state for each viewer
     detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
     label: str = ""  # drawn near the head of the avatar
     notice: str = ""  # written into the picture
     mark: ResolveStep | None = None  # the watermark of the session
-    others: float = 1.0  # of what others in a room may add to the picture (budget.others_share); 0: none is drawn
+    others: float = 1.0  # of the share of cost for other people in a room (budget.others_share); 0: none is drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """One picture that was drawn. ``images`` are read while the next one is drawn, until ``done`` is called.
+    """A drawn picture. ``images`` stay valid while the next one is drawn, until ``done`` is called.
 
     Outside ``covered`` the images are zero: transparent black. Where a worker encodes (``encoded``), they are empty.
     """
 
-    images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one a camera of the job
+    images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one for each camera of the job
     timings: Mapping[str, float] = field(default_factory=dict)  # ms by stage (skin, sort, ...)
     driver: str = ""
-    covered: tuple[int, int, int, int] | None = None  # x, y, width, height: all outside is background; None: unknown
+    covered: tuple[int, int, int, int] | None = None  # x, y, width, height of all but the background; None: unknown
     done: Callable[[], None] | None = None
-    levels: tuple[int, ...] = ()  # of detail that were drawn, one a thing of splats; 0 is the finest
-    coarsest: bool = True  # there are no coarser ones
-    posed: int = 0  # people who were skinned anew for it
+    levels: tuple[int, ...] = ()  # levels of detail that were drawn, one for each item of splats; 0 is the finest
+    coarsest: bool = True  # there are no coarser levels
+    posed: int = 0  # people who were skinned for this picture
     places: dict[str, list[float]] = field(default_factory=dict)
-    """Where the one avatar is, if the job asks for it, metres in the cameras' world: "box" (x, y, z lowest, then
-    highest), and where it touches the ground, if it has such joints, "feet" (left ankle, left ball, right ankle, right
-    ball)."""
-    depth: tuple[DepthGrid, ...] = ()  # one an image, if the job asks for it
+    """Positions of the one avatar, if requested, metres in the cameras' world: "box" (lowest x, y, z, then highest) and
+    "feet" (left ankle, left ball, right ankle, right ball), if it has such joints."""
+    depth: tuple[DepthGrid, ...] = ()  # one for each image, if requested
     encoded: asyncio.Future[Encoded] | None = None  # by the worker; may raise WorkerLostError
 
 
 @runtime_checkable
 class Backend(Protocol):
-    """A renderer. All three are called on one thread, ``open`` first and ``close`` last."""
+    """A renderer. All methods are called on one thread, ``open`` first and ``close`` last."""
 
     def open(self) -> str:
-        """Make the context, load the scene and draw a plain picture of it; returns the driver string.
+        """Make the context, load the scene and draw it once; return the driver string.
 
-        May raise GlsplatError: after a lost context that, and nothing a client asks for, ends the server.
+        Raises GlsplatError. After a lost context that ends the server; no request of a client does.
         """
-        ...
 
     def render(self, job: RenderJob) -> Rendered:
-        """Draw ``job.cameras`` at ``job.pose`` (None: the rest pose), of ``avatar`` without what ``options`` hide.
+        """Draw a picture.
 
-        Raises ContextLostError if the context is lost: the server then calls ``close`` and ``open`` again. BudgetError
-        if the picture costs more than it may. Any other error costs this picture only.
+        Raises ContextLostError if the context is lost: the server then calls ``close`` and ``open``. Raises BudgetError
+        if the picture is too costly. Any other error fails this picture only.
         """
-        ...
 
     def close(self) -> None:
-        """Release everything; called once more after an ``open`` that failed."""
-        ...
+        """Release everything; also called after an ``open`` that failed."""
 
 
 @runtime_checkable
 class Interruptible(Protocol):
-    """A backend that can leave a picture unfinished."""
+    """A backend that can abandon a picture."""
 
     abandoned: Callable[[], bool]
-    """Set from outside, and called now and then while a picture is drawn: returns True once it is not needed.
-
-    ``render`` may then raise BudgetError.
-    """
+    """Set by the worker; returns True once the picture is not needed, and ``render`` may raise BudgetError."""
 
 
 @runtime_checkable
 class Placing(Protocol):
-    """A backend that can draw to where its pictures are wanted, which saves a copy."""
+    """A backend that can draw into given memory, which saves a copy."""
 
     place: NDArray[np.uint8] | None
-    """Set before ``render``: where its images [V, H, W, 4] go, contiguous, with anything in it; None: anywhere."""
+    """Set before ``render``: uninitialised, contiguous memory for its images [V, H, W, 4]; None: its own memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """What a request with tracking comes to."""
+    """The solution of a tracking sample."""
 
     pose: Pose
-    notes: tuple[str, ...] = ()  # what was out of the ordinary ("left_lost", ...), told to the client
+    notes: tuple[str, ...] = ()  # problems of the sample ("left_lost", ...), reported to the client
     scale: float = 1.0  # user metres = avatar metres * scale
     floor: float = 0.0  # y of the user's floor in metres; 0 in the avatar's space
 
     @property
     def place(self) -> NDArray[np.float64]:
-        """[4, 4] from the avatar's space to the user's. Raises PoseError where nobody can stand there."""
+        """[4, 4] user's space from avatar's. Raises PoseError for an impossible scale or floor."""
         try:
             return similarity((0.0, self.floor, 0.0), scale=self.scale)
         except GlsplatError as error:
@@ -149,36 +142,35 @@ class Solved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WebFile:
-    """A file from which a browser draws an avatar, and how many bytes of it make a first picture."""
+    """A file from which a browser draws an avatar."""
 
     data: bytes
-    first: int
+    first: int  # bytes that suffice for a first picture
 
 
 class PoseSolver(Protocol):
-    """Raw tracking to a pose, one instance a session because it filters over time (inverse kinematics)."""
+    """Solves tracking to poses for one session; it filters over time."""
 
     def solve(self, request: Request, now: float) -> Solved:
-        """Solve ``request.tracking`` at its time, or at ``now`` (seconds), when it arrived, where it has none.
+        """Solve ``request.tracking`` at its time, or at its arrival ``now`` (seconds) where it has none.
 
-        Called for every request of the session in order, also for those that are never drawn; one call at a time, on
-        a thread that is neither the event loop's nor the renderer's. May raise PoseError.
+        Called for every request of the session in order, one at a time, also for requests that are never drawn, on a
+        thread that is neither the event loop's nor the renderer's. May raise PoseError.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AvatarInfo:
-    """One of the things that clients may choose to see, as requests for it are read and answered."""
+    """An avatar, or a scene, that clients may choose."""
 
     name: str
     skeleton: Skeleton | None = None  # of its poses; None: the 55 joints of SMPL-X
     solver: Callable[[float | None, float | None], PoseSolver] | None = None
-    """Makes a client's solver from its user's height and arm span (metres, None: not told); None: solves nothing."""
-    height: float | None = None  # metres: the stature of a user who needs no scaling; None: no one avatar
-    parts: frozenset[str] = frozenset()  # what of it can be left out
-    untracked: str = ""  # why tracking is not solved, told to the client that sends it
-    still: str = ""  # why poses do nothing, told with the picture; "" where they do something, or are refused
-    made: bool = False  # of a photograph that a client sent: clients may delete it
-    title: str = ""  # what its owner calls it, for people; "": its name
-    file: Callable[[], WebFile] | None = None  # makes what a browser draws it from; None: nothing it could draw
+    """Makes a client's solver from its user's height and arm span (metres, None: unknown); None: no tracking."""
+    height: float | None = None  # metres: the stature of a user who needs no scaling; None: a scene, not one avatar
+    parts: frozenset[str] = frozenset()  # parts that requests may hide
+    untracked: str = ""  # why tracking is not solved, for the client that sends it
+    still: str = ""  # why poses have no effect, reported with each picture; "" where they have one, or are refused
+    made: bool = False  # made of a client's photograph: clients may delete it
+    title: str = ""  # the name that people see; "": ``name``
+    file: Callable[[], WebFile] | None = None  # makes its file for browsers; None: a browser cannot draw it

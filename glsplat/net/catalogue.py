@@ -1,4 +1,4 @@
-"""What clients may choose to see, and what /session says of it. It may change while the server runs."""
+"""Catalogue: the avatars that clients may choose. It may change while the server runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Catalogue"]
 
 
 class Catalogue:
-    """Those offered by name; who names none sees the first, which stays."""
+    """The offered avatars by name. The first is the default, and is never removed."""
 
     def __init__(self, offered: Sequence[AvatarInfo]) -> None:
         self._offered = {one.name: one for one in offered}
@@ -21,18 +21,18 @@ class Catalogue:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The first one first."""
+        """Names in the order of the offer, the default first."""
         return tuple(self._offered)
 
     def __getitem__(self, name: str) -> AvatarInfo:
         return self._offered[name]
 
     def add(self, one: AvatarInfo) -> None:
-        """Offer one more."""
+        """Offer another avatar."""
         self._offered[one.name] = one
 
     def remove(self, name: str) -> bool:
-        """Offer it no more; False where it was not offered."""
+        """Withdraw an avatar; return False where it was not offered."""
         return self._offered.pop(name, None) is not None
 
     def fields(self, names: Collection[str]) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""ClientStream: one client as the render loop sees it; and the stages of its pictures, from a request to a reply."""
+"""ClientStream: one client's requests and answers in the render loop, and the stages from a request to a reply."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encoded import Encoded
-from glsplat.net.fields import PictureOptions
 from glsplat.net.guard.limits import CpuShare
 from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
 from glsplat.net.session import Session
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.net.worker.encoding import ClientVideo
 
 if TYPE_CHECKING:
@@ -44,23 +44,20 @@ __all__ = [
 
 ANYTHING = AvatarInfo(name="")
 
-_COST_STEP = 0.1  # weight of each picture in the moving average of their times
+_COST_WEIGHT = 0.1  # weight of each picture in the moving average of their times
 
 
 class FrameObserver(Protocol):
     """Observes the requests and pictures of one client for a feature of the server. Its methods return at once."""
 
     def request_received(self, request: Request) -> None:
-        """A request was accepted. Called on the event loop."""
-        ...
+        """Handle an accepted request. Called on the event loop."""
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
-        """Pictures [V, H, W, 4] were drawn; may change them in place. Called on an encoding thread."""
-        ...
+        """Handle drawn pictures [V, H, W, 4]; may change them in place. Called on an encoding thread."""
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
-        """The socket took the messages of a reply. Called on the event loop."""
-        ...
+        """Handle a reply that the socket has taken. Called on the event loop."""
 
 
 class RoomMember(Protocol):
@@ -69,73 +66,57 @@ class RoomMember(Protocol):
     @property
     def resume(self) -> str:
         """The token with which the person comes back on another connection."""
-        ...
 
     def meeting(self, request: Request) -> Request:
         """Return the request with the faces of the others, for the solver."""
-        ...
 
     def received(self, request: Request, at: float) -> None:
         """Note a request that arrived ``at`` seconds; its tracking may be solved much later."""
-        ...
 
     def options(self, request: Request) -> PictureOptions:
         """Return the options of the request's picture, in the room's space."""
-        ...
 
     def look(
         self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float
     ) -> tuple[tuple[Camera, ...], RoomView]:
         """Return the ``cameras`` of a request that arrived ``at`` seconds, in the room's space, and its people."""
-        ...
 
     def solved(self, request: Request, solved: Solved, at: float) -> None:
         """Show the person as ``solved``. Called on the solving thread. May raise PoseError."""
-        ...
 
     def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
         """Return the poses that changed since the last ones in the client's ``history``."""
-        ...
 
     def posed(self, count: int) -> None:
         """Count the people that were skinned for a picture."""
-        ...
 
     def fair_cost(self, seconds: float) -> float:
-        """Return the seconds that a picture is charged to its viewer: those of a mean picture of this room."""
-        ...
+        """Return the seconds to charge a viewer for a picture that took ``seconds``: the mean of the room."""
 
 
 class DatagramTransport(Protocol):
     """A connection by datagrams for the pictures of one client, beside its WebSocket."""
 
     def offer(self) -> dict[str, str] | None:
-        """Return "datagrams" of the next reply, where the client accepts them and its link is worth it."""
-        ...
+        """Return "datagrams" of the next reply, where the client accepts them and its link gains by them."""
 
-    def on_the_way(self, nbytes: int) -> int:
-        """Return the bytes on the link for a picture of ``nbytes``."""
-        ...
+    def link_bytes(self, nbytes: int) -> int:
+        """Return the bytes on the link, parity included, of a picture of ``nbytes``."""
 
     def send(self, frame_id: int, picture: bytes) -> bool:
         """Send a picture; return False where it has to go over the WebSocket."""
-        ...
 
     def ping(self, payload: bytes) -> bool:
         """Send a ping; return False where it has to go over the WebSocket."""
-        ...
 
     async def message(self) -> str:
         """Return the next message of the client."""
-        ...
 
     def status(self) -> dict[str, float]:
         """Return "datagrams" of the client in /stats."""
-        ...
 
     def close(self) -> None:
         """Close the connection."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,17 +126,17 @@ class Taken:
     client: ClientStream
     request: Request
     arrived: float  # clock seconds
-    cameras: tuple[Camera, ...]  # of the request, in the size that is drawn
+    cameras: tuple[Camera, ...]  # of the request, in the drawn size
     notice: str = ""  # text in the picture
-    detail: Detail = FULL  # less than requested, where a rate is held
-    smaller: bool = False  # than the rate alone requires
+    detail: Detail = FULL  # reduced where needed to hold a rate or to fit the link
+    smaller: bool = False  # the link requires a smaller size than the rate
     solution: SolutionFuture | None = None  # of its tracking
     losses: int = 0  # workers that were lost while they drew it
-    alone: bool = False  # without the others of its room, as it failed with them
+    alone: bool = False  # drawn without the room's other people, because it failed with them
 
     @property
     def options(self) -> PictureOptions:
-        """How the picture is encoded: as requested, or as the link requires."""
+        """The options of the request, reduced to fit the link."""
         member, rung = self.client.member, self.detail.rung
         requested = self.request.options if member is None else member.options(self.request)
         return requested if rung is None else replace(requested, quality=rung.quality, crop=rung.crop)
@@ -237,12 +218,12 @@ class Refused:
     request: Request
     code: str
     message: str
-    ends: str = ""  # why the connection ends after it and its address is blocked for a while, if so
+    ends: str = ""  # why the connection ends afterwards and the address is held off; "": it does not
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Redraw:
-    """A picture whose worker was lost: it keeps its place in the order of answers, and is drawn again."""
+    """A picture whose worker was lost. It keeps its position among the answers and is drawn again."""
 
     taken: Taken
 
@@ -252,60 +233,72 @@ Answer = Drawn | PoseAnswer | Refused | Redraw
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outgoing:
-    """A reply as it is sent: binary messages, or the text of an error."""
+    """A packed reply: binary messages, or the text of an error."""
 
     request: Request
     messages: Sequence[bytes] = ()
     error: str = ""
-    ends: str = ""  # as of Refused
+    ends: str = ""  # why the connection ends afterwards; "": it does not
 
 
 @dataclass(eq=False, slots=True)
 class ClientStream:
-    """One client as the render loop sees it."""
+    """A client in the render loop."""
 
     number: int
     session: Session
-    solving: PoseQueue | None = None  # None: this server solves no tracking
+    solving: PoseQueue | None = None  # None: its tracking is not solved
     _: KW_ONLY
     address: str = ""  # addresses share the renderer's time
     shown: AvatarInfo = ANYTHING
     account: str = ""  # name of its user; "": the server has no accounts
-    driver: str = ""  # name of whoever drives what is shown; "": not known
+    driver: str = ""  # name of the avatar's driver; "": unknown
     label: str = ""  # over the head of the one avatar
-    notice: Callable[[], str] = field(default=lambda: "")  # returns the text that has to be in a picture drawn now
+    notice: Callable[[], str] = field(default=lambda: "")  # returns the text that a picture drawn now has to contain
     share: CpuShare | None = None  # of the time for reading and solving; None: no limit
-    video: ClientVideo | None = None  # None: this server has none
-    member: RoomMember | None = None  # in a room; None: sees what it is shown alone
-    room: str = ""  # its name
+    video: ClientVideo | None = None  # None: the server has no video
+    member: RoomMember | None = None  # its person in a room; None: it is in no room
+    room: str = ""  # name of its room
     observers: tuple[FrameObserver, ...] = ()
-    datagrams: DatagramTransport | None = None  # for its pictures; None: this server has none
+    datagrams: DatagramTransport | None = None  # None: the server has no datagrams
     answers: asyncio.Queue[Answer] = field(default_factory=asyncio.Queue)  # bounded by the session's window
     pose_history: PoseHistory = field(default_factory=PoseHistory)  # the poses that it was sent
-    cost: float = field(default=0.0, init=False)  # seconds of a picture, lately; 0: none was drawn yet
-    newest: Encoded | None = field(default=None, init=False)  # JPEGs that it was sent last, for the status page
+    cost: float = field(default=0.0, init=False)  # moving average of its pictures' seconds; 0: none was drawn
+    newest: Encoded | None = field(default=None, init=False)  # JPEGs that were sent last, for the status page
     _redraw: tuple[Taken, asyncio.Future[Answer]] | None = field(default=None, init=False)
     _wake: Callable[[], None] = field(default=lambda: None, init=False)
 
     @property
     def place_key(self) -> str:
-        """Clients with the same key are best drawn by one worker (extras/workers/placement.py)."""
+        """Key of the worker: clients with the same key share one where possible (extras/workers/placement.py)."""
         return f"room:{self.room}" if self.room else f"avatar:{self.shown.name}"
 
     @property
     def untracked(self) -> str:
-        """Why tracking is not solved, where it is not."""
+        """The error for tracking where it is not solved."""
         why = self.shown.untracked
         how = f" for what it shows: {why}" if why else ": send pose instead of tracking"
         return f"this server has no tracking solver{how}"
 
     @property
     def redraws(self) -> bool:
-        """Whether a picture has to be drawn again, before any other."""
+        """True while a picture has to be drawn again, before any other."""
         return self._redraw is not None
 
+    def stats(self, status: dict[str, Any], identity: bool) -> dict[str, Any]:
+        """Return the client in /stats, with the ``status`` of its session; its ``identity`` only where requested."""
+        return status | {
+            "id": self.number,
+            "form": self.session.last_form,
+            "size": "x".join(map(str, self.session.last_size)),
+            "datagrams": None if self.datagrams is None else self.datagrams.status(),
+            "avatar": self.shown.name if identity else None,
+            "room": self.room or None if identity else None,
+            "mark": status["mark"] if identity else None,
+        }
+
     def enter(self, room: str, member: RoomMember, name: str) -> None:
-        """Enter a room as ``member``, who is called ``name`` there."""
+        """Enter a room as ``member``, by the ``name``."""
         self.member, self.room, self.driver = member, room, name
         if self.solving is not None:
             self.solving.on_solved = member.solved
@@ -319,16 +312,16 @@ class ClientStream:
         self.datagrams = datagrams
 
     def join(self, wake: Callable[[], None]) -> None:
-        """Take part in a render loop, which ``wake`` wakes up."""
+        """Join a render loop; ``wake`` wakes it up."""
         self._wake = wake
 
     def wake(self) -> None:
-        """Have the render loop check whether a picture can be drawn: there is a request, or room in the window."""
+        """Let the render loop check whether a picture can be drawn, after a request or an acknowledgement."""
         if self._redraw is not None or self.session.waits_for_picture:
             self._wake()
 
     def received(self, request: Request | None, now: float) -> None:
-        """Take note of a message: the tracking of a ``request`` is solved while pictures are drawn."""
+        """Note a message; queue the tracking of its ``request``."""
         if request is not None and request.tracking is not None and self.solving is not None:
             self.solving.add(request if self.member is None else self.member.meeting(request))
         if request is not None and self.member is not None:
@@ -336,10 +329,10 @@ class ClientStream:
         self.wake()
 
     def ready(self, solved: Callable[[], None], poses: bool = False) -> bool:
-        """Return whether a request for a picture (or for ``poses``) can be answered without waiting for its tracking.
+        """Return whether a request for a picture (or for ``poses``) can be answered now.
 
-        Where none is solved yet, the newest is solved from now on, and ``solved`` is called on any thread once it is:
-        under a stream of samples that are all newer, waiting for the newest would never end.
+        If the tracking of none is solved, the newest is reserved and solved; ``solved`` is called afterwards, on any
+        thread. Waiting for the newest sample of a stream would never end.
         """
         if self._redraw is not None:
             return not poses
@@ -367,28 +360,28 @@ class ClientStream:
         return request, waited, None if self.solving is None else self.solving.take(request.frame_id)
 
     def redraw(self, taken: Taken) -> asyncio.Future[Answer]:
-        """Have a picture drawn again before any other; return its new answer."""
+        """Queue a picture to be drawn again before any other; return its new answer."""
         answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._redraw = taken, answer
         self._wake()
         return answer
 
     def take_redraw(self) -> tuple[Taken, asyncio.Future[Answer]] | None:
-        """Return the picture that has to be drawn again, once, and the future for its answer."""
+        """Return the picture that has to be drawn again and the future for its answer, and clear them."""
         redraw, self._redraw = self._redraw, None
         return redraw
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
-        """Show pictures [V, H, W, 4] to the observers, which may change them. Called on an encoding thread."""
+        """Pass pictures [V, H, W, 4] to the observers, which may change them. Called on an encoding thread."""
         for observer in self.observers:
             observer.picture_drawn(images)
 
     def picture_took(self, seconds: float) -> None:
         """Update the expected time of a picture."""
-        self.cost += (seconds - self.cost) * (_COST_STEP if self.cost else 1.0)
+        self.cost += (seconds - self.cost) * (_COST_WEIGHT if self.cost else 1.0)
 
     def picture_sent(self, encoded: Encoded) -> None:
-        """Keep the JPEGs that are sent; of a video there are none."""
+        """Keep the JPEGs that are sent for the status page; a video has none."""
         if encoded.pictures:
             self.newest = encoded if encoded.video is None else None
 

@@ -1,4 +1,4 @@
-"""One client's conversation over its WebSocket: messages in, pictures out, until one of the two sides ends it."""
+"""Conversation: reads a client's messages from its WebSocket and sends the replies, until either side ends it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from glsplat.net.guard.access import SUBPROTOCOL
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import MessageThrottle
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
-from glsplat.net.messages import MAX_BYTES, Request
+from glsplat.net.messages import MAX_MESSAGE_BYTES, Request
 from glsplat.net.session import Close, Warn
 
 __all__ = ["Conversation", "cut_off", "make_socket"]
@@ -29,12 +29,15 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 _MAX_IN_A_ROW = 8  # messages of one client before others are read
-_FAREWELL_S = 0.5  # until a client that broke the rules has to answer the close; its messages are dropped
+_FAREWELL_S = 0.5  # for a client that broke a limit to answer the close; its messages are dropped
 _LOST = 1006  # RFC 6455, section 7.4.1: no close frame was received
 
 
 class Conversation:
-    """``is_draining`` returns whether the server drops requests. A reply may stay unread for ``write_timeout`` s."""
+    """One client's connection.
+
+    ``is_draining`` returns whether the server drops requests. A reply may stay unread for ``write_timeout`` seconds.
+    """
 
     def __init__(
         self,
@@ -55,11 +58,11 @@ class Conversation:
 
     @property
     def goodbye(self) -> bool:
-        """Whether the connection was closed in order; it did not break."""
+        """True after the connection was closed in order; False if it broke."""
         return self._ws.close_code not in (None, _LOST)
 
     async def run(self) -> None:
-        """Run until the client leaves or is put out. Raises ConnectionError, TimeoutError where it does not react."""
+        """Run until either side ends the connection. Raises ConnectionError or TimeoutError if the client is gone."""
         self._drawer.add(self.client)
         writer = asyncio.create_task(self._write())
         try:
@@ -75,7 +78,7 @@ class Conversation:
         await self._ws.close(code=code, message=reason.encode())
 
     async def _converse(self, breached: asyncio.Future[Breach]) -> None:
-        """Read messages until the client leaves or is put out."""
+        """Read messages until the client leaves or breaks a limit."""
         reading = [asyncio.create_task(self._read())]
         if self.client.datagrams is not None:
             reading.append(asyncio.create_task(self._read_datagrams(self.client.datagrams)))
@@ -95,14 +98,14 @@ class Conversation:
                     task.result()
 
     async def _read(self) -> None:
-        """Read messages until the client leaves, is silent for too long, or breaks the rules too often."""
+        """Read the WebSocket's messages until the client leaves, is silent for too long, or breaks a limit."""
         session, reading, count = self.client.session, self._reading, 0
         while True:
             text: str | None = None
             outcome: Warn | Close | None = None
             now = clock()
             try:
-                # not receive(timeout=...): that starts again with each ping or pong, and leaves out writing the pongs
+                # receive(timeout=...) would restart with each ping or pong, and not cover the writing of pongs
                 async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
                     message = await self._ws.receive()
                     if message.type == WSMsgType.PING and not self._ws.closed:
@@ -139,7 +142,7 @@ class Conversation:
         if text is not None:
             now, worked = clock(), time.thread_time()
             received = session.receive(text, now)
-            # waiting for other threads is not the client's fault, but the event loop stands still meanwhile
+            # charge CPU time; waiting for other threads is not the client's fault, but it blocks the event loop
             self._reading.share.spend(time.thread_time() - worked, clock() - now)
         session.counts.unread = self._reading.left_out
         if isinstance(received, Warn):
@@ -160,7 +163,7 @@ class Conversation:
             self._responder.due(self.client)
 
     async def _read_datagrams(self, datagrams: DatagramTransport) -> None:
-        """Read the messages that come by datagrams."""
+        """Read the messages that arrive by datagrams."""
         while True:
             wait = self._reading.wait(clock())
             try:
@@ -172,16 +175,16 @@ class Conversation:
                 text = None if self._is_draining() else self._reading.offer(message, clock())
             if await self._take(text):
                 return
-            await asyncio.sleep(0)  # others are read in between
+            await asyncio.sleep(0)  # let other clients be read
 
     async def _farewell(self, close: Close) -> None:
-        """Close the connection of a client that broke the rules. Raises TimeoutError where it does not answer."""
+        """Close the connection of a client that broke a limit. Raises TimeoutError where it does not answer."""
         self._drawer.remove(self.client)
         if close.breach:
             self._gate.breach(self._request, close.reason)
         if close.text:
             await self._send(close.text)
-        async with asyncio.timeout(_FAREWELL_S):  # then it is cut off
+        async with asyncio.timeout(_FAREWELL_S):
             await self._ws.close(code=close.code, message=close.reason.encode())
 
     async def _write(self) -> None:
@@ -202,12 +205,12 @@ class Conversation:
                 return
             except ConnectionError:
                 return
-            except Exception:  # a fault of the server: end the connection rather than leave it silent
+            except Exception:  # a fault of the server: a silent connection would be worse than none
                 log.exception("client %d cannot be answered", self.client.number)
                 cut_off(self._request)
                 return
             if outgoing.messages:
-                if not session.counts.sent:  # a client without a picture fills no log
+                if not session.counts.sent:  # with the first picture: clients without one must not fill the log
                     session.announce(self.client.number, self.client.address)
                 session.sent(outgoing.request, sum(map(len, outgoing.messages)))
                 for observer in self.client.observers:
@@ -238,7 +241,7 @@ class Conversation:
         return self.client.datagrams.send(outgoing.request.frame_id, outgoing.messages[0])
 
     async def _ping(self, behind: int | None = None) -> None:
-        """Ping before a picture or ``behind`` it, where the round trip of the client's link is measured."""
+        """Send a ping before a picture or ``behind`` it, if the client's link is measured."""
         link = self.client.session.link
         if link is None or self._ws.closed:
             return
@@ -261,10 +264,10 @@ class Conversation:
 def make_socket(heartbeat: float, timeout: float) -> web.WebSocketResponse:
     """Return the server's side of a WebSocket: seconds between pings, and until a client has to answer."""
     return web.WebSocketResponse(
-        compress=False,  # JPEG does not shrink, and deflating it costs 4 to 6 ms a reply
-        max_msg_size=MAX_BYTES + 1,  # aiohttp refuses messages of the size it is given
+        compress=False,  # JPEG does not shrink, and deflating it takes 4 to 6 ms a reply
+        max_msg_size=MAX_MESSAGE_BYTES + 1,  # aiohttp refuses messages of the size it is given
         heartbeat=heartbeat,
-        autoping=False,  # answers to pings measure links
+        autoping=False,  # this module handles pongs: they measure links
         timeout=timeout,
         protocols=(SUBPROTOCOL,),
     )

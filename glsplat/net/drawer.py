@@ -1,4 +1,4 @@
-"""Drawer: what the server needs of a render loop or of a pool of workers. One event loop calls all of it."""
+"""Drawer: the interface of a render loop and of a pool of workers. All methods are called on one event loop."""
 
 from __future__ import annotations
 
@@ -14,61 +14,49 @@ __all__ = ["Drawer"]
 
 
 class Drawer(Protocol):
-    """Draws for the clients that were added, in fair turns, and packs their replies."""
+    """Draws for its clients, in fair turns, and packs their replies."""
 
     stages: StageTimes
-    should_yield: Callable[[], bool]  # set by the server: returns whether others need the processor that draws
+    should_yield: Callable[[], bool]  # set by the server: returns whether others need the processor
     encoder: PictureEncoder  # of pixels, and of video
 
     @property
     def driver(self) -> str:
         """The OpenGL driver; several are joined by "; "."""
-        ...
 
     @property
     def healthy(self) -> bool:
         """False once pictures fail in a row, one hangs, or no worker is left."""
-        ...
 
     @property
     def rebuilds(self) -> int:
         """Contexts or workers lost so far."""
-        ...
 
     @property
     def drawing_for(self) -> float:
-        """Seconds that the newest picture in hand has taken so far; 0: none is drawn."""
-        ...
+        """Seconds that the newest picture has taken so far; 0: none is drawn."""
 
     @property
     def restart(self) -> Callable[[], asyncio.Task[None]] | None:
-        """Starts the workers anew, one by one; None where there are none."""
-        ...
+        """Function that restarts the workers one by one; None without a pool."""
 
     async def start(self) -> None:
         """Open the workers. Raises GlsplatError."""
-        ...
 
     async def ended(self) -> None:
-        """Wait until no worker can be started any more. Raises ContextError."""
-        ...
+        """Wait until no worker can be restarted. Raises ContextError."""
 
     async def stop(self) -> None:
         """Close the workers."""
-        ...
 
     def add(self, client: ClientStream) -> None:
         """Draw for a client from now on."""
-        ...
 
     def remove(self, client: ClientStream) -> None:
-        """Forget a client."""
-        ...
+        """Remove a client."""
 
     async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
-        """Return an answer as it is sent, and mark it as being sent."""
-        ...
+        """Return the packed reply of an answer, and mark it as being sent."""
 
     def workers(self) -> list[dict[str, Any]] | None:
-        """Return ``workers`` of /stats; None where there are none."""
-        ...
+        """Return ``workers`` of /stats; None without a pool."""

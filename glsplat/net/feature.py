@@ -1,4 +1,4 @@
-"""Feature: a part of the server that can be left out, such as uploads, datagrams or a study.
+"""Feature: an optional part of the server, such as uploads, datagrams or a study.
 
 The server calls its hooks on the event loop. A hook does nothing unless a feature overrides it.
 """
@@ -27,17 +27,17 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class PoseResponder(Protocol):
-    """Answers requests that want poses instead of pictures (extras/browser)."""
+    """Answers requests for poses instead of pictures (extras/browser)."""
 
     def due(self, client: ClientStream) -> None:
-        """Queue the answers that a client can have now."""
+        """Queue the answers to a client that are ready."""
 
     def pack(self, answer: PoseAnswer) -> Outgoing:
         """Return the messages of an answer with poses, and mark it as being sent."""
 
 
 class ServerView(Protocol):
-    """What a feature may use of its server."""
+    """The part of a server that its features use."""
 
     config: ServerConfig
     port: int
@@ -49,27 +49,21 @@ class ServerView(Protocol):
 
     def stats(self, user: User | None = None) -> dict[str, Any]:
         """Return the object of /stats for an account."""
-        ...
 
     def session(self, user: User | None = None) -> dict[str, Any]:
         """Return the object of /session for an account."""
-        ...
 
     def is_healthy(self) -> bool:
         """Return whether pictures are drawn, and new clients may come."""
-        ...
 
     def close_client(self, number: int, reason: str) -> None:
-        """End the connection of a client that did nothing wrong."""
-        ...
+        """Close the connection of a client that broke no limit."""
 
     async def withdraw(self, name: str) -> bool:
-        """Take an avatar out of the catalogue and end its clients' connections; False where it was not in there."""
-        ...
+        """Withdraw an avatar and end the connections that show it; return False where it was not offered."""
 
     def worn_avatars(self, user: User | None) -> set[str]:
         """Return the avatars of people that an account may meet, by all features."""
-        ...
 
 
 class Feature:
@@ -89,20 +83,20 @@ class Feature:
         """Stop. Called where ``start`` succeeded."""
 
     def routes(self) -> Sequence[web.RouteDef]:
-        """Return the addresses of this feature, all behind the gate. Called after ``start``."""
+        """Return the routes of this feature, all behind the gate. Called after ``start``."""
         return ()
 
     @web.middleware
     async def guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse a request to any address, or return what ``handler`` answers. Runs behind the gate."""
+        """Refuse a request to any address, or return the answer of ``handler``. Runs behind the gate."""
         return await handler(request)
 
     def is_trusted(self, request: web.Request) -> bool:
-        """Return whether a request carries a secret of this feature: it then counts less against the visit rate."""
+        """Return whether a request has a secret of this feature: it then counts less against the visit rate."""
         return False
 
     def needs_cpu(self) -> bool:
-        """Return whether drawing in software should leave the processor to this feature now."""
+        """Return whether drawing in software should yield the processor to this feature now."""
         return False
 
     # -------------------------------------------------------------------------------------------------------- clients
@@ -115,22 +109,22 @@ class Feature:
         """Return the tracking solver of the client whose ``query`` was read last."""
         return solver
 
-    def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
-        """A client connects; may call its methods, such as ``observe``. Raises ProtocolError to refuse it."""
+    def client_opened(self, client: ClientStream, requested: RequestedOptions) -> None:
+        """Handle a new client; may call its methods, such as ``observe``. Raises ProtocolError to refuse it."""
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:
-        """A client has left, or was refused; ``goodbye``: it closed its connection in order."""
+        """Handle a client that left or was refused; ``goodbye``: it closed its connection in order."""
 
     # -------------------------------------------------------------------------------------------------------- avatars
 
     async def avatars_added(self) -> None:
-        """The catalogue has new avatars."""
+        """Handle new avatars in the catalogue."""
 
     def avatar_withdrawn(self, name: str) -> None:
-        """The catalogue lost an avatar; another may get its name."""
+        """Handle the end of an avatar in the catalogue; another may get its name."""
 
     def pose_responder(self, server: ServerView) -> PoseResponder | None:
-        """Return what answers requests for poses; None where this feature does not. Called before ``start``."""
+        """Return this feature's responder to requests for poses, if any. Called before ``start``."""
         return None
 
     def worn_avatars(self, user: User | None) -> Iterable[str]:
@@ -140,17 +134,17 @@ class Feature:
     # ---------------------------------------------------------------------------------------------------------- pages
 
     def stats(self, user: User | None) -> Mapping[str, Any]:
-        """Return what this feature adds to /stats for an account."""
+        """Return this feature's fields of /stats for an account."""
         return {}
 
     def client_stats(self, user: User | None, client: ClientStream) -> Mapping[str, Any]:
-        """Return what this feature adds to one client of /stats, which the account may see."""
+        """Return this feature's fields of a client in /stats, which the account may see."""
         return {}
 
     def session(self, user: User | None) -> Mapping[str, Any]:
-        """Return what this feature adds to /session for an account."""
+        """Return this feature's fields of /session for an account."""
         return {}
 
     def avatar_fields(self, name: str) -> Mapping[str, Any]:
-        """Return what this feature adds to one avatar of /session."""
+        """Return this feature's fields of an avatar in /session."""
         return {}

@@ -1,4 +1,4 @@
-"""InternalClient: single pictures that the server wants for itself, drawn in turn with those of its clients."""
+"""InternalClient: requests single pictures for the server itself, in turn with those of its clients."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TIMEOUT_S = 20.0  # of a picture
 
 
 class InternalClient:
-    """The drawer's client with the number 0. Its pictures are watermarked, too."""
+    """The client with the number 0. Its pictures are watermarked, too."""
 
     def __init__(self, drawer: Drawer, wire: WireOptions, session: SessionConfig, clock: Callable[[], float]) -> None:
         self._drawer, self._wire, self._config, self._clock = drawer, wire, session, clock
@@ -33,7 +33,7 @@ class InternalClient:
     async def draw(
         self, avatar: AvatarInfo, request: Mapping[str, object], notice: Callable[[], str] = str
     ) -> tuple[Encoded, Mapping[str, float]]:
-        """Return the picture of a native request, and its times in ms. Raises GlsplatError where there is none."""
+        """Return the picture of a native request, and its times in ms. Raises GlsplatError where it fails."""
         drawer = self._drawer
         async with self._one_at_a_time:  # all have the number 0
             session = Session(Decoder(self._wire, avatar.skeleton, avatar.parts), self._config, self._clock())
@@ -54,7 +54,7 @@ class InternalClient:
                 drawer.remove(client)
 
     async def fit(self, avatar: AvatarInfo, max_side: int) -> Fitted | None:
-        """Return how large pictures of ``avatar`` may be for enough of them a second; None where that is not known."""
+        """Return the largest size at which ``avatar`` is drawn often enough; None where drawing fails."""
 
         async def draw(side: int) -> float:
             _, times = await self.draw(avatar, pair(avatar, side))

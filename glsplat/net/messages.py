@@ -1,13 +1,13 @@
-"""Requests: JSON text to a checked, frozen Request (docs/protocol.md). No I/O, no state.
+"""Decodes requests: JSON text to a checked, frozen Request (docs/protocol.md). No I/O, no state.
 
-Three forms arrive on the same socket: the native one, which names its version (``v``), and two that older clients send,
-which know none (``cameras`` with ``smplx``, and one ``camera`` with ``smplx``).
+There are three forms: the native one has a version (``v``), the two of older clients have none (``cameras`` with
+``smplx``, and one ``camera`` with ``smplx``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from glsplat.camera import ORTHONORMAL, PAPER_FOV, PAPER_IPD, Camera, head_matrix, stereo_cameras
 from glsplat.errors import FormatError, PoseError, ProtocolError
-from glsplat.net.fields import (
-    DEFAULT,
-    FAR,
-    NEAR,
-    PICTURE,
-    SH_DEGREE,
+from glsplat.net.guard.duplicates import has_duplicates
+from glsplat.net.wire_schema import (
+    DEFAULT_FAR_M,
+    DEFAULT_NEAR_M,
+    DEFAULT_OPTIONS,
+    DEFAULT_SH_DEGREE,
+    REQUEST_ONLY,
     Alpha,
     Arrival,
     Eye,
@@ -29,14 +30,13 @@ from glsplat.net.fields import (
     LegacyMessage,
     Message,
     PictureOptions,
-    Place,
-    faces_of,
-    given,
-    light_of,
+    Position,
+    checked_faces,
+    checked_light,
+    checked_video,
+    present_fields,
     sample_of,
-    video_of,
 )
-from glsplat.net.guard.duplicates import has_duplicates
 from glsplat.rotations import FLIP_X, FLIP_Z, nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from glsplat.light.light import Light
 
 __all__ = [
-    "MAX_BYTES",
     "MAX_ID",
+    "MAX_MESSAGE_BYTES",
     "PARTS",
     "VERSION",
     "Ack",
@@ -61,56 +61,52 @@ __all__ = [
 ]
 
 VERSION = 1
-MAX_BYTES = 64 * 1024
-"""Largest text message; a request with full hands is 2 to 4 kB."""
+MAX_MESSAGE_BYTES = 64 * 1024
+"""Largest text message; a request with tracking of all fingers has 2 to 4 kB."""
 
 Form = Literal["native", "bundle-legacy", "single-legacy"]
 MAX_ID = 2**32 - 1
 PARTS = ("head",)
-"""What a request may leave out of an avatar: the splats of the joint of that name and of all that hangs from it."""
+"""Parts of an avatar that a request may hide: the splats of the joint of that name and of its descendants."""
 
-_ORTHONORMAL = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
-_EXACT = ORTHONORMAL / 2  # beyond it the nearest rotation is taken: a place in a room rounds once more
-LONGEST = 60_000.0
-"""Milliseconds that an ``arrival`` may speak of."""
-NEAREST = 1e-6  # metres; nearer than any near plane makes sense
+_MAX_CLIENT_ROTATION_ERROR = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
+_MAX_ROTATION_ERROR = ORTHONORMAL / 2  # above it the nearest rotation replaces R: transforms in rooms add rounding
+MAX_ARRIVAL_MS = 60_000.0  # largest time in an ``arrival``
+_MIN_NEAR_M = 1e-6  # metres
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WireOptions:
-    """What a session accepts and what it fills in where a request is silent."""
+    """Limits of requests, and defaults for the fields that they lack."""
 
     size: tuple[int, int] = (1024, 1024)  # pixels an eye
     max_side: int = 2048  # pixels
     quality: int = 80  # JPEG
-    ipd: float = PAPER_IPD  # metres; for head poses without eyes
-    fov: float = PAPER_FOV  # vertical degrees; likewise
-    mirror: bool = False  # show the world reflected in x, as a mirror in front of the user does
-    max_distance: float = 1e4  # metres from the origin for eyes and tracked points
-    light: Light | None = None  # that the renderer lets fall on its scene where a request has none; clients are told
+    ipd: float = PAPER_IPD  # metres; of head poses without eyes
+    fov: float = PAPER_FOV  # vertical degrees; of head poses without eyes
+    mirror: bool = False  # reflect the world in x, as a mirror in front of the user does
+    max_distance: float = 1e4  # metres from the origin, of eyes and tracked points
+    light: Light | None = None  # the scene's light, as /session reports it
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Request:
-    """One picture (of one or two eyes) that a client asks for, or how somebody stands (``poses``, without cameras).
+    """A request for a picture of one or two eyes, or for ``poses``, which has no cameras."""
 
-    ``frame_id`` is None where an old client sent none.
-    """
-
-    frame_id: int | None
+    frame_id: int | None  # None: an older client sent none
     cameras: tuple[Camera, ...]  # one or two, left first; none for poses
     pose: Pose | None = None  # None and no tracking: the rest pose
-    tracking: Sample | None = None  # its time means nothing where ``t`` is None
-    fault: str = ""  # why ``tracking`` cannot be solved, told when the picture is due
-    t: float | None = None  # milliseconds of the client's clock as they came, echoed
-    ack: int | None = None  # newest frame_id the client has received
-    arrival: Arrival | None = None  # what it says of that
-    options: PictureOptions = DEFAULT
+    tracking: Sample | None = None  # its time is unknown where ``t`` is None
+    fault: str = ""  # why ``tracking`` cannot be solved; fails the picture
+    t: float | None = None  # milliseconds of the client's clock, echoed
+    ack: int | None = None  # newest frame_id that the client has received
+    arrival: Arrival | None = None  # report on the picture of ``ack``
+    options: PictureOptions = DEFAULT_OPTIONS
     form: Form = "native"
     eyes: tuple[int, ...] = (0, 1)  # eye numbers of the cameras: 0 left, 1 right
-    poses: bool = False  # the client draws
-    datagrams: bool = False  # the client can have pictures by datagrams, too
-    faces: tuple[Place, ...] = ()  # between the eyes of those whom a tracked avatar may look at, in its user's space
+    poses: bool = False  # the client draws by itself
+    datagrams: bool = False  # the client accepts pictures by datagrams
+    faces: tuple[Position, ...] = ()  # faces that a tracked avatar may look at, in its user's space
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +123,9 @@ _encoder = msgspec.json.Encoder()
 
 
 class Decoder:
-    """Turns text into requests for one session.
+    """Decodes the messages of one session.
 
-    ``skeleton`` None means the 55 joints of SMPL-X; ``parts`` are those of the avatar that can be left out.
+    ``skeleton`` None means the 55 joints of SMPL-X; ``parts`` are the avatar's parts that can be hidden.
     """
 
     def __init__(
@@ -142,10 +138,10 @@ class Decoder:
         self.skeleton, self.parts = skeleton, parts
 
     def decode(self, data: str | bytes) -> Request | Ack:
-        """One message. Raises ProtocolError (code, and frame_id where it could be read) for anything malformed."""
+        """Decode a message. Raises ProtocolError, with the frame_id where it could be read."""
         size = len(data) if isinstance(data, bytes) else len(data.encode("utf-8", "replace"))
-        if size > MAX_BYTES:
-            raise ProtocolError(f"a message needs at most {MAX_BYTES} bytes, not {size}", "too_big")
+        if size > MAX_MESSAGE_BYTES:
+            raise ProtocolError(f"a message needs at most {MAX_MESSAGE_BYTES} bytes, not {size}", "too_big")
         try:
             message = _decoder.decode(data)
             legacy = _legacy_decoder.decode(data) if message.v is None else None
@@ -174,22 +170,40 @@ class Decoder:
             found = "none" if m.v is None else f"{m.v}"[:20]
             raise ProtocolError(f'this server speaks version {VERSION}: send "v": {VERSION}, not {found}', "version")
         if m.frame_id is None:
-            asked = [name for name in PICTURE if getattr(m, name) not in (None, False)]
-            if m.ack is None or asked:
-                raise ProtocolError("a request needs frame_id" + (f" (found {', '.join(asked)})" if asked else ""))
+            present = [name for name in REQUEST_ONLY if getattr(m, name) not in (None, False)]
+            if m.ack is None or present:
+                raise ProtocolError("a request needs frame_id" + (f" (found {', '.join(present)})" if present else ""))
             return Ack(m.ack, m.arrival)
-        o = self.options
         if m.pose is not None and m.tracking is not None:
             raise ProtocolError("a request has either pose or tracking, not both")
-        if m.want not in (None, "picture"):
-            return self._poses(m)
+        if m.want not in (None, "picture", "pose"):
+            raise ProtocolError(f'want needs "picture" or "pose", not {m.want!r:.20}')
+        o = self.options
+        sample, fault = None, ""
+        if m.tracking is not None:
+            sample, fault = sample_of(m.tracking, (m.t or 0.0) / 1e3, o.max_distance)
+        request = Request(
+            frame_id=m.frame_id,
+            cameras=(),
+            pose=None if m.pose is None else self._pose(present_fields(m.pose)),
+            tracking=sample,
+            fault=fault,
+            t=m.t,
+            ack=m.ack,
+            arrival=m.arrival,
+            eyes=(),
+            poses=m.want == "pose",
+            faces=checked_faces(m.faces, o.max_distance),
+        )
+        return request if request.poses else self._picture(request, m)
+
+    def _picture(self, request: Request, m: Message) -> Request:
+        """Return ``request`` with the cameras and options of its picture."""
+        o = self.options
         size = self._size(m.size)
         quality = o.quality if m.quality is None else m.quality
         if not 1 <= quality <= 100:
             raise ProtocolError("quality needs a whole number from 1 to 100")
-        sample, fault = None, ""
-        if m.tracking is not None:
-            sample, fault = sample_of(m.tracking, (m.t or 0.0) / 1e3, o.max_distance)
         if m.eyes is not None:
             if not 1 <= len(m.eyes) <= 2:
                 raise ProtocolError(f"eyes needs one or two entries, not {len(m.eyes)}")
@@ -199,56 +213,25 @@ class Decoder:
             cameras = stereo_cameras(_head(head[:3], head[3:]), o.ipd, o.fov, size=size)
         else:
             raise ProtocolError('a request needs "eyes": one or two of {"viewmat", "K"}')
-        pose = None if m.pose is None else self._pose(given(m.pose))
-        alpha, hide = _alpha(m.alpha), self._hidden(m.hide or [])
-        return Request(
-            frame_id=m.frame_id,
+        return replace(
+            request,
             cameras=_mirrored(cameras) if (o.mirror if m.mirror is None else m.mirror) else cameras,
-            pose=pose,
-            tracking=sample,
-            fault=fault,
-            t=m.t,
-            ack=m.ack,
-            arrival=m.arrival,
             options=PictureOptions(
                 quality=quality,
                 crop=m.crop,
-                alpha=alpha,
-                hide=hide,
+                alpha=_alpha(m.alpha),
+                hide=self._hidden(m.hide or []),
                 box=m.box,
                 depth=m.depth,
-                light=light_of(m.light),
-                video=video_of(m.video),
+                light=checked_light(m.light),
+                video=checked_video(m.video),
             ),
             eyes=tuple(range(len(cameras))),
             datagrams=m.datagrams,
-            faces=faces_of(m.faces, o.max_distance),
-        )
-
-    def _poses(self, m: Message) -> Request:
-        """A request of a client that draws: what a picture would have to be like is not looked at."""
-        if m.want != "pose":
-            raise ProtocolError(f'want needs "picture" or "pose", not {m.want!r:.20}')
-        sample, fault = None, ""
-        if m.tracking is not None:
-            sample, fault = sample_of(m.tracking, (m.t or 0.0) / 1e3, self.options.max_distance)
-        pose = None if m.pose is None else self._pose(given(m.pose))
-        return Request(
-            frame_id=m.frame_id,
-            cameras=(),
-            pose=pose,
-            tracking=sample,
-            fault=fault,
-            t=m.t,
-            ack=m.ack,
-            arrival=m.arrival,
-            eyes=(),
-            poses=True,
-            faces=faces_of(m.faces, self.options.max_distance),
         )
 
     def _legacy(self, m: Message, old: LegacyMessage) -> Request:
-        """Head poses in Unity's frame, both eyes alike; IPD, field of view and size are the server's."""
+        """Decode head poses in Unity's frame; IPD, field of view and size are the server's."""
         _check_ids(m)
         o = self.options
         heads = [old.camera] if old.camera is not None else old.cameras or []
@@ -259,7 +242,7 @@ class Decoder:
         for head in heads:
             pair = stereo_cameras(_head_from_unity(head), o.ipd, o.fov, size=o.size)
             cameras.append(self._placed(pair[head.eye == "right"]))
-        smplx = {} if old.smplx is None else given(old.smplx)
+        smplx = {} if old.smplx is None else present_fields(old.smplx)
         pose = {key: value for key, value in smplx.items() if key in POSE_KEYS}  # trans is ignored, as in their server
         return Request(
             frame_id=m.frame_id,
@@ -288,15 +271,17 @@ class Decoder:
         rotation = viewmat[:3, :3]
         with np.errstate(all="ignore"):  # 1e300 is finite, its square is not
             off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if not off <= _ORTHONORMAL:
+        if not off <= _MAX_CLIENT_ROTATION_ERROR:
             raise ProtocolError("viewmat needs an orthonormal rotation (world to camera, row by row)", "bad_camera")
         if np.linalg.det(rotation) < 0:
             raise ProtocolError('viewmat is a reflection; for a mirror picture send "mirror": true', "bad_camera")
-        if not NEAREST <= eye.near < eye.far <= FAR:
-            raise ProtocolError(f"an eye needs {NEAREST:g} <= near < far <= {FAR:g} (metres)", "bad_camera")
-        if not 0 <= eye.sh_degree <= SH_DEGREE:
-            raise ProtocolError(f"sh_degree needs a whole number from 0 to {SH_DEGREE}", "bad_camera")
-        if off > _EXACT:  # the same eye looks from there, by the nearest rotation
+        if not _MIN_NEAR_M <= eye.near < eye.far <= DEFAULT_FAR_M:
+            raise ProtocolError(
+                f"an eye needs {_MIN_NEAR_M:g} <= near < far <= {DEFAULT_FAR_M:g} (metres)", "bad_camera"
+            )
+        if not 0 <= eye.sh_degree <= DEFAULT_SH_DEGREE:
+            raise ProtocolError(f"sh_degree needs a whole number from 0 to {DEFAULT_SH_DEGREE}", "bad_camera")
+        if off > _MAX_ROTATION_ERROR:  # keep the camera's position
             exact = np.eye(4)
             exact[:3, :3] = nearest_rotations(rotation[None])[0]
             exact[:3, 3] = exact[:3, :3] @ np.linalg.solve(rotation, viewmat[:3, 3])
@@ -311,7 +296,7 @@ class Decoder:
         return camera
 
     def _hidden(self, parts: Sequence[str]) -> tuple[str, ...]:
-        """Which parts are left out; those of the avatar that is shown, no others."""
+        """Return the parts to hide, sorted. Raises ProtocolError for parts that the avatar lacks."""
         for part in parts:
             if part not in PARTS:
                 raise ProtocolError(f"hide knows {', '.join(PARTS)}; found another word")
@@ -324,7 +309,7 @@ class Decoder:
 
 
 def _mirrored(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
-    """The same eyes in a world reflected in x."""
+    """Return the cameras for a world that is reflected in x."""
     return tuple(
         Camera(c.viewmat @ FLIP_X, c.K, c.width, c.height, c.background, c.near, c.far, c.sh_degree, c.name)
         for c in cameras
@@ -332,16 +317,16 @@ def _mirrored(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
 
 
 def eye_fields(camera: Camera) -> dict[str, Any]:
-    """{"viewmat": 16 numbers, "K": [fx, fy, cx, cy]} of a camera, as requests and replies carry it.
+    """Return a camera's fields in requests and replies: {"viewmat": 16 numbers, "K": [fx, fy, cx, cy]}.
 
-    near, far (metres) and sh_degree are there where they are not the default.
+    near, far (metres) and sh_degree are added where they are not the default.
     """
     k = camera.K
     fields: dict[str, Any] = {
         "viewmat": camera.viewmat.ravel().tolist(),
         "K": [float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
     }
-    for name, default in (("near", NEAR), ("far", FAR), ("sh_degree", SH_DEGREE)):
+    for name, default in (("near", DEFAULT_NEAR_M), ("far", DEFAULT_FAR_M), ("sh_degree", DEFAULT_SH_DEGREE)):
         value = getattr(camera, name)
         if value != default:
             fields[name] = value
@@ -362,25 +347,25 @@ def _check_ids(m: Message) -> None:
             raise ProtocolError(f"{name} needs a whole number from 0 to {MAX_ID}")
     if m.arrival is not None:
         if m.ack is None:
-            raise ProtocolError("arrival needs ack, which says of what picture it is")
-        if not all(0 <= ms <= LONGEST for ms in (m.arrival.age, m.arrival.held)):
-            raise ProtocolError(f"arrival needs milliseconds from 0 to {LONGEST:g} in age and held")
+            raise ProtocolError("arrival needs ack, the frame_id of its picture")
+        if not all(0 <= ms <= MAX_ARRIVAL_MS for ms in (m.arrival.age, m.arrival.held)):
+            raise ProtocolError(f"arrival needs milliseconds from 0 to {MAX_ARRIVAL_MS:g} in age and held")
 
 
 def error_text(code: str, message: str, frame_id: int | None = None) -> str:
-    """The text message that tells a client what was wrong."""
+    """Return the text message that reports an error to a client."""
     return _encoder.encode({"error": {"code": code, "message": _line(message), "frame_id": frame_id}}).decode()
 
 
 def _head(position: Sequence[float], rotation: Sequence[float]) -> NDArray[np.float64]:
-    """T_W_H [4, 4]. Raises FormatError or ProtocolError for what is no quaternion."""
+    """Return T_W_H [4, 4]. Raises FormatError or ProtocolError for an invalid quaternion."""
     if max(map(abs, rotation)) > 1e3:  # 1e300 is finite, its square is not
         raise ProtocolError("a quaternion needs numbers of about unit length", "bad_camera")
     return head_matrix(position, rotation)
 
 
 def _head_from_unity(head: LegacyCamera) -> NDArray[np.float64]:
-    """T_W_H [4, 4] from Unity's left-handed frame: position S_x p, rotation S_x R S_z (docs/conventions.md)."""
+    """Return T_W_H [4, 4] of a pose in Unity's left-handed frame: S_x p, S_x R S_z (docs/conventions.md)."""
     unity = _head((head.pos_x, head.pos_y, head.pos_z), (head.rot_x, head.rot_y, head.rot_z, head.rot_w))
     return FLIP_X @ unity @ FLIP_Z
 
@@ -390,5 +375,5 @@ def _safe_id(frame_id: int | None) -> int | None:
 
 
 def _line(message: str) -> str:
-    """One printable line of bounded length: parts of it may come from the peer."""
+    """Return one printable line of bounded length: the peer may have sent parts of ``message``."""
     return "".join(c if c.isprintable() else " " for c in message[:300])

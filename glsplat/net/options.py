@@ -1,7 +1,4 @@
-"""What a server is told before it starts, and what a client asks for in the address it connects to.
-
-That is /ws?avatar=ann&mirror=1&window=3&height=1.75&room=lab.
-"""
+"""Configuration of a server, and a client's options in its address: /ws?avatar=ann&mirror=1&window=3&room=lab."""
 
 from __future__ import annotations
 
@@ -25,10 +22,9 @@ if TYPE_CHECKING:
 __all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "RoomError", "ServerConfig", "client_options"]
 
 MAX_WINDOW = 8
-_FARTHEST = 100.0  # metres from a room's centre
+_MAX_ROOM_DISTANCE_M = 100.0  # metres from a room's centre
 NOT_ALLOWED = "not_allowed"
-"""The code of the error for what exists, or might, and is not for this account now."""
-
+"""Error code for an option that this account may not have, whether or not it exists."""
 
 NAME = re.compile(r"[^\W_](?:[\w .'-]{0,30}[\w.])?")
 """Names of rooms and of people in them: up to 32 letters and digits of any script, blanks and _ . ' - between them."""
@@ -44,7 +40,7 @@ class RoomError(ProtocolError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerConfig:
-    """Everything a server is told before it starts."""
+    """Configuration of a server."""
 
     access: Access = field(default_factory=Access)
     port: int = 8000  # 0: any free one
@@ -54,36 +50,36 @@ class ServerConfig:
     limits: Limits = field(default_factory=Limits)
     max_clients: int = 8
     heartbeat: float = 15.0  # seconds between pings; half of it without a pong ends the connection
-    write_timeout: float = 2.0  # seconds a client may leave a reply unread
-    drain_timeout: float = 3.0  # seconds that pictures under way get at the end
+    write_timeout: float = 2.0  # seconds that a client may leave a reply unread
+    drain_timeout: float = 3.0  # seconds for pictures under way when the server stops
     scene: str = "avatar"  # for the status page
-    rooms: Mapping[str, int] = field(default_factory=dict)  # seats of each
-    furnished: frozenset[str] = frozenset()  # those of them in which more is to be seen than people
-    consent: Consent | None = None  # of those who are shown; None: nobody asks for it
-    fps: float | None = None  # pictures a second that each client gets, with less detail if need be; None: as it comes
-    private: bool = False  # nobody sees who the clients are, and what they are shown
-    video: bool = False  # clients that ask for it get video instead of JPEGs (codec/video.py)
-    webtransport: bool = False  # pictures go by datagrams over long ways to clients that can have them so
-    fit: bool = False  # offer pictures of the largest size that is drawn often enough here (pace/fitting.py)
+    rooms: Mapping[str, int] = field(default_factory=dict)  # seats by room
+    furnished: frozenset[str] = frozenset()  # rooms that have scenery
+    consent: Consent | None = None  # of the people who are shown; None: it is not checked
+    fps: float | None = None  # pictures a second for each client, by less detail where needed; None: no target
+    private: bool = False  # hide the clients' identities and avatars from everybody
+    video: bool = False  # send video instead of JPEGs to clients that accept it (extras/far_links/video.py)
+    webtransport: bool = False  # send pictures by datagrams over long links to clients that accept them
+    fit: bool = False  # offer the largest pictures that this machine draws often enough (pace/fitting.py)
 
 
 _ALL = Rights()
-_NOTHING = "there is no avatar here that you may drive"
+_NO_AVATAR = "there is no avatar here that you may drive"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RequestedOptions:
-    """The server's options with one client's wishes in them."""
+    """The server's options with one client's requested options in them."""
 
     wire: WireOptions
     session: SessionConfig
-    avatar: str  # one of those offered
-    height: float | None  # metres, of the user whose tracking is sent; None: not told
-    span: float | None  # metres from wrist to wrist with the arms stretched; None: not told
+    avatar: str  # an offered one
+    height: float | None  # metres, of the user whose tracking is sent; None: unknown
+    span: float | None  # metres from wrist to wrist with the arms stretched; None: unknown
     room: str | None = None
-    name: str = ""  # of the user: the account's; else what the user says, or nothing
-    resume: str = ""  # token of the person in the room that the user comes back as; "": a newcomer
-    label: bool = False  # over the head of who is shown alone, too
+    name: str = ""  # of the user: the account's name, else the requested one, or ""
+    resume: str = ""  # token of the person in the room that this client continues; "": a new one
+    label: bool = False  # label an avatar that is shown alone, too
     place: tuple[float, float, float] | None = None  # x and z in metres, radians about y; None: the room chooses
 
 
@@ -95,32 +91,27 @@ def client_options(
     rights: Rights = _ALL,
     user: User | None = None,
 ) -> RequestedOptions:
-    """What ``query`` asks for; of ``avatars``, the names offered, the first that ``user`` may drive by default.
+    """Return the options in ``query``; the default avatar is the first of ``avatars`` that ``user`` may drive.
 
-    Raises ProtocolError naming the option that has no such value, of code NOT_ALLOWED for what the account may not
-    have; it is the same whether what the account may not see is there or not.
+    Raises ProtocolError for an invalid option, with the code NOT_ALLOWED for one that the account may not have. The
+    error does not reveal whether something exists that the account may not see.
     """
-    mirror, window = query.get("mirror"), query.get("window")
-    if mirror is not None:
-        if mirror not in ("0", "1"):
-            raise ProtocolError("mirror needs 0 or 1")
-        wire = replace(wire, mirror=mirror == "1")
-    if window is not None:
+    if "mirror" in query:
+        wire = replace(wire, mirror=_flag(query, "mirror"))
+    if (window := query.get("window")) is not None:
         if window not in map(str, range(1, MAX_WINDOW + 1)):
             raise ProtocolError(f"window needs 1 to {MAX_WINDOW}")
-        session = replace(session, window=int(window), widest=int(window))
+        session = replace(session, window=int(window), max_window=int(window))
     listed = [name for name in avatars if rights.sees(user, "avatar", name)]
     free = rights.drivable(user, listed)
     avatar = query.get("avatar", next(iter([*free, *listed]), ""))
     if avatar not in listed:
-        text = f"avatar needs a name of those offered here: {', '.join(free)}" if free else _NOTHING
+        text = f"avatar needs a name of those offered here: {', '.join(free)}" if free else _NO_AVATAR
         raise ProtocolError(rights.unseen or text, "bad_request" if user is None else NOT_ALLOWED)
     if why := rights.refusal(user, avatar):
         raise ProtocolError(why, NOT_ALLOWED)
     if "room" in query and not rights.sees(user, "room", query["room"]):
         raise ProtocolError("this account may not enter this room", NOT_ALLOWED)
-    if query.get("label", "0") not in ("0", "1"):
-        raise ProtocolError("label needs 0 or 1")
     return RequestedOptions(
         wire=wire,
         session=session,
@@ -130,13 +121,20 @@ def client_options(
         room=query.get("room"),
         name=_name(query.get("name"), user),
         resume=query.get("resume", ""),
-        label=query.get("label") == "1",
+        label=_flag(query, "label"),
         place=_place(query.get("at")),
     )
 
 
+def _flag(query: Mapping[str, str], name: str) -> bool:
+    given = query.get(name, "0")
+    if given not in ("0", "1"):
+        raise ProtocolError(f"{name} needs 0 or 1")
+    return given == "1"
+
+
 def _name(given: str | None, user: User | None) -> str:
-    """What the user is called."""
+    """Return the user's name. Raises ProtocolError."""
     if user is not None:
         if given not in (None, user.name):
             raise ProtocolError("this account goes by its own name only: leave name out", NOT_ALLOWED)
@@ -147,15 +145,17 @@ def _name(given: str | None, user: User | None) -> str:
 
 
 def _place(given: str | None) -> tuple[float, float, float] | None:
-    """Return x and z in metres and radians about y, of "x,z,degrees"."""
+    """Parse "x,z,degrees" to x and z in metres and radians about y. Raises ProtocolError."""
     if given is None:
         return None
     try:
         x, z, degrees = map(float, given.split(","))
     except ValueError:
         x = z = degrees = inf
-    if not (abs(x) <= _FARTHEST and abs(z) <= _FARTHEST and abs(degrees) <= 360):  # max() lets a NaN through
-        raise ProtocolError(f"at needs x,z,degrees: metres up to {_FARTHEST:g} and an angle up to 360")
+    if not (
+        abs(x) <= _MAX_ROOM_DISTANCE_M and abs(z) <= _MAX_ROOM_DISTANCE_M and abs(degrees) <= 360
+    ):  # max() lets a NaN through
+        raise ProtocolError(f"at needs x,z,degrees: metres up to {_MAX_ROOM_DISTANCE_M:g} and an angle up to 360")
     return x, z, radians(degrees)
 
 

@@ -1,8 +1,8 @@
-"""RenderLoop: takes the clients' requests in fair turns and has one worker draw them, one after the other.
+"""RenderLoop: takes the clients' requests in fair turns; one worker draws them, one after the other.
 
-It runs on the event loop. Each client gets its pictures in order, at most its window of them under way. One policy for
-failures: a lost worker is started anew; its picture is drawn again by another worker, where there is one; a picture
-that fails with others of a room in it is drawn again without them.
+It runs on the event loop. Each client gets its pictures in order, with at most its window of them under way. A lost
+worker is restarted, and its picture drawn again by another worker, if there is one. A picture that fails with other
+people of a room in it is drawn again without them.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ __all__ = ["LoopOwner", "RenderLoop"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-_SICK = 3  # failed pictures in a row before /healthz reports it
+_UNHEALTHY_FAILURES = 3  # failed pictures in a row before /healthz reports it
 _STUCK_S = 10.0  # time of a picture before /healthz reports it
-_YIELD_FACTOR = 9.0  # pause after a picture while others need the processor, in times of the picture's
+_YIELD_FACTOR = 9.0  # of a pause to the picture before it, while others need the processor
 _MAX_YIELD_S = 1.0
-_PAUSES_S = (0.0, 0.5, 1.0)  # before each attempt to start a worker anew; a loop without an owner then gives up ...
-_LATER_S = 5.0  # ... and before all further ones
+_REVIVE_PAUSES_S = (0.0, 0.5, 1.0)  # before the attempts to restart a worker; without an owner the loop then ends ...
+_REVIVE_PERIOD_S = 5.0  # ... and before each further one
 
 
 class LoopOwner(Protocol):
@@ -51,25 +51,21 @@ class LoopOwner(Protocol):
 
     def lost(self, render_loop: RenderLoop) -> None:
         """Move the clients of a loop whose worker is lost."""
-        ...
 
     def opened(self, render_loop: RenderLoop) -> None:
-        """Give clients to a loop whose worker was started anew."""
-        ...
+        """Give clients to a loop whose worker was restarted."""
 
     def failed(self, render_loop: RenderLoop, error: GlsplatError) -> None:
-        """Note that a worker could not be started anew; it will be tried again."""
-        ...
+        """Note a failed attempt to restart a worker; more will follow."""
 
     def elsewhere(self, render_loop: RenderLoop, client: ClientStream) -> bool:
-        """Move a client whose avatar the loop's worker cannot load; return False where no worker may be able to."""
-        ...
+        """Move a client whose avatar the loop's worker cannot load; return False where no worker can."""
 
 
 class RenderLoop:
-    """Draws for its clients with ``worker``, at ``rate`` pictures a second for each (None: as many as there are).
+    """Draws for its clients with ``worker``, at ``rate`` pictures a second for each (None: no target).
 
-    ``owner``: the pool, for one of its loops. ``encoder`` encodes the pixels of workers that do not encode.
+    ``owner`` is the pool of this loop, if any. ``encoder`` encodes the pixels of workers that do not encode.
     """
 
     restart: None = None  # only pools restart workers
@@ -85,9 +81,9 @@ class RenderLoop:
         self.worker: Worker = worker
         self.driver: str = ""
         self.clients: dict[int, ClientStream] = {}  # by number
-        self.living: bool = False  # takes clients
-        self.attempts: int = 0  # to start the worker anew, in a row, that failed
-        self.failures: int = 0  # pictures in a row
+        self.living: bool = False  # accepts clients
+        self.attempts: int = 0  # failed attempts in a row to restart the worker
+        self.failures: int = 0  # failed pictures in a row
         self.rebuilds: int = 0  # workers lost so far
         self.should_yield: Callable[[], bool] = lambda: False  # returns whether others need the processor that draws
         self.stages: StageTimes = StageTimes() if owner is None else owner.stages
@@ -97,36 +93,36 @@ class RenderLoop:
         self._adaptive_quality = AdaptiveQuality(rate)
         self._drawing: ClientStream | None = None
         self._drawing_since: float | None = None
-        self._gone = False  # the worker has to be started anew
+        self._gone = False  # the worker has to be restarted
         self._stopping = False
         self._turns: FairQueue[ClientStream] = FairQueue()
-        self._leaving: dict[int, Callable[[], None]] = {}  # by client: called once its picture in hand is drawn
+        self._leaving: dict[int, Callable[[], None]] = {}  # by client: called after its present picture
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop
         self._task: asyncio.Task[None] | None = None
 
     @property
     def drawing_for(self) -> float:
-        """Seconds that the picture in hand has taken so far; 0: none is drawn."""
+        """Seconds that the present picture has taken so far; 0: none is drawn."""
         return 0.0 if self._drawing_since is None else self._clock() - self._drawing_since
 
     @property
     def healthy(self) -> bool:
         """False while there is no worker, once several pictures in a row failed, or one takes far too long."""
         running = self._task is not None and not self._task.done()
-        return self.living and running and self.failures < _SICK and self.drawing_for <= _STUCK_S
+        return self.living and running and self.failures < _UNHEALTHY_FAILURES and self.drawing_for <= _STUCK_S
 
     @property
     def empty(self) -> bool:
-        """True while it draws for nobody."""
+        """True while it has no clients."""
         return not self.clients and not self._leaving
 
     def workers(self) -> list[dict[str, Any]] | None:
-        """Return None for ``workers`` of /stats: it is alone."""
+        """Return None for ``workers`` of /stats: there is no pool."""
         return None
 
     async def start(self) -> None:
-        """Open the worker. Raises GlsplatError; a loop that has an owner goes on trying all the same."""
+        """Open the worker. Raises GlsplatError; a loop that has an owner keeps trying in the background."""
         self._loop = asyncio.get_running_loop()
         self.encoder.on_room.append(self._wake_up)
         try:
@@ -142,14 +138,14 @@ class RenderLoop:
                 self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
 
     async def ended(self) -> None:
-        """Wait until the render loop gives up. Raises ContextError: the worker is lost and cannot be started anew."""
+        """Wait until the render loop gives up. Raises ContextError: the worker cannot be restarted."""
         assert self._task is not None
         await asyncio.wait([self._task])
         if not self._task.cancelled():
             self._task.result()
 
     async def stop(self) -> None:
-        """Close the worker and end the threads; the picture in hand gets half a second."""
+        """Close the worker and end the threads; the present picture gets half a second."""
         if self._task is None:
             return
         self._stopping = True
@@ -180,7 +176,7 @@ class RenderLoop:
         self._wake.set()
 
     def remove(self, client: ClientStream) -> None:
-        """Forget a client; its picture in hand is given up, or thrown away."""
+        """Remove a client; its present picture is cancelled."""
         self.clients.pop(client.number, None)
         self._turns.remove(client.address, client)
         self._leaving.pop(client.number, None)
@@ -190,7 +186,7 @@ class RenderLoop:
             self.worker.cancel()
 
     def release(self, client: ClientStream, then: Callable[[], None]) -> None:
-        """Draw no more for a client after its picture in hand; then call ``then``."""
+        """Stop drawing for a client after its present picture; then call ``then``."""
         self.clients.pop(client.number, None)
         if self._drawing is client:
             self._leaving[client.number] = then
@@ -199,12 +195,12 @@ class RenderLoop:
             then()
 
     def renew(self) -> None:
-        """End the worker in order, and start it anew."""
+        """End the worker in order, and restart it."""
         self.living, self._gone = False, True
         self._wake.set()
 
     async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
-        """Return an answer as it is sent, once it is drawn and encoded. Marks it as being sent."""
+        """Return the packed reply once its picture is drawn and encoded, and mark it as being sent."""
         while (taken := await _lost_picture(answer)) is not None:
             answer = await client.redraw(taken)
         session = client.session
@@ -218,7 +214,7 @@ class RenderLoop:
         except Exception:
             log.exception("frame %s of client %d could not be encoded", request.frame_id, client.number)
             return Outgoing(request, error=session.failed(request, "encode", "the picture could not be encoded"))
-        if encoded.video is not None:  # coding takes as long as drawing, of the same cores
+        if encoded.video is not None:  # coding takes as long as drawing, on the same cores
             self._turns.charge(client.address, client, encoded.ms / 1e3, self._clock())
         client.picture_sent(encoded)
         total = (self._clock() - answer.taken.arrived) * 1e3
@@ -234,7 +230,7 @@ class RenderLoop:
             if client.datagrams is not None and (offer := client.datagrams.offer()) is not None:
                 info["datagrams"] = offer
             packed = pack_reply(request.frame_id, eyes, encoded.pictures, info, encoded.alphas, depth)
-        nbytes = len(packed) if client.datagrams is None else client.datagrams.on_the_way(len(packed))
+        nbytes = len(packed) if client.datagrams is None else client.datagrams.link_bytes(len(packed))
         session.sending(request, nbytes, self._clock())
         return Outgoing(request, [packed])
 
@@ -269,7 +265,7 @@ class RenderLoop:
                 await asyncio.sleep(min(_MAX_YIELD_S, _YIELD_FACTOR * (now - start)))
 
     def _ready(self, now: float, rests: list[float], client: ClientStream) -> bool:
-        """Return whether a client's picture can be drawn, and its link and the encoder would take it."""
+        """Return whether a client's picture can be drawn, and its link and the encoder have room for it."""
         session = client.session
         if client.video is not None and self.encoder.full:
             requests = filter(None, (session.newest, session.kept))
@@ -326,7 +322,7 @@ class RenderLoop:
         return await self._answer(taken)
 
     def _job(self, taken: Taken, solved: Solved | None) -> RenderJob:
-        """Return the picture to draw: the avatar at its pose, or all people of the room."""
+        """Return the job of a picture: the avatar at its pose, or all people of the room."""
         client, request = taken.client, taken.request
         pose, place, cameras, room = request.pose, None, taken.cameras, None
         if client.member is not None:
@@ -351,7 +347,7 @@ class RenderLoop:
         )
 
     async def _draw(self, taken: Taken, job: RenderJob, solved: Solved | None, times: dict[str, float]) -> Drawn:
-        """Draw a picture and have it encoded meanwhile. Raises what a worker raises."""
+        """Draw a picture and start its encoding. Raises the worker's errors."""
         client, start = taken.client, self._clock()
         if (client.address, client) not in self._turns:
             raise BudgetError("nobody waits for the picture any more", "abandoned")
@@ -373,7 +369,7 @@ class RenderLoop:
             client.member.posed(rendered.posed)
         self.failures = 0
         times = {
-            "wait": (start - taken.arrived) * 1e3 - times.get("ik", 0.0),  # solving is no waiting
+            "wait": (start - taken.arrived) * 1e3 - times.get("ik", 0.0),  # solving does not count as waiting
             **times,
             "render": (now - start) * 1e3,
             **{name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")},
@@ -383,14 +379,14 @@ class RenderLoop:
     # -------------------------------------------------------------------------------------------------------- failures
 
     def _without_others(self, taken: Taken, error: Exception) -> Taken:
-        """Return a picture without the others of its room, who are suspected for a while."""
+        """Return the picture without the room's other people, and suspect them for a while."""
         number, client = taken.request.frame_id, taken.client
         log.warning("frame %s of client %d is drawn without the others: %s", number, client.number, error)
         self._faults.suspect_others(client.address, self._clock(), slow=isinstance(error, BudgetError))
         return replace(taken, alone=True)
 
     def _failed(self, taken: Taken, error: Exception, others: bool) -> Redraw | Refused:
-        """Return the answer to a request whose picture could not be drawn; ``others`` of a room were in it."""
+        """Return the answer to a request whose picture failed; ``others``: it had other people of a room in it."""
         client, request, again, ends = taken.client, taken.request, None, ""
         if isinstance(error, PoseError):
             return Refused(request, "bad_pose", str(error))
@@ -412,9 +408,9 @@ class RenderLoop:
         return Refused(request, "render", "the picture could not be drawn", ends)  # no details: they may name files
 
     def _lost_while_drawing(self, taken: Taken, error: ContextLostError, others: bool) -> tuple[Taken | None, str]:
-        """Return the picture if it is to be drawn once more, and why its connection ends, if it does.
+        """Return the picture to draw again, if any, and why its connection ends, or "".
 
-        A client whose pictures are not survived may not kill one worker after the other.
+        It ends a client whose pictures crash workers, before it crashes one after the other.
         """
         address, now = taken.client.address, self._clock()
         taken, ends, again = replace(taken, losses=taken.losses + 1), "", self._owner is not None
@@ -436,7 +432,7 @@ class RenderLoop:
         return ""
 
     def _worker_lost(self) -> None:
-        """Start the worker anew as soon as the picture in hand is answered."""
+        """Restart the worker as soon as the present picture is answered."""
         if self._stopping or self._gone:
             return
         self._gone, self.living = True, False
@@ -447,8 +443,8 @@ class RenderLoop:
         self._wake.set()
 
     async def _revive(self) -> None:
-        """Start the worker anew, however often that takes; without an owner raise the error of the last attempt."""
-        for pause in chain(_PAUSES_S, repeat(_LATER_S)):
+        """Restart the worker, with any number of attempts; without an owner raise the last of a few errors."""
+        for pause in chain(_REVIVE_PAUSES_S, repeat(_REVIVE_PERIOD_S)):
             await asyncio.sleep(pause)
             try:
                 self.driver = await self.worker.rebuild()
@@ -458,17 +454,17 @@ class RenderLoop:
                 log.warning("%s cannot be started anew: %s", self.worker.name, error)
                 if self._owner is not None:
                     self._owner.failed(self, error)
-                elif self.attempts >= len(_PAUSES_S):
+                elif self.attempts >= len(_REVIVE_PAUSES_S):
                     raise
         self.attempts = self.failures = 0
         self._gone, self.living = False, True
         if self._owner is not None:
-            self._turns = FairQueue()  # its clients have left: the time of the loss is nobody's debt
+            self._turns = FairQueue()  # its clients have left: nobody is charged for the time of the loss
             self._owner.opened(self)
 
 
 async def _lost_picture(answer: Answer) -> Taken | None:
-    """Return a picture that has to be drawn again: its worker was lost while it drew, or while it encoded."""
+    """Return the picture of an answer whose worker was lost while it drew or encoded; None for others."""
     if isinstance(answer, Redraw):
         return answer.taken
     if isinstance(answer, Drawn):
@@ -481,15 +477,15 @@ async def _lost_picture(answer: Answer) -> Taken | None:
 
 
 def _shows_others(job: RenderJob) -> bool:
-    """Return whether other people of a room are in a picture."""
+    """Return whether a picture has other people of a room in it."""
     room = job.room if job.others else None
     return room is not None and any(person.key != room.viewer and person.opacity > 0 for person in room.people)
 
 
 def _others_may_be_at_fault(error: Exception) -> bool:
-    """Return whether to draw a picture again at once, without the others in it.
+    """Return whether to draw a picture again without the other people in it.
 
-    The cost of their splats is limited beforehand (backends/room.py), so ``too_costly`` is the viewer's own.
+    The cost of their splats is limited beforehand (backends/budget.py), so ``too_costly`` is the viewer's own fault.
     """
     own = isinstance(error, PoseError | FormatError | ContextLostError)
     return not own and getattr(error, "code", "") not in ("too_costly", "abandoned")

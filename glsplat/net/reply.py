@@ -1,8 +1,8 @@
-"""Replies: the binary message that carries a stereo pair (docs/protocol.md), written and read.
+"""Packs and parses replies: the binary messages with a picture of both eyes, or with poses (docs/protocol.md).
 
-Little endian: "VR", u16 version, u32 frame_id, u8 count; for each eye u8 eye, u32 length, JPEG, and where alpha was
-asked for u32 length, grey JPEG; then u32 length and a JSON object. Readers that know only the first part may stop after
-the pictures. A reply in poses has no pictures, and bodies (poses/body.py) behind its object.
+Little endian: "VR", u16 version, u32 frame_id, u8 count; for each eye u8 eye, u32 length, JPEG, and with alpha u32
+length, grey JPEG; then u32 length and a JSON object. A reply with poses has no pictures; its poses (codec/body.py)
+follow the object.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
-from glsplat.net.codec.body import Body, unpack_bodies
+from glsplat.net.codec.body import PersonPose, unpack_bodies
 from glsplat.net.messages import VERSION
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ __all__ = ["Reply", "decode_picture", "pack_poses", "pack_reply", "pack_single",
 _HEAD = struct.Struct("<2sHIB")
 _EYE = struct.Struct("<BI")
 _LENGTH = struct.Struct("<I")
-_JPEG = b"\xff\xd8"  # how one begins
+_JPEG = b"\xff\xd8"  # its first bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -41,10 +41,10 @@ class Reply:
     pictures: dict[int, bytes]
     info: dict[str, Any] = field(default_factory=dict)
     nbytes: int = 0  # of the whole message
-    alphas: dict[int, bytes] = field(default_factory=dict)  # grey JPEGs of the accumulated alpha, if asked for
-    bodies: tuple[Body, ...] = ()  # of a reply in poses: how those stand of whom there is news
-    depth: tuple[DepthGrid, ...] = ()  # how far away what is shown is, one an eye, if it was asked for
-    video: tuple[NDArray[np.uint8], ...] = ()  # of a picture of a video: its eyes [H, W, 3 or 4], decoded
+    alphas: dict[int, bytes] = field(default_factory=dict)  # grey JPEGs of the accumulated alpha, if requested
+    bodies: tuple[PersonPose, ...] = ()  # of a reply with poses: those that changed
+    depth: tuple[DepthGrid, ...] = ()  # one an eye, if requested
+    video: tuple[NDArray[np.uint8], ...] = ()  # decoded eyes [H, W, 3 or 4] of a picture of a video
 
     def __repr__(self) -> str:
         eyes = ", ".join(f"eye {eye}: {len(jpeg)} bytes" for eye, jpeg in sorted(self.pictures.items())) or "no picture"
@@ -53,7 +53,7 @@ class Reply:
 
     @property
     def box(self) -> NDArray[np.float64] | None:
-        """[2, 3] metres, the avatar's lowest and highest corner in the client's room; None where none was sent."""
+        """The avatar's lowest and highest corner [2, 3] in metres in the client's room; None if not requested."""
         corners = self.info.get("box")
         if corners is None:
             return None
@@ -63,17 +63,17 @@ class Reply:
             raise ProtocolError(f"{self!r}: expected a box of six numbers", "bad_reply") from None
 
     def decoders(self) -> list[Callable[[], NDArray[np.uint8]]]:
-        """One call an eye, left first, that decodes its picture; they may run in threads side by side."""
+        """Return a function for each eye, left first, that decodes its picture; they may run on several threads."""
         return self._decoders(self.pictures, "RGB")
 
     def images(self) -> list[NDArray[np.uint8]]:
-        """The decoded pictures [H, W, 3], left first; a cropped picture is put back in its place on black."""
+        """Return the decoded pictures [H, W, 3], left first; cropped ones are put back in place on black."""
         return [decode() for decode in self.decoders()]
 
     def rgba(self) -> list[NDArray[np.uint8]]:
-        """The decoded pictures with their alpha [H, W, 4], left first; colours are premultiplied (over black).
+        """Return the decoded pictures with alpha [H, W, 4], left first; colours are premultiplied (over black).
 
-        Put them over a room as colour + (1 - alpha) * room. Raises ProtocolError where alpha was not asked for.
+        Over a background they are colour + (1 - alpha) * background. Raises ProtocolError if alpha was not requested.
         """
         images = self.images()
         flat = any(eye.shape[2] < 4 for eye in self.video)
@@ -103,7 +103,7 @@ def pack_reply(
     alphas: Sequence[bytes] | None = None,
     depth: Sequence[bytes] = (),
 ) -> bytes:
-    """The binary message of one frame, atomic for all its eyes."""
+    """Return the message of one frame with all its eyes."""
     parts = [_HEAD.pack(b"VR", VERSION, frame_id, len(eyes))]
     for index, (eye, picture) in enumerate(zip(eyes, pictures, strict=True)):
         parts += [_EYE.pack(eye, len(picture)), picture]
@@ -114,17 +114,17 @@ def pack_reply(
 
 
 def pack_poses(frame_id: int, info: Mapping[str, Any], bodies: Sequence[bytes]) -> bytes:
-    """The binary message of a reply in poses: ``bodies`` are packed, 255 at most."""
+    """Return the message of a reply with poses: up to 255 packed ``bodies``."""
     return b"".join([pack_reply(frame_id, (), (), info), bytes((len(bodies),)), *bodies])
 
 
 def pack_single(eye: int, picture: bytes) -> bytes:
-    """The older form: u8 eye and the JPEG, one message an eye."""
+    """Return the message of one eye in the oldest form: u8 eye and the JPEG."""
     return bytes((eye,)) + picture
 
 
 def parse_reply(data: bytes) -> Reply:
-    """Read a reply. Raises ProtocolError when it is cut short or of another version."""
+    """Parse a reply. Raises ProtocolError where it is incomplete or of another version."""
     try:
         magic, version, frame_id, count = _HEAD.unpack_from(data)
         if magic != b"VR" or version != VERSION:
@@ -135,7 +135,7 @@ def parse_reply(data: bytes) -> Reply:
             offset += _EYE.size
             pictures[eye] = _take(data, offset, length)
             offset += length
-            # at this place lies the highest byte of the next picture's length (below 2^32), or the "{" of the object
+            # without alpha these bytes are of the next picture's length or of the object's "{", never JPEG's
             if data[offset + 4 : offset + 6] == _JPEG:
                 (length,) = _LENGTH.unpack_from(data, offset)
                 alphas[eye] = _take(data, offset + _LENGTH.size, length)
@@ -155,7 +155,7 @@ def parse_reply(data: bytes) -> Reply:
 def decode_picture(
     jpeg: bytes, box: Sequence[int] | None = None, size: Sequence[int] | None = None, space: str = "RGB"
 ) -> NDArray[np.uint8]:
-    """[H, W, 3] of one JPEG, [H, W, 1] with ``space`` GRAY.
+    """Decode a JPEG to [H, W, 3], or to [H, W, 1] with ``space`` GRAY. Raises ProtocolError.
 
     With ``box`` (x, y, w, h) and ``size`` (W, H) it is placed on black.
     """
@@ -176,7 +176,7 @@ def _multiplied(image: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
 
 
 def _depth(fields: Any, data: bytes) -> tuple[DepthGrid, ...]:
-    from glsplat.net.codec.depth import read_grids  # here: most replies have none
+    from glsplat.net.codec.depth import read_grids  # loaded late: most replies have none
 
     try:
         return read_grids(fields, data)

@@ -1,7 +1,8 @@
-"""The people of a room at one moment, as one picture shows them."""
+"""The people of a room at one moment, as one picture shows them, and their labels (docs/consent.md)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,17 +11,17 @@ from numpy.typing import NDArray
 
 from glsplat.skinning.pose import Pose
 
-__all__ = ["RoomView", "VisiblePerson"]
+__all__ = ["Label", "RoomView", "VisiblePerson", "driven_by"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisiblePerson:
     """A person as a picture shows them."""
 
-    key: int  # of the person, never used again in this room
+    key: int  # never used again in this room
     name: str
-    avatar: str  # which of those the server offers
-    pose: Pose | None  # in the avatar's space; None: nothing has come yet, nobody is shown
+    avatar: str  # name of an offered one
+    pose: Pose | None  # in the avatar's space; None: unknown yet, the person is not shown
     transform: NDArray[np.float64]  # [4, 4] room from avatar
     opacity: float = 1.0
     label: str = ""  # drawn near the head
@@ -30,16 +31,16 @@ class VisiblePerson:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomView:
-    """Everybody in a room at one moment, for one of them. The cameras of the request are in the room's space."""
+    """All people of a room at one moment, for one viewer. The viewer's cameras are in the room's space."""
 
     room: str
     tick: int
-    viewer: int  # key of who looks
+    viewer: int  # key of the viewer
     people: tuple[VisiblePerson, ...]
-    from_room: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))  # [4, 4], to the viewer's own space
+    from_room: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))  # [4, 4] viewer's own space from room
 
     def fields(self) -> dict[str, Any]:
-        """``room`` of a reply: who is in the picture, where, and which request each pose comes from."""
+        """Return ``room`` of a reply: the people, their positions, and the request of each pose."""
         people = [
             {"name": one.name, "avatar": one.avatar, "you": one.key == self.viewer, "at": self._at(one)}
             | {"frame_id": one.frame_id, "ahead": one.ahead, "opacity": round(one.opacity, 3)}
@@ -48,7 +49,24 @@ class RoomView:
         return {"name": self.room, "tick": self.tick, "people": people}
 
     def _at(self, one: VisiblePerson) -> list[float]:
-        """[x, y, z] metres: the ground under the middle of who stands, higher for who jumps."""
-        assert one.pose is not None  # who has none is not in the picture
+        """Return [x, y, z] in metres in the viewer's space: the ground below the pelvis, or higher in a jump."""
+        assert one.pose is not None  # people without a pose are not in the picture
         ground = self.from_room @ one.transform @ (*one.pose.trans, 1.0)
         return [round(float(v), 3) for v in ground[:3]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Label:
+    """Text over ``place`` [3] (metres), in every picture that shows any part of its thing."""
+
+    text: str
+    place: NDArray[np.float64]
+    height: float = 0.045  # metres of a line, within limits of readable pixels (backends/lettering.py)
+    opacity: float = 1.0
+    box: Callable[[], NDArray[np.float64] | None] | None = None
+    """Returns the thing's bounding box [2, 3], None for an empty thing. Without it the thing is ``place``."""
+
+
+def driven_by(name: str, notice: str = "") -> str:
+    """Return the label of a synthetic person whom ``name`` drives, with ``notice`` at its end."""
+    return ", ".join([f"driven by {name or 'somebody'}", "synthetic", *([notice] if notice else [])])

@@ -1,4 +1,4 @@
-"""What a server shows: a scene and avatars to choose from, and the server that draws them with OpenGL."""
+"""The scene, avatars and rooms of a server, and the server that draws them with OpenGL."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net import server as server_module
 from glsplat.net.backend import AvatarInfo, Backend
-from glsplat.net.backends.gl import MAX_TIME, RendererBackend
+from glsplat.net.backends.gl import MAX_PICTURE_S, RendererBackend
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from glsplat.tracking.calibration import Calibration
 
 __all__ = [
-    "SEATS",
+    "DEFAULT_SEATS",
     "ServedScene",
     "TrackingOptions",
     "checked_avatar",
@@ -49,22 +49,22 @@ __all__ = [
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-_NAME_LENGTH = 64  # characters
-SEATS = 8
-"""People that a room holds where nothing else is configured."""
+_MAX_NAME_CHARS = 64  # characters
+DEFAULT_SEATS = 8
+"""Seats of a room that configures none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackingOptions:
-    """How the body of a user who sends head and hands is solved."""
+    """Options of the tracking solver."""
 
-    calibration: Calibration | None = None  # of users who send neither height nor arm span; None: their size is found
+    calibration: Calibration | None = None  # of users who send neither height nor arm span; None: it is estimated
     solver: SolverName = SOLVERS[0]
-    idle: bool = False  # eyes that no sensor sees look around and blink
-    face: FaceFeed | None = None  # a face that is tracked beside the headset, of one user at a time
+    idle: bool = False  # animate eyes that are not tracked: gaze and blinks
+    face: FaceFeed | None = None  # face tracking from outside the headset, of one user at a time
 
     def describe(self, name: str, avatar: Rigged) -> AvatarInfo:
-        """Return what clients may request of an avatar. Tracking is solved for SMPL-X's rig."""
+        """Return the catalogue's entry of an avatar. Tracking is solved for SMPL-X's rig."""
         skeleton = avatar.skeleton
         parts = frozenset(part for part in PARTS if part in skeleton.names)
         web = plugin("browser.web_format.write") if isinstance(avatar, Avatar) else None
@@ -74,7 +74,7 @@ class TrackingOptions:
         info = AvatarInfo(name=name, title=title, skeleton=skeleton, parts=parts, file=file)
         if why := why_not_tracked(skeleton):
             return replace(info, untracked=why)
-        from glsplat.net.backends.tracking import TrackingSolver  # here: scenery and other rigs need no solver
+        from glsplat.net.backends.tracking import TrackingSolver  # loaded late: scenery and other rigs need none
         from glsplat.tracking.calibration import EYES_OF_STATURE, Calibration
         from glsplat.tracking.solve.body import Body
 
@@ -92,16 +92,16 @@ class TrackingOptions:
 class ServedScene:
     """A scene, other avatars that clients may choose by name, and the rooms in which they meet.
 
-    Poses of clients are for the scene's one visible avatar, which may be a rigged mesh; with several a pose is refused,
-    without any it does nothing. Motions of a scene file play on the server's clock. Raises GlsplatError for names that
-    no client could request.
+    Poses of clients apply to the scene's one visible avatar, which may be a rigged mesh. With several avatars a pose is
+    refused, with none it has no effect. Motions of a scene file play on the server's clock. Raises GlsplatError for
+    names that no client could request.
     """
 
     file: SceneFile
     name: str = "default"  # of the scene, among the avatars
-    title: str = ""  # what people read for ``name``; "": as its file says
+    title: str = ""  # the name that people see; "": the title in its file
     avatars: Mapping[str, Rigged] = field(default_factory=dict)
-    rooms: Mapping[str, SceneFile] = field(default_factory=dict)  # what stands in each
+    rooms: Mapping[str, SceneFile] = field(default_factory=dict)  # the scenery of each
     rendering: RenderConfig | None = None
     tracking: TrackingOptions = TrackingOptions()
 
@@ -118,20 +118,20 @@ class ServedScene:
         return item.content if item is not None and is_rigged(item.content) else None
 
     def offers(self) -> list[AvatarInfo]:
-        """Return what clients may choose, the scene first."""
+        """Return the avatars that clients may choose, the scene first."""
         first = _static(self.name, self.file) if self.avatar is None else self._describe(self.name, self.avatar)
         others = [self._describe(name, avatar) for name, avatar in self.avatars.items()]
         return [replace(first, title=self.title or first.title), *others]
 
     def configured(self, config: ServerConfig) -> ServerConfig:
-        """Return ``config`` with the scene's light and the rooms, which may have their seats there."""
-        seats = {name: config.rooms.get(name, SEATS) for name in self.rooms}
+        """Return ``config`` with the scene's light and the rooms; ``config`` may have seats of the rooms."""
+        seats = {name: config.rooms.get(name, DEFAULT_SEATS) for name in self.rooms}
         furnished = frozenset(name for name, room in self.rooms.items() if room.scene.items)
         wire = replace(config.wire, light=self.file.scene.light)
         return replace(config, wire=wire, rooms=seats, furnished=furnished)
 
     def backend(self, size: tuple[int, int], **options: Any) -> Callable[[], RendererBackend]:
-        """Return what makes a renderer of ``size`` pixels an eye; it can be pickled.
+        """Return a factory of renderers of ``size`` pixels an eye; it can be pickled.
 
         ``options`` are those of RendererBackend: device, avatars, max_cost, max_time.
         """
@@ -155,8 +155,8 @@ def gl_server(
 ) -> Server:
     """Return a server that draws ``scene`` with OpenGL, in a process of its own or else in a thread.
 
-    Clients see the scene, or the one of ``avatars`` that they name in their address (/ws?avatar=NAME). Nothing is
-    opened before ``await server.start()`` or ``await server.run()``::
+    Clients see the scene, or one of ``avatars`` by the name in their address (/ws?avatar=NAME). Nothing is opened
+    before ``await server.start()`` or ``await server.run()``::
 
         asyncio.run(gl_server(glsplat.load("me.glb"), ServerConfig(port=8000)).run())
     """
@@ -169,7 +169,7 @@ def gl_server(
     )
     config = served.configured(config or ServerConfig())
     make = served.backend(config.wire.size)
-    backend = process_worker(make, config.wire.max_side, MAX_TIME) if own_process else make()
+    backend = process_worker(make, config.wire.max_side, MAX_PICTURE_S) if own_process else make()
     offers = served.offers()
     log_limits(offers)
     return server_of(backend, config, offers, features)
@@ -184,8 +184,7 @@ def server_of(
 ) -> Server:
     """Return a server that draws with ``backend``: on a thread of this process, with a worker, or with a pool.
 
-    It has the features that every server has, and ``features``. ``later`` returns more avatars to offer once clients
-    can connect.
+    It has the standard features and ``features``. ``later`` returns more avatars to offer once clients can connect.
     """
     config = config or ServerConfig()
     clock = server_module.clock
@@ -196,9 +195,9 @@ def server_of(
 
 
 def standard_features(config: ServerConfig) -> list[Feature]:
-    """Return the pages, and the features of installed extras that ``config`` does not turn off.
+    """Return the pages, and the features of installed extras that ``config`` turns on.
 
-    Raises GlsplatError where it asks for one that is not installed.
+    Raises GlsplatError where ``config`` needs an extra that is not installed.
     """
     found: list[Feature] = [Pages()]
     for extra, needed, what in (
@@ -216,9 +215,9 @@ def standard_features(config: ServerConfig) -> list[Feature]:
 
 
 def checked_avatar(name: str, avatar: Rigged, rendering: RenderConfig | None) -> None:
-    """Raise GlsplatError for a name that an address cannot hold, and for what cannot be drawn as an avatar."""
-    if not (isinstance(name, str) and 0 < len(name) <= _NAME_LENGTH and name.isprintable() and name.strip() == name):
-        raise GlsplatError(f"an avatar's name needs 1 to {_NAME_LENGTH} printable characters, not {name!r:.80}")
+    """Raise GlsplatError for a name that an address cannot hold, and for an avatar that cannot be drawn."""
+    if not (isinstance(name, str) and 0 < len(name) <= _MAX_NAME_CHARS and name.isprintable() and name.strip() == name):
+        raise GlsplatError(f"an avatar's name needs 1 to {_MAX_NAME_CHARS} printable characters, not {name!r:.80}")
     if not is_rigged(avatar):
         raise GlsplatError(f'"{name}": clients choose avatars, not {type(avatar).__name__} without joints to move')
     splats = avatar.splats if isinstance(avatar, Avatar) else None
@@ -227,7 +226,7 @@ def checked_avatar(name: str, avatar: Rigged, rendering: RenderConfig | None) ->
 
 
 def log_limits(offers: Iterable[AvatarInfo]) -> None:
-    """Log the poses and tracking that cannot be applied to an avatar, before a user in a headset wonders."""
+    """Log for each avatar why poses or tracking cannot be applied."""
     for one in offers:
         if one.still:
             log.warning('"%s": poses and tracking are not applied: %s; clients move the camera', one.name, one.still)
@@ -238,7 +237,7 @@ def log_limits(offers: Iterable[AvatarInfo]) -> None:
 
 
 def _static(name: str, file: SceneFile) -> AvatarInfo:
-    """Return the entry of a scene in which no client poses anybody: it has no avatar, or several."""
+    """Return the entry of a scene that no client can pose: it has no avatar, or several."""
     if file.scene.figures:
         return AvatarInfo(name=name, untracked="the scene has several avatars, each does what the scene file says")
     why = why_not_driven(None)

@@ -1,6 +1,6 @@
-"""The server: aiohttp on one port for the WebSocket (/ws) and the pages (pages/).
+"""Server: aiohttp on one port for the WebSocket (/ws) and the pages.
 
-Glue only: what a message means is session.py's, who may connect is access.py's, who is drawn next is render_loop.py's.
+session.py handles messages, guard/ connections, render_loop.py the order of pictures.
 """
 
 from __future__ import annotations
@@ -31,14 +31,13 @@ from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
 from glsplat.net.internal_client import InternalClient
-from glsplat.net.labels import driven_by
-from glsplat.net.messages import MAX_BYTES, Decoder, WireOptions
+from glsplat.net.messages import MAX_MESSAGE_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_options
 from glsplat.net.pace.fitting import Fitted
-from glsplat.net.pages.clients import client_fields
-from glsplat.net.pages.headers import set_headers
+from glsplat.net.pages.routes import set_headers
 from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.rights import Rights, user_of
+from glsplat.net.room_view import driven_by
 from glsplat.net.session import GOING_AWAY, Counts, Session
 
 if TYPE_CHECKING:
@@ -50,14 +49,14 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 F = TypeVar("F", bound=Feature)
 clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
-DRAIN_GIVE_UP_S = 2.0  # a picture that takes longer is not waited for when the server stops
+DRAIN_GIVE_UP_S = 2.0  # a stopping server does not wait for a picture that takes longer
 
 
 class Server:
-    """Streams the avatars of ``catalogue`` as ``drawer`` draws them: its first, or the one that a client names.
+    """Streams the avatars of ``catalogue`` as ``drawer`` draws them.
 
     ``features`` add addresses and options, and observe clients. ``later`` returns more avatars to offer once clients
-    can connect; it runs in a thread. A drawer that has workers restarts them one by one on SIGHUP.
+    can connect; it runs in a thread. On SIGHUP a pool of workers restarts them one by one.
     """
 
     def __init__(
@@ -83,16 +82,16 @@ class Server:
         self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, rights)
         self.gate.is_trusted = lambda request: any(feature.is_trusted(request) for feature in self.features)
         self.internal_client: InternalClient = InternalClient(drawer, self.config.wire, self.config.session, clock)
-        self.fitted: Fitted | None = None  # soon after it has started, where that was asked for
-        self.fitting: asyncio.Task[None] | None = None  # finds it
+        self.fitted: Fitted | None = None  # size of pictures, found soon after the start if configured
+        self.fitting: asyncio.Task[None] | None = None  # finds ``fitted``
         self.all_offered: asyncio.Event = asyncio.Event()
         self._work = CpuBudget(limits.work, clock(), limits.work_alone, drawer.stages.lately)
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._responder = next(filter(None, (feature.pose_responder(self) for feature in self.features)), None)
-        self._running: list[Feature] = []  # those that have started
+        self._running: list[Feature] = []  # features that have started
         self._later = later
         self._adder: asyncio.Task[None] | None = None
-        self._talks: dict[int, Conversation] = {}
+        self._conversations: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
         self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, clock()
         self._runner: web.AppRunner | None = None
@@ -114,7 +113,7 @@ class Server:
             listening.close()
             raise
         guards = [self.gate.guard, *(feature.guard for feature in self.features)]
-        app = web.Application(middlewares=guards, client_max_size=MAX_BYTES)
+        app = web.Application(middlewares=guards, client_max_size=MAX_MESSAGE_BYTES)
         app.add_routes([web.get("/ws", self._websocket)])
         for feature in self.features:
             app.add_routes(feature.routes())
@@ -127,12 +126,12 @@ class Server:
         cert = None if self.config.tls is None else self.config.tls[0]
         self.gate.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
         self._started = clock()
-        if self.config.fit:  # whoever connects meanwhile is offered the configured size
+        if self.config.fit:  # clients that connect meanwhile are offered the configured size
             self.fitting = asyncio.create_task(self._fit())
         self._adder = asyncio.create_task(self._add_later())
 
     async def _start_all(self) -> None:
-        """Start the render loop and the features beside each other; stop them again where one fails."""
+        """Start the render loop and the features concurrently; stop all of them where one fails."""
 
         async def start(feature: Feature) -> None:
             await feature.start(self)
@@ -158,7 +157,7 @@ class Server:
             await self._running.pop().stop()
 
     async def stop(self) -> None:
-        """Take no more requests, send the pictures under way, close the clients (1001), end the threads."""
+        """Drop further requests, send the pictures under way, close the clients (1001), end the threads."""
         self._draining = True
         for task in filter(None, (self.fitting, self._adder)):
             task.cancel()
@@ -168,7 +167,7 @@ class Server:
                     client.session.status()["under_way"] for client in self.clients.values()
                 ):
                     await asyncio.sleep(0.01)
-        closing = [talk.close(GOING_AWAY, "the server stops") for talk in self._talks.values()]
+        closing = [conversation.close(GOING_AWAY, "the server stops") for conversation in self._conversations.values()]
         await asyncio.gather(*closing, *self._closing, return_exceptions=True)
         await self.gate.close()
         await self._stop_features()
@@ -181,7 +180,7 @@ class Server:
         """Serve until SIGINT or SIGTERM, then stop in order; a second signal ends the process at once.
 
         ``started`` is called once clients can connect. Raises ContextError, after stopping, when the OpenGL context
-        is lost and cannot be made again.
+        is lost and cannot be recreated.
         """
         done = asyncio.Event()
         loop = asyncio.get_running_loop()
@@ -208,14 +207,14 @@ class Server:
             ends[1].result()
 
     def stats(self, user: User | None = None) -> dict[str, Any]:
-        """The numbers of /stats, and of others what the account may see."""
+        """Return /stats for an account, with the clients that it may see."""
         rights, clients, totals = self.gate.rights, [], asdict(self._totals)
-        for number, client in self.clients.items():
+        for client in self.clients.values():
             status, owner = client.session.status(), client.account
             for name in totals:
                 totals[name] += status[name]
             if rights.sees(user, "client", owner):
-                fields = client_fields(number, client, status, rights.sees(user, "identity", owner))
+                fields = client.stats(status, rights.sees(user, "identity", owner))
                 clients.append(fields | merged(feature.client_stats(user, client) for feature in self.features))
         stats = {
             "scene": self.config.scene if rights.sees(user, "avatar", self.catalogue.names[0]) else None,
@@ -239,7 +238,7 @@ class Server:
         return stats | merged(feature.stats(user) for feature in self.features)
 
     def session(self, user: User | None = None) -> dict[str, Any]:
-        """Return /session for an account: all there is to choose from before connecting."""
+        """Return /session for an account: the options of a connection."""
         most, wire = self.config.max_clients, self._wire
         avatars = self.catalogue.fields(self.gate.rights.drivable(user, self.catalogue.names))
         session = {
@@ -265,7 +264,7 @@ class Server:
 
     @property
     def _wire(self) -> WireOptions:
-        """The options of requests that name none, with the size that is drawn often enough."""
+        """The default options of requests, with the fitted size."""
         wire = self.config.wire
         return wire if self.fitted is None else replace(wire, size=(self.fitted.side, self.fitted.side))
 
@@ -285,7 +284,7 @@ class Server:
                 self.catalogue.add(one)
             for feature in self.features:
                 await feature.avatars_added()
-        except Exception:  # what is offered by now is shown all the same
+        except Exception:  # the avatars offered so far remain
             log.exception("not everybody can be offered")
         finally:
             self.all_offered.set()
@@ -307,39 +306,39 @@ class Server:
                 raise
             status = 403 if error.code == NOT_ALLOWED else getattr(error, "status", 400)
             return web.Response(status=status, text=f"{error}\n")
-        talk = Conversation(
+        conversation = Conversation(
             *(client, ws, request, self.drawer, self.gate, self._responder),
             is_draining=lambda: self._draining,
             write_timeout=self.config.write_timeout,
         )
         try:
             await self.gate.accept(request, ws, entered)
-            self._talks[client.number] = talk
-            await talk.run()
+            self._conversations[client.number] = conversation
+            await conversation.run()
             return ws
-        except (ConnectionError, TimeoutError):  # it neither reads nor listens
+        except (ConnectionError, TimeoutError):  # the client does not react
             cut_off(request)
-            # gone before its handshake was answered: aiohttp would close what never opened
+            # without a handshake there is no WebSocket that aiohttp could close
             return ws if ws.prepared else web.Response(status=400)
         finally:
-            self._close_client(client, talk.goodbye)
+            self._close_client(client, conversation.goodbye)
             self.gate.leave(request, entered)
 
     def _open_client(self, request: web.Request, quota: ClientQuota) -> ClientStream:
-        """Return a new client with the options of its address: /ws?avatar=ann&mirror=1&window=3&height=1.75."""
+        """Return a new client with the options of its address. Raises ProtocolError."""
         user, rights = user_of(request), self.gate.rights
         query: Mapping[str, str] = request.query
         for feature in self.features:
             query = feature.query(query)
-        asked = client_options(query, self._wire, self.config.session, self.catalogue.names, rights, user)
-        one = self.catalogue[asked.avatar]
-        solver = None if one.solver is None else one.solver(asked.height, asked.span)
+        requested = client_options(query, self._wire, self.config.session, self.catalogue.names, rights, user)
+        one = self.catalogue[requested.avatar]
+        solver = None if one.solver is None else one.solver(requested.height, requested.span)
         for feature in self.features:
             solver = feature.solver(solver)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
-        session = Session(Decoder(asked.wire, one.skeleton, one.parts), asked.session, clock())
-        session.refusal = partial(rights.refusal, user, asked.avatar)
+        session = Session(Decoder(requested.wire, one.skeleton, one.parts), requested.session, clock())
+        session.refusal = partial(rights.refusal, user, requested.avatar)
         session.sends_poses = self._responder is not None
         share = self._work.open(clock(), address)
         client = ClientStream(
@@ -351,30 +350,32 @@ class Server:
             address=address,
             shown=one,
             account="" if user is None else user.name,
-            driver=asked.name,
-            label=driven_by(asked.name) if asked.label else "",
-            notice=partial(rights.label, user, asked.avatar),
+            driver=requested.name,
+            label=driven_by(requested.name) if requested.label else "",
+            notice=partial(rights.label, user, requested.avatar),
             share=share,
             video=self.drawer.encoder.video(clock),
         )
         self.clients[number] = client
         try:
             for feature in self.features:
-                feature.client_opened(client, asked)
-            if asked.room is not None and client.member is None:
+                feature.client_opened(client, requested)
+            if requested.room is not None and client.member is None:
                 raise RoomError("there is no such room here", 404)
-        except BaseException:  # also a fault of a feature
+        except BaseException:  # a refusal, or a fault of a feature
             self._close_client(client, goodbye=False)
             raise
         return client
 
     async def withdraw(self, name: str) -> bool:
-        """Offer an avatar no more and end the connections that show it; False where it was not offered."""
+        """Withdraw an avatar and end the connections that show it; return False where it was not offered."""
         there = self.catalogue.remove(name)
         for feature in self.features:
             feature.avatar_withdrawn(name)
-        shown = [talk for talk in self._talks.values() if talk.client.shown.name == name]
-        closing = (talk.close(GOING_AWAY, "this avatar is deleted") for talk in shown)
+        shown = [
+            conversation for conversation in self._conversations.values() if conversation.client.shown.name == name
+        ]
+        closing = (conversation.close(GOING_AWAY, "this avatar is deleted") for conversation in shown)
         await asyncio.gather(*closing, return_exceptions=True)
         return there
 
@@ -391,9 +392,9 @@ class Server:
 
     def close_client(self, number: int, reason: str) -> None:
         """Close the connection of a client that did nothing wrong."""
-        talk = self._talks.get(number)
-        if talk is not None:
-            task = asyncio.create_task(talk.close(GOING_AWAY, reason))
+        conversation = self._conversations.get(number)
+        if conversation is not None:
+            task = asyncio.create_task(conversation.close(GOING_AWAY, reason))
             self._closing.add(task)
             task.add_done_callback(self._closing.discard)
 
@@ -401,14 +402,14 @@ class Server:
         self.drawer.remove(client)
         if client.share is not None:
             self._work.close(client.share)
-        self._talks.pop(client.number, None)
+        self._conversations.pop(client.number, None)
         del self.clients[client.number]
         for name, value in asdict(client.session.counts).items():
             setattr(self._totals, name, getattr(self._totals, name) + value)
         for feature in self.features:
             try:
                 feature.client_closed(client, goodbye)
-            except Exception:  # the other features hear of it all the same
+            except Exception:  # the other features are called all the same
                 log.exception("%s failed as client %d left", type(feature).__name__, client.number)
 
 

@@ -1,7 +1,7 @@
-"""One client's conversation, without sockets and clocks: times come in as arguments, answers go out as values.
+"""The server's half of the protocol for one client, without I/O: times come in as arguments, answers go out as values.
 
-Latest wins: at most one request waits (the older ones are dropped and counted), at most ``window`` pictures are under
-way or unacknowledged, and nothing is queued without bound.
+The latest request wins: at most one waits; the older ones are dropped and counted. At most ``window`` pictures are
+under way or unacknowledged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from glsplat.renderer.resolve import ResolveStep
 
     class Watermark(ResolveStep, Protocol):
-        """A mark that leads from a picture to its session (extras/watermark)."""
+        """A watermark that identifies the session of a picture (extras/watermark)."""
 
         @property
         def session(self) -> int:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Close", "Counts", "LinkControl", "Session", "SessionConfig", "Warn"]
 
-log: logging.Logger = logging.getLogger(__name__)  # serve sets its level: clips are traced by these lines
+log: logging.Logger = logging.getLogger(__name__)  # serve sets its level: these lines trace recorded pictures
 
 GOING_AWAY = 1001  # RFC 6455, section 7.4.1
 
@@ -53,19 +53,19 @@ class LinkControl(Protocol):
         """Whether rate and round trip are known."""
 
     def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
-        """Begin a picture of so many pixels and that JPEG quality; return how to make it."""
+        """Start a picture of that many pixels and that JPEG quality; return its rung of the ladder."""
 
     def rest(self, now: float) -> float:
-        """Return the seconds for which no picture is to be begun."""
+        """Return the seconds to wait before the next picture is started."""
 
     def written(self, number: int, nbytes: int, now: float) -> None:
-        """Note that a picture was given to the socket."""
+        """Note that a picture was written to the socket."""
 
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None:
         """Note that a picture arrived ``age`` seconds after its request; the client reports ``held`` seconds later."""
 
     def forget(self, number: int) -> None:
-        """Expect no report of the pictures up to that one."""
+        """Expect no report on the pictures up to ``number``."""
 
     def lost(self, number: int, now: float) -> None:
         """Note that a picture will never arrive."""
@@ -95,13 +95,13 @@ class SessionConfig:
     burst: int = 120  # messages at once on top of that
     flood: int = 2000  # messages above the rate before the connection ends
     errors: int = 8  # malformed messages at once before the connection ends ...
-    forgive: float = 0.5  # ... and how many a second are forgiven
+    forgive: float = 0.5  # ... and how many of them a second are forgiven
     handshake: float = 10.0  # seconds from the connection to the first valid request
     idle: float = 60.0  # seconds without any message
-    widest: int = 8  # window of who says when pictures arrive, and asked for none of its own
-    adapt: bool = False  # fit pictures to the links of those who say when they arrive
-    bitrate: float | None = None  # bits a second that each of them is sent at most; None: what the link takes
-    watermark: WatermarkKey | None = None  # what the pictures of each session are marked with, if they are
+    max_window: int = 8  # window of a client whose link is known and that requested no window
+    adapt: bool = False  # fit pictures to the links of clients that report arrivals
+    bitrate: float | None = None  # bits a second to each of them; None: as many as the link takes
+    watermark: WatermarkKey | None = None  # key of the watermarks in the pictures; None: no watermarks
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,12 +118,12 @@ class Close:
     text: str
     code: int
     reason: str
-    breach: bool = False  # of a limit on what may be sent: its address is held off
+    breach: bool = False  # the client broke a limit: its address is held off
 
 
 @dataclass(slots=True)
 class Counts:
-    """What happened to a client's messages."""
+    """Counts of a client's messages and replies."""
 
     received: int = 0  # messages
     accepted: int = 0  # requests that entered the mailbox
@@ -131,36 +131,36 @@ class Counts:
     stale: int = 0  # requests whose frame_id did not grow
     malformed: int = 0
     limited: int = 0  # messages above the rate, not read
-    unread: int = 0  # messages beyond the client's part of the time, dropped for newer ones
+    unread: int = 0  # messages beyond the client's share of time, dropped for newer ones
     failed: int = 0  # pictures that could not be drawn
     sent: int = 0  # replies
-    posed: int = 0  # those of them that were poses
+    posed: int = 0  # replies with poses
     bytes_sent: int = 0
 
 
 class Session:
-    """The state of one connection. ``now`` is any clock in seconds that does not run backwards.
+    """The server's state of one connection. ``now`` is a monotonic clock in seconds.
 
-    The owner feeds messages to ``receive``, takes the next request from ``next_request`` when the renderer is free, and
-    reports ``sending`` and ``sent``, or ``failed``, for each request it took.
+    The owner passes messages to ``receive``, takes requests from ``next_request`` when the renderer is free, and
+    reports ``sending`` and ``sent``, or ``failed``, for each of them.
     """
 
     def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
         self.config: SessionConfig = config or SessionConfig()
         self.counts: Counts = Counts()
-        self.sends_poses: bool = True  # to requests that want poses
-        self.refusal: Callable[[], str] | None = None  # why nothing is shown any more, "" while it is
+        self.sends_poses: bool = True  # the server answers requests for poses
+        self.refusal: Callable[[], str] | None = None  # returns why the avatar may not be shown any more, or ""
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
         watermark = self.config.watermark
         self.mark: Watermark | None = None if watermark is None else watermark.new_mark()
-        self.link: LinkControl | None = None  # from the first message on that says when a picture arrived
-        self.datagrams: bool = False  # the client can have pictures by datagrams
+        self.link: LinkControl | None = None  # from the first report of an arrival on
+        self.datagrams: bool = False  # the client accepts pictures by datagrams
         self._decoder = decoder
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
         self._kept: tuple[Request, float] | None = None
-        self._under_way: dict[int, bool] = {}  # by frame_id: is it a picture
+        self._under_way: dict[int, bool] = {}  # by frame_id: True for a picture, False for poses
         self._unacked: deque[int] = deque()
         self._newest = -1  # frame_id accepted
         self._newest_sent = -1
@@ -169,12 +169,12 @@ class Session:
         self._errors = Bucket(self.config.errors, self.config.forgive, self.config.errors, now)
 
     def announce(self, number: int, address: str) -> None:
-        """Log which client the mark in its pictures leads to."""
+        """Log the client together with its watermark's session id."""
         if self.mark is not None:
             log.info("client %d at %s is marked as session %08x", number, address, self.mark.session)
 
     def receive(self, data: str | bytes, now: float) -> Request | Warn | Close | None:
-        """Take one text message: the request that it is, or what to say; None: acknowledged, or dropped as too old."""
+        """Decode a text message; return its request or the reaction to it, None for an ack or a stale request."""
         self._heard = now
         self.counts.received += 1
         if not self._rate.take(now):
@@ -200,11 +200,11 @@ class Session:
         return Close(text, POLICY_VIOLATION, "too many malformed messages")
 
     def overspent(self, now: float) -> bool:
-        """Count a picture that was refused for what it costs, like a malformed message; True: end the connection."""
+        """Count a picture that was too costly like a malformed message; return whether the connection ends."""
         return not self._errors.take(now)
 
     def broke(self, breach: Breach) -> Close:
-        """The frames themselves were wrong, or too many: none of them is read any more."""
+        """Return how to close a connection whose frames are malformed or too many."""
         if breach.code != POLICY_VIOLATION:
             self.counts.malformed += 1
             return Close("", breach.code, breach.reason)
@@ -213,18 +213,18 @@ class Session:
         return Close(text, breach.code, breach.reason, breach=True)
 
     def ready(self) -> bool:
-        """True while a request waits and the window has room for its picture."""
+        """Return whether a request waits and the window has room for its picture."""
         waits = bool(self._pending) or self._kept is not None
         return waits and len(self._under_way.keys() | set(self._unacked)) < self.window
 
     @property
     def window(self) -> int:
-        """Pictures under way or unacknowledged at most; where a link is known, ``rest`` says when."""
+        """Largest number of pictures under way or unacknowledged; on a known link ``rest`` spaces them, too."""
         known = self.link is not None and self.link.known
-        return self.config.widest if known else self.config.window
+        return self.config.max_window if known else self.config.window
 
     def rung(self, request: Request, now: float) -> Rung | None:
-        """How a picture that is begun now is made; None: as it was asked for."""
+        """Start the picture of ``request``; return its rung of the ladder, None where no link is measured."""
         if self.link is None:
             return None
         assert request.frame_id is not None
@@ -233,38 +233,38 @@ class Session:
         return self.link.rung(request.frame_id, pixels, options.quality, options.crop, now)
 
     def rest(self, now: float) -> float:
-        """Seconds for which no picture of it is to be begun."""
+        """Return the seconds to wait before the next picture is started."""
         return 0.0 if self.link is None else self.link.rest(now)
 
     @property
     def waits_for_picture(self) -> bool:
-        """True while a request waits that is to be drawn."""
+        """True while a request for a picture waits."""
         waiting = (*self._pending.values(), self._kept)
         return any(entry is not None and not entry[0].poses for entry in waiting)
 
     @property
     def drawing(self) -> bool:
-        """True while a picture is under way: no later answer may overtake it."""
+        """True while a picture is under way, which no later answer may overtake."""
         return any(self._under_way.values())
 
     @property
     def newest(self) -> Request | None:
-        """The request that ``next_request`` gives."""
+        """The newest waiting request."""
         return next(iter(self._pending.values()))[0] if self._pending else None
 
     @property
     def kept(self) -> Request | None:
-        """The request that ``keep`` held back, until it or a newer one is taken."""
+        """The request that ``keep`` reserved, until it or a newer one is taken."""
         return None if self._kept is None else self._kept[0]
 
     def keep(self) -> None:
-        """Hold the newest request back although newer ones may come: what it needs is being made."""
+        """Reserve the newest request although newer ones may come: its tracking is being solved."""
         self._kept = next(iter(self._pending.values()))
 
     def next_request(self, now: float, kept: bool = False) -> tuple[Request, float] | None:
-        """The newest request (or the ``kept`` one) and the seconds it waited, or None.
+        """Take the newest request, or the ``kept`` one; return it and the seconds it waited, or None.
 
-        It stays under way until ``sent`` or ``failed``.
+        It is under way until ``sent`` or ``failed``.
         """
         taken = self._kept if kept else next(iter(self._pending.values()), None)
         if taken is None or not self.ready():
@@ -279,19 +279,19 @@ class Session:
         return request, now - arrived
 
     def sending(self, request: Request, nbytes: int = 0, now: float = 0.0) -> None:
-        """The picture of ``request`` is about to be written; from here on the client may acknowledge it.
+        """Note that the picture of ``request`` is written next: from now on the client may acknowledge it.
 
-        ``nbytes`` says how much of the link it takes; 0: next to nothing.
+        ``nbytes`` are its bytes on the link; 0 for few.
         """
         assert request.frame_id is not None
         if self.link is not None and nbytes:
             self.link.written(request.frame_id, nbytes, now)
         self._newest_sent = max(self._newest_sent, request.frame_id)
-        if request.ack is not None:  # a client that never acknowledges is held back by its socket alone
+        if request.ack is not None:  # the socket alone limits a client that never acknowledges
             self._unacked.append(request.frame_id)
 
     def sent(self, request: Request, nbytes: int) -> None:
-        """The socket has taken the picture of ``request``."""
+        """Note that the socket has taken the reply to ``request``, of ``nbytes``."""
         assert request.frame_id is not None
         self._under_way.pop(request.frame_id, None)
         self.counts.sent += 1
@@ -299,17 +299,17 @@ class Session:
         self.counts.bytes_sent += nbytes
 
     def lost(self, frame_id: int, now: float) -> None:
-        """That picture went out and will never arrive: nobody waits for its acknowledgement."""
+        """Note that a picture was sent but will never arrive; expect no acknowledgement of it."""
         self.give_up((frame_id,))
         if self.link is not None:
             self.link.lost(frame_id, now)
 
     def give_up(self, frame_ids: Collection[int]) -> None:
-        """Nobody waits for acknowledgements of those pictures any more."""
+        """Expect no acknowledgements of these pictures."""
         self._unacked = deque(one for one in self._unacked if one not in frame_ids)
 
     def failed(self, request: Request, code: str, message: str) -> str:
-        """The picture of ``request`` cannot be drawn; returns the error text to send."""
+        """Note that the picture of ``request`` cannot be drawn; return the error text to send."""
         assert request.frame_id is not None
         self._under_way.pop(request.frame_id, None)
         if self.link is not None:
@@ -318,20 +318,20 @@ class Session:
         return error_text(code, message, request.frame_id)
 
     def expires(self) -> float:
-        """The time at which the connection is given up if nothing arrives before."""
+        """Return the time at which the connection ends if nothing arrives before."""
         if self._newest < 0:
             return self._opened + self.config.handshake
         return self._heard + self.config.idle
 
     def expired(self, now: float) -> Close | None:
-        """A Close once the client was silent for too long, or never sent a valid request."""
+        """Return a Close once the client was silent for too long, or sent no valid request in time."""
         if now < self.expires():
             return None
         reason = "no valid request in time" if self._newest < 0 else "idle"
         return Close(error_text("timeout", reason), POLICY_VIOLATION, reason)
 
     def status(self) -> dict[str, Any]:
-        """Counts, window and the id in the watermark (hex), for /stats."""
+        """Return counts, window and the id in the watermark (hex), for /stats."""
         return asdict(self.counts) | {
             "mark": None if self.mark is None else f"{self.mark.session:08x}",
             "window": self.window,
@@ -345,21 +345,21 @@ class Session:
         if request.ack is not None:
             self._acknowledge(request.ack, request.arrival, now)
         else:
-            self._unacked.clear()  # it acknowledged before and stopped: its next request shows that it lives
+            self._unacked.clear()  # a client that has stopped acknowledging is alive, as this request shows
             if self.link is not None:
                 self.link.forget(self._newest_sent)
-        # the oldest form has one eye a message and no use for a number, and others may leave it out
+        # the oldest form has one eye a message and ignores frame_ids; others may omit them
         unnumbered = request.frame_id is None or request.form == "single-legacy"
         frame_id = self._newest + 1 if unnumbered else request.frame_id
         assert frame_id is not None
         if frame_id <= self._newest:
             self.counts.stale += 1
             return None
-        if frame_id > MAX_ID:  # counted here, behind a number that could not be higher
+        if frame_id > MAX_ID:  # an unnumbered request behind the highest frame_id
             raise ProtocolError(f"there is no frame_id after {MAX_ID}; connect again", "bad_request")
         if request.poses and not self.sends_poses:
             raise ProtocolError(missing("browser", "want: pose"), "bad_request", request.frame_id)
-        arrival = request.arrival if self.config.adapt else None  # else nothing goes by it
+        arrival = request.arrival if self.config.adapt else None
         if (frame_id, arrival) != (request.frame_id, request.arrival):
             request = replace(request, frame_id=frame_id, arrival=arrival)
         self._newest, self.datagrams = frame_id, request.datagrams
@@ -367,7 +367,7 @@ class Session:
         if request.cameras:
             self.last_size = (request.cameras[0].width, request.cameras[0].height)
         self.counts.accepted += 1
-        # a right eye of the oldest form must not push out the left one
+        # a right eye of the oldest form must not replace the left one
         slot = request.eyes[0] if request.form == "single-legacy" else -1
         keys = [key for key in self._pending if slot == -1 or key in (slot, -1)]
         for key in keys:

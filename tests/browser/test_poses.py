@@ -10,7 +10,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import ProtocolError
-from glsplat.net.codec.body import HERE, pack_body, place_of
+from glsplat.net.codec.body import AT_ORIGIN, pack_body, placement_of
 from glsplat.net.reply import pack_poses, parse_reply
 from glsplat.rotations import slerp, vector_quaternions
 from glsplat.skinning.expression import ARKIT
@@ -61,8 +61,8 @@ def reply(*bodies: bytes, number: int = 1, **info: Any) -> str:
 def test_it_reads_what_python_reads(page: Any) -> None:
     place = glsplat.scene.similarity((1, 2, 3), (0.5, -0.1, 0.2, 0.8), 1.2)
     packed = [
-        pack_body(pose(1), SHA, place_of(place), at=1e9 + 0.25, t=None, key=3, frame_id=2**32 - 1, opacity=0.2),
-        pack_body(pose(2, face=False, stretched=True), SHA, HERE, at=2, t=7.5, key=2**32 - 1, you=True),
+        pack_body(pose(1), SHA, placement_of(place), at=1e9 + 0.25, t=None, key=3, frame_id=2**32 - 1, opacity=0.2),
+        pack_body(pose(2, face=False, stretched=True), SHA, AT_ORIGIN, at=2, t=7.5, key=2**32 - 1, you=True),
     ]
     data = pack_poses(12, {"want": "pose", "driven_by": "Änne"}, packed)
     found, wanted = page.evaluate("read", text(data)), parse_reply(data)
@@ -86,7 +86,7 @@ def test_it_reads_what_python_reads(page: Any) -> None:
 def test_it_refuses_what_python_refuses_in_one_sentence(page: Any) -> None:
     """1,500 damaged replies, all cuts, and junk. Bodies: the same verdict. Elsewhere JSON may be read differently."""
     rng = np.random.default_rng(12)
-    packed = [pack_body(pose(i, stretched=i == 2), SHA, HERE, at=i, t=i, key=i) for i in (1, 2)]
+    packed = [pack_body(pose(i, stretched=i == 2), SHA, AT_ORIGIN, at=i, t=i, key=i) for i in (1, 2)]
     whole = pack_poses(3, {"want": "pose"}, packed)
     first = len(pack_poses(3, {"want": "pose"}, ()))
     cases = [whole[:size] for size in range(0, len(whole), 7)] + [rng.bytes(n) for n in range(0, 400, 3)]
@@ -123,7 +123,8 @@ def test_others_are_shown_between_their_samples_and_oneself_at_the_newest(page: 
     for i, one in enumerate(poses):
         at = 777_000 + 50 * i + rng.uniform(0, 15)  # when it came, of what was sampled each 50 ms
         bodies = [
-            pack_body(one, SHA, HERE, at=at, t=10 + 50 * i, key=key, frame_id=i + 1, you=key == 1) for key in (1, 2)
+            pack_body(one, SHA, AT_ORIGIN, at=at, t=10 + 50 * i, key=key, frame_id=i + 1, you=key == 1)
+            for key in (1, 2)
         ]
         room = {"room": {"people": people}} if i == 0 else {}
         sent.append((reply(*bodies, number=i + 1, now=at + 1, **room), 5000 + 50 * i + 20 + rng.uniform(0, 10)))
@@ -166,7 +167,7 @@ def test_a_mouth_does_not_wait_as_the_rest_of_a_body_does(page: Any) -> None:
     sent = []
     for i, face in enumerate(faces):
         one = glsplat.Pose(np.zeros((55, 3)), (float(i), 0, 0), expression=face)
-        body = pack_body(one, SHA, HERE, at=900 + 100 * i, t=100 * i, key=2, frame_id=i + 1)
+        body = pack_body(one, SHA, AT_ORIGIN, at=900 + 100 * i, t=100 * i, key=2, frame_id=i + 1)
         room = {"room": {"people": [{"key": 2, "you": False}]}} if i == 0 else {}
         sent.append((reply(body, number=i + 1, now=901 + 100 * i, **room), 5000 + 100 * i))
     found = page.evaluate(
@@ -193,7 +194,7 @@ def test_a_mouth_does_not_wait_as_the_rest_of_a_body_does(page: Any) -> None:
 
 def test_who_left_is_forgotten_and_strangers_are_not_taken_in(page: Any) -> None:
     def body(key: int, at: float) -> bytes:
-        return pack_body(pose(key % 50), SHA, HERE, at=at, t=None, key=key)
+        return pack_body(pose(key % 50), SHA, AT_ORIGIN, at=at, t=None, key=key)
 
     there = {"room": {"people": [{"key": 1}, {"key": 2}]}}
     replies = [

@@ -10,7 +10,7 @@ import pytest
 from glsplat.data import default_avatar
 from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.formats.motion_files import load_embedded_motion
-from glsplat.net.backends.tracking import MOST, PART, Ahead, TrackingSolver
+from glsplat.net.backends.tracking import HORIZON_SHARE, MAX_HORIZON_S, PredictionHorizon, TrackingSolver
 from glsplat.net.messages import Arrival, Decoder, Request
 from glsplat.net.session import Session, SessionConfig
 from glsplat.tracking.calibration import Calibration
@@ -23,22 +23,24 @@ RATE = 72
 
 
 def test_who_says_nothing_is_drawn_as_it_was() -> None:
-    ahead = Ahead()
+    ahead = PredictionHorizon()
     assert [ahead.update(None) for _ in range(100)] == [0.0] * 100
 
 
-@pytest.mark.parametrize(("age", "expected"), [(20.0, PART * 0.02), (100.0, MOST), (60_000.0, MOST), (0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("age", "expected"), [(20.0, HORIZON_SHARE * 0.02), (100.0, MAX_HORIZON_S), (60_000.0, MAX_HORIZON_S), (0.0, 0.0)]
+)
 def test_it_follows_the_age_slowly_and_not_too_far(age: float, expected: float) -> None:
-    ahead = Ahead()
+    ahead = PredictionHorizon()
     steps = [ahead.update(Arrival(age) if i % 3 == 0 else None) for i in range(300)]
     assert steps[-1] == pytest.approx(expected)
     assert np.abs(np.diff([0.0, *steps])).max() <= 0.001
 
 
 def test_lies_that_change_each_time_move_nothing_by_much() -> None:
-    ahead = Ahead()
+    ahead = PredictionHorizon()
     steps = [ahead.update(Arrival((0.0, 60_000.0)[i % 2])) for i in range(500)]
-    assert 0 <= min(steps) and max(steps) <= MOST and np.abs(np.diff(steps)).max() <= 0.001
+    assert 0 <= min(steps) and max(steps) <= MAX_HORIZON_S and np.abs(np.diff(steps)).max() <= 0.001
 
 
 @pytest.mark.parametrize("adapts", [True, False])

@@ -74,5 +74,5 @@ async def test_framing_fragments_utf8_and_closing(serve):
 
 async def test_large_and_many_messages(serve, monkeypatch):
     """Cases 9: messages up to 16 MiB, with the limit raised, and thousands of small ones."""
-    monkeypatch.setattr("glsplat.net.conversation.MAX_BYTES", 17 * 2**20)
+    monkeypatch.setattr("glsplat.net.conversation.MAX_MESSAGE_BYTES", 17 * 2**20)
     assert await run(serve, ["9.*"]) == [54, []]

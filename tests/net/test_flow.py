@@ -18,7 +18,7 @@ from tests.net.wire import native
 def asked(*numbers: int) -> FlowControl:
     flow = FlowControl()
     for number in numbers:
-        flow.ask(number, number / 10)
+        flow.request(number, number / 10)
     return flow
 
 
@@ -71,36 +71,36 @@ def test_an_error_answers_one_request_or_also_those_before(code, replaced):
 def test_an_error_without_a_number_is_about_who_waits():
     flow = asked(1, 2)
     assert flow.failed(ProtocolError("too many messages", "rate")).frame_id is None
-    assert flow.unanswered == 2 and flow.said == "too many messages"
+    assert flow.unanswered == 2 and flow.last_error == "too many messages"
     assert flow.failed(ProtocolError("who?", "bad_json"), waited_for=2).frame_id == 2
     assert flow.unanswered == 1
 
 
 def test_when_to_ask():
     flow = asked(1, 2)
-    assert [flow.may_ask(policy, 2, 0) for policy in POLICIES] == [True, False, False]
-    assert flow.may_ask("fifo", 3, 0)
+    assert [flow.may_request(policy, 2, 0) for policy in POLICIES] == [True, False, False]
+    assert flow.may_request("fifo", 3, 0)
     flow.arrived(1)
-    assert [flow.may_ask(policy, 2, 1) for policy in POLICIES] == [True, False, True]
+    assert [flow.may_request(policy, 2, 1) for policy in POLICIES] == [True, False, True]
     flow.arrived(2)
-    assert [flow.may_ask(policy, 2, 1) for policy in POLICIES] == [True, False, True]  # it is not decoded yet
-    assert all(flow.may_ask(policy, 2, 2) for policy in POLICIES)
-    flow.ask(3, 0.3)
+    assert [flow.may_request(policy, 2, 1) for policy in POLICIES] == [True, False, True]  # it is not decoded yet
+    assert all(flow.may_request(policy, 2, 2) for policy in POLICIES)
+    flow.request(3, 0.3)
     flow.failed(ProtocolError("no", "render", 3))
-    assert all(flow.may_ask(policy, 2, 2) for policy in POLICIES)  # nothing is there to be decoded
+    assert all(flow.may_request(policy, 2, 2) for policy in POLICIES)  # nothing is there to be decoded
 
 
 def test_a_request_carries_its_subject():
     flow = FlowControl()
     for number in range(1, 5):
-        flow.ask(number, 0.0, f"wish {number}")
+        flow.request(number, 0.0, f"wish {number}")
     flow.arrived(2)
     flow.arrived(3)  # before somebody took 2
     assert (flow.about(2), flow.about(3), flow.about(9)) == ("wish 2", "wish 3", None)
     flow.take(3)
     assert (flow.about(2), flow.about(3), flow.about(4)) == (None, "wish 3", "wish 4")
     for number in range(5, 2000):
-        flow.ask(number, 0.0, "x")
+        flow.request(number, 0.0, "x")
     assert len(flow._subjects) <= 256
 
 
@@ -130,8 +130,8 @@ def test_with_the_servers_half_nothing_gets_stuck(steps, policy):
 
     def step(kind):
         nonlocal decoded
-        if kind == "ask" and flow.may_ask(policy, 2, decoded):
-            flow.ask(flow.newest + 1, now)
+        if kind == "ask" and flow.may_request(policy, 2, decoded):
+            flow.request(flow.newest + 1, now)
             text = json.loads(native(flow.newest)) | {"ack": flow.taken}
             assert isinstance(session.receive(json.dumps(text), now), Request)
         elif kind == "draw" and session.ready():
@@ -162,4 +162,4 @@ def test_with_the_servers_half_nothing_gets_stuck(steps, policy):
         for kind in ("draw", "deliver"):
             step(kind)
     assert not flow.waiting and not session.ready() and flow.unanswered == 0
-    assert flow.may_ask(policy, 2, decoded)
+    assert flow.may_request(policy, 2, decoded)

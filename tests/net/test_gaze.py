@@ -14,8 +14,8 @@ from glsplat.errors import ProtocolError
 from glsplat.extras.rooms.member import Member
 from glsplat.extras.rooms.room import Room
 from glsplat.net.backends.tracking import TrackingSolver
-from glsplat.net.fields import MOST_FACES
 from glsplat.net.messages import Decoder, Request, eye_fields
+from glsplat.net.wire_schema import MAX_FACES
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import Calibration
@@ -73,7 +73,7 @@ def test_the_own_eyes_are_no_face():
 
 
 @pytest.mark.parametrize(
-    "faces", [[[0, 1]], [[0, 1, 2, 3]], [["a", 0, 0]], [[0, 1e9, 0]], [[0, 1, 2]] * (MOST_FACES + 1), "x", [None]]
+    "faces", [[[0, 1]], [[0, 1, 2, 3]], [["a", 0, 0]], [[0, 1e9, 0]], [[0, 1, 2]] * (MAX_FACES + 1), "x", [None]]
 )
 def test_what_is_no_list_of_places_is_refused(faces):
     with pytest.raises(ProtocolError, match=r"faces|Expected"):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
-from glsplat.net.messages import MAX_BYTES, Ack, Decoder, WireOptions, error_text, eye_fields
+from glsplat.net.messages import MAX_MESSAGE_BYTES, Ack, Decoder, WireOptions, error_text, eye_fields
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.sample import Sample
@@ -241,8 +241,8 @@ def test_what_is_refused(change, code):
         ('{"x":' + "[" * 30000 + "]" * 30000 + "}", "bad_json"),
         (b'{"v":1,"frame_id":1,"x":"\xff"}', "bad_request"),
         ('{"v":1,"frame_id":1,"x":"\ud800"}', "bad_json"),
-        (" " * (MAX_BYTES + 1), "too_big"),
-        ('"' + "é" * (MAX_BYTES // 2) + '"', "too_big"),
+        (" " * (MAX_MESSAGE_BYTES + 1), "too_big"),
+        ('"' + "é" * (MAX_MESSAGE_BYTES // 2) + '"', "too_big"),
     ],
 )
 def test_text_that_is_no_request(text, code):

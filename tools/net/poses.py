@@ -135,7 +135,7 @@ def solving() -> None:
     pose = glsplat.Pose(np.random.default_rng(1).normal(0, 0.5, (55, 3)), expression={"jawOpen": 0.5})
     start = time.thread_time()
     for i in range(1000):
-        body.pack_body(pose, bytes(32), body.HERE, at=i, t=i)
+        body.pack_body(pose, bytes(32), body.AT_ORIGIN, at=i, t=i)
     packing = time.thread_time() - start
     print(
         f"a sample: solved in {np.median(times) * 1e3:.2f} ms (95 %: {np.percentile(times, 95) * 1e3:.2f}), "

@@ -28,7 +28,7 @@ from typing import Protocol
 
 from glsplat.extras.far_links.datagrams.packets import PIECE
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
-from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
+from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder, visible_loss
 
 __all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "draw_time", "play"]
 
@@ -105,7 +105,7 @@ class Oracle(Fixed):
         rungs = ladder(quality, crop)
         spend = self._use * self._part * self._link.rate(now) * 1e6
         for rung in rungs:
-            calm = 0.0 if rung.full or visible_loss(rung) <= GOOD else 1 / CALM
+            calm = 0.0 if rung.full or visible_loss(rung) <= MAX_SMOOTH_LPIPS else 1 / REDUCED_FPS
             self._least = max(draw_time(rung.scale), calm)
             if 8 * FULL * rung.bits <= spend * self._least:
                 break

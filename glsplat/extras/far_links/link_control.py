@@ -13,7 +13,7 @@ from math import inf, isfinite
 from statistics import median
 
 from glsplat.extras.far_links.link import LinkEstimator
-from glsplat.net.pace.ladder import CALM, GOOD, Rung, ladder, visible_loss
+from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder, visible_loss
 
 __all__ = ["LinkControl"]
 
@@ -256,9 +256,9 @@ class LinkControl:
 
     def _fitting(self, full: float) -> tuple[int, float]:
         """The best rung for ``full`` bytes a picture, and the seconds from one to the next that it needs."""
-        rungs, calm = self._rungs, max(self._interval, 1 / CALM)
+        rungs, calm = self._rungs, max(self._interval, 1 / REDUCED_FPS)
         needs = [8 * full * one.bits / self.spend for one in rungs]
-        good = [index for index, one in enumerate(rungs) if not index or visible_loss(one) <= GOOD]
+        good = [index for index, one in enumerate(rungs) if not index or visible_loss(one) <= MAX_SMOOTH_LPIPS]
         for index in good:
             if needs[index] <= self._interval:
                 return index, 0.0

@@ -40,14 +40,15 @@ class VideoReader:
         self._name = ""
         self._next = 0  # number of the picture that can be decoded; 0: a key frame alone
 
-    def wish(self) -> dict[str, Any]:
+    def request_fields(self) -> dict[str, Any]:
         """``video`` of the next request: what is decoded, and whether nothing is until a key frame comes."""
         return {"codecs": self._codecs} | ({} if self._next else {"key": True})
 
     def eyes(self, data: bytes, said: Mapping[str, Any], size: Any) -> tuple[Image, ...]:
         """The eyes' pictures [H, W, 3], with alpha [H, W, 4], of ``size`` (width, height), left first.
 
-        ``said`` is what the reply says of its video. Nothing where it cannot be decoded: ``wish`` then asks for a key.
+        ``said`` is ``video`` of the reply. Returns nothing where it cannot be decoded; ``request_fields`` then requests
+        a key picture.
         """
         import av
 

@@ -11,9 +11,9 @@ from glsplat.extras.rooms.person import Moved, Person
 from glsplat.extras.rooms.room import Room
 from glsplat.net.backend import Solved
 from glsplat.net.codec.body import PoseHistory, Poses
-from glsplat.net.fields import PictureOptions
 from glsplat.net.messages import Request
 from glsplat.net.room_view import RoomView
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Member"]

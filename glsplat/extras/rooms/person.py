@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError, PoseError
-from glsplat.net.codec.body import Place, pack_body, place_of
+from glsplat.net.codec.body import Placement, pack_body, placement_of
 from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
@@ -57,7 +57,7 @@ class Person:
         self._heard = now
         self._samples: deque[Moved] = deque(maxlen=32)
         self._packed: tuple[bytes, bytes] | None = None  # the newest sample on the wire, by the avatar's hash
-        self._placed = (1.0, 0.0), (place_of(seat), seat)  # scale and floor, and the place at them
+        self._placed = (1.0, 0.0), (placement_of(seat), seat)  # scale and floor, and the place at them
         self._to_room = np.asarray(np.linalg.inv(seat), np.float64)
 
     @property
@@ -108,7 +108,7 @@ class Person:
         """Whether nothing is left of them."""
         return not self.connected and self.silent(now) >= SILENT + FADE
 
-    def place(self, sample: Moved) -> tuple[Place, NDArray[np.float64]]:
+    def place(self, sample: Moved) -> tuple[Placement, NDArray[np.float64]]:
         """Return where the user of a sample is, at their size: room from avatar in parts and as a matrix [4, 4].
 
         Raises PoseError for a scale and floor at which nobody can be drawn.
@@ -117,7 +117,7 @@ class Person:
         if size != self._placed[0]:
             with np.errstate(invalid="ignore"):  # of an infinite floor, which is refused
                 ground = self.seat[:3, 3] + sample.floor * self.seat[:3, 1]
-            place = Place(tuple(ground.tolist()), self._placed[1][0].rotation, sample.scale)
+            place = Placement(tuple(ground.tolist()), self._placed[1][0].rotation, sample.scale)
             try:
                 self._placed = size, (place, similarity(*place))
             except GlsplatError as error:
@@ -183,7 +183,7 @@ def people_fields(
 
     ``resume`` is the token by which the viewer comes back.
     """
-    translation, rotation, _ = place_of(viewer.seat)
+    translation, rotation, _ = placement_of(viewer.seat)
     fields = [
         {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer, "label": one.label}
         | {"sha256": None if (digest := digests[one.avatar]) is None else digest.hex()}

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.extras.rooms.person import Moved, Person, people_fields
 from glsplat.extras.rooms.seats import free_seat, seat
-from glsplat.net.codec.body import MOST, PoseHistory, Poses, yours
-from glsplat.net.fields import Place
-from glsplat.net.labels import driven_by
+from glsplat.net.codec.body import MAX_BODIES, PoseHistory, Poses, for_recipient
 from glsplat.net.options import RoomError
-from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.room_view import RoomView, VisiblePerson, driven_by
+from glsplat.net.wire_schema import Position
 
 __all__ = ["Room"]
 
@@ -133,7 +132,7 @@ class Room:
             if last is None or (last.pose, last.scale, last.floor) != (sample.pose, sample.scale, sample.floor):
                 self._changed(person)
 
-    def faces(self, person: Person, head: Sequence[float] | None) -> list[Place]:
+    def faces(self, person: Person, head: Sequence[float] | None) -> list[Position]:
         """Between the eyes of all others whose tracking came, in the space of a ``person`` whose own head is there."""
         with self._lock:
             person.looked(head)
@@ -181,12 +180,12 @@ class Room:
                 room = people_fields(self.name, person, [guest.person for guest in self._guests.values()], hashes)
             fresh = list(takewhile(lambda news: news[0] > history.change, reversed(self._news.values())))
             bodies = []
-            for change, one in fresh[: -MOST - 1 : -1]:
+            for change, one in fresh[: -MAX_BODIES - 1 : -1]:
                 history.change = change
                 digest = hashes.get(one.avatar)
                 body = None if digest is None else one.packed(digest)
                 if body is not None:
-                    bodies.append(yours(body, one is person, one.opacity(now)))
+                    bodies.append(for_recipient(body, one is person, one.opacity(now)))
         return Poses(bodies, room)
 
     def posed(self, count: int) -> None:

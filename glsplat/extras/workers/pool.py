@@ -21,8 +21,7 @@ from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.worker.encoding import PictureEncoder
-from glsplat.net.worker.launcher import WorkerLauncher
-from glsplat.net.worker.remote import RemoteWorker
+from glsplat.net.worker.remote import RemoteWorker, WorkerLauncher
 
 __all__ = ["WorkerPool"]
 

@@ -1,1 +1,1 @@
-"""Renderers as the server sees them."""
+"""The server's renderers, and its tracking solver."""

@@ -1,4 +1,4 @@
-"""The avatars beside the scene: those that were given, and those that lie in a folder when they are asked for."""
+"""Avatars by name: given ones, those in a folder, and embedded ones that are loaded on demand."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from glsplat.errors import FormatError
 from glsplat.formats import load_content
 from glsplat.scene import Rigged
 
-__all__ = ["AvatarStore", "WithPeople"]
+__all__ = ["AvatarStore", "LazyAvatars"]
 
 
 class AvatarStore(Mapping[str, Rigged]):
-    """``given`` by name, then NAME.glb of ``folder``, read anew each time; never the name of the ``scene``.
+    """``given`` avatars by name, then NAME.glb in ``folder``, read each time; never the name of the ``scene``.
 
-    What asks has made sure that a name is of those offered, so none leads out of the folder.
+    Callers pass offered names only, so that none leads out of the folder.
     """
 
     def __init__(self, given: Mapping[str, Rigged], folder: Path, scene: str) -> None:
@@ -47,10 +47,10 @@ class AvatarStore(Mapping[str, Rigged]):
         return self._folder / f"{name}.glb"
 
 
-class WithPeople(Mapping[str, Rigged]):
-    """``given`` by name, then the embedded ``people`` of other names, each loaded when it is first asked for.
+class LazyAvatars(Mapping[str, Rigged]):
+    """``given`` avatars by name, then the embedded ``people`` of other names, loaded on first use.
 
-    What is pickled of it is names alone: the process that draws loads its own.
+    Only names of the embedded people are pickled; the process that draws loads its own.
     """
 
     def __init__(self, given: Mapping[str, Rigged], people: Collection[str]) -> None:

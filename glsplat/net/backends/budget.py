@@ -1,4 +1,4 @@
-"""Budget: what one picture may cost. That is known before it is drawn, and a costly one is drawn in slices."""
+"""PictureBudget: limits the cost of a picture, which is known before it is drawn; costly ones are drawn in slices."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ if TYPE_CHECKING:
 
 __all__ = ["PictureBudget", "others_share"]
 
-_LARGE = 2 * 2048 * 2048  # pixels of a picture to which others may add all that it may cost; smaller ones in proportion
-_EACH = 0.5  # of that for one of them
-_SPLAT_PIXELS = 64  # covered pixels of a splat in a view that are granted however small the picture is: four blocks
+_FULL_SHARE_PIXELS = 2 * 2048 * 2048  # of a picture whose full cost others may use; in proportion for smaller ones
+_ONE_PERSON = 0.5  # limit for one person, as a share of the limit for all others
+_MIN_SPLAT_PIXELS = 64  # covered pixels of each splat and view that are granted in any picture: four blocks
 
 
 def others_share(max_cost: float, views: Sequence[Camera], splats: int, each: bool = False) -> float:
-    """Return the covered pixels that others of a room, of so many splats, may add to one member's picture.
+    """Return the covered pixels that a room's other people, of that many ``splats``, may add to a viewer's picture.
 
-    All of them together, or one (``each``). Somebody whose eyes are nearly in the viewer's takes four fifths of one's
-    share, a circle of eight people two fifths of all (docs/protocol.md, section 5): nobody meets either who does not
-    force themselves on others.
+    The limit is for all of them, or for ``each``. A person whose eyes nearly touch the viewer's needs four fifths of
+    the limit for one, a circle of eight people two fifths of the limit for all (docs/protocol.md, section 5). So only
+    people who crowd others reach a limit.
     """
     pixels = sum(view.width * view.height for view in views)
-    share = (_EACH if each else 1.0) * max_cost * pixels / _LARGE
-    return max(share, float(_SPLAT_PIXELS * len(views) * splats))
+    share = (_ONE_PERSON if each else 1.0) * max_cost * pixels / _FULL_SHARE_PIXELS
+    return max(share, float(_MIN_SPLAT_PIXELS * len(views) * splats))
 
 
 class PictureBudget:
-    """Limits of one picture; make a new one for each. Costs are in covered pixels (``renderer.Prepared.cost``)."""
+    """Limits of one picture. Costs are in covered pixels (``renderer.Prepared.cost``)."""
 
     def __init__(
         self,
-        max_cost: float = math.inf,  # covered pixels; a picture above it is refused before anything is drawn
-        seconds: float = math.inf,  # from now on; later it is abandoned between two slices
-        slice_cost: float = math.inf,  # covered pixels; a picture above it is drawn in slices of about that much
-        abandoned: Callable[[], bool] = lambda: False,  # asked between slices: does nobody want it any more?
+        max_cost: float = math.inf,  # a picture above it is refused before anything is drawn
+        seconds: float = math.inf,  # from now on; a slower picture is abandoned between two slices
+        slice_cost: float = math.inf,  # a picture above it is drawn in slices of about that cost
+        abandoned: Callable[[], bool] = lambda: False,  # called between slices: whether the picture is not needed
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._max_cost, self._seconds, self._slice_cost = max_cost, seconds, slice_cost
@@ -49,7 +49,7 @@ class PictureBudget:
         self._start = clock()
 
     def render(self, prepared: Prepared, out: Images | None = None) -> Images:
-        """``prepared.render()`` within these limits. Raises BudgetError (too_costly, abandoned, too_slow)."""
+        """Render within these limits. Raises BudgetError (too_costly, abandoned, too_slow)."""
         if prepared.cost > self._max_cost:
             raise BudgetError(
                 f"the picture covers {prepared.cost:.3g} pixels splat by splat, at most {self._max_cost:.3g} are drawn;"
@@ -59,7 +59,7 @@ class PictureBudget:
         return prepared.render(between=self.check, slice_cost=self._slice_cost, out=out)
 
     def check(self) -> None:
-        """Go on? Raises BudgetError (abandoned, too_slow) if not."""
+        """Raise BudgetError (abandoned, too_slow) unless the picture is to be continued."""
         if self._abandoned():
             raise BudgetError("nobody waits for the picture any more", "abandoned")
         if self._clock() - self._start > self._seconds:

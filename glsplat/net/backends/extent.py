@@ -1,19 +1,23 @@
-"""Extent: the bounding box of a skinned thing in a pose, without posing its splats."""
+"""Bounding boxes of skinned things and of avatars in a pose, without posing their splats."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
+from glsplat.avatar import Avatar
 from glsplat.rotations import quaternion_matrices
+from glsplat.scene import Rigged
+from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Extent"]
+__all__ = ["Extent", "FigureBounds"]
 
 _DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # [27, 3]; the middle one is no direction
 _STEPS = np.array([9, 3, 1])  # of a direction's index in that list, by the sign of x, y, z
@@ -24,9 +28,9 @@ _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 class Extent:
     """Bounds of the splats or vertices of each joint, in 26 directions of the zero pose.
 
-    A splat, or a mesh's vertex, belongs to the joint in its first slot (an avatar's anchor). Boxes of both joints cover
-    blended ones nearly always. With ``every``, it belongs to all joints that move it: the box then holds everything in
-    any pose, with a looser fit.
+    A splat or vertex belongs to the joint in its first slot (an avatar's anchor); the boxes of its other joints nearly
+    always cover it, too. With ``every``, it belongs to all joints that move it: the box then holds everything in any
+    pose, but fits less tightly.
     """
 
     joints: NDArray[np.intp]  # [B] joints with splats
@@ -84,3 +88,56 @@ class Extent:
         indices = 13 + np.cumsum(signs * _STEPS[order], axis=2)  # one, two, then three axes together
         rows = np.arange(len(across))[:, None, None]
         return (weights * self.reach[rows, indices]).sum(axis=2)
+
+
+class FigureBounds:
+    """The boxes of one figure, measured on first use. Splats count with ``sigmas`` standard deviations.
+
+    With ``whole`` the box holds all of the figure in any pose; otherwise nearly all, and fits more tightly.
+    """
+
+    def __init__(self, figure: Rigged, sigmas: float, whole: bool = False) -> None:
+        self.figure: Rigged = figure
+        self._sigmas, self._whole = sigmas, whole
+        self._state: tuple[object, ...] = ()
+        self._box: NDArray[np.float64] | None = None
+
+    def box(self, pose: Pose | None, transform: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the lowest and highest corner [2, 3] in the scene; None where nothing of it is drawn.
+
+        ``pose`` None is the zero pose; ``transform`` [4, 4] takes the figure's space to the scene's.
+        """
+        posed = Pose.zero(len(self.figure.skeleton)) if pose is None else pose
+        moved = b"" if posed.translations is None else posed.translations.tobytes()
+        shape = tuple(posed.expression.items())
+        state = posed.rotations.tobytes(), posed.trans.tobytes(), moved, shape, transform.tobytes()
+        if state != self._state:  # viewers of the same pose share a box
+            self._state, self._box = state, self._measured(posed, transform)
+        return self._box
+
+    def _measured(self, pose: Pose, transform: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        figure = self.figure
+        bones = transform[:3, :3] @ pose.bones(figure.skeleton)
+        bones[:, :, 3] += transform[:3, 3]
+        box, grown = self._extent.box(bones), self._grown(pose)
+        if box is None or not grown:
+            return box
+        size = float(np.cbrt(np.linalg.det(transform[:3, :3])))
+        return np.asarray(box + size * grown * np.array([[-1.0], [1.0]]))
+
+    def _grown(self, pose: Pose) -> float:
+        """Return an upper bound in metres of the movements by the pose's expression."""
+        figure = self.figure
+        if not isinstance(figure, Avatar):
+            return 0.0 if figure.morphs is None else figure.morphs.farthest(pose)
+        weights = figure.weights(pose)
+        return 0.0 if weights is None or figure.shapes is None else figure.shapes.farthest(weights)
+
+    @cached_property
+    def _extent(self) -> Extent:
+        figure, whole = self.figure, self._whole
+        if isinstance(figure, Avatar):
+            return Extent.of(figure.splats, figure.skin, self._sigmas, whole)
+        used = np.unique(figure.faces)
+        skin = Skin.create(figure.joints[used], figure.weights[used], len(figure.skeleton), influences=8)
+        return Extent.of_points(figure.vertices[used], skin, whole)

@@ -1,4 +1,4 @@
-"""The renderer as the server sees it. Imports little: the process that draws is to be ready soon."""
+"""RendererBackend: draws with OpenGL for the server. Imports little, so that the process that draws starts quickly."""
 
 from __future__ import annotations
 
@@ -22,31 +22,27 @@ if TYPE_CHECKING:
     from glsplat.formats.scene_file import SceneFile
     from glsplat.net.codec.depth import DepthGrid
 
-__all__ = ["MAX_COST", "MAX_TIME", "RendererBackend", "most_cost"]
+__all__ = ["MAX_COST", "MAX_PICTURE_S", "RendererBackend", "max_cost_of"]
 
 MAX_COST = 1e9
-"""Covered pixels of a picture (renderer.Prepared.cost): eight times what a person needs who fills two eyes of 2048^2,
-and more than twice what one needs whose face is in front of the eyes (docs/protocol.md, section 5)."""
+"""Covered pixels of a picture (renderer.Prepared.cost): eight times the cost of a person who fills two eyes of 2048^2,
+and over twice that of a face in front of the eyes (docs/protocol.md, section 5)."""
 
-_LEAN_SHARE = 0.5  # of the covered pixels of a picture, where splats end as early as LEAN has them end
+_LEAN_SHARE = 0.5  # of a picture's covered pixels, where splats end as early as with LEAN
 
-MAX_TIME = 5.0
-"""Seconds of a picture."""
+MAX_PICTURE_S = 5.0
 
-_SLICE = 1.0  # seconds; only pictures that take longer than that are drawn in slices
-_SLICE_LEAST = 1e6  # covered pixels
+_SLICE_S = 1.0  # pictures that take longer are drawn in slices
+_MIN_SLICE_COST = 1e6  # covered pixels
 
 
-def most_cost(config: RenderConfig) -> float:
-    """Covered pixels of a picture as a server draws it: the same views are refused with LEAN and without."""
+def max_cost_of(config: RenderConfig) -> float:
+    """Return the limit of a picture's covered pixels: the same views are refused with LEAN and without."""
     return MAX_COST * (_LEAN_SHARE if config.max_sigma <= LEAN.max_sigma else 1.0)
 
 
 class RendererBackend:
-    """Draws one scene, or those of ``avatars`` that requests name. Pictures of different sizes may follow each other.
-
-    None is drawn beyond its budget.
-    """
+    """Draws one scene, or the one of ``avatars`` that a job names, in pictures of any sizes, within a budget."""
 
     def __init__(
         self,
@@ -54,26 +50,26 @@ class RendererBackend:
         pixels: tuple[int, int],
         device: str | None = None,
         config: RenderConfig | None = None,
-        max_cost: float | None = None,  # None: most_cost(config)
-        max_time: float = MAX_TIME,
+        max_cost: float | None = None,  # None: max_cost_of(config)
+        max_time: float = MAX_PICTURE_S,
         avatars: Mapping[str, Rigged] | None = None,  # by RenderJob.avatar; any other name is the scene
-        rooms: Mapping[str, SceneFile] | None = None,  # the background of each
-        name: str | None = None,  # of the scene: then any other name is an avatar that is missing here
+        rooms: Mapping[str, SceneFile] | None = None,  # the scenery of each
+        name: str | None = None,  # of the scene: any other name that is not in ``avatars`` then fails
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
         self.place: NDArray[np.uint8] | None = None
         self._config = config or RenderConfig()
-        self._max_cost = most_cost(self._config) if max_cost is None else max_cost
+        self._max_cost = max_cost_of(self._config) if max_cost is None else max_cost
         self._max_time = max_time
         self._scene, self._pixels, self._device = scene, pixels, device
         self._opened = 0.0
-        self._avatars = {} if avatars is None else avatars  # which may be empty yet
+        self._avatars = {} if avatars is None else avatars  # an empty one may be filled later
         self._rooms = rooms or {}
         self._name = name
 
     def open(self) -> str:
         """Make the context, load the scene, and draw once so that no client waits for the shaders."""
-        from glsplat.gl.context import create_context  # here: the module can be imported without a driver
+        from glsplat.gl.context import create_context  # loaded late: the module can be imported without a driver
         from glsplat.net.backends.renderer_pool import RendererPool
         from glsplat.renderer import Renderer
 
@@ -87,10 +83,10 @@ class RendererBackend:
             view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
             renderer.prepare([view, view]).render()
             start = time.perf_counter()
-            prepared = renderer.prepare([view, view])  # nothing is compiled or sorted this time
+            prepared = renderer.prepare([view, view])  # timed without compiling and sorting
             prepared.render()
             rate = prepared.cost / (time.perf_counter() - start)
-            self._slice_cost = max(_SLICE_LEAST, rate * _SLICE)
+            self._slice_cost = max(_MIN_SLICE_COST, rate * _SLICE_S)
         except BaseException:
             self._context.release()
             del self._context
@@ -98,9 +94,9 @@ class RendererBackend:
         return renderer.driver
 
     def render(self, request: RenderJob) -> Rendered:
-        """Draw all eyes of a request in one call. Raises ContextLostError, and BudgetError for too much.
+        """Draw all eyes of a job. Raises ContextLostError, BudgetError, PoseError.
 
-        FormatError for an avatar that is not there, or cannot be read.
+        Raises FormatError for an avatar that does not exist or cannot be read.
         """
         if self._name is not None and request.avatar not in ("", self._name) and request.avatar not in self._avatars:
             raise FormatError(f'there is no avatar "{request.avatar}" on this machine')
@@ -121,18 +117,18 @@ class RendererBackend:
             stats, timings = renderer.stats, dict(renderer.timings)
             depth: tuple[DepthGrid, ...] = ()
             if request.options.depth:
-                from glsplat.net.backends.depth import depth_grids  # here: it needs a driver, as above
+                from glsplat.net.backends.depth import depth_grids  # loaded late: it needs a driver, as above
 
                 start = time.perf_counter()
                 depth = depth_grids(renderer, one.views(request))
                 timings["depth"] = (time.perf_counter() - start) * 1e3
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
-        except (PoseError, BudgetError):  # before anything was drawn, or the next picture is drawn over it
+        except (PoseError, BudgetError):  # nothing was drawn, or the next picture overwrites it
             raise
         except Exception:
             self._check_alive()
-            renderer.load(one.scene)  # whatever was half done must not be taken for finished
+            renderer.load(one.scene)  # discard partly updated buffers
             renderer.drop_targets()
             raise
         self._check_alive()
@@ -152,8 +148,8 @@ class RendererBackend:
     def _check_alive(self) -> None:
         """Write a number through the context and read it back.
 
-        A lost context ignores calls and need not report it: what is "read" then is whatever lay in memory, such as
-        somebody else's picture.
+        A lost context may ignore calls without an error; reading a picture would then return stale memory, such as
+        another client's picture.
         """
         self._mark = (self._mark + 1) % 2**32
         expected = self._mark.to_bytes(4, "little")

@@ -1,7 +1,7 @@
-"""Lettering: writes the words of labels.py into finished 8-bit pictures, on the host.
+"""Draws labels and notices into finished 8-bit pictures, on the CPU.
 
-Words are composited in the picture, after projection: each board of words lies in the picture as a whole, upright, and
-at a size that can be read, whatever the cameras are.
+Text is composited after projection: each board of text is upright, wholly inside the picture and of a readable size,
+whatever the cameras are.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.net.labels import Label
+from glsplat.net.room_view import Label
 from glsplat.renderer.stats import union
 
 __all__ = ["draw_labels"]
 
-_MIN_PIXELS, _MIN_SHARE = 12.0, 1 / 40  # of a line: pixels, and of the picture's height, however far away it is
-_MAX_SHARE = 1 / 8  # of the picture's height: a line at most, however near it is
-_MAX_BOARD = 0.5  # of the picture's height: all lines at most
+_MIN_LINE_PX, _MIN_LINE_SHARE = 12.0, 1 / 40  # of a line: pixels, and of the picture's height, however far away it is
+_MAX_LINE_SHARE = 1 / 8  # of the picture's height: a line at most, however near it is
+_MAX_BOARD_SHARE = 0.5  # of the picture's height: all lines of a board at most
 _MAX_LINES = 8
-_NEAREST = 0.3  # metres from the eyes: labels stand no nearer, so that both eyes can read them
-_NOTICE_DISTANCE = 1.5  # metres from the eyes, where the picture allows it
+_MIN_DISTANCE_M = 0.3  # metres from the eyes: labels stand no nearer, so that both eyes can read them
+_NOTICE_DISTANCE_M = 1.5  # metres from the eyes, where the picture allows it
 _NOTICE_PLACE = 0.8  # of the way from the middle of the picture to its lower edge
 _NOTICE_SHARE = 0.03  # of the picture's height, a line
-_BEYOND = 1e7  # pixels from the picture, farther than which nothing is placed
-_ROUNDING = 1e-3  # pixels
-_RIM = 2.0  # pixels around a picture that count as in it: so far what is smaller than a pixel is spread
-_ROWS, _FONT, _WEIGHT = 40, 29, 500  # pixels of a line and of its letters before they are scaled; of their strokes
-_MARGIN = 8
-_WIDEST = 8192
-_GAP, _FADED = 2.0, 0.8  # pixels between two boards, and the opacity of one that had to give way
-_BACK, _INK = 0.6, 240  # alpha of the board, grey of the letters
+_MAX_OFFSET_PX = 1e7  # pixels from the picture, farther than which nothing is placed
+_ROUNDING_PX = 1e-3  # pixels
+_RIM_PX = 2.0  # pixels around a picture that count as in it: so far what is smaller than a pixel is spread
+_ROW_PX, _FONT_PX, _WEIGHT = 40, 29, 500  # pixels of a line and of its letters before they are scaled; of their strokes
+_MARGIN_PX = 8
+_MAX_WIDTH_PX = 8192
+_GAP_PX, _MOVED_OPACITY = 2.0, 0.8  # pixels between two boards, and the opacity of one that had to give way
+_BOARD_ALPHA, _INK_GREY = 0.6, 240  # alpha of the board, grey of the letters
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 Box = tuple[int, int, int, int]  # x, y, width, height
@@ -46,7 +46,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(slots=True, eq=False)
 class _Board:
-    """Words in a picture: ``boxes`` [V, 4] are their left, upper, right and lower edge in each view, in pixels."""
+    """Text in a picture: ``boxes`` [V, 4] are its left, upper, right and lower edge in each view, in pixels."""
 
     patch: NDArray[np.uint8]
     boxes: F64
@@ -54,10 +54,10 @@ class _Board:
 
 
 def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Sequence[Label], notice: str = "") -> Box:
-    """Write labels and a notice into images [V, H, W, 4], premultiplied; returns the box that holds what changed.
+    """Draw labels and a notice into premultiplied images [V, H, W, 4]; return the box that changed, which may be empty.
 
-    Empty where nothing did. A label is in all views if any view shows its thing. Where two would cover each other the
-    farther one stands above the nearer, below or beside it, and fainter; the notice stands where it is.
+    A label is in all views if any view shows its thing. Of two labels that would overlap, the farther one moves above,
+    below or beside the nearer, and is fainter. The notice does not move.
     """
     size = cameras[0].width, cameras[0].height
     boards: list[_Board] = []
@@ -68,7 +68,7 @@ def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Se
     for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.place - middle))):
         if label.opacity > 0 and _shown(label, cameras):
             centres, depth = _seen(cameras, label.place)
-            line = max(_least(size), min(_MAX_SHARE * size[1], label.height * float(cameras[0].K[1, 1]) / depth))
+            line = max(_least(size), min(_MAX_LINE_SHARE * size[1], label.height * float(cameras[0].K[1, 1]) / depth))
             boards.append(_placed(label.text, centres, line, size, label.opacity, [one.boxes for one in boards]))
     changed: Box = (0, 0, 0, 0)
     for board in reversed(boards):  # the farthest first, the notice last
@@ -78,35 +78,32 @@ def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Se
 
 
 def _least(size: tuple[int, int]) -> float:
-    """Pixels of a line that can be read in a picture of that size."""
-    return max(_MIN_PIXELS, _MIN_SHARE * size[1])
+    """Return the smallest readable height of a line, in pixels, in a picture of that size."""
+    return max(_MIN_LINE_PX, _MIN_LINE_SHARE * size[1])
 
 
 def _notice_place(cameras: Sequence[Camera]) -> F64:
-    """[3] where a notice is, before both eyes and near the lower edge of what the first sees."""
+    """Return the position [3] of a notice, in front of both eyes and near the lower edge of the first eye's view."""
     first = cameras[0]
     down = _NOTICE_PLACE * (first.height - float(first.K[1, 2])) / float(first.K[1, 1])
     eyes = np.mean([camera.position for camera in cameras], axis=0)
-    place: F64 = eyes + _NOTICE_DISTANCE * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
+    place: F64 = eyes + _NOTICE_DISTANCE_M * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
     return place
 
 
 def _seen(cameras: Sequence[Camera], place: F64) -> tuple[F64, float]:
-    """[V, 2] pixels where the cameras see a place, and its mean depth in metres.
-
-    What is nearer than ``_NEAREST``, or behind the eyes, is taken to be at that depth, in its direction.
-    """
+    """Project a place; return its pixels [V, 2] and its mean depth in metres, at least ``_MIN_DISTANCE_M``."""
     points = np.array([camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3] for camera in cameras])
-    depths = np.maximum(points[:, 2], _NEAREST)
+    depths = np.maximum(points[:, 2], _MIN_DISTANCE_M)
     pixels = [
         (camera.K[0, 0] * x / depth + camera.K[0, 2], camera.K[1, 1] * y / depth + camera.K[1, 2])
         for camera, (x, y, _), depth in zip(cameras, points, depths, strict=True)
     ]
-    return np.clip(np.array(pixels), -_BEYOND, _BEYOND), float(depths.mean())
+    return np.clip(np.array(pixels), -_MAX_OFFSET_PX, _MAX_OFFSET_PX), float(depths.mean())
 
 
 def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
-    """Whether any view may show some of what a label is for."""
+    """Return whether any view may show a part of a label's thing."""
     if any(_meets(camera, label.place[None]) for camera in cameras):
         return True
     box = None if label.box is None else label.box()
@@ -114,29 +111,29 @@ def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
 
 
 def _meets(camera: Camera, corners: F64) -> bool:
-    """Whether what lies between the corners [N, 3] may be in a picture: they are not all beyond one of its edges."""
+    """Return whether the hull of corners [N, 3] may be in a picture: not all are beyond one of its edges."""
     x, y, z = (corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
     right, down = camera.K[0, 0] * x + camera.K[0, 2] * z, camera.K[1, 1] * y + camera.K[1, 2] * z
     depth = z > camera.near, z < camera.far
-    across = right > -_RIM * z, right < (camera.width + _RIM) * z
-    along = down > -_RIM * z, down < (camera.height + _RIM) * z
+    across = right > -_RIM_PX * z, right < (camera.width + _RIM_PX) * z
+    along = down > -_RIM_PX * z, down < (camera.height + _RIM_PX) * z
     return all(bool(each.any()) for each in (*depth, *across, *along))
 
 
 def _placed(
     text: str, centres: F64, line: float, size: tuple[int, int], opacity: float, taken: Sequence[F64]
 ) -> _Board:
-    """Words of about ``line`` pixels a line whose middles are at ``centres`` [V, 2], or as near as they can be."""
+    """Return text of about ``line`` pixels a line, centred at ``centres`` [V, 2] or as near as possible."""
     patch = _fitted(text, line, size)
-    tall = _line(patch, line, size) * len(patch) / _ROWS
+    tall = _line(patch, line, size) * len(patch) / _ROW_PX
     half = np.array([tall * patch.shape[1] / len(patch), tall]) / 2
     wanted = _inside(np.concatenate([centres - half, centres + half], axis=1), size)
     boxes = _apart(wanted, size, taken)
-    return _Board(patch, boxes, opacity * (1.0 if boxes is wanted else _FADED))
+    return _Board(patch, boxes, opacity * (1.0 if boxes is wanted else _MOVED_OPACITY))
 
 
 def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Words in as few lines as can be read in a picture of that size, else in those that make them largest."""
+    """Return text in as few lines as are readable in a picture of that size, else in those of the largest letters."""
     best = _patch(text, 1)
     for lines in range(2, _MAX_LINES + 1):
         if _line(best, line, size) >= min(line, _least(size)):
@@ -146,35 +143,35 @@ def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def _line(patch: NDArray[np.uint8], line: float, size: tuple[int, int]) -> float:
-    """Pixels of a line of words, at most ``line``, at which all of them fit into a picture of that size."""
-    return min(line, size[0] * _ROWS / patch.shape[1], _MAX_BOARD * size[1] * _ROWS / len(patch))
+    """Return the height of a line in pixels, at most ``line``, with which all text fits into the picture."""
+    return min(line, size[0] * _ROW_PX / patch.shape[1], _MAX_BOARD_SHARE * size[1] * _ROW_PX / len(patch))
 
 
 def _inside(boxes: F64, size: tuple[int, int]) -> F64:
-    """``boxes`` [V, 4] moved into the picture: if it can be by the same in all views, which keeps their distance."""
-    low, high = -boxes[:, :2], np.array(size) - boxes[:, 2:]  # what each may be moved by
+    """Move ``boxes`` [V, 4] into the picture, by the same in all views if possible, which keeps their depth."""
+    low, high = -boxes[:, :2], np.array(size) - boxes[:, 2:]  # limits of each move
     least, most = low.max(axis=0), high.min(axis=0)
     moves = np.where(least <= most, np.clip(0.0, least, most), np.clip(0.0, low, high))
     return boxes + np.concatenate([moves, moves], axis=1)
 
 
 def _apart(boxes: F64, size: tuple[int, int], taken: Sequence[F64]) -> F64:
-    """``boxes`` [V, 4] moved as little as it takes for no view to show them over ``taken``: up, else down, or aside.
+    """Move ``boxes`` [V, 4] as little as possible so that no view shows them over ``taken``: up, else down, or aside.
 
-    By the same in all views. Unmoved where nothing is in the way, or there is no room for it.
+    The move is the same in all views. They stay where they are if nothing is in the way, or there is no room.
     """
     if not _covers(boxes[None], taken)[0]:
         return boxes
     others = np.array(taken)  # [T, V, 4]
-    # just before and just behind each of those that are in the way
-    before = (others[:, :, :2] - boxes[:, 2:]).min(axis=1) - _GAP
-    behind = (others[:, :, 2:] - boxes[:, :2]).max(axis=1) + _GAP
+    # moves that end next to one of the others
+    before = (others[:, :, :2] - boxes[:, 2:]).min(axis=1) - _GAP_PX
+    behind = (others[:, :, 2:] - boxes[:, :2]).max(axis=1) + _GAP_PX
     columns, rows = np.concatenate([[(0.0, 0.0)], before, behind]).T
     for across, along in ((columns[:1], rows[rows <= 0]), (columns[:1], rows), (columns, rows)):
         moves = np.array(list(product(across, along)))
         moved = boxes + np.tile(moves, 2)[:, None]
         over = np.maximum(-moved[:, :, :2], moved[:, :, 2:] - size).max(axis=(1, 2))  # pixels beyond the picture
-        fits = over < _ROUNDING
+        fits = over < _ROUNDING_PX
         fits[fits] = ~_covers(moved[fits], taken)
         if fits.any():
             return np.asarray(moved[fits][np.abs(moves[fits]).sum(axis=1).argmin()])
@@ -182,7 +179,7 @@ def _apart(boxes: F64, size: tuple[int, int], taken: Sequence[F64]) -> F64:
 
 
 def _covers(boxes: F64, taken: Sequence[F64]) -> NDArray[np.bool_]:
-    """[N] whether any view shows boxes [N, V, 4] over one of ``taken``."""
+    """Return [N] whether any view shows boxes [N, V, 4] over one of ``taken``."""
     found = np.zeros(len(boxes), np.bool_)
     for other in taken:
         apart = (boxes[:, :, :2] >= other[:, 2:]) | (other[:, :2] >= boxes[:, :, 2:])
@@ -191,11 +188,11 @@ def _covers(boxes: F64, taken: Sequence[F64]) -> NDArray[np.bool_]:
 
 
 def _draw(image: NDArray[np.uint8], board: _Board, left: float, top: float, width: float, height: float) -> Box:
-    """Write one board into one picture, between pixels if need be; returns the box that it changed."""
+    """Draw a board into a picture at subpixel accuracy; return the box that changed."""
     patch = board.patch
     x0, y0 = max(0, int(np.floor(left))), max(0, int(np.floor(top)))
     x1, y1 = min(image.shape[1], int(np.ceil(left + width))), min(image.shape[0], int(np.ceil(top + height)))
-    # shrunk first, so that thin strokes do not flicker: warping looks at four pixels only
+    # shrink first, so that thin strokes do not flicker: warping samples only four pixels
     shrunk = max(1, min(patch.shape[1], round(width))), max(1, min(patch.shape[0], round(height)))
     patch = cv2.convertScaleAbs(cv2.resize(patch, shrunk, interpolation=cv2.INTER_AREA), alpha=board.opacity)
     # pixel (i, j) covers [i, i+1) x [j, j+1) here, OpenCV's centres are at whole numbers
@@ -210,15 +207,15 @@ def _draw(image: NDArray[np.uint8], board: _Board, left: float, top: float, widt
 
 @lru_cache(maxsize=256)
 def _patch(text: str, lines: int) -> NDArray[np.uint8]:
-    """[rows, columns, 4] light letters on a dark, see-through board, premultiplied, in so many lines at most."""
+    """Return light letters on a dark, transparent board [rows, columns, 4], premultiplied, of at most ``lines``."""
     shown = text if hasattr(cv2, "FontFace") else text.encode("ascii", "replace").decode()
     written = [_written(part) for part in _wrapped(shown, lines)]
-    canvas = np.zeros((_ROWS * len(written), max(part.shape[1] for part in written), 3), np.uint8)
+    canvas = np.zeros((_ROW_PX * len(written), max(part.shape[1] for part in written), 3), np.uint8)
     for row, part in enumerate(written):
         start = (canvas.shape[1] - part.shape[1]) // 2
-        canvas[_ROWS * row : _ROWS * (row + 1), start : start + part.shape[1]] = part
+        canvas[_ROW_PX * row : _ROW_PX * (row + 1), start : start + part.shape[1]] = part
     ink = canvas[:, :, :1].astype(np.float32) / 255
-    out = np.concatenate([np.repeat(ink * _INK, 3, axis=2), 255 * (ink + (1 - ink) * _BACK)], axis=2)
+    out = np.concatenate([np.repeat(ink * _INK_GREY, 3, axis=2), 255 * (ink + (1 - ink) * _BOARD_ALPHA)], axis=2)
     out[[0, -1]] = out[:, [0, -1]] = 0  # a rim, for a smooth edge
     patch = np.rint(out).astype(np.uint8)
     patch.setflags(write=False)
@@ -226,7 +223,7 @@ def _patch(text: str, lines: int) -> NDArray[np.uint8]:
 
 
 def _wrapped(text: str, lines: int) -> list[str]:
-    """A text in so many lines at most, about equally long; words that are longer are cut."""
+    """Return a text in at most ``lines`` of about equal length; longer words are split."""
     for wide in range(-(-len(text) // lines), len(text)):
         found = textwrap.wrap(text, wide)
         if len(found) <= lines:
@@ -235,15 +232,15 @@ def _wrapped(text: str, lines: int) -> list[str]:
 
 
 def _written(text: str) -> NDArray[np.uint8]:
-    """[rows, columns, 3] white letters on black."""
-    start, white = (_MARGIN, _ROWS - 12), (255, 255, 255)
+    """Return white letters on black [rows, columns, 3]."""
+    start, white = (_MARGIN_PX, _ROW_PX - 12), (255, 255, 255)
     if hasattr(cv2, "FontFace"):  # OpenCV 5: all scripts
         face = cv2.FontFace("sans")
-        x, _, wide, _ = cv2.getTextSize((_WIDEST, _ROWS), text, start, face, _FONT, _WEIGHT)
-        canvas = np.zeros((_ROWS, x + wide + _MARGIN, 3), np.uint8)
-        cv2.putText(canvas, text, start, white, face, _FONT, _WEIGHT)
+        x, _, wide, _ = cv2.getTextSize((_MAX_WIDTH_PX, _ROW_PX), text, start, face, _FONT_PX, _WEIGHT)
+        canvas = np.zeros((_ROW_PX, x + wide + _MARGIN_PX, 3), np.uint8)
+        cv2.putText(canvas, text, start, white, face, _FONT_PX, _WEIGHT)
     else:
         (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.9, 2)
-        canvas = np.zeros((_ROWS, 2 * _MARGIN + wide, 3), np.uint8)
+        canvas = np.zeros((_ROW_PX, 2 * _MARGIN_PX + wide, 3), np.uint8)
         cv2.putText(canvas, text, start, cv2.FONT_HERSHEY_SIMPLEX, 0.9, white, 2, cv2.LINE_AA)
     return canvas

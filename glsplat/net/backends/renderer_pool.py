@@ -1,7 +1,6 @@
-"""What clients may be shown: the scene, one of the avatars offered beside it, or a room.
+"""RendererPool: a renderer for the scene, for each avatar and for each room, all on one context.
 
-Each has a renderer of its own on one context, made when it is first asked for, so that clients who look at different
-ones do not undo each other's work, and a server of one thing makes one renderer.
+Each is made on first use. Clients who view different things do not reload each other's renderer.
 """
 
 from __future__ import annotations
@@ -22,16 +21,13 @@ from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
 __all__ = ["MAX_RENDERERS", "RendererPool"]
 
 MAX_RENDERERS = 4
-"""Renderers at most, beside those of rooms: of the scene and three avatars."""
+"""Renderers of the scene and of avatars; those of rooms are added."""
 
-_MAX_IDLE_BYTES = 2**29  # of the GPU's memory, by renderers that are not in use
+_MAX_IDLE_BYTES = 2**29  # of GPU memory, by renderers that are not in use
 
 
 class RendererPool:
-    """The renderer of each request. Those used last are kept; the others are made anew when they are asked for.
-
-    ``avatars`` and ``rooms`` are by name; what stands in a room is its background.
-    """
+    """The renderer of each job. The most recently used ones are kept. ``avatars`` and ``rooms`` are by name."""
 
     def __init__(
         self,
@@ -51,29 +47,29 @@ class RendererPool:
         return len(self._cache)
 
     def of(self, job: RenderJob) -> SceneRenderer:
-        """Return what draws the job."""
+        """Return the renderer of a job."""
         if job.room is None:
             return self.get(job.avatar)
         name = job.room.room
         return self._cache.get(("", name), lambda: SceneRenderer(self._rooms[name], self._make, self._figure))
 
     def get(self, name: str = "") -> SceneRenderer:
-        """Return what draws one of the avatars by its name, the scene by any other."""
+        """Return the renderer of an avatar by its name, or of the scene by any other name."""
         shown = name if name in self._avatars else ""
         return self._cache.get((shown, ""), lambda: SceneRenderer(self._shown(shown), self._make))
 
     @staticmethod
     def write(one: SceneRenderer, job: RenderJob, images: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-        """Write the words of a job into its images [V, H, W, 4]; return the box of what changed, which may be empty."""
+        """Draw the labels and notice of a job into its images [V, H, W, 4]; return the box that changed."""
         labels = one.labels(job)
         if not labels and not job.notice:
             return 0, 0, 0, 0
-        from glsplat.net.backends.lettering import draw_labels  # here: OpenCV is of use to few, and slow to load
+        from glsplat.net.backends.lettering import draw_labels  # loaded late: few need OpenCV, and it loads slowly
 
         return draw_labels(images, job.cameras, labels, job.notice)
 
     def release(self) -> None:
-        """Delete all."""
+        """Release all renderers."""
         self._cache.release()
 
     def _figure(self, name: str) -> Rigged:

@@ -1,4 +1,4 @@
-"""SceneRenderer: one scene, the people in it, and what draws both for each client. A client alone is a room of one."""
+"""SceneRenderer: draws one scene and the people in it for each client. A client alone is a room of one."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import others_share
-from glsplat.net.backends.figure_bounds import FigureBounds
-from glsplat.net.labels import Label
-from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.backends.extent import FigureBounds
+from glsplat.net.room_view import Label, RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
 from glsplat.renderer.checks import checked_pose
 from glsplat.renderer.levels import Selector
@@ -30,8 +29,8 @@ __all__ = ["SceneRenderer"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-_LABEL_HEIGHT = 0.3  # metres from the joint of the head to the middle of the label, of a person of _LABEL_STATURE
-_LABEL_STATURE = 1.7  # metres
+_LABEL_HEIGHT_M = 0.3  # metres from the joint of the head to the middle of the label, of a person of _LABEL_STATURE_M
+_LABEL_STATURE_M = 1.7  # metres
 
 _LABEL_SIGMAS = 4.0
 """Standard deviations of a splat that count for its label: a fifth more than are drawn, as splats that are projected
@@ -51,7 +50,8 @@ _FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 class _Shown:
     """The items of one person.
 
-    The head of splats is an item of its own, so that nothing is posed twice. A mesh is there with and without its head.
+    The head of an avatar of splats is a separate item, so that nothing is posed twice. A mesh has an item with its head
+    and one without.
     """
 
     figure: Rigged
@@ -59,11 +59,11 @@ class _Shown:
     label_bounds: FigureBounds
     whole: tuple[Item, ...]
     headless: tuple[Item, ...]  # what pictures show that hide the person's own head
-    split: bool  # whether these differ; False: nobody has asked yet
+    split: bool  # ``headless`` lacks the head; False: no picture has needed that yet
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """All of them, each once."""
+        """All items, each once."""
         return tuple(dict.fromkeys(self.whole + self.headless))
 
     @property
@@ -73,7 +73,7 @@ class _Shown:
         return sum(len(content.splats) for content in contents if isinstance(content, Avatar))
 
     def set_layers(self, own: int, visible: bool) -> None:
-        """Put the items into their layers, ``own`` being the person's; into none where they are not ``visible``."""
+        """Set the layers of the items, ``own`` being the person's layer; none unless they are ``visible``."""
         for item in self.items:
             if item not in self.whole:
                 layers = own
@@ -83,10 +83,10 @@ class _Shown:
 
 
 class SceneRenderer:
-    """Draws one scene with its people for all who look at it.
+    """Draws one scene with its people for all its viewers.
 
-    Of a room ``file`` is the background, and ``figure_of`` returns the avatars of people by name. Without ``figure_of``
-    each client looks at the scene alone and drives its one avatar, if it has one. ``make`` makes the renderer.
+    In a room, ``file`` is the scenery and ``figure_of`` returns the avatars of people by name. Without ``figure_of``
+    each client views the scene alone and drives its one avatar, if it has one. ``make`` makes the renderer.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class SceneRenderer:
         self._file = file
         self._driven = file.avatar if figure_of is None else None
         self._figure_of = figure_of or self._driven_figure
-        self._people: dict[int, _Shown | None] = {}  # by key; None: their avatar cannot be had
+        self._people: dict[int, _Shown | None] = {}  # by key; None: their avatar cannot be loaded
         self._unfit: set[int] = set()  # keys of people whose pose cannot be drawn
         self._place_bounds = lru_cache(2)(partial(FigureBounds, sigmas=_PLACE_SIGMAS))
         items = (item for item in file.scene if item is not self._driven)
@@ -112,12 +112,10 @@ class SceneRenderer:
         return sum(self.renderer.nbytes().values())
 
     def follow(self, job: RenderJob, seconds: float) -> None:
-        """Bring everybody to where they are; ``seconds`` is the time of the scene's own motions.
+        """Update the scene, its people and its light for a job; ``seconds`` is the time of the scene's motions.
 
-        The light is the viewer's own, if they sent one. People whose avatar cannot be had, or cannot take their pose,
-        are left out of the others' pictures.
-
-        Raises GlsplatError where the viewer's own avatar cannot be had, posed, or shown without a head.
+        People whose avatar cannot be loaded or posed are left out of the others' pictures. Raises GlsplatError where
+        that is the viewer's own avatar, or where it has no head to hide.
         """
         self._file.pose_at(seconds)
         self.scene.transform = np.eye(4) if job.place is None else job.place
@@ -136,10 +134,10 @@ class SceneRenderer:
         self._set_layers(view, self._unfit if job.others else here - {view.viewer})
 
     def prepare(self, job: RenderJob, max_cost: float) -> Prepared:
-        """Prepare the picture of a request that ``follow`` was given, of which ``max_cost`` covered pixels are drawn.
+        """Prepare the picture of a job after ``follow``, for at most ``max_cost`` covered pixels.
 
-        Others who add too much to it (``others_share``) are drawn at their coarsest level of detail, then left out.
-        So only the scene and the viewer's own avatar can cost more than ``max_cost``.
+        Other people who add too much to it (``others_share``) are drawn at their coarsest level of detail, then left
+        out. So only the scene and the viewer's own avatar can cost more than ``max_cost``.
         """
         view, views, renderer = self._view(job), self.views(job), self.renderer
         others = [shown for key, shown in self._people.items() if shown is not None and key != view.viewer]
@@ -149,7 +147,7 @@ class SceneRenderer:
         each = {one: job.others * others_share(max_cost, views, one.splats, each=True) for one in others if one.splats}
         prepared = renderer.prepare(views)
         posed = renderer.stats.posed
-        for reduce in (_coarser, _left_out, _left_out):  # again, should costs have been other than were expected
+        for reduce in (_coarser, _left_out, _left_out):  # twice, as costs may differ from the expected ones
             if prepared.cost <= min(share, max_cost, *each.values()):
                 break
             prepared = renderer.prepare(views, itemised=True)
@@ -163,7 +161,7 @@ class SceneRenderer:
         return prepared
 
     def views(self, job: RenderJob) -> list[Camera]:
-        """Return the cameras of a request that ``follow`` was given, in the layers of what its viewer sees."""
+        """Return the cameras of a job after ``follow``, with the layers that its viewer sees."""
         view = self._view(job)
         keys = [one.key for one in view.people]
         hidden = _hides_head(job) and view.viewer in keys
@@ -171,9 +169,9 @@ class SceneRenderer:
         return [replace(camera, layers=layers) for camera in job.cameras]
 
     def labels(self, job: RenderJob) -> list[Label]:
-        """Return the labels of all people, those that cost too much included.
+        """Return the labels of all people, also of those who were too costly to draw.
 
-        In a room the viewer's own only where that head is seen.
+        In a room the viewer's own label is included only where their own head is shown.
         """
         view = self._view(job)
         own = view.viewer if job.room is not None and _hides_head(job) else None
@@ -185,7 +183,7 @@ class SceneRenderer:
         ]
 
     def places(self, job: RenderJob) -> dict[str, list[float]]:
-        """Return where the avatar is that a client drives alone, as in Rendered, if the request asks for it."""
+        """Return ``Rendered.places`` of a client's one avatar, if the job requests it."""
         view = self._view(job)
         if job.room is not None or not (job.options.box and view.people):
             return {}
@@ -199,11 +197,11 @@ class SceneRenderer:
         return {name: array.ravel().tolist() for name, array in found.items() if array is not None}
 
     def release(self) -> None:
-        """Delete what draws it."""
+        """Release the renderer."""
         self.renderer.release()
 
     def _view(self, job: RenderJob) -> RoomView:
-        """Return everybody in the picture: of a client alone the one avatar, posed by its request or the scene."""
+        """Return the people in the picture: for a client alone its one avatar, posed by the job or the scene."""
         if job.room is not None:
             return job.room
         one = self._driven
@@ -219,18 +217,18 @@ class SceneRenderer:
         return self._driven.content
 
     def _is_missing(self, key: int, job: RenderJob, view: RoomView) -> bool:
-        """Return whether somebody's items have to be made; where that failed, only for the viewer once more."""
+        """Return whether a person's items have to be made; after a failure only for the viewer again."""
         if key not in self._people:
             return True
         shown, own = self._people[key], key == view.viewer
         return own and (shown is None or (_hides_head(job) and not shown.split))
 
     def _enter(self, one: VisiblePerson, job: RenderJob, view: RoomView) -> _Shown | None:
-        """Return what is shown of somebody. Raises what keeps the viewer's own avatar from being had."""
+        """Make the items of a person, None where that fails. Raises the error of the viewer's own avatar."""
         own = one.key == view.viewer
         try:
             figure = self._figure_of(one.avatar)
-            # people of a room mostly hide their own heads: their items are made only once
+            # most people of a room hide their own heads: make their items once
             split = (own and _hides_head(job)) or (job.room is not None and "head" in figure.skeleton.names)
             return _shown(one.name, figure, split)
         except (GlsplatError, OSError, KeyError) as error:
@@ -240,7 +238,7 @@ class SceneRenderer:
             return None
 
     def _replace(self, key: int, shown: _Shown | None) -> None:
-        """Put somebody's items into the scene, instead of those that were there."""
+        """Replace a person's items in the scene."""
         for item in _items(self._people.get(key)):
             self.scene.remove(item)
         for item in _items(shown):
@@ -248,7 +246,7 @@ class SceneRenderer:
         self._people[key] = shown
 
     def _pose(self, one: VisiblePerson, own: bool) -> bool:
-        """Bring somebody to where they are; return whether that can be. Raises what keeps the viewer's ``own``."""
+        """Pose and place a person; return whether that succeeded. Raises the error of the viewer's ``own`` avatar."""
         finest = 0 if self._driven is None else self._driven.finest
         try:
             for item in _items(self._people[one.key]):
@@ -262,7 +260,7 @@ class SceneRenderer:
         return True
 
     def _set_layers(self, view: RoomView, out: Collection[int]) -> None:
-        """Put everybody into their layers; people who have faded, or are in ``out``, into none."""
+        """Set the layers of all people; none for people who have faded, or whose key is in ``out``."""
         for place, one in enumerate(view.people):
             shown = self._people[one.key]
             if shown is not None:
@@ -274,7 +272,7 @@ def _hides_head(job: RenderJob) -> bool:
 
 
 def _own(place: int) -> int:
-    """Return the layer of pictures from the own eyes, without a head, of the person in that place."""
+    """Return the layer of the headless pictures from the eyes of the person at that index."""
     return 4 << place
 
 
@@ -295,23 +293,23 @@ def _shown(name: str, figure: Rigged, split: bool) -> _Shown:
 
 
 def _label_of(one: VisiblePerson, shown: _Shown, transform: NDArray[np.float64]) -> Label:
-    """Return the label of a person whom ``transform`` places: over its head, or over the highest joint of others.
+    """Return the label of a person at ``transform``: over the head, or over the highest joint of a rig without one.
 
-    As the splats of a body lie several deep, it fades later than each of them does.
+    It fades later than a single splat does, because several splats of a body overlap.
     """
     skeleton, bounds = shown.figure.skeleton, shown.label_bounds
     rest = skeleton.rest[:, :3, 3]
     joint = skeleton.names.index("head") if "head" in skeleton.names else int(rest[:, 1].argmax())
     bones = np.eye(4)[:3] if one.pose is None else one.pose.bones(skeleton)[joint]
     stature = float(rest[:, 1].max() - rest[:, 1].min())
-    above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT * stature / _LABEL_STATURE, 0)
+    above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT_M * stature / _LABEL_STATURE_M, 0)
     place = np.asarray(transform[:3, :3] @ above + transform[:3, 3], np.float64)
     box = partial(bounds.box, one.pose, transform)
     return Label(one.label, place, opacity=1 - (1 - one.opacity) ** 8, box=box)
 
 
 def _feet(skeleton: Skeleton, pose: Pose, transform: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return [4, 3] metres, where a pose touches the ground; None where the skeleton has no such joints."""
+    """Return the joints of both feet [4, 3] in metres; None where the skeleton lacks them."""
     if not set(_FEET) <= set(skeleton.names):
         return None
     joints = [skeleton.names.index(name) for name in _FEET]
@@ -321,19 +319,19 @@ def _feet(skeleton: Skeleton, pose: Pose, transform: NDArray[np.float64]) -> NDA
 
 
 def _coarser(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
-    """Draw people at their coarsest level of detail if they cost more than an equal share of ``room``."""
+    """Draw people at their coarsest level of detail if they cost more than a fair share of ``room``."""
     left = most = room
-    for number, cost in enumerate(sorted(costs.values())):  # what the others leave is shared by those who take more
+    for number, cost in enumerate(sorted(costs.values())):  # costlier people share the rest of cheaper ones
         most = left / (len(costs) - number)
         left -= min(cost, most)
     for one, cost in costs.items():
         if cost > min(most, each[one]):
             for item in one.items:
-                item.finest = len(item.content.levels)  # type: ignore[union-attr]  # no meshes: they have no cost here
+                item.finest = len(item.content.levels)  # type: ignore[union-attr]  # meshes have no cost
 
 
 def _left_out(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
-    """Leave out people who cost more than one may, then the most costly, until the others fit into ``room``."""
+    """Leave out people above their own limit, then the most costly ones, until the others fit into ``room``."""
     total = sum(costs.values())
     for one, cost in sorted(costs.items(), key=lambda pair: -pair[1]):
         if total > room or cost > each[one]:

@@ -1,4 +1,4 @@
-"""The solver of this package behind a server: one user's samples, filtered and solved, and the eyes moved along."""
+"""TrackingSolver: solves one user's tracking for the server, and animates eyes and face."""
 
 from __future__ import annotations
 
@@ -21,31 +21,30 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
-__all__ = ["MOST", "PART", "Ahead", "OneClock", "TrackingSolver"]
+__all__ = ["HORIZON_SHARE", "MAX_HORIZON_S", "PredictionHorizon", "TimestampMerger", "TrackingSolver"]
 
-PART, MOST = 0.8, 0.036
-"""Of the age of pictures, how much poses are drawn ahead of their samples; seconds at most: more would tremble."""
+HORIZON_SHARE, MAX_HORIZON_S = 0.8, 0.036
+"""Prediction horizon as a share of the pictures' age, and its limit: a longer one amplifies noise visibly."""
 
-_AGES = 15  # of pictures, whose median counts
-_RAMP = 5e-4  # seconds a sample, by which that changes
-_CLOCK = 1e12  # seconds; a clock beyond has no room for a frame's time in a double
+_MEDIAN_AGES = 15  # pictures
+_RAMP_S = 5e-4  # largest change of the horizon from sample to sample
+_MAX_CLOCK_S = 1e12  # above it a double cannot resolve the time of a frame
 
 
-class OneClock:
-    """One time line for samples of which only some carry the client's time; of either kind alone, their own clock.
+class TimestampMerger:
+    """Merges samples with and without the client's time into one time line.
 
-    Where a sample with a time follows one without, or the other way round, as much time has passed as between their
-    arrivals.
+    Between two samples of different kinds, the time between their arrivals passes.
     """
 
     def __init__(self) -> None:
-        self._theirs: bool | None = None  # whether the last sample carried a time
+        self._theirs: bool | None = None  # whether the last sample had a time
         self._shift = 0.0  # seconds from the clock in use to the time line
         self._last = self._arrived = 0.0  # seconds
 
     def time(self, t: float | None, now: float) -> float:
-        """Seconds of a sample that says ``t`` and arrived at ``now``."""
-        theirs = t is not None and abs(t) < _CLOCK
+        """Return the time in seconds of a sample with the time ``t``, if any, that arrived at ``now``."""
+        theirs = t is not None and abs(t) < _MAX_CLOCK_S
         stamp = t if t is not None and theirs else now
         if self._theirs is not None and theirs != self._theirs:
             self._shift = self._last + (now - self._arrived) - stamp
@@ -53,37 +52,36 @@ class OneClock:
         return self._last
 
 
-class Ahead:
-    """How far ahead of a client's samples its pictures are to be drawn: for when they will be seen.
+class PredictionHorizon:
+    """The time by which a client's poses are extrapolated, towards the moment when its pictures are seen.
 
-    By the age that the client says its pictures have (docs/protocol.md, section 5.1); who says nothing is drawn as it
-    was. A part of it, and not all: noise and haste grow with it faster than the error falls.
+    It is a share of the age of pictures that the client reports (docs/protocol.md, section 5.1), 0 without reports.
+    With all of the age, noise would grow faster than the error falls.
     """
 
     def __init__(self) -> None:
         self.seconds: float = 0.0
-        self._ages: deque[float] = deque(maxlen=_AGES)
+        self._ages: deque[float] = deque(maxlen=_MEDIAN_AGES)
 
     def update(self, arrival: Arrival | None) -> float:
-        """Seconds for the next sample, which came with that."""
+        """Return the horizon in seconds for the next sample, which came with the report ``arrival``."""
         if arrival is not None:
             self._ages.append(arrival.age / 1e3)
         if self._ages:
-            wanted = min(PART * median(self._ages), MOST)
-            self.seconds += min(max(wanted - self.seconds, -_RAMP), _RAMP)
+            wanted = min(HORIZON_SHARE * median(self._ages), MAX_HORIZON_S)
+            self.seconds += min(max(wanted - self.seconds, -_RAMP_S), _RAMP_S)
         return self.seconds
 
 
 class FaceFeed(Protocol):
-    """A face that is tracked beside the headset (extras/speech/face)."""
+    """Face tracking from outside the headset (extras/speech/face)."""
 
     def worn(self, wearer: object, sample: Sample, now: float) -> Sample:
-        """Return the sample with the face of now."""
-        ...
+        """Return the sample with the present face, if it is the wearer's."""
 
 
 def _idle_face() -> Any:
-    """Return what moves eyes that no sensor sees. Raises GlsplatError where extras/speech is not installed."""
+    """Return an animation of untracked eyes. Raises GlsplatError where extras/speech is not installed."""
     module = plugin("speech.idle")
     if module is None:
         raise GlsplatError(missing("speech", "moving idle eyes"))
@@ -91,9 +89,9 @@ def _idle_face() -> Any:
 
 
 class TrackingSolver:
-    """Tracking to pose for one user.
+    """Solves tracking to poses for one user.
 
-    ``idle``: eyes that no sensor sees look around and blink. ``face``: what is tracked of a face beside the headset.
+    ``idle`` animates eyes that are not tracked. ``face`` adds face tracking from outside the headset.
     """
 
     def __init__(
@@ -105,8 +103,8 @@ class TrackingSolver:
         face: FaceFeed | None = None,
     ) -> None:
         self._tracker = Tracker(skeleton, calibration, solver=solver)
-        self._clock = OneClock()
-        self._ahead = Ahead()
+        self._clock = TimestampMerger()
+        self._ahead = PredictionHorizon()
         self._idle = _idle_face() if idle else None
         self._face = face
 
@@ -127,7 +125,7 @@ class TrackingSolver:
 
 
 def _watcher(cameras: tuple[Camera, ...]) -> list[Sequence[float]]:
-    """Between the eyes that look at the avatar: in a mirror's picture, where its user's image is."""
+    """Return the point between the eyes of the viewer: in a mirror's picture, the user's own image."""
     if not cameras:
         return []
     return [np.mean([camera.position for camera in cameras], axis=0).tolist()]

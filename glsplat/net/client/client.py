@@ -1,4 +1,4 @@
-"""A client: asks a server for pictures, one at a time (``render``) or pipelined (``send`` and ``receive``)."""
+"""Client: requests pictures from a server, one at a time (``render``) or pipelined (``send`` and ``receive``)."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client.connection import ClientConnection, VideoReader
 from glsplat.net.client.dialing import check_token, checked_url, client_tls, not_connected
 from glsplat.net.client.request import encoder, request_message
-from glsplat.net.fields import Want, Wishes
 from glsplat.net.flow import FlowControl, ReceivedReply
-from glsplat.net.messages import MAX_BYTES
+from glsplat.net.messages import MAX_MESSAGE_BYTES
 from glsplat.net.reply import Reply
+from glsplat.net.wire_schema import PictureParams, Want
 from glsplat.optional import missing, plugin
 from glsplat.skinning.pose import Pose
 
 __all__ = ["Client", "ReceivedReply"]
 
-_MAX_REPLY = 64 * 1024 * 1024
+_MAX_REPLY_BYTES = 64 * 1024 * 1024
 
 
 class Client:
     """``async with Client("ws://127.0.0.1:8000/ws") as client: reply = await client.render(cameras, pose=pose)``.
 
-    ``avatar`` chooses one of those the server offers; ``window`` asks for that many pictures under way, ``mirror`` for
-    the mirror image; ``height`` and arm ``span`` from wrist to wrist (metres) fit the avatar to the user whose
-    tracking is sent. ``room`` is where to meet others, as ``name``, who stands ``at`` x, z metres from its centre and
-    degrees about y (None: where there is a free place). ``cafile`` is the certificate to trust on wss.
-    ``timeout`` is in seconds, of connecting and of each picture. ``adapt`` tells the server when each arrives; one
-    that adapts, as ``glsplat serve`` does, fits them to the link: smaller, cropped, coarser (``Reply.info`` says so).
-    ``video`` takes video where the server has it (serve's option ``video``) and decodes it, which needs PyAV.
+    ``avatar`` is one of those that the server offers. ``window`` is the number of pictures under way. ``mirror``
+    requests the mirror image. ``height`` and arm ``span`` (metres, from wrist to wrist) are the user's, for tracking.
 
-    May be connected again after ``close``, or after the server went away: a new session, whose frame_ids begin at 1.
-    In a room, ``connect`` after a connection that broke brings the same person back, to their name and place.
-    All methods raise ProtocolError when the server reports an error or goes away (``code`` "closed", "timeout", ...).
-    A Client belongs to the event loop it is connected in; its methods may be called by many tasks there.
+    ``room`` is the room to enter, ``name`` the user's name there, ``at`` the position: x and z in metres from its
+    centre, degrees about y. Without ``at`` the server chooses a free position.
+
+    ``cafile`` is the certificate to trust on wss. ``timeout`` limits the seconds of connecting and of each picture.
+    ``adapt`` reports to the server when pictures arrive, so that it fits them to the link. ``video`` accepts video from
+    a server that offers it, and needs PyAV.
+
+    A client can connect again after ``close`` or a lost connection; frame_ids then begin at 1, and in a room the user
+    is the same person again. It belongs to one event loop, where many tasks may call it. All methods raise
+    ProtocolError when the server reports an error or goes away (``code`` "closed", "timeout", ...).
     """
 
     def __init__(
@@ -71,10 +72,10 @@ class Client:
         window = None if window is None else count(window, "window", GlsplatError, 1)
         height = None if height is None else number(height, "height", GlsplatError)
         span = None if span is None else number(span, "span", GlsplatError)
-        asked = {"avatar": avatar, "window": window, "mirror": int(mirror) or None, "height": height, "span": span}
-        place = None if at is None else ",".join(f"{number(v, 'at', GlsplatError):g}" for v in _three(at))
-        asked |= {"room": room, "name": name, "at": place}
-        self._query = {key: value for key, value in asked.items() if value is not None}
+        options = {"avatar": avatar, "window": window, "mirror": int(mirror) or None, "height": height, "span": span}
+        position = None if at is None else ",".join(f"{number(v, 'at', GlsplatError):g}" for v in _three(at))
+        options |= {"room": room, "name": name, "at": position}
+        self._query = {key: value for key, value in options.items() if value is not None}
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._cafile, self._adapt = cafile, flag(adapt, "adapt", GlsplatError)
         self._reader: Callable[[], VideoReader | None] = lambda: None
@@ -82,13 +83,13 @@ class Client:
             module = plugin("far_links.video_reader")
             if module is None:
                 raise GlsplatError(missing("far_links", "video"))
-            module.VideoReader()  # raises now what would come with the connection
+            module.VideoReader()  # raise its errors now, not when the client connects
             self._reader = module.VideoReader
         self._timeout: float = number(timeout, "timeout", GlsplatError)
         if self._timeout <= 0:
             raise GlsplatError(f"timeout needs seconds above 0, not {self._timeout:g}")
         self._connection: ClientConnection | None = None
-        self._resume = ""  # token of the person in a room that the last connection was
+        self._resume = ""  # token with which the next connection is the same person in a room
 
     @property
     def newest(self) -> int:
@@ -102,7 +103,7 @@ class Client:
 
     @property
     def flow(self) -> FlowControl:
-        """What is under way on this connection; an empty one before the first."""
+        """State of this connection's requests; an empty one before the first connection."""
         return FlowControl() if self._connection is None else self._connection.flow
 
     async def __aenter__(self) -> Client:
@@ -125,7 +126,9 @@ class Client:
         http = aiohttp.ClientSession()
         try:
             async with asyncio.timeout(self._timeout):
-                ws = await http.ws_connect(url, headers=self._headers, ssl=tls, max_msg_size=_MAX_REPLY, compress=0)
+                ws = await http.ws_connect(
+                    url, headers=self._headers, ssl=tls, max_msg_size=_MAX_REPLY_BYTES, compress=0
+                )
         except (aiohttp.ClientError, OSError, TimeoutError) as error:
             await http.close()
             raise await not_connected(self.url, error, self._timeout) from None
@@ -139,7 +142,7 @@ class Client:
             self._connection = connection
 
     async def close(self) -> None:
-        """Close the connection; harmless when there is none. Who waits for a picture gets a ProtocolError."""
+        """Close the connection; harmless when there is none. Waiting calls raise ProtocolError."""
         connection, self._connection = self._connection, None
         if connection is not None:
             self._resume = connection.resume or self._resume
@@ -152,32 +155,32 @@ class Client:
         *,
         pose: Pose | Mapping[str, Any] | None = None,
         tracking: Mapping[str, Any] | None = None,
-        **wishes: Unpack[Wishes],
+        **params: Unpack[PictureParams],
     ) -> Reply:
-        """Ask for one picture and wait for it. Calls at the same time are served one after the other.
+        """Request one picture and wait for it. Concurrent calls are served one after the other.
 
-        Raises ProtocolError with ``code`` "dropped" when a ``send`` of another task went out meanwhile and its picture
-        came first: the newest request wins, and the server never answers the one it replaced.
+        Raises ProtocolError with ``code`` "dropped" when a later ``send`` of another task replaced the request: the
+        server answers the newest request only.
         """
         connection = self._open()
         async with connection.turn:
             connection.take_all()
-            request = self._request(connection, cameras, pose=pose, tracking=tracking, **wishes)
-            return (await connection.ask_and_wait(*request, self._timeout)).reply
+            request = self._request(connection, cameras, pose=pose, tracking=tracking, **params)
+            return (await connection.request_and_wait(*request, self._timeout)).reply
 
     async def poses(
         self, *, pose: Pose | Mapping[str, Any] | None = None, tracking: Mapping[str, Any] | None = None
     ) -> Reply:
-        """Ask how everybody stands (``Reply.bodies``) instead of for a picture, and wait for it, as ``render`` does.
+        """Request poses (``Reply.bodies``) instead of a picture, and wait for them as ``render`` does.
 
-        In a room only those come of whom there is news. ProtocolError with ``code`` "no_pose": the avatar's splats are
-        not handed out.
+        In a room, only the poses that changed are returned. Raises ProtocolError with ``code`` "no_pose" where the
+        avatar's splats are not handed out.
         """
         connection = self._open()
         async with connection.turn:
             connection.take_all()
             request = self._request(connection, None, pose=pose, tracking=tracking, want="pose")
-            return (await connection.ask_and_wait(*request, self._timeout)).reply
+            return (await connection.request_and_wait(*request, self._timeout)).reply
 
     async def send(
         self,
@@ -187,53 +190,53 @@ class Client:
         tracking: Mapping[str, Any] | None = None,
         want: Want | None = None,
         subject: object = None,
-        **wishes: Unpack[Wishes],
+        **params: Unpack[PictureParams],
     ) -> int:
-        """Send a request without waiting for its picture, which may never come (a newer one replaces it).
+        """Send a request and return its frame_id, without waiting for its picture; ``receive`` returns that.
 
-        The picture comes by ``receive``. Returns the frame_id. ``subject`` is not sent: ``flow.about(frame_id)`` gives
-        it back when the answer is there. ``want`` "pose": as ``poses``.
+        A newer request may replace it: then no picture comes. ``subject`` is not sent; ``flow.about(frame_id)`` returns
+        it. With ``want`` "pose" poses are requested instead.
         """
         connection = self._open()
-        request = self._request(connection, cameras, pose=pose, tracking=tracking, want=want, **wishes)
-        await connection.ask(*request, subject)
+        request = self._request(connection, cameras, pose=pose, tracking=tracking, want=want, **params)
+        await connection.send_request(*request, subject)
         return request[0]
 
     async def send_text(self, text: str) -> None:
-        """Send any text as it is."""
+        """Send ``text`` as a message."""
         await self._open().send_text(text)
 
     async def acknowledge(self) -> None:
-        """Tell the server what has arrived, without asking for a picture; also keeps a quiet connection alive."""
+        """Acknowledge the pictures taken, without a request; also keeps a quiet connection alive."""
         await self._open().acknowledge()
 
     async def receive(self) -> ReceivedReply:
-        """The next picture of a ``send``. Acknowledges it at once when newer requests are under way.
+        """Return the next picture of a ``send``; acknowledge it at once when newer requests are under way.
 
-        The newest 8 that nobody has taken are kept. Raises the server's errors that no ``render`` waits for.
+        The newest 8 are kept. Raises the server's errors that no ``render`` waits for.
         """
         return await self._open().next(self._timeout)
 
     def _request(
         self, connection: ClientConnection, cameras: Sequence[Camera] | None, **fields: Any
     ) -> tuple[int, str, float]:
-        """The next request: its frame_id, its text, and when it was made, in seconds."""
+        """Return the next request: its frame_id, its text, and when it was made, in seconds."""
         now = time.perf_counter()
         number = connection.flow.newest + 1
         message = request_message(number, cameras, t=now * 1e3, **fields)
         message |= connection.flow.acknowledging(now)
         if connection.video is not None and message.get("want") != "pose":
-            message["video"] = connection.video.wish()
+            message["video"] = connection.video.request_fields()
         try:
             data = encoder.encode(message)
-        except (TypeError, ValueError, RecursionError) as error:  # what JSON cannot say
+        except (TypeError, ValueError, RecursionError) as error:  # JSON cannot hold it
             raise ProtocolError(f"a request cannot be sent: {str(error)[:160]}", "bad_field") from None
-        if len(data) > MAX_BYTES:
-            raise ProtocolError(f"a request needs at most {MAX_BYTES} bytes, not {len(data)}", "too_big")
+        if len(data) > MAX_MESSAGE_BYTES:
+            raise ProtocolError(f"a request needs at most {MAX_MESSAGE_BYTES} bytes, not {len(data)}", "too_big")
         return number, data.decode(), now
 
     def _ours(self) -> bool:
-        """Whether there is an open connection in this event loop."""
+        """Return whether there is an open connection in this event loop."""
         connection = self._connection
         return connection is not None and connection.alive and connection.loop is asyncio.get_running_loop()
 

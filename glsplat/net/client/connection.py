@@ -1,7 +1,6 @@
-"""One connection of a client: a task reads what the server sends and hands each answer to the one who waits for it.
+"""ClientConnection: sends requests, and hands each answer to the call that waits for it (flow.py matches them).
 
-What a message answers and makes pointless is flow.py's. Whoever waits for a picture that will never come is told so at
-once instead of waiting in vain.
+A call whose request was replaced raises at once instead of waiting for its timeout.
 """
 
 from __future__ import annotations
@@ -29,24 +28,21 @@ __all__ = ["ClientConnection", "VideoReader"]
 class VideoReader(Protocol):
     """Decodes the video of one connection (extras/far_links)."""
 
-    def wish(self) -> dict[str, Any]:
+    def request_fields(self) -> dict[str, Any]:
         """Return ``video`` of the next request."""
-        ...
 
-    def eyes(self, data: bytes, said: Mapping[str, Any], size: Any) -> tuple[NDArray[np.uint8], ...]:
-        """Return the pictures [H, W, 3 or 4] of a reply, left first; none where they cannot be decoded."""
-        ...
+    def eyes(self, data: bytes, video: Mapping[str, Any], size: Any) -> tuple[NDArray[np.uint8], ...]:
+        """Return the pictures [H, W, 3 or 4] of a reply with that ``video``, left first; none if undecodable."""
 
 
-_UNREAD = 8  # pictures kept for receive(), the newest; the largest window of a server
-_GOODBYE = 1.0  # seconds for a server to agree to the end of a TLS connection
+_MAX_UNREAD = 8  # pictures kept for receive(): the largest window of a server
+_GOODBYE_S = 1.0  # for a server to close its side of a TLS connection
 
 
 class ClientConnection:
-    """An open WebSocket and what is under way on it. Belongs to the event loop that made it.
+    """An open WebSocket and its requests. Belongs to the event loop that made it.
 
-    ``adapt`` tells the server when pictures arrive, so that one that adapts fits them to the link. ``video`` decodes
-    what is part of one.
+    ``adapt`` reports to the server when pictures arrive. ``video`` decodes pictures of a video.
     """
 
     def __init__(
@@ -58,15 +54,15 @@ class ClientConnection:
         video: VideoReader | None = None,
     ) -> None:
         self.loop = asyncio.get_running_loop()
-        self.turn = asyncio.Lock()  # of those who ask for one picture and wait for it
+        self.turn = asyncio.Lock()  # one call at a time waits for its picture
         self.flow: FlowControl = FlowControl()
         self.video = video
-        self.resume = ""  # token of a room, by which the next connection comes back as the same person
+        self.resume = ""  # token with which the next connection is the same person in a room
         self._url, self._adapt = url, adapt
         self._http, self._ws = http, ws
         self._socket = ws.get_extra_info("socket")
         self._waiting: dict[int, asyncio.Future[ReceivedReply]] = {}
-        self._unread: deque[ReceivedReply | ProtocolError] = deque(maxlen=_UNREAD)
+        self._unread: deque[ReceivedReply | ProtocolError] = deque(maxlen=_MAX_UNREAD)
         self._news = asyncio.Event()
         self._failure: ProtocolError | None = None
         self._task = asyncio.create_task(self._read(), name="glsplat client")
@@ -77,7 +73,7 @@ class ClientConnection:
         return self._failure is None
 
     async def close(self) -> None:
-        """Wake all who wait, with an error, and close the socket."""
+        """Fail all waiting calls and close the socket."""
         self._fail(ProtocolError(f"{self._url}: the client was closed", "closed"))
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
@@ -85,9 +81,9 @@ class ClientConnection:
         await self._http.close()
         await self._until_closed()
 
-    async def ask(self, frame_id: int, text: str, now: float, subject: object = None) -> None:
-        """Send a request, whose picture will come by ``next``, if it comes."""
-        self.flow.ask(frame_id, now, subject)
+    async def send_request(self, frame_id: int, text: str, now: float, subject: object = None) -> None:
+        """Send a request whose picture ``next`` returns. Raises ProtocolError."""
+        self.flow.request(frame_id, now, subject)
         try:
             await self.send_text(text)
         except ProtocolError:
@@ -95,7 +91,7 @@ class ClientConnection:
             raise
 
     async def send_text(self, text: str) -> None:
-        """Raises ProtocolError when the connection has ended."""
+        """Send ``text``. Raises ProtocolError when the connection has ended."""
         if self._failure is not None:
             raise self._ended()
         try:
@@ -104,37 +100,37 @@ class ClientConnection:
             raise ProtocolError(f"{self._url}: the server closed the connection", "closed") from None
 
     async def acknowledge(self) -> None:
-        """Tell the server what was taken."""
+        """Acknowledge the pictures taken."""
         await self.send_text(self.flow.acknowledgement(time.perf_counter()))
 
     def take_all(self) -> None:
-        """Acknowledge, with the next message, also what receive() has not taken: a full window would hold it back."""
+        """Let the next message acknowledge the unread pictures, too: a full window would hold its picture back."""
         for item in self._unread:
             if isinstance(item, ReceivedReply):
                 self.flow.take(item.reply.frame_id)
 
-    async def ask_and_wait(self, frame_id: int, text: str, now: float, timeout: float) -> ReceivedReply:
-        """Send a request and wait for its picture. Raises the server's error, or one that says it was replaced."""
+    async def request_and_wait(self, frame_id: int, text: str, now: float, timeout: float) -> ReceivedReply:
+        """Send a request and wait for its picture. Raises ProtocolError, also where the request was replaced."""
         future = self._waiting[frame_id] = self.loop.create_future()  # before sending: the answer may be quick
         try:
-            await self.ask(frame_id, text, now)
+            await self.send_request(frame_id, text, now)
             async with asyncio.timeout(timeout):
                 return await future
         except TimeoutError:
             text = f"{self._url}: no picture for request {frame_id} within {timeout:g} s"
             if self.flow.newest > frame_id:
                 text += f"; a newer one ({self.flow.newest}) may have replaced it"
-            if self.flow.said:
-                text += f"; the server said: {self.flow.said}"
+            if self.flow.last_error:
+                text += f"; the server said: {self.flow.last_error}"
             raise ProtocolError(text, "timeout", frame_id) from None
         finally:
             del self._waiting[frame_id]
             self.flow.leave(frame_id)
             if future.done() and not future.cancelled():
-                future.exception()  # looked at, also where nobody awaits it any more
+                future.exception()  # retrieved, or asyncio logs it where nobody awaits it
 
     async def next(self, timeout: float) -> ReceivedReply:
-        """The next picture nobody waits for by its number; acknowledged at once when newer requests are under way."""
+        """Return the next unread picture; acknowledge it at once when newer requests are under way."""
         try:
             async with asyncio.timeout(timeout):
                 while not self._unread:
@@ -152,12 +148,12 @@ class ClientConnection:
         return item
 
     async def _until_closed(self) -> None:
-        """Over TLS a transport closes when the server has agreed, which aiohttp does not wait for; or without it."""
+        """Wait until the socket is closed: over TLS that takes the server's answer, which aiohttp does not await."""
         if self._socket is None:
             return
         for _ in range(2):
             with suppress(TimeoutError):
-                async with asyncio.timeout(_GOODBYE):
+                async with asyncio.timeout(_GOODBYE_S):
                     while self._socket.fileno() >= 0:
                         await asyncio.sleep(0.005)
                 return
@@ -184,7 +180,7 @@ class ClientConnection:
                     why = "" if self._ws.close_code is None else f" ({self._ws.close_code})"
                     failure = ProtocolError(f"{self._url}: the server closed the connection{why}", "closed")
                     return
-        except ProtocolError as error:  # no reply, or nobody to acknowledge it to
+        except ProtocolError as error:  # a malformed reply, or the connection ended
             failure = error
         finally:
             self._fail(failure)
@@ -203,13 +199,13 @@ class ClientConnection:
         elif answer.wanted:
             self._unread.append(arrived)
             self._news.set()
-            if not self._waiting:  # else it must not hold back the picture that is waited for
+            if not self._waiting:  # else an unread picture would fill the window of the one that is awaited
                 return
         if self.flow.take(answer.frame_id):
             await self.acknowledge()
 
     def _refused(self, error: ProtocolError) -> None:
-        """The server's error about one request; without a number, it is about what is waited for."""
+        """Hand an error to the call it concerns: without a frame_id, the oldest that waits."""
         answer = self.flow.failed(error, next(iter(self._waiting), None))
         future = None
         if answer.frame_id is not None:
@@ -223,7 +219,7 @@ class ClientConnection:
             self._news.set()
 
     def _drop(self, replaced: tuple[int, ...], number: int) -> None:
-        """Tell those who wait for requests that will never be answered."""
+        """Fail the calls whose requests ``number`` replaced."""
         for old in replaced:
             future = self._waiting.get(old)
             if future is not None and not future.done():
@@ -243,6 +239,6 @@ class ClientConnection:
         self._news.set()
 
     def _ended(self) -> ProtocolError:
-        """A new one for each that waits: an exception that is raised twice carries two tracebacks."""
+        """Return a new error for each call: an exception that is raised twice carries two tracebacks."""
         assert self._failure is not None
         return ProtocolError(str(self._failure), self._failure.code)

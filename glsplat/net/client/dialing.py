@@ -1,4 +1,4 @@
-"""Reaching a server: what an address and a token have to be, and what stands between where it is not reached."""
+"""Checks of a server's address and token, and the errors of a connection that fails."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["check_token", "checked_url", "client_tls", "not_connected"]
 
 
 def checked_url(url: str) -> str:
-    """The address with the path of the WebSocket. Raises GlsplatError where it is none."""
+    """Return the address with the path of the WebSocket. Raises GlsplatError for an invalid one."""
     try:
         parts = urlsplit(url)
         valid = parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
-    except (ValueError, AttributeError, TypeError):  # no text at all
+    except (ValueError, AttributeError, TypeError):  # not a string
         valid = False
     if not valid or not isinstance(url, str):
         raise GlsplatError(f"{url!s:.80}: expected ws://HOST:PORT/ws or wss://HOST:PORT/ws")
@@ -28,7 +28,7 @@ def checked_url(url: str) -> str:
 
 
 def client_tls(cafile: str | Path) -> ssl.SSLContext:
-    """Trust in the certificate of a file. Raises GlsplatError where it holds none."""
+    """Return a context that trusts the certificate in a file. Raises GlsplatError where there is none."""
     try:
         return ssl.create_default_context(cafile=str(cafile))
     except (OSError, ssl.SSLError):
@@ -36,7 +36,7 @@ def client_tls(cafile: str | Path) -> ssl.SSLContext:
 
 
 def check_token(token: Any) -> None:
-    """A header's value: printable text without blanks, that is."""
+    """Raise GlsplatError for a token that is not printable ASCII without blanks, as a header needs it."""
     if token is not None and not (
         isinstance(token, str) and token.isascii() and token.isprintable() and " " not in token
     ):
@@ -45,7 +45,7 @@ def check_token(token: Any) -> None:
 
 
 async def not_connected(url: str, error: Exception, seconds: float) -> ProtocolError:
-    """What stands between us and the server, and what to do about it."""
+    """Return the error for a failed connection: the likely reason, and what to do."""
     if isinstance(error, TimeoutError):
         why = "is it a glsplat server, is it overloaded, is the timeout too short?"
         return ProtocolError(f"{url}: no answer within {seconds:g} s; {why}", "timeout")
@@ -66,12 +66,12 @@ async def not_connected(url: str, error: Exception, seconds: float) -> ProtocolE
     return ProtocolError(f"no server at {url}: start one with `glsplat serve`", "unreachable")
 
 
-# what OpenSSL calls an answer that is not TLS: plain HTTP, in old and new versions
+# OpenSSL's reasons for an answer in plain HTTP, in old and new versions
 _NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "HTTP_REQUEST", "UNEXPECTED_MESSAGE")
 
 
 async def _speaks_tls(url: str) -> bool:
-    """True if a TLS handshake succeeds there; whose certificate it is does not matter."""
+    """Return whether a TLS handshake succeeds at ``url``, with any certificate."""
     parts = urlsplit(url)
     tls = ssl.create_default_context()
     tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE

@@ -1,4 +1,4 @@
-"""What a client asks for, as the server reads it (docs/protocol.md)."""
+"""A client's requests as JSON objects (docs/protocol.md)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from glsplat.camera import Camera
 from glsplat.errors import ProtocolError
-from glsplat.net.fields import Want, Wishes
 from glsplat.net.messages import VERSION, eye_fields
+from glsplat.net.wire_schema import PictureParams, Want
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -26,9 +26,9 @@ def request_message(
     tracking: Mapping[str, Any] | None = None,
     want: Want | None = None,
     t: float | None = None,
-    **wishes: Unpack[Wishes],
+    **params: Unpack[PictureParams],
 ) -> dict[str, Any]:
-    """The native request (docs/protocol.md) as a JSON object. Cameras may be left out where tracking has a head."""
+    """Return a native request. ``cameras`` may be left out where ``tracking`` has a head. Raises ProtocolError."""
     message: dict[str, Any] = {"v": VERSION, "frame_id": frame_id}
     if t is not None:
         message["t"] = t
@@ -38,19 +38,20 @@ def request_message(
         if len(pose.rotations) != len(JOINT_NAMES):
             raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
         pose = pose.to_smplx()
-    if unknown := wishes.keys() - Wishes.__annotations__.keys():
-        raise TypeError(f"a request has no {', '.join(sorted(unknown))}: it has {', '.join(Wishes.__annotations__)}")
-    asked: dict[str, Any] = {"pose": pose, "tracking": tracking, "want": want, **wishes}
+    known = PictureParams.__annotations__
+    if unknown := params.keys() - known.keys():
+        raise TypeError(f"a request has no {', '.join(sorted(unknown))}: it has {', '.join(known)}")
+    fields: dict[str, Any] = {"pose": pose, "tracking": tracking, "want": want, **params}
     for key in ("crop", "alpha", "box", "depth"):
-        asked[key] = asked.get(key) or None
-    hide, light = wishes.get("hide", ()), wishes.get("light")
-    asked["hide"] = ([hide] if isinstance(hide, str) else list(hide)) or None
-    asked["light"] = light if light is None or isinstance(light, str) else light.to_json()
-    return message | {key: value for key, value in asked.items() if value is not None}
+        fields[key] = fields.get(key) or None
+    hide, light = params.get("hide", ()), params.get("light")
+    fields["hide"] = ([hide] if isinstance(hide, str) else list(hide)) or None
+    fields["light"] = light if light is None or isinstance(light, str) else light.to_json()
+    return message | {key: value for key, value in fields.items() if value is not None}
 
 
 def _eyes(cameras: Sequence[Camera]) -> dict[str, Any]:
-    """The fields of the cameras; refuses what the wire has no place for, rather than leave it out."""
+    """Return ``eyes`` and ``size``. Raises ProtocolError for properties of cameras that the wire cannot hold."""
     views = [cameras] if isinstance(cameras, Camera) else list(cameras)
     if not 1 <= len(views) <= 2 or not all(isinstance(camera, Camera) for camera in views):
         raise ProtocolError("a request has one or two cameras (glsplat.Camera), left first; leave them out for a head")

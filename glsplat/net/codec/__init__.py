@@ -1,1 +1,1 @@
-"""Pictures to JPEG."""
+"""Encodings: JPEG, depth grids, and poses."""

@@ -1,8 +1,8 @@
-"""A body on the wire: the pose of one person at one moment, packed once however many are sent it, and read back.
+"""The pose of one person on the wire: packed once for all its recipients, and unpacked.
 
 Little endian (docs/protocol.md, section 4.1): u16 bytes in all, u16 flags, u32 key, u32 frame_id, f64 at, f64 t, u8
-opacity, u8 0, u16 joints, 32 bytes SHA-256, 8 f32 place, 3 f32 trans, joints x 4 i16 rotations, 52 u8 expression where
-there is one, and where joints are moved u16 how many and for each u16 joint, 3 f32 translation.
+opacity, u8 0, u16 joints, 32 bytes SHA-256, 8 f32 place, 3 f32 trans, joints x 4 i16 rotations, 52 u8 expression if
+there is one, and if joints are translated u16 count and for each of them u16 joint, 3 f32 translation.
 """
 
 from __future__ import annotations
@@ -22,44 +22,54 @@ from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 
-__all__ = ["HERE", "MOST", "Body", "Place", "PoseHistory", "Poses", "pack_body", "place_of", "unpack_bodies", "yours"]
+__all__ = [
+    "AT_ORIGIN",
+    "MAX_BODIES",
+    "PersonPose",
+    "Placement",
+    "PoseHistory",
+    "Poses",
+    "for_recipient",
+    "pack_body",
+    "placement_of",
+    "unpack_bodies",
+]
 
 F64 = NDArray[np.float64]
 
-MOST = 255
-"""Bodies of one reply."""
+MAX_BODIES = 255  # of one reply
 YOU, EXPRESSION, TRANSLATIONS = 1, 2, 4
 """Flags."""
 
 _HEAD = struct.Struct("<HHIIddBBH32s8f3f")
 _FLAGS, _OPACITY = 2, 28  # offsets
-_UNIT = 32767  # of a number of a quaternion
-_MOST = 1e6  # of any other number, as in a pose
-_SMALLEST = 1e-5  # of a scale
-_INDEX = {name: i for i, name in enumerate(ARKIT)}
+_QUATERNION_UNIT = 32767  # integer that stands for 1 in a quaternion
+_MAX_NUMBER = 1e6  # as in a pose
+_MIN_SCALE = 1e-5
+_ARKIT_INDEX = {name: i for i, name in enumerate(ARKIT)}
 
 
-class Place(NamedTuple):
-    """A similarity in parts."""
+class Placement(NamedTuple):
+    """A similarity transform: scale, then rotation, then translation."""
 
     translation: tuple[float, ...]  # [3] metres
     rotation: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)  # xyzw
     scale: float = 1.0
 
 
-HERE = Place((0.0, 0.0, 0.0))
+AT_ORIGIN = Placement((0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
-    """One person at one moment, as a client is told."""
+class PersonPose:
+    """The pose of one person at one moment."""
 
-    key: int  # of the person, as long as they are in the room; 0 alone
-    you: bool
-    frame_id: int  # of the request that the pose comes from, as its driver counts
-    at: float  # milliseconds of the server's clock, when that came
+    key: int  # of the person while in the room; 0 without a room
+    you: bool  # the person is the recipient's
+    frame_id: int  # of its driver's request
+    at: float  # milliseconds of the server's clock, when that request arrived
     t: float | None  # milliseconds of its driver's clock
-    opacity: float  # below 1 for who has been silent
+    opacity: float  # below 1 for a person whose client has been silent
     sha256: str  # of the avatar's file
     place: F64  # [4, 4] room from avatar
     pose: Pose
@@ -67,24 +77,24 @@ class Body:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """A reply in poses, before it is packed."""
+    """A reply with poses, before it is packed."""
 
     bodies: list[bytes]  # packed
-    room: dict[str, Any] | None = None  # its people, where they have changed
+    room: dict[str, Any] | None = None  # the room's people, if they have changed
 
 
 @dataclass(slots=True, eq=False)
 class PoseHistory:
-    """What one client was sent of its room, so that nothing is sent twice."""
+    """The state of its room that a client was sent last."""
 
     room: tuple[object, ...] = ()  # version of the room's people, and the digests of their avatars
-    change: int = 0  # number of the newest change of a body that was sent
+    change: int = 0  # number of the newest change of a pose that was sent
 
 
 def pack_body(
     pose: Pose,
     sha256: bytes,
-    place: Place,
+    place: Placement,
     *,
     at: float,
     t: float | None,
@@ -93,9 +103,9 @@ def pack_body(
     opacity: float = 1.0,
     you: bool = False,
 ) -> bytes:
-    """A body. What has no place in it is left out: weights beyond 0 to 1, and those of shapes that ARKit lacks."""
+    """Pack a pose. Weights are clipped to 0 to 1; those of shapes that ARKit lacks are dropped. Raises PoseError."""
     quats = vector_quaternions(pose.rotations)
-    rotations = np.rint(quats[:, (1, 2, 3, 0)] * _UNIT).astype("<i2")
+    rotations = np.rint(quats[:, (1, 2, 3, 0)] * _QUATERNION_UNIT).astype("<i2")
     flags = YOU * you
     tail = [rotations.tobytes()]
     if pose.expression and (face := _face(pose.expression)) is not None:
@@ -103,7 +113,7 @@ def pack_body(
         tail.append(face)
     if pose.translations is not None:
         flags |= TRANSLATIONS
-        tail.append(_moved(pose.translations))
+        tail.append(_packed_translations(pose.translations))
     size = _HEAD.size + sum(map(len, tail))
     if size > 65535:
         raise PoseError(f"a pose of {len(quats)} joints is too long for the wire ({size} bytes)")
@@ -114,8 +124,8 @@ def pack_body(
     return b"".join([head, *tail])
 
 
-def yours(body: bytes, you: bool, opacity: float) -> bytes:
-    """The same for one of those who are sent it: is it they, and how much of it is left."""
+def for_recipient(body: bytes, you: bool, opacity: float) -> bytes:
+    """Return a packed pose with the recipient's own fields: whether it is theirs, and its opacity."""
     byte = round(255 * opacity)
     if not you and body[_OPACITY] == byte:
         return body
@@ -125,15 +135,15 @@ def yours(body: bytes, you: bool, opacity: float) -> bytes:
     return bytes(changed)
 
 
-def place_of(matrix: F64) -> Place:
-    """The parts of a similarity [4, 4]."""
+def placement_of(matrix: F64) -> Placement:
+    """Return the parts of a similarity [4, 4]."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     w, x, y, z = quaternion_of(matrix[:3, :3] / (scale or 1.0)).tolist()
-    return Place(tuple(matrix[:3, 3].tolist()), (x, y, z, w), scale)
+    return Placement(tuple(matrix[:3, 3].tolist()), (x, y, z, w), scale)
 
 
-def unpack_bodies(data: bytes) -> list[Body]:
-    """What stands behind the JSON of a reply in poses. Raises ProtocolError for anything that does not add up."""
+def unpack_bodies(data: bytes) -> list[PersonPose]:
+    """Unpack the poses behind the JSON object of a reply. Raises ProtocolError."""
     if not data:
         raise ProtocolError("expected the number of bodies behind a reply in poses", "bad_reply")
     found, start = [], 1
@@ -148,7 +158,7 @@ def unpack_bodies(data: bytes) -> list[Body]:
     return found
 
 
-def _unpacked(data: bytes) -> Body:
+def _unpacked(data: bytes) -> PersonPose:
     _, flags, key, frame_id, at, t, opacity, _, joints, sha, *numbers = _HEAD.unpack_from(data)
     need = _HEAD.size + 8 * joints + (len(ARKIT) if flags & EXPRESSION else 0)
     need += 2 if flags & TRANSLATIONS else 0
@@ -163,7 +173,7 @@ def _unpacked(data: bytes) -> Body:
         offset += len(ARKIT)
     if flags & TRANSLATIONS:
         translations = _translations(data, offset, joints)
-    if not (isfinite(at) and max(map(abs, numbers)) <= _MOST and numbers[7] >= _SMALLEST and lengths.all()):
+    if not (isfinite(at) and max(map(abs, numbers)) <= _MAX_NUMBER and numbers[7] >= _MIN_SCALE and lengths.all()):
         raise ProtocolError("a body needs numbers below 1e6, rotations and a scale", "bad_reply")
     turn = numbers[3:7]
     if not 0.9 < np.linalg.norm(turn) < 1.1:
@@ -174,14 +184,16 @@ def _unpacked(data: bytes) -> Body:
     except PoseError as error:
         raise ProtocolError(f"a body that is no pose: {error}", "bad_reply") from None
     place = similarity(numbers[:3], turn, numbers[7])
-    return Body(key, bool(flags & YOU), frame_id, at, t if isfinite(t) else None, opacity / 255, sha.hex(), place, pose)
+    return PersonPose(
+        key, bool(flags & YOU), frame_id, at, t if isfinite(t) else None, opacity / 255, sha.hex(), place, pose
+    )
 
 
 _MOVED = np.dtype([("joint", "<u2"), ("metres", "<f4", 3)])
 
 
-def _moved(translations: F64) -> bytes:
-    """Of the joints that are moved at all: a solved body has few."""
+def _packed_translations(translations: F64) -> bytes:
+    """Pack the translations that are not zero: a solved pose has few."""
     joints = np.flatnonzero(translations.any(axis=1))
     rows = np.empty(len(joints), _MOVED)
     rows["joint"], rows["metres"] = joints, translations[joints]
@@ -196,16 +208,16 @@ def _translations(data: bytes, offset: int, joints: int) -> F64:
     if rows["joint"].max(initial=0) >= joints:
         raise ProtocolError(f"joint {rows['joint'].max()} of {joints} is moved", "bad_reply")
     out = np.zeros((joints, 3))
-    with np.errstate(invalid="ignore"):  # of a NaN, which Pose refuses
+    with np.errstate(invalid="ignore"):  # Pose refuses a NaN
         out[rows["joint"]] = rows["metres"]
     return out
 
 
 def _face(expression: Mapping[str, float]) -> bytes | None:
-    """52 bytes; None where nothing of it is ARKit's."""
+    """Return 52 bytes; None where no shape is ARKit's."""
     out = bytearray(len(ARKIT))
     for name, weight in expression.items():
-        at = _INDEX.get(name)
+        at = _ARKIT_INDEX.get(name)
         if at is not None:
             out[at] = round(255 * min(max(weight, 0.0), 1.0))
     return bytes(out) if any(out) else None

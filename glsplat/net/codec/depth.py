@@ -1,7 +1,7 @@
-"""Depth: how far away is what a picture shows, on a grid, by which a client puts a late picture where its eyes are now.
+"""Depth grids of pictures, with which a client reprojects a late picture to the present view.
 
-Inverse depth is what is stored and interpolated: of a plane it is linear in the picture, and steps are fine where what
-is near moves most.
+Inverse depth is stored and interpolated: it is linear in the picture on a plane, and its steps are finest nearby, where
+parallax is largest.
 """
 
 from __future__ import annotations
@@ -12,32 +12,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SIDE", "DepthGrid", "grid_of", "read_grids"]
+__all__ = ["GRID_SIDE", "DepthGrid", "grid_of", "read_grids"]
 
-SIDE = 32
-"""Columns and rows of a server's grids (docs/vr.md has what other numbers of them are worth)."""
+GRID_SIDE = 32
+"""Columns and rows of a server's grids (docs/vr.md compares other sizes)."""
 
-_MOST = 256  # columns and rows that a client takes
+_MAX_SIDE = 256  # columns and rows that a client accepts
 
 
 @dataclass(frozen=True, slots=True)
 class DepthGrid:
-    """Of one eye. Point (column, row) is at the parts column / (columns - 1), row / (rows - 1) of the picture."""
+    """Depths of one eye. Point (column, row) is at column / (columns - 1), row / (rows - 1) of the picture's size."""
 
     columns: int
     rows: int
     low: float  # 1 / metres along the camera's axis, of byte 0
-    high: float  # of byte 255
+    high: float  # 1 / metres, of byte 255
     data: bytes  # row by row from the top
 
     def metres(self) -> NDArray[np.float64]:
-        """[rows, columns] camera z."""
+        """Return camera z [rows, columns] in metres."""
         steps = np.frombuffer(self.data, np.uint8).reshape(self.rows, self.columns)
         return 1 / (self.low + (self.high - self.low) / 255 * steps)
 
     @staticmethod
     def fields(grids: tuple[DepthGrid, ...]) -> dict[str, Any]:
-        """What a reply's JSON says of those of its eyes, which have one shape; their ``data`` follow it."""
+        """Return ``depth`` of a reply whose eyes have these grids, of one shape; their ``data`` follow the object."""
         first = grids[0]
         return {
             "grid": (first.columns, first.rows),
@@ -46,7 +46,7 @@ class DepthGrid:
 
 
 def grid_of(inverse: NDArray[np.floating]) -> DepthGrid:
-    """Of inverse depths [rows, columns], NaN where nothing is shown: such points go on from those beside them."""
+    """Return the grid of inverse depths [rows, columns]; NaN, for the background, is filled from its neighbours."""
     filled = _filled(np.array(inverse, np.float64))
     low, high = float(filled.min()), float(filled.max())
     steps = np.rint((filled - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
@@ -54,10 +54,10 @@ def grid_of(inverse: NDArray[np.floating]) -> DepthGrid:
 
 
 def read_grids(fields: Any, data: bytes) -> tuple[DepthGrid, ...]:
-    """What ``DepthGrid.fields`` said and the bytes behind it. Raises ValueError for what does not fit together."""
+    """Return the grids of a reply's ``depth`` and the bytes behind it. Raises ValueError, KeyError or TypeError."""
     columns, rows = map(int, fields["grid"])
     ranges = [(float(low), float(high)) for low, high in fields["inverse"]]
-    if not (2 <= columns <= _MOST and 2 <= rows <= _MOST and len(data) == len(ranges) * columns * rows):
+    if not (2 <= columns <= _MAX_SIDE and 2 <= rows <= _MAX_SIDE and len(data) == len(ranges) * columns * rows):
         raise ValueError(f"{len(ranges)} grids of {columns} x {rows} in {len(data)} bytes")
     if not all(0 < low <= high < np.inf for low, high in ranges):
         raise ValueError("inverse depths need to be above 0")
@@ -66,7 +66,7 @@ def read_grids(fields: Any, data: bytes) -> tuple[DepthGrid, ...]:
 
 
 def _filled(inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ring by ring, each point the mean of those of its four neighbours that are known; 0.5 where none is at all."""
+    """Fill NaN ring by ring with the mean of the known ones of four neighbours; with 0.5 where all are NaN."""
     known = np.isfinite(inverse)
     if not known.any():
         return np.full_like(inverse, 0.5)

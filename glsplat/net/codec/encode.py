@@ -1,6 +1,6 @@
-"""JPEG: the eyes of a frame encoded side by side in threads, straight from the renderer's array.
+"""Encoder: encodes the eyes of a frame to JPEG in parallel, without a copy of the renderer's array.
 
-simplejpeg brings its own libjpeg-turbo, releases the GIL and reads RGBA and padded rows as they lie in memory.
+simplejpeg has its own libjpeg-turbo, releases the GIL, and reads RGBA and padded rows in place.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ from glsplat.net.codec.straight import straightened
 
 __all__ = ["Encoder", "covered_box", "encode_picture"]
 
-_BLOCK = 16  # pixels of a 4:2:0 block: boxes on its grid do not bleed
-_FINER = 10  # steps of quality by which an alpha that cuts straight colours is better: all of the edge is in it
+_BLOCK = 16  # pixels of a 4:2:0 block: boxes on its grid get no colour from outside
+_ALPHA_QUALITY_BONUS = (
+    10  # steps of quality by which an alpha that cuts straight colours is better: all of the edge is in it
+)
 
 
 class Encoder:
-    """A small pool of encoding threads, shared by all sessions. Close it when done."""
+    """A small pool of encoding threads for all sessions. Close it when done."""
 
-    def __init__(self, threads: int = 2) -> None:
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="encode")
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="encode")
 
     def encode(
         self,
@@ -36,13 +38,11 @@ class Encoder:
         covered: Box | None = None,
         alpha: bool | str = False,
     ) -> Encoded:
-        """Encode ``images`` [V, H, W, 4]; blocks until all are done, so call it off the event loop.
+        """Encode ``images`` [V, H, W, 4], which are zero outside ``covered``. Blocks until all are done.
 
-        Outside ``covered`` the images are zero; it is not put through the codec where that saves time.
-        With ``crop`` only a box of each picture is encoded: ``covered``, widened to whole blocks, or, where that is
-        unknown, the box of its opaque pixels. With ``alpha`` the fourth channel too, of the same box; "straight" has
-        colours that are not multiplied by it, and alpha in finer quality. The calling
-        thread does the last eye itself: a pair takes one thread of the pool.
+        With ``crop`` only a box of each picture is encoded: ``covered``, widened to whole blocks, or the box of its
+        visible pixels. With ``alpha`` the fourth channel is encoded, too; "straight" divides the colours by it and
+        encodes it in finer quality. The calling thread encodes the last eye: a pair takes one thread of the pool.
         """
         start = time.perf_counter()
         height, width = images.shape[1:3]
@@ -67,25 +67,22 @@ class Encoder:
 def _one(
     image: NDArray[np.uint8], quality: int, crop: bool, known: Box | None, alpha: bool | str
 ) -> tuple[bytes, Box | None, bytes | None]:
-    """JPEG, its box if cropped, and the JPEG of its alpha."""
+    """Return the JPEG of an image, its box if cropped, and the JPEG of its alpha."""
     box = None
     if crop:
         x, y, w, h = box = known or covered_box(image)
         image, known = image[y : y + h, x : x + w], None
     finer = 0
     if alpha == "straight":
-        image, finer = straightened(image), _FINER
+        image, finer = straightened(image), _ALPHA_QUALITY_BONUS
     picture = None if known is None else encode_covered(image, known, quality)
-    # of alpha the whole: one channel takes the codec half the time, and lines of half as many pixels save none of it
+    # all of alpha: for one channel, encoding the covered lines only saves no time
     grey = encode_picture(image[..., 3:], min(quality + finer, 100)) if alpha else None
     return picture or encode_picture(image, quality), box, grey
 
 
 def encode_picture(image: NDArray[np.uint8], quality: int = 80, subsampling: str = "420") -> bytes:
-    """JPEG of one picture [H, W, 1|3|4].
-
-    Of four channels alpha is left out: the picture lies on its background already.
-    """
+    """Encode a picture [H, W, 1|3|4] to JPEG. Alpha is left out: the picture is over its background already."""
     channels = image.shape[2]
     if image.strides[0] < 0 or image.strides[1:] != (channels, 1):  # the codec reads rows of packed pixels
         image = np.ascontiguousarray(image)
@@ -95,12 +92,12 @@ def encode_picture(image: NDArray[np.uint8], quality: int = 80, subsampling: str
 
 
 def covered_box(image: NDArray[np.uint8]) -> Box:
-    """The smallest box on the grid of 16 pixels that holds every pixel with alpha above zero.
+    """Return the smallest box on the grid of 16 pixels that holds every pixel with alpha above zero.
 
-    An empty picture gives its first block, because a JPEG needs at least one pixel.
+    For an empty picture it is the first block, because a JPEG needs at least one pixel.
     """
     height, width = image.shape[:2]
-    # alpha is the highest byte of a little-endian pixel, so a row's largest pixel tells whether any alpha is above zero
+    # alpha is the highest byte of a little-endian pixel: the largest pixel of a row has the row's largest alpha
     pixels = np.ascontiguousarray(image).view("<u4")[..., 0]
     rows = np.flatnonzero(pixels.max(axis=1) >> 24)
     if not len(rows):
@@ -111,7 +108,7 @@ def covered_box(image: NDArray[np.uint8]) -> Box:
 
 
 def on_blocks(box: Box, width: int, height: int) -> Box:
-    """``box`` widened to the grid of 16 pixels, inside the picture; an empty one gives a block."""
+    """Return ``box`` widened to the grid of 16 pixels, inside the picture; at least one block."""
     left, top, right, bottom = box[0], box[1], box[0] + box[2], box[1] + box[3]
     x, y = min(left, width - 1) // _BLOCK * _BLOCK, min(top, height - 1) // _BLOCK * _BLOCK
     right = min(max(-(-right // _BLOCK) * _BLOCK, x + _BLOCK), width)

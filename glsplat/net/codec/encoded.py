@@ -1,4 +1,4 @@
-"""Encoded: one picture as it is sent. Imports little: a process that only draws does not need the codec."""
+"""Encoded: an encoded picture. A module of its own, as a process that only draws does not import the codec."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Encoded:
     """The JPEGs of one picture, in the order of its eyes, or one coded picture of a video."""
 
     pictures: list[bytes]
-    boxes: list[Box] | None  # where each JPEG lies in its picture, if it was cropped
+    boxes: list[Box] | None  # the box of each JPEG in its picture, if cropped
     ms: float  # wall time of the encoding
-    alphas: list[bytes] | None = None  # grey JPEGs of the accumulated alpha, if they were asked for
-    video: dict[str, Any] | None = None  # "video" of the reply; then ``pictures`` has one coded picture of all eyes
+    alphas: list[bytes] | None = None  # grey JPEGs of the accumulated alpha, if requested
+    video: dict[str, Any] | None = None  # "video" of the reply; ``pictures`` then has one coded picture of all eyes

@@ -1,1 +1,1 @@
-"""Pace: whose turn it is, how long pictures take, and what detail holds a rate."""
+"""Scheduling: whose turn it is, how long pictures take, and the detail that holds a rate."""

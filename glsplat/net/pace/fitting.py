@@ -1,54 +1,52 @@
-"""Which size of pictures a server can draw often enough, found out once at its start."""
+"""Finds the largest size of pictures that a server draws often enough, once at its start."""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-__all__ = ["ENOUGH", "SIDES", "Fitted", "fit"]
+__all__ = ["MIN_FPS", "SIDES_PX", "Fitted", "fit"]
 
-ENOUGH = 15.0
-"""Pictures a second, for one client who sees with two eyes."""
-SIDES = (1024, 768, 512)
-"""Of square pictures, the largest first."""
-_WARM = 1  # pictures that are not counted: the first makes what later ones find
-_COUNTED = 2
-_HOPE = 0.6  # a part of a picture's time does not grow with its pixels
+MIN_FPS = 15.0  # of pairs of pictures, for one client
+SIDES_PX = (1024, 768, 512)  # of square pictures, the largest first
+_WARM_UP = 1  # pictures that fill caches and are not timed
+_TIMED = 2  # pictures
+_MIN_PREDICTED_SHARE = 0.6  # of MIN_FPS: a part of a picture's time does not grow with its pixels
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """``side`` pixels, at which about ``rate`` pictures a second can be drawn."""
+    """A size: about ``rate`` pictures a second of ``side`` pixels can be drawn."""
 
     side: int
     rate: float
 
     @property
     def enough(self) -> bool:
-        """Whether that is a picture that moves."""
-        return self.rate >= ENOUGH
+        """Whether the rate suffices for moving pictures."""
+        return self.rate >= MIN_FPS
 
 
-async def fit(draw: Callable[[int], Awaitable[float]], most: int = SIDES[0]) -> Fitted:
-    """The largest of SIDES up to ``most`` that is drawn ENOUGH times a second, else the smallest.
+async def fit(draw: Callable[[int], Awaitable[float]], most: int = SIDES_PX[0]) -> Fitted:
+    """Return the largest of SIDES_PX up to ``most`` that is drawn MIN_FPS times a second, else the smallest.
 
-    ``draw`` has a pair of that side drawn and returns the seconds that it took; of several the fastest counts, because
-    a machine that has just started is busy with more than that. The smallest comes first, and only those are tried that
-    could be fast enough by their pixels: a slow machine is not kept from starting.
+    ``draw`` draws a pair of a side and returns the seconds that it took; the fastest counts, because a starting machine
+    is busy. The smallest side is tried first, then those whose pixels predict a sufficient rate, to keep the start of a
+    slow machine short.
     """
-    sides = [side for side in SIDES if side <= most] or [most]
+    sides = [side for side in SIDES_PX if side <= most] or [most]
     least = min(sides)
     found = Fitted(least, await _rate(draw, least))
     for side in sides:
-        if side == least or found.rate * (least / side) ** 2 < _HOPE * ENOUGH:
+        if side == least or found.rate * (least / side) ** 2 < _MIN_PREDICTED_SHARE * MIN_FPS:
             continue
         rate = await _rate(draw, side)
-        if rate >= ENOUGH:
+        if rate >= MIN_FPS:
             return Fitted(side, rate)
     return found
 
 
 async def _rate(draw: Callable[[int], Awaitable[float]], side: int) -> float:
-    for _ in range(_WARM):
+    for _ in range(_WARM_UP):
         await draw(side)
-    return 1.0 / max(min([await draw(side) for _ in range(_COUNTED)]), 1e-4)
+    return 1.0 / max(min([await draw(side) for _ in range(_TIMED)]), 1e-4)

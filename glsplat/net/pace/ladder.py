@@ -1,9 +1,9 @@
-"""What pictures are made of where the link does not take all of them: rungs of size and JPEG quality, the best first.
+"""The quality ladder: rungs of size and JPEG quality for pictures on a slow link, the best first.
 
-The steps are those of docs/measured/ladder.md that no other beats in both bytes and LPIPS, over four avatars
-(``python -m tools.docs.measured ladder``). First of all what cannot be seen is left out: the black around the avatar,
-which takes over a third of a whole picture's bytes. Coarser chroma is no step: 4:1:1 takes more bytes than 4:2:0. How
-often pictures come is no matter of the table, which knows still pictures only: see ``GOOD``.
+The steps are the Pareto front of docs/measured/ladder.md in bytes and LPIPS, over four avatars
+(``python -m tools.docs.measured ladder``). The first rung crops the black around the avatar, which takes over a third
+of a picture's bytes. Coarser chroma is no step: 4:1:1 takes more bytes than 4:2:0. The table is of still pictures; for
+their rate see ``MAX_SMOOTH_LPIPS``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,17 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import exp, log
 
-__all__ = ["CALM", "CROPPED", "GOOD", "SCALES", "STEPS", "Rung", "Step", "ladder", "visible_loss"]
+__all__ = [
+    "CROPPED_SHARE",
+    "MAX_SMOOTH_LPIPS",
+    "REDUCED_FPS",
+    "SCALES",
+    "STEPS",
+    "Rung",
+    "Step",
+    "ladder",
+    "visible_loss",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +31,12 @@ class Step:
 
     scale: float  # of the picture's sides
     quality: int  # JPEG
-    nbytes: float  # of the avatar's box, as parts of those at full size and quality 80
+    nbytes: float  # of the avatar's box, relative to full size and quality 80
     lpips: float  # against the uncompressed picture of full size
 
 
 SCALES = (1.0, 0.875, 0.75, 0.625, 0.5)
-"""Of a picture's side; smaller ones are not drawn, whatever the rate."""
+"""Scales of a picture's side."""
 
 STEPS = (
     Step(1.0, 95, 1.94, 0.0026),
@@ -48,20 +58,20 @@ STEPS = (
     Step(0.5, 20, 0.171, 0.2290),
     Step(0.5, 10, 0.132, 0.2768),
 )
-"""By size, from the best quality that is on the front to the worst."""
+"""By size, from the best quality on the front to the worst."""
 
-CROPPED = 0.62
-"""Bytes of the avatar's box, as parts of those of the whole picture."""
+CROPPED_SHARE = 0.62
+"""Bytes of the avatar's box, relative to the whole picture."""
 
-GOOD, CALM = 0.03, 25.0
-"""Up to that LPIPS pictures come as often as they are drawn; below, first so often a second; last of all, less."""
+MAX_SMOOTH_LPIPS, REDUCED_FPS = 0.03, 25.0
+"""Pictures of a higher LPIPS are sent at the reduced rate first, before their quality is lowered further."""
 
-_FINE = 2  # steps of quality from one rung to the next
+_QUALITY_STEP = 2  # from one rung to the next
 
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """How a picture is made. ``bits``: what that takes, as parts of what was asked for."""
+    """The size and quality of a picture. ``bits`` are relative to the picture that was requested."""
 
     scale: float
     quality: int
@@ -70,28 +80,28 @@ class Rung:
 
     @property
     def full(self) -> bool:
-        """Whether it is what was asked for."""
+        """Whether the picture is as requested."""
         return self.bits == 1.0
 
 
 @lru_cache(maxsize=128)
 def ladder(quality: int, crop: bool) -> tuple[Rung, ...]:
-    """The rungs below a picture of that ``quality``, whole or only its ``crop``; ever fewer bits, the first has 1."""
-    asked = _interpolated(1.0, quality).nbytes
-    whole = 1.0 if crop else CROPPED
-    found = [Rung(1.0, quality, crop, 1.0), *([] if crop else [Rung(1.0, quality, True, CROPPED)])]
+    """Return the rungs for a picture of that ``quality``, whole or cropped, by falling ``bits``; the first has 1."""
+    requested = _interpolated(1.0, quality).nbytes
+    whole = 1.0 if crop else CROPPED_SHARE
+    found = [Rung(1.0, quality, crop, 1.0), *([] if crop else [Rung(1.0, quality, True, CROPPED_SHARE)])]
     for scale in SCALES:
         steps = [step for step in STEPS if step.scale == scale]
         best, worst = steps[0].quality, steps[-1].quality
-        for finer in [*range(min(best, quality), worst, -_FINE), worst]:
-            bits = whole * _interpolated(scale, finer).nbytes / asked
+        for finer in [*range(min(best, quality), worst, -_QUALITY_STEP), worst]:
+            bits = whole * _interpolated(scale, finer).nbytes / requested
             if finer <= quality and bits < found[-1].bits:
                 found.append(Rung(scale, finer, True, bits))
     return tuple(found)
 
 
 def visible_loss(rung: Rung) -> float:
-    """LPIPS of a picture that is made like that, by the table."""
+    """Return the LPIPS of a picture on that rung, by the table."""
     return _interpolated(rung.scale, rung.quality).lpips
 
 

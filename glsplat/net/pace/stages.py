@@ -1,4 +1,4 @@
-"""Rolling times of the stages of a frame: median and 95th percentile over the last few seconds."""
+"""StageTimes: the times of the stages of the last frames, as median and 95th percentile."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["StageTimes", "median_p95"]
 
 
 def median_p95(values: Iterable[float]) -> tuple[float, float]:
-    """Median and 95th percentile; zeros for nothing."""
+    """Return median and 95th percentile; zeros for no values."""
     array = np.fromiter(values, np.float64)
     if not len(array):
         return 0.0, 0.0
@@ -21,7 +21,7 @@ def median_p95(values: Iterable[float]) -> tuple[float, float]:
 
 
 class StageTimes:
-    """The last ``length`` frames, by stage."""
+    """Times of the last ``length`` frames, by stage."""
 
     def __init__(self, length: int = 256) -> None:
         self.frames: int = 0
@@ -30,22 +30,22 @@ class StageTimes:
         self._at: deque[float] = deque([float("-inf")], maxlen=length)
 
     def add(self, times: Mapping[str, float]) -> None:
-        """One frame's times in ms."""
+        """Add a frame's times in ms."""
         self.frames += 1
         self._at.append(time.monotonic())
         for name, ms in times.items():
             self._values.setdefault(name, deque(maxlen=self._length)).append(ms)
 
     def lately(self, seconds: float = 1.0) -> bool:
-        """Whether a frame was made in that time."""
+        """Return whether a frame was added in the last ``seconds``."""
         return time.monotonic() - self._at[-1] < seconds
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """{stage: {"median", "p95"}} in ms."""
+        """Return {stage: {"median", "p95"}} in ms."""
         pairs = {name: median_p95(values) for name, values in self._values.items()}
         return {name: {"median": round(m, 3), "p95": round(p, 3)} for name, (m, p) in pairs.items()}
 
     def fps(self) -> float:
-        """Pictures a second over the last five seconds, all clients together."""
+        """Return the frames a second of all clients together, over the last five seconds."""
         now = time.monotonic()
         return sum(now - at < 5.0 for at in self._at) / 5.0

@@ -1,1 +1,1 @@
-"""What the server says over plain HTTP: the page for headsets, the status page, numbers, what it offers."""
+"""The server's pages over plain HTTP: the page for headsets, /healthz, /stats and /session."""

@@ -1,4 +1,4 @@
-"""Addresses of every server: the page, /healthz, /stats, /session and the embedded motions."""
+"""Addresses of every server: the page, /healthz, /stats, /session and the embedded motions; headers of all answers."""
 
 from __future__ import annotations
 
@@ -13,28 +13,35 @@ from glsplat.net.pages.site import File, Site
 from glsplat.net.rights import user_of
 from glsplat.optional import plugin
 
-__all__ = ["Pages"]
+__all__ = ["Pages", "set_headers"]
+
+_HEADERS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
+_DEFAULT_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",  # pages of other sites cannot embed or measure the answers
+}
 
 _RECORDING = "recording.jsonl"
 _TABLES = {
     "draw/programs.json": ("browser.web_shaders", "programs_json"),
     "voice/visemes.json": ("speech.table", "table_json"),
 }
-"""Files of the page that functions of extras make: module and function. A file whose extra is absent is not served."""
+"""Files of the page that functions of extras make: module and function. Without the extra a file is not served."""
 
 
 class Pages(Feature):
     """The page at /vr and its files, and the server's state as JSON."""
 
     async def start(self, server: ServerView) -> None:
-        """Read the server's state from now on."""
+        """Keep the server, whose state the pages show."""
         self._server = server
 
     def routes(self) -> list[web.RouteDef]:
-        """Return the addresses of every server but the WebSocket's."""
+        """Return the addresses of every server, without the WebSocket's."""
         return [
             web.get("/healthz", self._healthz),
-            web.get("/stats", self._numbers),
+            web.get("/stats", self._stats),
             web.get("/session", self._session),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
@@ -45,7 +52,7 @@ class Pages(Feature):
         healthy = self._server.is_healthy()
         return web.Response(status=200 if healthy else 503, text="ok\n" if healthy else "not ready\n")
 
-    async def _numbers(self, request: web.Request) -> web.Response:
+    async def _stats(self, request: web.Request) -> web.Response:
         return web.json_response(self._server.stats(user_of(request)))
 
     async def _session(self, request: web.Request) -> web.Response:
@@ -60,6 +67,13 @@ class Pages(Feature):
 
     async def _recording(self, request: web.Request) -> web.Response:
         return _embedded(_RECORDING).answer(request)
+
+
+async def set_headers(request: web.Request, response: web.StreamResponse) -> None:
+    """Set the headers of every answer; an ``on_response_prepare`` signal of aiohttp."""
+    response.headers.update(_HEADERS)
+    for name, value in _DEFAULT_HEADERS.items():
+        response.headers.setdefault(name, value)
 
 
 def _tables() -> dict[str, bytes]:

@@ -1,6 +1,6 @@
 """The page for headsets (/vr): the files of glsplat/net/web, read once and served from memory.
 
-They are the same for everybody and say nothing about the scene or the clients, so they need no token.
+They need no token: they contain nothing about the scene or the clients.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TYPES = {
 _SCRIPT = re.compile(rb'<script type="module" src="([^"]+)">')
 _IMPORT = re.compile(
     rb"""^(?:import|export|\}) (?:[^'"\n]*? from )?['"](\.[^'"]+)['"]""", re.MULTILINE
-)  # of a module: what it imports itself, not what it may fetch later by import()
+)  # static imports of a module; no import() calls
 _TEXT = ("html", "css", "js", "json", "jsonl", "svg", "txt")
 
 _HEADERS = {
@@ -44,10 +44,7 @@ _HEADERS = {
 
 
 class File:
-    """One file in memory. Browsers keep it and ask each time whether it is still the same (ETag).
-
-    Text goes packed to whoever takes gzip, which all browsers do: a third of the bytes.
-    """
+    """A file in memory. Browsers cache it and revalidate it each time (ETag). Text is sent with gzip if accepted."""
 
     def __init__(self, name: str, body: bytes) -> None:
         suffix = name.rpartition(".")[2]
@@ -58,7 +55,7 @@ class File:
         self._packed = packed if len(packed) < len(body) else None
 
     def answer(self, request: web.Request) -> web.Response:
-        """200 with the file, or 304 to a browser that has it."""
+        """Return 200 with the file, or 304 for a browser that has it."""
         packs = self._packed is not None and "gzip" in request.headers.get("Accept-Encoding", "")
         tag = f"{self.etag}-gz" if packs else self.etag
         headers = {"ETag": f'"{tag}"', "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
@@ -70,10 +67,7 @@ class File:
 
 
 class Site:
-    """A folder and what lies in it, looked up by name: no path of a request ever reaches the disk.
-
-    ``more``: what is made instead of read, by its path in the folder.
-    """
+    """The files of a folder and, by their paths, ``more`` that are generated. No path of a request reaches the disk."""
 
     def __init__(self, folder: Traversable, more: Mapping[str, bytes] = {}) -> None:
         bodies = dict(_read(folder, "")) | dict(more)
@@ -83,11 +77,11 @@ class Site:
         }
 
     def routes(self) -> list[web.RouteDef]:
-        """/vr, /vr/ and what lies under it."""
+        """Return the routes of /vr and of all below it."""
         return [web.get("/vr", self._without_slash), web.get("/vr/{path:.*}", self._file)]
 
     async def _without_slash(self, request: web.Request) -> web.Response:
-        """The page's own addresses are relative, also behind a proxy that serves it under another path."""
+        """Redirect to the slash by a relative address: a proxy may serve the page under another path."""
         query = request.rel_url.raw_query_string
         return web.Response(status=308, headers={"Location": "vr/" + (f"?{query}" if query else "")})
 
@@ -102,9 +96,9 @@ class Site:
 
 
 def preloading(path: str, bodies: Mapping[str, bytes]) -> bytes:
-    """The page at ``path`` with a link (HTML, 4.6.7.12) to each module that its scripts import, before the first one.
+    """Return the page at ``path`` with preload links (HTML, 4.6.7.12) to all modules that its script imports.
 
-    Else a browser hears of a module from the one that imports it: a round trip for each floor of the tree.
+    Without them a browser needs a round trip for each level of the import tree.
     """
     page = bodies[path]
     script = _SCRIPT.search(page)
@@ -112,7 +106,7 @@ def preloading(path: str, bodies: Mapping[str, bytes]) -> bytes:
         return page
     first = posixpath.normpath(posixpath.join(posixpath.dirname(path), script[1].decode()))
     found = [first]
-    for module in found:  # it grows meanwhile: the nearest first
+    for module in found:  # breadth first: the list grows meanwhile
         for name in _IMPORT.findall(bodies.get(module, b"")):
             other = posixpath.normpath(posixpath.join(posixpath.dirname(module), name.decode()))
             if other not in found and other in bodies:
@@ -123,7 +117,7 @@ def preloading(path: str, bodies: Mapping[str, bytes]) -> bytes:
 
 
 def _read(folder: Traversable, prefix: str) -> list[tuple[str, bytes]]:
-    """The files of known types by their paths in the folder."""
+    """Return the files of known types by their paths in the folder."""
     found: list[tuple[str, bytes]] = []
     for entry in folder.iterdir():
         if entry.is_dir():

@@ -1,1 +1,1 @@
-"""A worker draws pictures: on a thread, in a process of this machine, or elsewhere; it is reached by one protocol."""
+"""Workers draw pictures: on a thread of the server, in a process of this machine, or on another machine."""

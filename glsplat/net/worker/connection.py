@@ -1,7 +1,7 @@
-"""The server's side of a worker's socket: orders without an answer, and whether the worker still lives.
+"""WorkerConnection: the server's side of a worker's socket; sends orders and detects a worker that is lost.
 
-It all runs on the event loop: a gateway passes on a thousand pictures a second, and each change of threads costs a
-tenth of a millisecond, or five where another thread holds Python's lock.
+It runs on the event loop, without threads: a gateway forwards a thousand pictures a second, and a change of threads
+takes 0.1 ms, or 5 ms while another thread holds Python's lock.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import msgspec
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.worker.wire import (
     HEAD,
-    MAX_ANSWER,
+    MAX_ANSWER_BYTES,
     Kind,
     Order,
     RenderResult,
@@ -38,15 +38,15 @@ HANG_S = 10.0
 """Seconds beyond the limit of a picture after which its worker counts as hung."""
 
 _BEAT_S = 0.25  # between two checks, and between pings of a worker that is silent
-_SILENT_S = 1.0  # without an answer to a ping, while the worker is idle
-_BUSY_S = 3.0  # the same while it draws: its driver holds Python's lock for a second at most (backends/gl.py, _SLICE)
+_SILENT_S = 1.0  # limit of the answer to a ping, while the worker is idle
+_BUSY_S = 3.0  # the same while it draws: the driver may hold Python's lock for a second (backends/gl.py, _SLICE_S)
 
 
 class WorkerConnection(asyncio.Protocol):
     """One connection, after the handshake. ``lost`` is called once it has ended, whatever the reason.
 
-    ``cause`` and ``stopped`` are the launcher's: why the worker ended or is silent. ``alone`` returns whether no other
-    worker could take over: then patience costs nothing. ``seconds`` limits the time of a picture.
+    ``cause`` and ``stopped`` are the launcher's. ``alone`` returns whether there is no other worker: then a longer wait
+    costs nothing. ``seconds`` limits the time of a picture.
     """
 
     def __init__(
@@ -68,13 +68,13 @@ class WorkerConnection(asyncio.Protocol):
         self._number = 0
         self._drawing: dict[int, asyncio.Future[RenderResult]] = {}
         self._encoding: dict[int, asyncio.Future[Any]] = {}
-        self._since = 0.0  # when the picture in hand was ordered
+        self._since = 0.0  # when the present picture was ordered
         self._patient = False  # its avatar has to be loaded first
         self._begun = False  # the worker has received the order
         self._pinged: float | None = None  # when the unanswered ping was sent
         self._beating: asyncio.Task[None] | None = None
         self._ending: asyncio.Task[None] | None = None
-        self._why: tuple[str, bool] | None = None  # the reason for which it is ended from here
+        self._why: tuple[str, bool] | None = None  # the reason, where this side ends the connection
         self._closing = False
 
     @property
@@ -90,10 +90,10 @@ class WorkerConnection(asyncio.Protocol):
     def draw(
         self, order: Order, patient: bool = False
     ) -> tuple[asyncio.Future[RenderResult], asyncio.Future[Any] | None]:
-        """Order a picture; return its result, and its JPEGs (Encoded) or pixels (bytes); None: they go into a slot.
+        """Order a picture; return its result, and its JPEGs (Encoded) or pixels (bytes), None with a slot.
 
-        Both may raise what a renderer raises, and WorkerLostError. One at a time: the next after the first future is
-        done. ``patient``: it may take longer than usual.
+        Both futures may raise a renderer's errors and WorkerLostError. Order the next picture after the first future is
+        done. ``patient``: the picture may take longer than usual.
         """
         if not self.alive:
             raise WorkerLostError("the worker has ended")
@@ -109,12 +109,12 @@ class WorkerConnection(asyncio.Protocol):
         return drawn, content
 
     def cancel(self) -> None:
-        """Tell the worker that the picture in hand is not needed any more."""
+        """Cancel the present picture."""
         if self._drawing and self.alive:
             self._transport.write(self._writer.pack(Kind.CANCEL, self._number))
 
     def close(self) -> None:
-        """Ask the worker to end after the picture in hand."""
+        """Order the worker to end after the present picture."""
         if self.alive:
             self._closing = True
             self._transport.write(self._writer.pack(Kind.CLOSE))
@@ -139,7 +139,7 @@ class WorkerConnection(asyncio.Protocol):
         try:
             while len(buffer) - place >= HEAD.size:
                 length, kind, number = HEAD.unpack_from(buffer, place)
-                if length > MAX_ANSWER:
+                if length > MAX_ANSWER_BYTES:
                     raise ValueError(f"a message of {length} bytes")
                 end = place + HEAD.size + length
                 if len(buffer) < end:
@@ -151,7 +151,7 @@ class WorkerConnection(asyncio.Protocol):
         del buffer[:place]
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Find out why, then fail the orders without an answer."""
+        """Find the cause, then fail the orders without an answer."""
         if self._beating is not None:
             self._beating.cancel()
         if self._ending is None:
@@ -193,7 +193,7 @@ class WorkerConnection(asyncio.Protocol):
             late, last = now - last - _BEAT_S, now
             if not self.opened.done():
                 continue
-            self._since += max(0.0, late)  # this event loop itself stood still: answers may wait to be read
+            self._since += max(0.0, late)  # this event loop was blocked: answers may wait to be read
             if self._drawing and now - self._since > self._seconds + HANG_S:
                 self.end(f"the worker did not draw within {self._seconds + HANG_S:g} s", True)
             elif self._pinged is None:

@@ -14,14 +14,13 @@ from glsplat.io.machine import cores
 from glsplat.net.backend import Rendered
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.codec.encoded import Encoded
-from glsplat.net.fields import PictureOptions
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.optional import extra_module, missing, plugin
 
 __all__ = ["ClientVideo", "PictureEncoder", "VideoStream"]
 
 _VIDEO_THREADS = max(1, cores() // 2)
-MAX_VIDEOS = _VIDEO_THREADS + 1
-"""Pictures of all videos that are coded or wait for it: each holds memory that drawing needs."""
+MAX_VIDEOS = _VIDEO_THREADS + 1  # pictures of all videos that are coded or wait: each holds memory for drawing
 
 
 def _nothing(images: NDArray[np.uint8]) -> None: ...
@@ -40,7 +39,6 @@ class VideoStream(Protocol):
         key: bool = False,
     ) -> Encoded | None:
         """Return the next picture of ``images`` [V, H, W, 4]; None: it has to be a JPEG."""
-        ...
 
 
 class ClientVideo:
@@ -52,9 +50,9 @@ class ClientVideo:
 
 
 class PictureEncoder:
-    """Encodes JPEGs on two threads, and videos on threads of their own, so that no JPEG waits for a video.
+    """Encodes JPEGs on two threads, and videos on separate threads, so that no JPEG waits for a video.
 
-    ``video`` lets clients have video. Raises GlsplatError where there is nothing to code it with.
+    ``video`` offers video to clients. Raises GlsplatError where no codec is installed.
     """
 
     def __init__(self, video: bool = False) -> None:
@@ -72,7 +70,7 @@ class PictureEncoder:
         return sum(not one.done() for one in self._videos) >= MAX_VIDEOS
 
     def video(self, clock: Callable[[], float]) -> ClientVideo | None:
-        """Return the video of a new client; None where there is none."""
+        """Return the video of a new client; None where video is not offered."""
         if not self.codecs:
             return None
         video = extra_module("far_links.video")
@@ -85,10 +83,10 @@ class PictureEncoder:
         video: ClientVideo | None = None,
         observe: Callable[[NDArray[np.uint8]], None] = _nothing,
     ) -> Future[Encoded]:
-        """Encode a picture as a JPEG, or as the next one of ``video`` where ``options`` ask for it.
+        """Encode a picture as a JPEG, or as the next one of ``video`` where ``options`` request that.
 
-        ``observe`` is called first, on the encoding thread; it may change the images. ``rendered.done`` is called in
-        the end, also of a picture whose future was cancelled before its turn.
+        ``observe`` is called first, on the encoding thread; it may change the images. ``rendered.done`` is called at
+        the end, also for a picture whose future is cancelled.
         """
         if video is None or options.video is None:
             encoded = self._jpeg_threads.submit(self._jpegs, rendered, options, observe)
@@ -103,7 +101,7 @@ class PictureEncoder:
         return encoded
 
     def close(self, wait: bool = False) -> None:
-        """End the threads after the pictures in hand."""
+        """End the threads after their present pictures."""
         for threads in (self._jpeg_threads, self._video_threads):
             threads.shutdown(wait=wait)
         self._encoder.close()
@@ -123,7 +121,7 @@ class PictureEncoder:
         options: PictureOptions,
         observe: Callable[[NDArray[np.uint8]], None],
     ) -> Encoded:
-        if before is not None:  # it was submitted first, so it never waits for this thread
+        if before is not None:  # it was submitted first, so there is no deadlock
             wait([before])
         assert options.video is not None
         observe(rendered.images)

@@ -1,8 +1,7 @@
-"""Workers that are processes of this machine.
+"""Workers in processes of this machine.
 
-OpenGL calls hold Python's lock for as long as they take: in a thread of the server, a picture of 100 ms would keep the
-event loop from reading requests and from sending pictures that are ready. A driver that crashes or hangs takes its
-process with it, not the server.
+OpenGL calls hold Python's lock: on a thread of the server, a picture of 100 ms would block the event loop for as long.
+A driver that crashes or hangs ends its own process, not the server.
 """
 
 from __future__ import annotations
@@ -30,8 +29,11 @@ from glsplat.net.worker.work import work_in_process
 __all__ = ["ProcessLauncher", "process_worker"]
 
 _EXIT_S = 0.5  # from the end of a worker's connection until its exit code is known
-_IMPORT_S = 60.0  # until a new process has imported what it needs, and answers
-_OUTSIDE = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM))  # sent by somebody: no picture is at fault
+_IMPORT_S = 60.0  # for a new process to import its modules and answer
+_SENT_SIGNALS = (
+    signal.SIGTERM,
+    getattr(signal, "SIGKILL", signal.SIGTERM),
+)  # an operator sends these; the picture is not at fault
 
 
 def process_worker(make: Callable[[], Backend], max_side: int, seconds: float = 5.0) -> RemoteWorker:
@@ -43,10 +45,10 @@ def process_worker(make: Callable[[], Backend], max_side: int, seconds: float = 
 
 
 class ProcessLauncher:
-    """Runs what ``make()`` returns in a process of its own.
+    """Runs the backend that ``make()`` returns in a process of its own.
 
-    ``make`` is pickled: a class or a partial of one, with picklable arguments. With ``slot_bytes`` the worker does not
-    encode: it writes pixels into slots of that size.
+    ``make`` is pickled: a class or a partial of one, with picklable arguments. With ``slot_bytes`` the worker writes
+    pixels into slots of that size instead of encoding.
     """
 
     def __init__(self, make: Callable[[], Backend], name: str = "worker", slot_bytes: int = 0) -> None:
@@ -65,16 +67,16 @@ class ProcessLauncher:
         return connection, key
 
     async def cause(self) -> tuple[str, bool]:
-        """Return how the process ended. A signal that somebody sent is no picture's fault."""
+        """Return how the process ended, and whether its picture may be at fault: not after SIGTERM or SIGKILL."""
         until = time.monotonic() + _EXIT_S
         process, code = self._process, None
-        with suppress(ValueError):  # it was ended from here
+        with suppress(ValueError):  # ``end`` has closed it
             while process is not None and (code := process.exitcode) is None and time.monotonic() < until:
                 await asyncio.sleep(0.005)
         if code is None:
             return "the worker has closed its connection", False
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        return f"the worker's process ended ({how})", -code not in _OUTSIDE
+        return f"the worker's process ended ({how})", -code not in _SENT_SIGNALS
 
     def stopped(self) -> bool:
         """Return whether SIGSTOP or a debugger has stopped the process; False where the system does not report it."""
@@ -90,7 +92,7 @@ class ProcessLauncher:
         await asyncio.to_thread(self._end, seconds)
 
     def _end(self, seconds: float) -> None:
-        with self._starting:  # also ends a process that is just being started
+        with self._starting:  # waits for a process that is being started, to end it
             connection, self._connection = self._connection, None
             process, self._process = self._process, None
             slots, self.slots = self.slots, None

@@ -1,33 +1,58 @@
-"""RemoteWorker: draws in another process, on this machine or elsewhere, wherever its launcher starts it."""
+"""RemoteWorker: draws in another process, which a WorkerLauncher starts on this machine or elsewhere."""
 
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from glsplat.errors import BudgetError, ContextError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.worker.connection import WorkerConnection
-from glsplat.net.worker.launcher import WorkerLauncher
+from glsplat.net.worker.slots import Slots
 from glsplat.net.worker.wire import Order, WorkerLostError
 
-__all__ = ["RemoteWorker"]
+__all__ = ["RemoteWorker", "WorkerLauncher"]
 
 _OPEN_S = 60.0  # to make a context and load a scene
 _CLOSE_S = 5.0  # to end in order ...
 _GRACE_S = 0.5  # ... and in the middle of a picture
-_KEPT = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
+_MAX_LOADED = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
+
+
+class WorkerLauncher(Protocol):
+    """Starts, reaches and ends one worker at a time."""
+
+    name: str
+    """For the log and /stats."""
+
+    @property
+    def slots(self) -> Slots | None:
+        """Memory for pixels that the worker shares with this process; None: it sends JPEGs."""
+
+    async def start(self) -> tuple[socket.socket, bytes]:
+        """Start a worker; return its connection after the handshake, and its key. Raises GlsplatError."""
+
+    async def cause(self) -> tuple[str, bool]:
+        """Return why the worker's connection ended, in a line, and whether its picture is likely to be at fault."""
+
+    def stopped(self) -> bool:
+        """Return whether the worker's process is stopped, as by SIGSTOP: then its picture is not why it is silent."""
+
+    async def end(self, seconds: float) -> None:
+        """Wait ``seconds`` for the worker to end, then end it by force. Harmless where there is none."""
 
 
 class RemoteWorker:
-    """Pixels come through the launcher's shared memory, where it has some; else the worker encodes.
+    """Draws in another process. Pixels come through the launcher's shared memory, if any; else the worker encodes.
 
-    ``seconds`` limits the time of a picture: a worker that takes far longer hangs, and is ended. ``alone`` returns
-    whether no other worker could take over: then more patience costs nothing.
+    ``seconds`` limits the time of a picture: a worker that takes far longer is ended. ``alone`` returns whether there
+    is no other worker: then a longer wait costs nothing.
     """
 
     def __init__(
@@ -43,7 +68,7 @@ class RemoteWorker:
 
     @property
     def loaded(self) -> frozenset[str]:
-        """Names of the avatars that were drawn lately."""
+        """Names of the avatars that the worker keeps loaded."""
         return frozenset(avatar for avatar, _ in self._loaded)
 
     async def open(self, lost: Callable[[], None]) -> str:
@@ -52,7 +77,7 @@ class RemoteWorker:
         return await self._start()
 
     async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
-        """Draw; pixels in shared memory stay until ``done`` of what is returned is called, once."""
+        """Draw. Pixels in shared memory stay valid until ``done`` of the result is called, once."""
         link, slots, slot = self._link, self.launcher.slots, None
         if link is None:
             raise WorkerLostError("the worker has ended")
@@ -79,7 +104,7 @@ class RemoteWorker:
             raise
         self._loaded[shown] = None
         self._loaded.move_to_end(shown)
-        if len(self._loaded) > _KEPT:
+        if len(self._loaded) > _MAX_LOADED:
             self._loaded.popitem(last=False)
         done = None
         if slots is not None and slot is not None:
@@ -98,7 +123,7 @@ class RemoteWorker:
         )
 
     def cancel(self) -> None:
-        """Give up the picture in hand."""
+        """Cancel the present picture."""
         self._cancelled = True
         if self._link is not None:
             self._link.cancel()

@@ -12,12 +12,11 @@ from glsplat.net.backend import Rendered
 
 __all__ = ["SLOTS", "SlotWriter", "mapped"]
 
-SLOTS = 3
-"""Pictures: one is drawn while two are encoded."""
+SLOTS = 3  # one picture is drawn while two are encoded
 
 
 class SlotWriter:
-    """The worker's side. Only the covered part of each picture is written."""
+    """Writes the covered parts of pictures into slots."""
 
     def __init__(self, path: str, nbytes: int) -> None:
         with open(path, "r+b") as file:
@@ -25,12 +24,12 @@ class SlotWriter:
         self._dirty: dict[int, NDArray[np.uint8]] = {}  # by slot: the part that its last picture covered
 
     def place(self, slot: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the memory of a picture, for a backend that can draw there."""
+        """Return the memory of a picture, for a backend that draws in place."""
         self._dirty[slot] = place = self._slots[slot, : int(np.prod(shape))].reshape(shape)
         return place
 
     def put(self, slot: int, rendered: Rendered, shape: tuple[int, ...]) -> None:
-        """Zero the part that the slot's last picture covered, and copy the part that this one covers.
+        """Zero the part that the slot's last picture covered, and copy the covered part of this one.
 
         Does nothing for a picture that was drawn in place. ``shape`` is that of the allocated picture.
         """
@@ -49,5 +48,5 @@ class SlotWriter:
 
 
 def mapped(file: Any, nbytes: int) -> NDArray[np.uint8]:
-    """Return the slots of a file [SLOTS, bytes]."""
+    """Map a file and return its slots [SLOTS, bytes]."""
     return np.frombuffer(mmap.mmap(file.fileno(), nbytes), np.uint8).reshape(SLOTS, -1)

@@ -1,6 +1,6 @@
 """Slots: shared memory for pictures, from the process that draws to the one that encodes.
 
-Only allocated pages are ever touched: a page of a sparse file on a full disk would end the process by SIGBUS.
+Only allocated pages are touched: writing a sparse page on a full disk would end the process by SIGBUS.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from glsplat.net.worker.slot_writer import SLOTS, mapped
 __all__ = ["SHM", "Slots"]
 
 SHM = "/dev/shm"
-_ORDINARY = 2 * 1024 * 1024 * 4  # bytes of a slot that are allocated at the start: a pair of 1024x1024
+_INITIAL_BYTES = 2 * 1024 * 1024 * 4  # bytes of a slot that are allocated at the start: a pair of 1024x1024
 
 
 class Slots:
-    """The server's side, which hands slots out. Each has to be given back once."""
+    """The server's side, which hands out slots. Each has to be given back once."""
 
     def __init__(self, slot_bytes: int) -> None:
         self.slot_bytes: int = _pages(slot_bytes)
@@ -35,7 +35,7 @@ class Slots:
         self._file, self.folder = self._make()
         self.path: str = self._file.name
         self._slots = mapped(self._file, self.nbytes)
-        self._allocated = [min(_ORDINARY, self.slot_bytes)] * SLOTS  # bytes
+        self._allocated = [min(_INITIAL_BYTES, self.slot_bytes)] * SLOTS  # bytes
         self._loop: asyncio.AbstractEventLoop
         self._free: asyncio.Queue[int] = asyncio.Queue()
         for slot in range(SLOTS):
@@ -67,7 +67,7 @@ class Slots:
         return slot
 
     def give_back(self, slot: int) -> None:
-        """Free a slot whose picture is not needed any more. From any thread."""
+        """Free a slot. May be called on any thread."""
         with suppress(RuntimeError):  # the server has stopped
             self._loop.call_soon_threadsafe(self._free.put_nowait, slot)
 
@@ -84,7 +84,7 @@ class Slots:
         self._file.close()
 
     def _make(self) -> tuple[Any, str]:
-        """Return a file with room for ordinary pictures, in memory where there is room, and its folder."""
+        """Return a file that is allocated for ordinary pictures, in memory if it has room, and its folder."""
         failures = []
         roomy = os.path.isdir(SHM) and shutil.disk_usage(SHM).free > self.nbytes  # containers often have 64 MB there
         for folder in dict.fromkeys([*([SHM] if roomy else []), tempfile.gettempdir()]):
@@ -93,7 +93,7 @@ class Slots:
                 file = tempfile.NamedTemporaryFile(prefix="glsplat-", dir=folder, delete=False)
                 file.truncate(self.nbytes)
                 for slot in range(SLOTS):
-                    os.posix_fallocate(file.fileno(), slot * self.slot_bytes, min(_ORDINARY, self.slot_bytes))
+                    os.posix_fallocate(file.fileno(), slot * self.slot_bytes, min(_INITIAL_BYTES, self.slot_bytes))
                 return file, folder
             except OSError as error:
                 failures.append(_why(error, folder))

@@ -18,7 +18,7 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 
 
 class ThreadWorker:
-    """Holds Python's lock while the driver draws: other threads of the process wait (see ``process_worker``)."""
+    """Draws on a thread. The driver holds Python's lock meanwhile, so other threads wait (see ``process_worker``)."""
 
     def __init__(self, backend: Backend) -> None:
         self.name: str = "the OpenGL context"
@@ -33,12 +33,12 @@ class ThreadWorker:
         return await self._run(self._backend.open)
 
     async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
-        """Draw; the pixels are always here."""
+        """Draw. The result has pixels whatever ``pixels`` is."""
         self._cancelled = False
         return await self._run(partial(self._backend.render, job))
 
     def cancel(self) -> None:
-        """Give up the picture in hand, where the backend is interruptible."""
+        """Cancel the present picture, if the backend is interruptible."""
         self._cancelled = True
 
     async def rebuild(self) -> str:
@@ -46,7 +46,7 @@ class ThreadWorker:
         return await self._run(self._reopen)
 
     async def close(self) -> None:
-        """Close the backend after the picture in hand."""
+        """Close the backend after the present picture."""
         try:
             await self._run(self._backend.close)
         finally:

@@ -1,10 +1,10 @@
 """Messages between the server and a worker over a stream socket: a handshake, then messages with their length.
 
-Each side first proves that it knows the secret, without sending it: HMAC-SHA256 over both sides' random numbers
-(challenge and response; the hash covers the role, so that no answer can be reflected). The server's messages are
-pickles, so each carries a keyed hash over itself and its sequence number (BLAKE2b, RFC 7693): nobody on the way can
-add, change or repeat one. The worker's messages are MessagePack of fixed fields, JPEG and pixels: nothing that could
-be executed. Neither is encrypted: the network between them is the operator's own.
+In the handshake each side proves that it knows the secret, without sending it: HMAC-SHA256 over both sides' random
+numbers and its role, so that no answer can be reflected. The server's messages are pickles; each has a keyed hash over
+itself and its sequence number (BLAKE2b, RFC 7693), so that nobody can add, change or repeat one. The worker's messages
+are MessagePack of fixed fields, JPEG and pixels, which execute nothing. Neither is encrypted: the network between them
+is the operator's.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from glsplat.net.codec.encoded import Box, Encoded
 
 __all__ = [
     "HEAD",
-    "MAX_ANSWER",
+    "MAX_ANSWER_BYTES",
     "Failed",
     "Kind",
     "Order",
@@ -48,15 +48,13 @@ __all__ = [
     "receive",
 ]
 
-MAX_ANSWER = 256 * 2**20
-"""Bytes of a worker's message at most."""
-
-_MAX_ORDER = 2**24  # bytes of a server's message; a room's people bring up to 64 KiB of names and numbers each
+MAX_ANSWER_BYTES = 256 * 2**20  # of a worker's message
+_MAX_ORDER_BYTES = 2**24  # of a server's message, which has up to 64 KiB for each person of a room
 _MAGIC = b"glsplat worker 4"
 _NONCE = _TAG = 32
 _SEAL = 16  # bytes of the hash behind a server's message
 HEAD = struct.Struct("<IBI")
-"""Bytes that follow, kind, number of the picture; little endian."""
+"""Number of bytes that follow, kind, number of the picture; little endian."""
 
 _COUNT = struct.Struct("<Q")
 
@@ -80,7 +78,7 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
-    """A picture to draw, and the form in which it is sent back: JPEGs, or its pixels."""
+    """A picture to draw, and how to return it: as JPEGs, as pixels over the socket, or in a slot."""
 
     job: RenderJob
     slot: int | None = None  # of shared memory, for the pixels
@@ -88,7 +86,7 @@ class Order:
 
 
 class WorkerLostError(ContextLostError):
-    """A worker has ended, or does not answer. ``blames``: its picture is likely to be at fault."""
+    """A worker has ended or does not answer. ``blames``: its picture is likely to be at fault."""
 
     def __init__(self, message: str, blames: bool = False) -> None:
         super().__init__(message)
@@ -96,7 +94,7 @@ class WorkerLostError(ContextLostError):
 
 
 class RenderResult(msgspec.Struct, array_like=True, frozen=True):
-    """The fields of Rendered, without the pixels and the driver."""
+    """The fields of Rendered without pixels and driver."""
 
     views: int
     timings: dict[str, float]
@@ -128,7 +126,7 @@ _KINDS: tuple[tuple[str, type[Exception]], ...] = (
 
 
 def failure_of(error: BaseException) -> Failed:
-    """Return the message for an error: files that cannot be read count as malformed, faults bring their traceback."""
+    """Return the message for an error. An OSError counts as a FormatError; an unexpected one has its traceback."""
     if isinstance(error, OSError):
         return Failed("format", str(error))
     kind = next((name for name, one in _KINDS if isinstance(error, one)), "other")
@@ -147,7 +145,7 @@ def error_of(failed: Failed) -> Exception:
 
 
 def pack(kind: Kind, number: int = 0, content: Any = None) -> bytes:
-    """Return a worker's message. ``content``: None, text, bytes, a struct or an Encoded."""
+    """Return a worker's message; ``content`` is None, text, bytes, a struct or an Encoded."""
     if isinstance(content, str):
         body = content.encode()
     elif content is None or isinstance(content, bytes):
@@ -157,7 +155,7 @@ def pack(kind: Kind, number: int = 0, content: Any = None) -> bytes:
     return HEAD.pack(len(body), kind, number) + body
 
 
-# each raises msgspec.DecodeError for anything else
+# these raise msgspec.DecodeError
 read_result: Callable[[bytes], RenderResult] = msgspec.msgpack.Decoder(RenderResult).decode
 read_failed: Callable[[bytes], Failed] = msgspec.msgpack.Decoder(Failed).decode
 read_encoded: Callable[[bytes], Encoded] = msgspec.msgpack.Decoder(Encoded).decode
@@ -184,11 +182,11 @@ class Reader:
         self._connection, self._key, self._count = connection, key, 0
 
     def receive(self) -> tuple[Kind, int, Any]:
-        """Wait for the next message. Raises EOFError at the end, GlsplatError for one that the server did not send."""
+        """Wait for the next message. Raises EOFError at the end, GlsplatError for a message with a wrong seal."""
         head = receive(self._connection, HEAD.size)
         length, kind, number = HEAD.unpack(head)
-        if length > _MAX_ORDER:
-            raise GlsplatError(f"a request to a worker needs at most {_MAX_ORDER} bytes, not {length}")
+        if length > _MAX_ORDER_BYTES:
+            raise GlsplatError(f"a request to a worker needs at most {_MAX_ORDER_BYTES} bytes, not {length}")
         body = receive(self._connection, length)
         self._count += 1
         if not hmac.compare_digest(receive(self._connection, _SEAL), _seal(self._key, self._count, head, body)):
@@ -197,20 +195,20 @@ class Reader:
 
 
 def greet(connection: socket.socket, secret: bytes, *, worker: bool) -> bytes:
-    """Prove to each other that both sides know the secret; return the key of this connection. Blocks.
+    """Prove on both sides that they know the secret; return the key of this connection. Blocks.
 
     Raises GlsplatError where the other side does not know it, EOFError where it leaves, TimeoutError.
     """
     own = os.urandom(_NONCE)
     connection.sendall(_MAGIC + own)
-    said = receive(connection, len(_MAGIC) + _NONCE)
-    if said[: len(_MAGIC)] != _MAGIC:
+    greeting = receive(connection, len(_MAGIC) + _NONCE)
+    if greeting[: len(_MAGIC)] != _MAGIC:
         raise GlsplatError("what is at the other end is no glsplat worker, or of another version")
-    other = said[len(_MAGIC) :]
+    other = greeting[len(_MAGIC) :]
     both = other + own if worker else own + other  # the gateway's first
     tags = {role: hmac.digest(secret, role + both, "sha256") for role in (b"gateway", b"worker", b"key")}
     mine, theirs = (b"worker", b"gateway") if worker else (b"gateway", b"worker")
-    if worker:  # the server proves first: a stranger who asks learns nothing to try secrets on
+    if worker:  # the server proves itself first: a stranger gets no hash to test guesses on
         known = hmac.compare_digest(receive(connection, _TAG), tags[theirs])
         if known:
             connection.sendall(tags[mine])
@@ -223,7 +221,7 @@ def greet(connection: socket.socket, secret: bytes, *, worker: bool) -> bytes:
 
 
 def receive(connection: socket.socket, count: int) -> bytes:
-    """Return ``count`` bytes. Raises EOFError where fewer come."""
+    """Receive ``count`` bytes. Raises EOFError where the connection ends before."""
     parts, left = [], count
     while left:
         part = connection.recv(min(left, 2**20))

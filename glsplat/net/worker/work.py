@@ -1,7 +1,7 @@
 """The worker's program: draws the pictures that the server orders, and encodes each while it draws the next one.
 
 One thread draws (an OpenGL context belongs to a thread), one reads, some encode. A worker serves one server and ends
-with it. This module imports little, so that a worker is ready soon.
+with it. This module imports little, so that a worker starts quickly.
 """
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ if TYPE_CHECKING:
 
 __all__ = ["GREETING_S", "work", "work_in_process"]
 
-GREETING_S = 10.0
-"""Limit of the handshake."""
+GREETING_S = 10.0  # limit of the handshake
 
 
 def work_in_process(
     connection: socket.socket, secret: bytes, make: Callable[[], Backend], memory: tuple[str, int] | None
 ) -> None:
     """Run a worker as a process of its own. ``memory``: path and bytes of the slots."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # they may reach the whole process group; the server ends its workers
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # sent to the whole process group; the server ends its workers
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     with suppress(EOFError, OSError):
@@ -51,10 +50,10 @@ def work(
     known: Callable[[], object] = lambda: None,
     slots: SlotWriter | None = None,
 ) -> None:
-    """Serve the server at the other end with what ``make()`` returns, on this thread, until it asks to end.
+    """Draw for the server at the other end with the backend of ``make()``, on this thread, until it orders the end.
 
-    ``known`` is called once the other end has proved that it knows the secret; before, GlsplatError, EOFError or
-    OSError may be raised. Where the server leaves, the process ends: a picture in hand cannot be stopped otherwise.
+    ``known`` is called once the server has proved that it knows the secret; before that, GlsplatError, EOFError or
+    OSError may be raised. The process ends when the server leaves: nothing else stops a picture that is being drawn.
     """
     connection.settimeout(GREETING_S)
     key = greet(connection, secret, worker=True)
@@ -104,7 +103,7 @@ class _Worker:
                 elif kind == Kind.CLOSE:
                     self._orders.put(None)
         except GlsplatError:
-            traceback.print_exc()  # somebody tampers with the connection
+            traceback.print_exc()  # the connection is tampered with
         except (EOFError, OSError):
             pass
         os._exit(0)
@@ -132,7 +131,7 @@ class _Worker:
                 rendered.done()
             return
         if self._encoder is None:
-            from glsplat.net.worker.encoding import PictureEncoder  # here: not every worker encodes
+            from glsplat.net.worker.encoding import PictureEncoder  # loaded late: not every worker encodes
 
             self._encoder = PictureEncoder()
         self._encoder.submit(rendered, job.options).add_done_callback(partial(self._encoded, number))

@@ -1,4 +1,4 @@
-"""Worker: what a render loop needs of whatever draws. One event loop calls all of it."""
+"""Worker: the interface between a render loop and a renderer. All methods are called on one event loop."""
 
 from __future__ import annotations
 
@@ -12,31 +12,25 @@ __all__ = ["Worker"]
 
 @runtime_checkable
 class Worker(Protocol):
-    """Draws one picture after the other: on a thread of this process, or in another one, on any machine."""
+    """Draws one picture after the other: on a thread of this process, or in another process on any machine."""
 
     name: str
-    """For people, in the log and in /stats."""
+    """For the log and /stats."""
 
     async def open(self, lost: Callable[[], None]) -> str:
         """Start; return the driver string. ``lost`` is called when the worker ends by itself. Raises GlsplatError."""
-        ...
 
     async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
-        """Draw a picture; it has ``images``, or it is ``encoded`` by the worker unless ``pixels`` are asked for.
+        """Draw a picture. The result has ``images``; or ``encoded``, where the worker encodes, except with ``pixels``.
 
-        One call at a time. Raises what ``Backend.render`` raises; ContextLostError where nothing can be drawn before
-        ``rebuild``.
+        One call at a time. Raises the errors of ``Backend.render``; after ContextLostError call ``rebuild``.
         """
-        ...
 
     def cancel(self) -> None:
-        """Give up the picture in hand, which is not needed any more."""
-        ...
+        """Cancel the present picture."""
 
     async def rebuild(self) -> str:
-        """Start anew what is lost or has to be replaced; return the driver string. Raises GlsplatError."""
-        ...
+        """Restart; return the driver string. Raises GlsplatError."""
 
     async def close(self) -> None:
-        """End, after the picture in hand or without it; harmless where ``open`` failed."""
-        ...
+        """End, after the present picture or without it; harmless where ``open`` failed."""

@@ -20,11 +20,11 @@ from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import PictureBudget, others_share
-from glsplat.net.backends.gl import RendererBackend, most_cost
+from glsplat.net.backends.gl import RendererBackend, max_cost_of
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.backends.scene_renderer import SceneRenderer
-from glsplat.net.fields import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.renderer import Prepared, Renderer
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
@@ -33,7 +33,7 @@ from tests.net.running import opened
 SIZE = 128
 EYE = np.array([0.0, 1.5, 0.0])
 VIEW = Camera(look_at(EYE, (0, 1.5, 1)), pinhole(SIZE, SIZE), SIZE, SIZE)
-MOST = most_cost(LEAN)
+MOST = max_cost_of(LEAN)
 PERSON = replace(default_avatar().levels[1].content, levels=default_avatar().levels[2:])
 SKELETON = PERSON.skeleton
 HEADS = SKELETON.rest[:, :3, 3]

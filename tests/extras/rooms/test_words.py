@@ -19,10 +19,9 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.lettering import draw_labels
 from glsplat.net.client import Client
-from glsplat.net.labels import Label, driven_by
 from glsplat.net.messages import WireOptions
 from glsplat.net.reply import Reply
-from glsplat.net.room_view import RoomView, VisiblePerson
+from glsplat.net.room_view import Label, RoomView, VisiblePerson, driven_by
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.scene import Scene, similarity

@@ -100,7 +100,7 @@ class _Peer:
         options = WireOptions(mirror=self.chance.random() < 0.2)
         self.window = self.chance.randint(1, 8)
         self.session = Session(
-            Decoder(options, skeleton, parts), SessionConfig(window=self.window, widest=self.window), self.now
+            Decoder(options, skeleton, parts), SessionConfig(window=self.window, max_window=self.window), self.now
         )
         self.taken: list[Request] = []
         self.newest = -1

@@ -18,8 +18,8 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.backends.depth import depth_grids
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.codec.depth import SIDE, grid_of
-from glsplat.net.fields import PictureOptions
 from glsplat.net.reply import parse_reply
+from glsplat.net.wire_schema import PictureOptions
 from glsplat.net.worker.process import process_worker
 from glsplat.net.worker.thread import ThreadWorker
 from glsplat.renderer import Renderer

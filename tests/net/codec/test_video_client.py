@@ -28,7 +28,7 @@ def grey(reply, eye=1):
 @pytest.mark.parametrize("codec", ["vp9", "h264"])
 @pytest.mark.parametrize("alpha", [False, True, "straight"])
 async def test_pictures_are_those_of_jpegs(serve, fake_backend, cameras, codec, alpha, monkeypatch):
-    monkeypatch.setattr(VideoReader, "wish", lambda self: {"codecs": [codec]})
+    monkeypatch.setattr(VideoReader, "request_fields", lambda self: {"codecs": [codec]})
     async with serve(fake_backend(), WATCHES) as server:
         async with Client(server.url, video=True) as one, Client(server.url) as other:
             ask = {"quality": 90, "alpha": alpha}
@@ -106,11 +106,11 @@ def coded(**more):
 )
 def test_a_reply_that_lies_is_no_picture(more):
     reader = VideoReader()
-    assert reader.eyes(*coded(**more)[0]) == () and reader.wish()["key"] is True
+    assert reader.eyes(*coded(**more)[0]) == () and reader.request_fields()["key"] is True
     missing, said, size = coded()[0]
     said = {key: value for key, value in said.items() if key not in more}
     assert more.keys() == {"alpha"} or reader.eyes(missing, said, size) == ()
-    assert len(reader.eyes(*coded()[0])) == 2 and "key" not in reader.wish()
+    assert len(reader.eyes(*coded()[0])) == 2 and "key" not in reader.request_fields()
 
 
 def test_bytes_that_are_no_video():

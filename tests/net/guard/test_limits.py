@@ -13,7 +13,7 @@ from glsplat.net.guard import gate
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.limits import Bucket, ClientQuota, Limits, Strikes, address_key
 from glsplat.net.guard.meter import FrameMeter
-from glsplat.net.messages import MAX_BYTES
+from glsplat.net.messages import MAX_MESSAGE_BYTES
 from glsplat.net.options import ServerConfig
 from glsplat.net.session import SessionConfig
 from tests.net.wire import frame, full_hands
@@ -188,7 +188,7 @@ ROWS = {
     "pings, pongs and closes of a client": (f"{LIMITS.control:g} a second", f"{LIMITS.control_burst:g}"),
     "bytes of a client": (f"{LIMITS.bytes / 2**20:g} MiB a second", f"{LIMITS.bytes_burst / 2**20:g} MiB"),
     "messages of a client": (f"{SESSION.rate:g} a second", f"{SESSION.burst}"),
-    "bytes of a message": (f"{MAX_BYTES:,}".replace(",", " "), ""),
+    "bytes of a message": (f"{MAX_MESSAGE_BYTES:,}".replace(",", " "), ""),
     "reading the messages and solving the tracking of all clients": (
         *(f"{LIMITS.work:g} s a second", f"{LIMITS.work:g} s"),
     ),

@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.extras.far_links.link import LinkEstimator
 from glsplat.extras.far_links.link_control import AHEAD, LinkControl
-from glsplat.net.pace.ladder import CALM, SCALES, ladder, visible_loss
+from glsplat.net.pace.ladder import REDUCED_FPS, SCALES, ladder, visible_loss
 from tools.net.simulated_link import DRAW, FULL, Link, Oracle, Outcome, play
 
 SECONDS = 20.0
@@ -149,7 +149,7 @@ def test_fast_renderers_are_slowed_down_before_pictures_are_ugly() -> None:
         rung = control.rung(number, 1024 * 1024, 80, True, now)
         control.written(number, round(40_000 * rung.bits), now)
         control.acknowledged(number, 0.1, 0.0, now + 0.02 + 8 * 40_000 * rung.bits / 2e6)
-    assert rests > 100 and number < 600 / 72 * (CALM + 5)
+    assert rests > 100 and number < 600 / 72 * (REDUCED_FPS + 5)
 
 
 def delivered(link: LinkEstimator, rate: float, base: float, start: float, count: int, nbytes: int = 10_000) -> float:

@@ -94,7 +94,7 @@ def test_who_stops_saying_it_goes_on_getting_pictures(acknowledges: bool) -> Non
 
 
 def test_servers_that_do_not_adapt_ignore_it_and_named_windows_are_kept() -> None:
-    fixed, named = opened(adapt=False), opened(window=3, widest=3)
+    fixed, named = opened(adapt=False), opened(window=3, max_window=3)
     for session in (fixed, named):
         assert session.receive(asking(1, ack=0, arrival={"age": 50}), 0.1) is not None
     assert fixed.link is None and fixed.window == 2 and fixed.rest(0.2) == 0 and named.window == 3

@@ -17,7 +17,7 @@ from typing import Any
 from glsplat.errors import PoseError
 from glsplat.net.backend import Solved
 from glsplat.net.client_stream import ClientStream, Outgoing, PoseAnswer, Refused
-from glsplat.net.codec.body import HERE, Place, Poses, pack_body
+from glsplat.net.codec.body import AT_ORIGIN, Placement, Poses, pack_body
 from glsplat.net.messages import Request
 from glsplat.net.reply import pack_poses
 from glsplat.skinning.pose import Pose
@@ -112,9 +112,9 @@ class PoseResponder:
         if sha256 is None:
             return self._withheld(name) or f'"{name}" is nothing that a browser could draw: ask for pictures'
         pose = request.pose or Pose.zero(55 if skeleton is None else len(skeleton))
-        place = HERE
+        place = AT_ORIGIN
         if solved is not None:
-            pose, place = solved.pose, Place((0.0, solved.floor, 0.0), scale=solved.scale)
+            pose, place = solved.pose, Placement((0.0, solved.floor, 0.0), scale=solved.scale)
         assert request.frame_id is not None
         return Poses(
             [pack_body(pose, sha256, place, at=arrived * 1e3, t=request.t, frame_id=request.frame_id, you=True)]

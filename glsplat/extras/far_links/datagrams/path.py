@@ -32,7 +32,7 @@ from glsplat.extras.far_links.datagrams.packets import (
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
 from glsplat.extras.far_links.datagrams.roles import PathUser
 from glsplat.net.guard.limits import Bucket
-from glsplat.net.messages import MAX_BYTES
+from glsplat.net.messages import MAX_MESSAGE_BYTES
 
 __all__ = ["DatagramPath"]
 
@@ -79,7 +79,9 @@ class DatagramPath(QuicConnectionProtocol):
         self._silences = 0  # in a row
         self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
         self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
-        self._requests = Assembler(REQUEST, MAX_BYTES, parity=0)  # to restore one takes longer than to draw for it
+        self._requests = Assembler(
+            REQUEST, MAX_MESSAGE_BYTES, parity=0
+        )  # to restore one takes longer than to draw for it
         self._streamed = 0
         self._ended = False
 

@@ -61,7 +61,7 @@ class SecondWay:
         assert link is None or isinstance(link, LinkControl)
         return link
 
-    def on_the_way(self, nbytes: int) -> int:
+    def link_bytes(self, nbytes: int) -> int:
         """Bytes that a picture of so many takes of the link, whichever way it goes now."""
         path = self._path
         return nbytes if path is None or not path.takes(nbytes) else round(nbytes * path.overhead(nbytes))

@@ -7,7 +7,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import PoseError, ProtocolError
-from glsplat.net.codec.body import HERE, pack_body, place_of, unpack_bodies, yours
+from glsplat.net.codec.body import AT_ORIGIN, for_recipient, pack_body, placement_of, unpack_bodies
 from glsplat.net.reply import pack_poses, parse_reply
 from glsplat.rotations import turn_between
 from glsplat.skinning.expression import ARKIT
@@ -32,7 +32,7 @@ def someone(seed: int, joints: int = 55, stretched: bool = False, face: bool = T
 def test_what_was_packed_comes_back(joints: int, stretched: bool, face: bool) -> None:
     pose = someone(joints, joints, stretched, face)
     place = glsplat.scene.similarity((1.5, -2, 3), (0.1, 0.7, -0.3, 0.5), 1.3)
-    packed = pack_body(pose, SHA, place_of(place), at=12345.678, t=None, key=7, frame_id=2**32 - 1, opacity=0.5)
+    packed = pack_body(pose, SHA, placement_of(place), at=12345.678, t=None, key=7, frame_id=2**32 - 1, opacity=0.5)
     (body,) = unpack_bodies(bytes((1,)) + packed)
     assert np.degrees(np.linalg.norm(turn_between(pose.rotations, body.pose.rotations), axis=1)).max() < 0.006
     assert np.allclose(body.pose.trans, pose.trans, atol=1e-6) and np.allclose(body.place, place, atol=1e-6)
@@ -43,17 +43,17 @@ def test_what_was_packed_comes_back(joints: int, stretched: bool, face: bool) ->
     if stretched:
         assert body.pose.translations is not None and pose.translations is not None
         assert np.allclose(body.pose.translations, pose.translations, atol=1e-7)
-    mine = unpack_bodies(bytes((1,)) + yours(packed, True, 0.2))[0]
-    assert mine.you and abs(mine.opacity - 0.2) < 0.003 and yours(packed, False, 0.5) is packed
+    mine = unpack_bodies(bytes((1,)) + for_recipient(packed, True, 0.2))[0]
+    assert mine.you and abs(mine.opacity - 0.2) < 0.003 and for_recipient(packed, False, 0.5) is packed
 
 
 def test_a_body_that_its_size_cannot_count_is_refused() -> None:
     with pytest.raises(PoseError, match="a pose of 12000 joints is too long for the wire"):
-        pack_body(glsplat.Pose(np.zeros((12000, 3))), SHA, HERE, at=0.0, t=None)
+        pack_body(glsplat.Pose(np.zeros((12000, 3))), SHA, AT_ORIGIN, at=0.0, t=None)
 
 
 def test_two_people_are_below_a_kilobyte_each_and_skipped_by_their_size() -> None:
-    packed = [pack_body(someone(i), SHA, HERE, at=i, t=i / 3, key=i) for i in (1, 2)]
+    packed = [pack_body(someone(i), SHA, AT_ORIGIN, at=i, t=i / 3, key=i) for i in (1, 2)]
     first = (len(packed[0]) + 5).to_bytes(2, "little") + packed[0][2:] + b"later"  # a version that appends
     data = pack_poses(9, {"want": "pose"}, [first, packed[1]])
     reply = parse_reply(data)
@@ -64,7 +64,7 @@ def test_two_people_are_below_a_kilobyte_each_and_skipped_by_their_size() -> Non
 @pytest.mark.check
 def test_damaged_replies_are_read_or_refused_in_one_line() -> None:
     rng = np.random.default_rng(11)
-    bodies = [pack_body(someone(i, 55, i == 2), SHA, HERE, at=i, t=i) for i in (1, 2)]
+    bodies = [pack_body(someone(i, 55, i == 2), SHA, AT_ORIGIN, at=i, t=i) for i in (1, 2)]
     whole = pack_poses(3, {"want": "pose", "room": {"people": []}}, bodies)
     for size in range(0, len(whole), 3):
         with pytest.raises(ProtocolError):
@@ -100,7 +100,7 @@ def test_damaged_replies_are_read_or_refused_in_one_line() -> None:
     ],
 )
 def test_what_is_no_body_is_refused(at: int, value: bytes) -> None:
-    packed = bytearray(pack_body(someone(1), SHA, HERE, at=1, t=1))
+    packed = bytearray(pack_body(someone(1), SHA, AT_ORIGIN, at=1, t=1))
     packed[at : at + len(value)] = value
     with pytest.raises(ProtocolError):
         unpack_bodies(bytes((1,)) + bytes(packed))

@@ -140,11 +140,11 @@ class Way:
 def test_what_a_picture_takes_of_the_link_is_known_before_it_goes() -> None:
     """By datagrams it counts with its parity."""
     way = SecondWay(Nobody(), Session(Decoder(), now=0.0), "a", lambda: 0.0, lambda: None)
-    assert way.on_the_way(1000) == 1000
+    assert way.link_bytes(1000) == 1000
     way.opened(Way())  # type: ignore[arg-type]
-    assert way.on_the_way(1000) == 1250 and way.on_the_way(6000) == 6000
+    assert way.link_bytes(1000) == 1250 and way.link_bytes(6000) == 6000
     way.closed()
-    assert way.on_the_way(1000) == 1000
+    assert way.link_bytes(1000) == 1000
 
 
 async def test_of_too_many_requests_the_newest_are_kept() -> None:

@@ -1,7 +1,6 @@
-"""The fields of a request as they stand on the wire (docs/protocol.md, section 3): their types, not their limits.
+"""The fields of a request on the wire (docs/protocol.md, section 3): their types, and checks of single fields.
 
-Unknown keys are ignored. Types bound the depth of what is read; messages.py checks the rest, but for tracking, which
-becomes a Sample here.
+Unknown keys are ignored. The types bound the nesting; messages.py checks limits and combinations of fields.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ if TYPE_CHECKING:
     from glsplat.light.light import Light
 
 __all__ = [
-    "DEFAULT",
-    "FAR",
-    "MOST_FACES",
-    "NEAR",
-    "PICTURE",
-    "SH_DEGREE",
+    "DEFAULT_FAR_M",
+    "DEFAULT_NEAR_M",
+    "DEFAULT_OPTIONS",
+    "DEFAULT_SH_DEGREE",
+    "MAX_FACES",
+    "REQUEST_ONLY",
     "Alpha",
     "Arrival",
     "Eye",
@@ -44,20 +43,20 @@ __all__ = [
     "LightFields",
     "Message",
     "PictureOptions",
-    "Place",
+    "PictureParams",
     "PoseFields",
+    "Position",
     "Tracking",
     "Video",
     "Want",
-    "Wishes",
-    "faces_of",
-    "given",
-    "light_of",
+    "checked_faces",
+    "checked_light",
+    "checked_video",
+    "present_fields",
     "sample_of",
-    "video_of",
 ]
 
-NEAR, FAR, SH_DEGREE = 0.01, 1e10, 3  # of an eye whose request is silent: Camera's own defaults
+DEFAULT_NEAR_M, DEFAULT_FAR_M, DEFAULT_SH_DEGREE = 0.01, 1e10, 3  # of an eye without these fields, as of Camera
 
 Numbers = list[float | list[float]]  # flat or nested once
 
@@ -65,34 +64,30 @@ Expression = dict[str, float] | list[float]  # by name, or in ARKit's order
 
 Joints = tuple[tuple[float, ...], ...]
 
-Place = tuple[float, float, float]
+Position = tuple[float, float, float]
 
-MOST_FACES = 16
-"""Faces that a request names at most."""
-
-MOST_CODECS = 8
-"""Codecs that a request names at most."""
+MAX_FACES = 16  # of a request
+MAX_CODECS = 8  # of a request
 
 Alpha = bool | Literal["straight"]
-"""Whether alpha is sent too: with colours over black (premultiplied), or with straight ones (codec/straight.py)."""
-
+"""Whether alpha is sent, too; colours are premultiplied (over black), or "straight" (codec/straight.py)."""
 
 Want = Literal["picture", "pose"]
-"""What is asked for: a picture, or how those stand whom the client draws itself."""
+"""The answer to a request: a picture, or the poses of people whom the client draws itself."""
 
 
 class Eye(msgspec.Struct):
-    """A camera: world to camera row by row, and [fx, fy, cx, cy] in pixels."""
+    """A camera: the world-to-camera matrix row by row, and [fx, fy, cx, cy] in pixels."""
 
     viewmat: list[float]
     K: list[float]
-    near: float = NEAR
-    far: float = FAR
-    sh_degree: int = SH_DEGREE
+    near: float = DEFAULT_NEAR_M
+    far: float = DEFAULT_FAR_M
+    sh_degree: int = DEFAULT_SH_DEGREE
 
 
 class Tracking(msgspec.Struct):
-    """The fields of glsplat.tracking.sample; null means not tracked."""
+    """The fields of a tracking sample (glsplat.tracking.sample); null means not tracked."""
 
     head: tuple[float, ...] | None = None
     left: tuple[float, ...] | None = None
@@ -108,12 +103,12 @@ class Tracking(msgspec.Struct):
     right_foot: tuple[float, ...] | None = None
     body: dict[str, tuple[float, ...] | None] | None = None
     expression: Expression | None = None
-    leftEye: tuple[float, ...] | None = None  # noqa: N815 - names of the wire
+    leftEye: tuple[float, ...] | None = None  # noqa: N815 - the wire's name
     rightEye: tuple[float, ...] | None = None  # noqa: N815
 
 
 class PoseFields(msgspec.Struct):
-    """Either layout of glsplat.skinning.pose; other keys are ignored."""
+    """A pose in either layout of glsplat.skinning.pose."""
 
     root_pose: Numbers | None = None
     trans: Numbers | None = None
@@ -129,14 +124,14 @@ class PoseFields(msgspec.Struct):
 
 
 class SunFields(msgspec.Struct):
-    """A sun or far lamp, as glsplat.light.Light has it."""
+    """The directional light of a glsplat.light.Light."""
 
     direction: tuple[float, ...]
     color: tuple[float, ...]
 
 
 class LightFields(msgspec.Struct):
-    """What Light.from_json reads: the type bounds the depth, and other keys are dropped as everywhere here."""
+    """The fields of Light.from_json."""
 
     ambient: list[tuple[float, ...]]
     sun: SunFields | None = None
@@ -156,40 +151,40 @@ class LegacyCamera(msgspec.Struct):
 
 
 class Arrival(msgspec.Struct, frozen=True):
-    """What a client says of the picture that ``ack`` names. Milliseconds."""
+    """A client's report on the picture that ``ack`` names. Milliseconds."""
 
-    age: float  # from when it was asked for until it arrived, or was shown
-    held: float = 0.0  # from when it arrived until this message
+    age: float  # from its request until it arrived, or was shown
+    held: float = 0.0  # from its arrival until this message
 
 
 class Video(msgspec.Struct, frozen=True):
-    """That a client can decode video."""
+    """The video that a client can decode."""
 
-    codecs: tuple[str, ...]  # names of codec/video.py, the best first; others are not known here
-    key: bool = False  # it cannot go on from what it has
+    codecs: tuple[str, ...]  # names of extras/far_links/video.py, the best first; others are ignored
+    key: bool = False  # the client needs a key picture: it lost the one before
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureOptions:
-    """How a client wants its pictures: one object from the message to what draws and to what encodes."""
+    """Options of a picture, for the renderer and the encoder."""
 
     quality: int = 80  # JPEG
-    crop: bool = False
-    alpha: Alpha = False  # the accumulated alpha too
+    crop: bool = False  # send the covered part only
+    alpha: Alpha = False  # send the accumulated alpha, too
     hide: tuple[str, ...] = ()  # parts of the avatar to leave out, each once, sorted
-    box: bool = False  # where the avatar is, too
-    depth: bool = False  # how far away what it shows is, too
-    light: Light | None = None  # that falls on it, in the space of the cameras; None: the server's
-    video: Video | None = None  # it may be part of a video; None: a JPEG
+    box: bool = False  # report the avatar's bounding box
+    depth: bool = False  # send a depth grid, too
+    light: Light | None = None  # in the space of the cameras; None: the server's
+    video: Video | None = None  # the picture may be part of a video; None: a JPEG
 
 
-class Wishes(TypedDict, total=False):
-    """How a client of this package wants its pictures.
+class PictureParams(TypedDict, total=False):
+    """Options of a picture, as arguments of ``Client``.
 
-    ``quality`` is JPEG's. ``crop`` has only the covered part sent, ``alpha`` the accumulated alpha too (``Reply.rgba``;
-    "straight" keeps the silhouette cleaner at the same quality). ``mirror`` overrules what the connection asked for.
-    ``hide`` leaves parts of the avatar out: ("head",). ``box`` has the server say where the avatar is (``Reply.box``),
-    ``depth`` how far away what is shown is (``Reply.depth``). ``light`` (cameras' axes) falls instead of the server's.
+    ``quality`` is JPEG's. ``crop`` sends the covered part only. ``alpha`` sends the accumulated alpha, too
+    (``Reply.rgba``); "straight" keeps the silhouette cleaner at the same quality. ``mirror`` overrides the connection's
+    option. ``hide`` leaves out parts of the avatar: ("head",). ``box`` requests its bounding box (``Reply.box``),
+    ``depth`` a depth grid (``Reply.depth``). ``light``, in the cameras' axes, replaces the server's.
     """
 
     quality: int | None
@@ -202,11 +197,11 @@ class Wishes(TypedDict, total=False):
     light: Light | str | None
 
 
-DEFAULT = PictureOptions()
+DEFAULT_OPTIONS = PictureOptions()
 
 
 class Message(msgspec.Struct):
-    """A request, or an acknowledgement; null is the same as absent where a type allows it."""
+    """A request or an acknowledgement. Where null is allowed, it is the same as an absent key."""
 
     v: int | None = None
     frame_id: int | None = None
@@ -225,36 +220,36 @@ class Message(msgspec.Struct):
     depth: bool = False
     pose: PoseFields | None = None
     tracking: Tracking | None = None
-    faces: list[Place] | None = None
+    faces: list[Position] | None = None
     light: LightFields | str | None = None
     video: Video | None = None
     datagrams: bool = False
 
 
 class LegacyMessage(msgspec.Struct):
-    """What older clients send; these keys mean nothing in a message that names its version."""
+    """The keys of older clients; ignored in a message that has a version."""
 
     cameras: list[LegacyCamera] | None = None
     camera: LegacyCamera | None = None
     smplx: PoseFields | None = None
 
 
-PICTURE = tuple(
+REQUEST_ONLY = tuple(
     "want eyes size quality crop alpha mirror hide box depth pose tracking faces light video datagrams".split()
 )
-"""Fields that only a request has."""
+"""Fields that an acknowledgement lacks."""
 
 
-def given(fields: PoseFields | Tracking) -> dict[str, Any]:
-    """What of it is there, by the wire's names."""
+def present_fields(fields: PoseFields | Tracking) -> dict[str, Any]:
+    """Return the fields that are not None, by the wire's names."""
     return {key: value for key, value in msgspec.structs.asdict(fields).items() if value is not None}
 
 
-def sample_of(m: Tracking, t: float, farthest: float) -> tuple[Sample, str]:
-    """The sample at ``t`` seconds, and why there is none, which is said once its picture is due ("": there is one).
+def sample_of(m: Tracking, t: float, max_metres: float) -> tuple[Sample, str]:
+    """Return the sample at ``t`` seconds, and "", or why it cannot be solved; that fails its picture.
 
-    Types, counts and metres (up to ``farthest``) are looked at here and nowhere else; what a body can do is the
-    tracker's to judge. Raises ProtocolError and, of an expression, PoseError for what is refused at once.
+    Counts, quaternions and positions (up to ``max_metres``) are checked here only; the tracker judges the pose.
+    Raises ProtocolError, and PoseError for an expression, where the message is refused at once.
     """
     poses: dict[str, Any] = {}
     for name in (*WRISTS, *TRACKERS):
@@ -263,18 +258,18 @@ def sample_of(m: Tracking, t: float, farthest: float) -> tuple[Sample, str]:
             continue
         if len(pose) != 7:
             raise ProtocolError(f"tracking.{name} needs [x, y, z, qx, qy, qz, qw], not {len(pose)} numbers")
-        if max(map(abs, pose[:3])) > farthest:
-            raise ProtocolError(f"tracking.{name} needs metres below {farthest:g}")
-        if not 1e-9 < hypot(*pose[3:]) < 1e3:  # no matrix is made of it here: that takes 0.1 ms
+        if max(map(abs, pose[:3])) > max_metres:
+            raise ProtocolError(f"tracking.{name} needs metres below {max_metres:g}")
+        if not 1e-9 < hypot(*pose[3:]) < 1e3:  # making a matrix of it would take 0.1 ms
             raise ProtocolError(f"tracking.{name} needs a quaternion of about unit length", "bad_camera")
     expression = checked_expression(m.expression)
     for name, gaze in (("leftEye", m.leftEye), ("rightEye", m.rightEye)):
         if gaze is not None and not (len(gaze) == 3 and 1e-6 < hypot(*gaze) < 1e6):
             raise ProtocolError(f"tracking.{name} needs a direction of 3 numbers that are not all 0")
-    body = _body(m.body, farthest)
+    body = _body(m.body, max_metres)
     try:
         if all(poses[name] is None for name in WRISTS):
-            return Sample.from_json(given(m), t), ""  # which says what is missing
+            return Sample.from_json(present_fields(m), t), ""  # raises: it names what is missing
         left_joints, right_joints = _hand(m.left_joints, "left_joints"), _hand(m.right_joints, "right_joints")
     except PoseError as error:
         return Sample(t), str(error)
@@ -297,31 +292,31 @@ def sample_of(m: Tracking, t: float, farthest: float) -> tuple[Sample, str]:
     return sample, ""
 
 
-def faces_of(value: Sequence[Place] | None, farthest: float) -> tuple[Place, ...]:
-    """The places of faces that may be looked at. Raises ProtocolError for too many, and beyond ``farthest`` metres."""
+def checked_faces(value: Sequence[Position] | None, max_metres: float) -> tuple[Position, ...]:
+    """Return the positions of faces, of which an avatar may look at one. Raises ProtocolError."""
     if value is None:
         return ()
-    if len(value) > MOST_FACES:
-        raise ProtocolError(f"faces needs at most {MOST_FACES} places, not {len(value)}")
-    if any(max(map(abs, place)) > farthest for place in value):
-        raise ProtocolError(f"faces needs metres below {farthest:g}")
+    if len(value) > MAX_FACES:
+        raise ProtocolError(f"faces needs at most {MAX_FACES} places, not {len(value)}")
+    if any(max(map(abs, place)) > max_metres for place in value):
+        raise ProtocolError(f"faces needs metres below {max_metres:g}")
     return tuple(value)
 
 
-def video_of(value: Video | None) -> Video | None:
-    """What a client can decode. Raises ProtocolError for names that are none, or too many."""
+def checked_video(value: Video | None) -> Video | None:
+    """Return a client's video options. Raises ProtocolError for too many codecs or malformed names."""
     if value is None:
         return None
-    if not (1 <= len(value.codecs) <= MOST_CODECS and all(0 < len(codec) <= 32 for codec in value.codecs)):
-        raise ProtocolError(f"video.codecs needs 1 to {MOST_CODECS} names of up to 32 characters, the best first")
+    if not (1 <= len(value.codecs) <= MAX_CODECS and all(0 < len(codec) <= 32 for codec in value.codecs)):
+        raise ProtocolError(f"video.codecs needs 1 to {MAX_CODECS} names of up to 32 characters, the best first")
     return value
 
 
-def light_of(value: LightFields | str | None) -> Light | None:
-    """The light that falls on what is shown, in the space of the eyes. Raises ProtocolError for what is none."""
+def checked_light(value: LightFields | str | None) -> Light | None:
+    """Return the light of a request, in the space of the eyes. Raises ProtocolError."""
     if value is None:
         return None
-    from glsplat.light.light import Light  # here: clients and most requests have none
+    from glsplat.light.light import Light  # loaded late: clients and most requests have none
 
     try:
         return Light.from_json(msgspec.to_builtins(value))
@@ -330,17 +325,17 @@ def light_of(value: LightFields | str | None) -> Light | None:
 
 
 def _hand(value: Numbers | None, key: str) -> Joints | None:
-    """As ``hand_joints``, without another look at numbers that are known to be some."""
+    """Return the joints of a hand, like ``hand_joints`` but without its checks that the decoder has done."""
     if value is None:
         return None
     joints = grouped(value, key)
     if len({*map(type, value)}) > 1 or not {*map(len, joints)} <= {3, 7}:
-        return hand_joints(value, key)  # which says what is wrong
+        return hand_joints(value, key)  # raises: it names the fault
     return tuple(map(tuple, joints))
 
 
-def _body(body: dict[str, tuple[float, ...] | None] | None, farthest: float) -> dict[str, tuple[float, ...]] | None:
-    """The joints that are used; the others are not looked at."""
+def _body(body: dict[str, tuple[float, ...] | None] | None, max_metres: float) -> dict[str, tuple[float, ...]] | None:
+    """Return the joints that the tracker uses; others are not checked."""
     if body is None:
         return None
     if len(body) > MOST_JOINTS:
@@ -352,7 +347,7 @@ def _body(body: dict[str, tuple[float, ...] | None] | None, farthest: float) -> 
             continue
         if len(joint) not in (3, 7):
             raise ProtocolError(f"tracking.body.{name} needs 3 or 7 numbers, not {len(joint)}")
-        if max(map(abs, joint[:3])) > farthest:
-            raise ProtocolError(f"tracking.body.{name} needs metres below {farthest:g}")
+        if max(map(abs, joint[:3])) > max_metres:
+            raise ProtocolError(f"tracking.body.{name} needs metres below {max_metres:g}")
         found[name] = joint
     return found
