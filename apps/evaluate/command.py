@@ -25,8 +25,8 @@ from glsplat.io.cores import cores
 from glsplat.io.files import locked, replace_file
 
 from ..args import motion_of
-from ..farming import add_ray, on_ray
 from ..progress import Progress
+from ..ray_tasks import add_ray, on_ray
 from ..usage import UsageError
 from .html import page
 from .outcome import outcome, plots, table_lines
