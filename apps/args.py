@@ -183,7 +183,7 @@ def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Rigge
 
 
 def driven(file: SceneFile, what: str) -> Rigged:
-    """Return the single visible avatar, whose pose an option or a client sets. Raises UsageError if there is not one."""
+    """Return the single visible avatar, whose pose an option or a client sets. Raises UsageError without one."""
     if file.avatar is not None:
         assert is_rigged(file.avatar.content)
         return file.avatar.content

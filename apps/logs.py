@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 from datetime import UTC, datetime
 
-__all__ = ["FORMATS", "add_log_format", "start_logging"]
+__all__ = ["FORMATS", "start_logging"]
 
 FORMATS = ("text", "json")
-
-
-def add_log_format(parser: argparse.ArgumentParser) -> None:
-    """Add --log-format."""
-    parser.add_argument(
-        "--log-format",
-        choices=FORMATS,
-        default=FORMATS[0],
-        help="log lines on standard error as text, or as JSON objects with time, level, logger, message (default text)",
-    )
 
 
 def start_logging(kind: str, level: int) -> None:

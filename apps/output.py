@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -15,7 +15,21 @@ from glsplat.errors import FormatError
 from glsplat.io.files import replace_file
 from glsplat.pictures import straight
 
-__all__ = ["Image", "eight_bit", "joined_views", "label", "save_depth", "save_npy", "save_png", "side_by_side", "stack"]
+if TYPE_CHECKING:
+    from glsplat.renderer import Renderer
+
+__all__ = [
+    "Image",
+    "eight_bit",
+    "frame_report",
+    "joined_views",
+    "label",
+    "save_depth",
+    "save_npy",
+    "save_png",
+    "side_by_side",
+    "stack",
+]
 
 Image = NDArray[np.uint8]
 
@@ -90,3 +104,18 @@ def save_depth(path: str | Path, depths: NDArray[np.float32], several: bool) -> 
         joined_views(depths) > 0, np.maximum(millimetres, 1), 0
     )  # less than half a millimetre is not empty
     _write_png(path, nearest.astype(np.uint16))
+
+
+def frame_report(renderer: Renderer) -> dict[str, Any]:
+    """Return driver, float target, counts and stage times of the last frame, as JSON values."""
+    stats = renderer.stats
+    return {
+        "driver": renderer.driver,
+        "float_target": renderer.target_dtype,
+        "splats": stats.splats,
+        "levels": stats.levels,
+        "drawn": stats.drawn,
+        "skipped": stats.skipped,
+        "culled": stats.culled,
+        "timings_ms": {stage: round(ms, 3) for stage, ms in renderer.timings.items()},
+    }

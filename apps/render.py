@@ -44,7 +44,7 @@ from .args import (
     size,
 )
 from .clip import CLIPS, Clip
-from .output import joined_views, save_depth, save_npy, save_png, side_by_side
+from .output import frame_report, joined_views, save_depth, save_npy, save_png, side_by_side
 from .progress import each
 from .usage import UsageError, output_kind
 
@@ -333,17 +333,9 @@ def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], c
 
 
 def _report(renderer: Renderer) -> dict[str, object]:
-    stats = renderer.stats
     return {
-        "driver": renderer.driver,
         "backend": renderer.context.backend,
         "variant": asdict(renderer.variant),
-        "float_target": renderer.target_dtype,
-        "splats": stats.splats,
-        "levels": stats.levels,
-        "drawn": stats.drawn,
-        "skipped": stats.skipped,
-        "culled": stats.culled,
         "gpu_bytes": renderer.nbytes(),
-        "timings_ms": {stage: round(ms, 3) for stage, ms in renderer.timings.items()},
+        **frame_report(renderer),
     }

@@ -147,15 +147,15 @@ def flag(value: Any, what: str, error: type[GlsplatError] = FormatError) -> bool
     raise error(f"{what} is True or False, not {_shown(value)}")
 
 
-def pixels(value: Any, what: str = "size", error: type[GlsplatError] = FormatError) -> tuple[int, int]:
+def pixels(value: Any, error: type[GlsplatError] = FormatError) -> tuple[int, int]:
     """Return width and height as ints. Raises ``error`` unless both are whole numbers of at least 1."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
         value = tuple(value)
     if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise error(f"{what} needs two whole numbers, width and height, not {_shown(value)}")
-    width, height = count(value[0], f"{what}'s width", error), count(value[1], f"{what}'s height", error)
+        raise error(f"size needs two whole numbers, width and height, not {_shown(value)}")
+    width, height = count(value[0], "size's width", error), count(value[1], "size's height", error)
     if min(width, height) < 1:
-        raise error(f"{what} needs at least 1x1 pixels, not {width}x{height}")
+        raise error(f"size needs at least 1x1 pixels, not {width}x{height}")
     return width, height
 
 

@@ -27,9 +27,11 @@ from .player import Player, Tracked
 
 __all__ = ["StreamedPictures", "read_tracked"]
 
+_RATE_HZ = 72.0  # of samples sent
 
-def read_tracked(name: str | None, rate: float = 72.0) -> Tracked:
-    """Return a recording of head and hands (.jsonl, or the embedded one), resampled to the newest sample at ``rate``.
+
+def read_tracked(name: str | None) -> Tracked:
+    """Return a recording of head and hands (.jsonl, or the embedded one), resampled to the newest sample at 72 Hz.
 
     Raises FormatError, which names the file.
     """
@@ -38,11 +40,11 @@ def read_tracked(name: str | None, rate: float = 72.0) -> Tracked:
     recording, seconds = load_drive(name)
     if not isinstance(recording, Recording):
         raise GlsplatError("this installation has no recording of its own; give --recording a file")
-    count = max(1, min(round(seconds * rate), 4 * len(recording.samples)))  # limits the memory for a long gap
-    samples = [recording.at((i + 0.5) / rate).tracking or {} for i in range(count)]
+    count = max(1, min(round(seconds * _RATE_HZ), 4 * len(recording.samples)))  # limits the memory for a long gap
+    samples = [recording.at((i + 0.5) / _RATE_HZ).tracking or {} for i in range(count)]
     zeros = np.zeros((count, len(JOINT_NAMES), 3))
     label = Path(name).stem if name else "recording"
-    return Tracked(rate, zeros, zeros[:, 0], JOINT_NAMES, label, samples=samples)
+    return Tracked(_RATE_HZ, zeros, zeros[:, 0], JOINT_NAMES, label, samples=samples)
 
 
 class StreamedPictures:

@@ -30,6 +30,7 @@ __all__ = ["MIN_PERIOD_S", "Feed", "Picture", "ViewRequest", "feed_of"]
 
 MIN_PERIOD_S = 1 / 72  # between requests
 _TIMEOUT_S = 5.0  # of a connection or a picture
+_REPLY_TIMEOUT_S = 2 * _TIMEOUT_S  # of wait_ready()
 _KEEPALIVE_S = 20.0  # without requests; the server drops clients that are silent for 60 s
 _MIN_SCALE = 1 / 16  # of the window size, if the server refuses larger pictures
 
@@ -118,11 +119,11 @@ class Feed:
             picture, self._picture = self._picture, None
         return picture
 
-    def wait_ready(self, seconds: float = 2 * _TIMEOUT_S) -> None:
+    def wait_ready(self) -> None:
         """Wait until the newest request is answered. Raises GlsplatError if it failed or took too long."""
         with self._changed:
-            if not self._changed.wait_for(lambda: self._answered[0] >= self._requested, seconds):
-                raise GlsplatError(self.notice or f"{self.url}: no picture within {seconds:g} s")
+            if not self._changed.wait_for(lambda: self._answered[0] >= self._requested, _REPLY_TIMEOUT_S):
+                raise GlsplatError(self.notice or f"{self.url}: no picture within {_REPLY_TIMEOUT_S:g} s")
             if self._answered[1]:
                 raise GlsplatError(self._answered[1])
 

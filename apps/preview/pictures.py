@@ -17,6 +17,7 @@ from glsplat.renderer.targets import Target
 from glsplat.scene import SceneLike
 from glsplat.timing import StageTimer
 
+from ..output import frame_report
 from .overlay import Line
 from .player import Player
 
@@ -124,17 +125,7 @@ class LocalPictures:
 
     def report(self) -> dict[str, Any]:
         """Return driver, float target, counts and stage times of the last frame."""
-        stats = self._renderer.stats
-        return {
-            "driver": self._renderer.driver,
-            "float_target": self._renderer.target_dtype,
-            "splats": stats.splats,
-            "levels": stats.levels,
-            "drawn": stats.drawn,
-            "skipped": stats.skipped,
-            "culled": stats.culled,
-            "timings_ms": {stage: round(ms, 3) for stage, ms in self._renderer.timings.items()},
-        }
+        return frame_report(self._renderer)
 
     def release(self) -> None:
         """Delete the renderer's GL objects."""

@@ -348,15 +348,15 @@ def save_clip(path: Path, kept: list[tuple[float, Reply]], across: int | None = 
     return clip.summary
 
 
-def save_sheet(path: Path, kept: list[tuple[float, Reply]], columns: int = 2) -> None:
-    """Several moments, each left and right side by side with frame number and time."""
+def save_sheet(path: Path, kept: list[tuple[float, Reply]]) -> None:
+    """Save a contact sheet of several moments, each left and right side by side with frame number and time."""
     step = max(1, len(kept) / _MOMENTS)
     chosen = [kept[int(i * step)] for i in range(min(_MOMENTS, len(kept)))]
     tiles, full = [], _full(chosen)
     for seconds, reply in chosen:
         pair = _fitted(_pair(reply, full), _TILE)
         tiles.append(label(pair, f"frame {reply.frame_id}, {seconds:.2f} s: left | right"))
-    save_png(path, stack([tiles[i : i + columns] for i in range(0, len(tiles), columns)]))
+    save_png(path, stack([tiles[i : i + 2] for i in range(0, len(tiles), 2)]))
 
 
 def _full(kept: list[tuple[float, Reply]]) -> tuple[int, int]:
