@@ -1,4 +1,4 @@
-"""``glsplat preview --xr``: a scene, or a server's pictures, on the headset of this computer (docs/openxr.md)."""
+"""``glsplat preview --xr``: show a scene, or a server's pictures, on this computer's headset (docs/openxr.md)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
-from glsplat.net.guard.access import read_token
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import record
 from glsplat.tracking.sample import Sample
@@ -34,42 +33,46 @@ from glsplat.tracking.solvers import SOLVERS
 from ..args import add_solver, detail_of, driven
 from ..output import Image, save_png
 from ..usage import UsageError
-from .feed import Feed
+from .feed import Feed, feed_of
 from .headset_feed import FeedShow
 from .player import Others
 from .window import Window
 
 __all__ = ["add_arguments", "check", "run"]
 
-_MOST = 72 * 60 * 30  # samples of a recording: half an hour
-_OWN = ("url", "view", "passthrough", "no_floor", "window", "scale", "record", "height", "calibration")
-_OTHERS = ("motion", "pose", "paused", "eye", "target", "connect", "recording", "numbers", "vsync")
+_MAX_SAMPLES = 72 * 60 * 30  # of a recording: half an hour
+_XR_ONLY = ("url", "view", "passthrough", "no_floor", "window", "scale", "record", "height", "calibration")
+_NOT_XR = ("motion", "pose", "paused", "eye", "target", "connect", "recording", "numbers", "vsync")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of --xr."""
+    """Add --xr and its options."""
     group = parser.add_argument_group("on a headset", "by OpenXR: SteamVR, Link, WiVRn, Monado; docs/openxr.md")
-    group.add_argument("--xr", action="store_true", help="on the headset of this computer, moved by who wears it")
-    group.add_argument("--url", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws there")
-    group.add_argument("--view", choices=VIEWS, help="begin with it (default mirror); button A or X: the next")
-    group.add_argument("--passthrough", action="store_true", help="show the room around the wearer, where it can be")
-    group.add_argument("--no-floor", action="store_true", help="leave the dark empty")
-    group.add_argument("--window", action="store_true", help="show in a window (--size) what the wearer sees")
-    group.add_argument("--scale", type=float, metavar="F", help="of the size that the headset asks for (default 1)")
-    group.add_argument("--record", metavar="FILE", help="write head, hands and all else that is tracked (.jsonl)")
-    group.add_argument("--height", type=float, help="the wearer's stature in metres (default: found as they move)")
-    group.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`, instead")
+    group.add_argument("--xr", action="store_true", help="show on this computer's headset; the wearer moves the avatar")
+    group.add_argument("--url", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws")
+    group.add_argument("--view", choices=VIEWS, help="view at the start (default mirror); button A or X switches")
+    group.add_argument(
+        "--passthrough", action="store_true", help="show the real room around the wearer, if the headset can"
+    )
+    group.add_argument("--no-floor", action="store_true", help="draw no floor")
+    group.add_argument("--window", action="store_true", help="mirror the wearer's view in a window (--size)")
+    group.add_argument("--scale", type=float, metavar="F", help="factor of the headset's picture size (default 1)")
+    group.add_argument("--record", metavar="FILE", help="record head, hands and other tracked data (.jsonl)")
+    group.add_argument("--height", type=float, help="height of the wearer in metres (default: estimated from motion)")
+    group.add_argument(
+        "--calibration", metavar="JSON", help="calibration of `glsplat tracking calibrate`, instead of --height"
+    )
     add_solver(group)  # type: ignore[arg-type]
 
 
 def check(args: argparse.Namespace) -> None:
-    """Refuse options that mean nothing together, before anything is opened."""
+    """Raise UsageError for options that contradict each other, before anything is opened."""
     if not args.xr:
-        for name in _OWN:
+        for name in _XR_ONLY:
             if getattr(args, name) not in (None, False):
                 raise UsageError(f"--{name.replace('_', '-')} goes with --xr")
         return
-    for name in _OTHERS:
+    for name in _NOT_XR:
         if getattr(args, name) not in (None, False):
             hint = "; a server's pictures there: --url" if name == "connect" else ": its wearer moves the avatar"
             raise UsageError(f"--{name} does not go with --xr{hint}")
@@ -96,17 +99,17 @@ def run(
     args: argparse.Namespace,
     scene: SceneFile,
     frames: int | None,
-    connect: Callable[[Context, bool], Runtime] | None = None,  # default: the runtime of this computer
+    connect: Callable[[Context, bool], Runtime] | None = None,  # default: this computer's OpenXR runtime
 ) -> int:
-    """Show until the runtime, the window or Ctrl-C ends it."""
+    """Show the scene until the runtime, the window or Ctrl-C ends the session."""
     samples: list[Sample] = []
-    wearer = Wearer(args.view or "mirror", room=_in_room(args.url), heard=_heard(args.record, samples))
-    known = offered() if connect is None else frozenset({EGL_ENABLE})  # one line where there is no runtime
-    make = connect or _own
+    wearer = Wearer(args.view or "mirror", room=_in_room(args.url), heard=_recorder(args.record, samples))
+    known = offered() if connect is None else frozenset({EGL_ENABLE})  # raises if there is no runtime
+    make = connect or OpenXrRuntime
     with ExitStack() as stack:
         if args.record is not None:
-            stack.callback(_keep, args.record, samples)  # at last, whatever ended the session
-        feed = _feed(args)
+            stack.callback(_save, args.record, samples)  # last, however the session ends
+        feed = feed_of(args, args.url)
         if feed is not None:
             feed.start()
             stack.callback(feed.close)
@@ -138,7 +141,7 @@ def loop(
     window: Window | None,
     frames: int | None,
 ) -> None:
-    """Step until it is over; the window shows the left eye of each picture that is new."""
+    """Step until the session ends; the window shows the left eye of each new picture."""
     shown = -1
     try:
         while session.step():
@@ -157,10 +160,6 @@ def loop(
         session.quit()
         while session.step():
             pass
-
-
-def _own(context: Context, passthrough: bool) -> Runtime:
-    return OpenXrRuntime(context, passthrough)
 
 
 def _show(
@@ -197,7 +196,7 @@ def _calibration(args: argparse.Namespace, scene: SceneFile) -> Calibration | No
 
 
 def _choose_blend(args: argparse.Namespace, session: Session) -> None:
-    """With --passthrough: what lets the room through. ContextError if nothing does."""
+    """Set the blend mode of --passthrough. Raises ContextError if the runtime has none."""
     runtime = session.runtime
     if runtime is None or not args.passthrough:
         return
@@ -207,35 +206,28 @@ def _choose_blend(args: argparse.Namespace, session: Session) -> None:
     session.blend = "alpha" if found == "alpha" else "additive"
 
 
-def _feed(args: argparse.Namespace) -> Feed | None:
-    if args.url is None:
-        return None
-    token = None if args.token_file is None else read_token(args.token_file)
-    return Feed(args.url, token, cafile=args.tls_ca, quality=args.quality)
-
-
 def _in_room(url: str | None) -> bool:
-    """Whether the address asks for one of the server's rooms, where others are."""
+    """Return whether the address has a room of the server."""
     return url is not None and bool(parse_qs(urlsplit(url).query).get("room"))
 
 
-def _heard(name: str | None, samples: list[Sample]) -> Callable[[Sample], None]:
-    """Keeps samples for --record: half an hour of them at most."""
+def _recorder(name: str | None, samples: list[Sample]) -> Callable[[Sample], None]:
+    """Return a function that appends up to _MAX_SAMPLES samples for --record."""
     if name is None:
         return lambda _: None
     if not Path(name).absolute().parent.is_dir():
         raise UsageError(f"--record {name}: there is no such folder; create it first")
 
     def keep(sample: Sample) -> None:
-        if len(samples) < _MOST:
+        if len(samples) < _MAX_SAMPLES:
             samples.append(sample)
-            if len(samples) == _MOST:
+            if len(samples) == _MAX_SAMPLES:
                 _say(f"{name} is full; the session goes on")
 
     return keep
 
 
-def _keep(name: str, samples: list[Sample]) -> None:
+def _save(name: str, samples: list[Sample]) -> None:
     if samples:
         print(f"{name}: {record(name, samples)} samples", file=sys.stderr)
 
@@ -259,7 +251,7 @@ def _report(session: Session, show: LocalShow | FeedShow) -> dict[str, Any]:
 
 
 def _picture(context: Context, show: LocalShow | FeedShow) -> Image:
-    """Both eyes beside each other, as the wearer saw them last. GlsplatError if they saw nothing."""
+    """Return both eyes of the last picture, side by side. Raises GlsplatError if there was none."""
     if show.eyes is None or not show.eyes.filled:
         raise GlsplatError("--screenshot: the wearer saw no picture")
     pictures, size = [], show.eyes.size

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
 from glsplat.net.guard.access import is_loopback, read_token
-from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
 from glsplat.optional import require_package
 

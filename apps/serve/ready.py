@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TextIO
 
 from glsplat.net.guard.access import is_loopback
-from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.optional import has_package, missing_package
 
 from .keys import Keys
