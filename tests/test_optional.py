@@ -78,3 +78,18 @@ def test_a_missing_package_is_an_import_error_with_the_command() -> None:
     optional.require_package("video", "json", "video")
     with pytest.raises(ImportError, match=r"^video needs nosuch\.av: pip install 'glsplat\[video\]', or leave it out$"):
         optional.require_package("video", "nosuch.av", "video", "leave it out")
+
+
+@pytest.mark.parametrize(
+    ("name", "extra"),
+    [
+        ("glsplat.extras.nothing", "glsplat.extras.nothing"),
+        ("glsplat.extras.nothing.rows", "glsplat.extras.nothing"),
+        ("glsplat.extras.formats.mistyped", None),
+        ("glsplat.nothing", None),
+        ("brotli", None),
+        (None, None),
+    ],
+)
+def test_an_absent_extra_is_the_cause_of_a_failed_import(name: str | None, extra: str | None) -> None:
+    assert optional.absent_extra(ModuleNotFoundError(name=name)) == extra
