@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -114,15 +115,21 @@ def test_the_core_runs_alone(program: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.gl
-def test_speech_without_its_extra_is_refused_in_one_line(tmp_path: Path) -> None:
-    program = """
-from apps.cli import main
-sys.exit(main(["render", "--speech", "hello.wav", "-o", sys.argv[1]]))
-"""
-    command = [sys.executable, "-c", REFUSING + program, str(tmp_path / "a.mp4")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
-    line = "glsplat render: --speech needs glsplat.extras.speech, which is not installed\n"
-    assert (done.returncode, done.stderr) == (1, line)
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("render --speech hello.wav -o out.mp4", "render: --speech needs glsplat.extras.speech"),
+        ("preview --xr", "preview: --xr needs glsplat.extras.openxr"),
+        ("users list users.json", "users needs glsplat.extras.accounts"),
+    ],
+    ids=["speech", "xr", "users"],
+)
+def test_an_option_without_its_extra_is_refused_in_one_line(words: str, line: str, tmp_path: Path) -> None:
+    program = "from apps.cli import main\nsys.exit(main(sys.argv[1:]))\n"
+    command = [sys.executable, "-c", REFUSING + program, *words.split()]
+    variables = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=200)
+    assert (done.returncode, done.stderr) == (1, f"glsplat {line}, which is not installed\n")
 
 
 def test_a_command_names_the_extra_that_it_lacks() -> None:
