@@ -1,9 +1,11 @@
 """Delete an extra from a copy of the repository and check that the rest still works.
 
-    python -m tools.without_extra rooms speech     # or --all; --tests runs the remaining tests as well
+    python -m tools.without_extra rooms speech     # each in turn; --all: each extra; --core: all of them at once
+    python -m tools.without_extra rooms --tests    # and all remaining tests but the checks
 
 The extras that require the deleted one (REQUIRES in their ``__init__``) go with it, and so do their lines in
-pyproject.toml and their tests: ``tests/extras/NAME``, and files of other folders of tests that import them.
+pyproject.toml and their tests: ``tests/extras/NAME``, files of other folders of tests that import them, and tests
+marked ``@pytest.mark.extra(name=NAME)``.
 Checked are all remaining modules, all commands, a picture, and tests/test_layers.py. Exit code 1 if one fails.
 """
 
@@ -83,12 +85,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="an extra, a folder of glsplat/extras")
     parser.add_argument("--all", action="store_true", help="each extra in turn")
-    parser.add_argument("--tests", action="store_true", help="run the remaining tests, too (without checks)")
+    parser.add_argument("--core", action="store_true", help="without all extras at once")
+    parser.add_argument("--tests", nargs="*", metavar="PATH", help="run the remaining tests, or those in PATH, too")
     args = parser.parse_args()
-    names = sorted(required) if args.all else args.names
+    names = sorted(required) if args.all or args.core else args.names
     if not names or set(names) - set(required):
-        parser.error(f"name one of {', '.join(sorted(required))}, or --all")
-    return int(not all([check(name, required, args.tests) for name in names]))  # a list: a failure ends nothing
+        parser.error(f"name one of {', '.join(sorted(required))}, or --all or --core")
+    tests = ["tests/test_layers.py"] if args.tests is None else args.tests or ["tests"]
+    deleted = [names] if args.core else [with_dependents(name, required) for name in names]
+    return int(not all([check(gone, tests) for gone in deleted]))  # a list: a failure ends nothing
 
 
 def requirements(root: Path) -> dict[str, tuple[str, ...]]:
@@ -109,19 +114,18 @@ def with_dependents(name: str, required: dict[str, tuple[str, ...]]) -> list[str
     return [name, *sorted(gone - {name})]
 
 
-def check(name: str, required: dict[str, tuple[str, ...]], tests: bool) -> bool:
-    """Print what fails without ``name``; return whether nothing does."""
-    gone = with_dependents(name, required)
+def check(gone: list[str], tests: list[str]) -> bool:
+    """Print what fails without the extras ``gone``; return whether nothing does. ``tests``: files or folders."""
     print(f"== without {', '.join(gone)}", flush=True)
     with tempfile.TemporaryDirectory(prefix="glsplat-without-") as folder:
         copy = Path(folder) / "repository"
         _copy(copy)
         print(f"{_delete(copy, gone)} files of other folders of tests import them and are deleted")
-        steps = [["-c", MODULES, *gone], ["-c", COMMANDS, *gone], ["-m", "pytest", "-q", "tests/test_layers.py"]]
-        if tests:
-            steps[-1] = ["-m", "pytest", "-q", "-m", "not check", "-n", "2"]
+        marks = " and ".join(["not check", *(f"not extra(name='{name}')" for name in gone)])
+        pytest = ["-m", "pytest", "-p", "xdist", "-p", "timeout", "-q", "-n", "2", "-m", marks, *tests]
+        steps = [["-c", MODULES, *gone], ["-c", COMMANDS, *gone], pytest]
         good = [_run(copy, step) for step in steps]
-    print(f"== without {name}: {'good' if all(good) else 'FAILED'}", flush=True)
+    print(f"== without {gone[0]}: {'good' if all(good) else 'FAILED'}", flush=True)
     return all(good)
 
 
@@ -159,7 +163,11 @@ def _imports(file: Path, modules: str) -> bool:
 def _run(copy: Path, arguments: list[str]) -> bool:
     """Run Python with the copy and the installed packages, but without what an editable install adds to the path."""
     paths = [str(copy), *(path for path in sys.path if path.endswith("site-packages"))]
-    variables = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1"}
+    variables = os.environ | {
+        "PYTHONPATH": os.pathsep.join(paths),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # those of the base installation, whose packages are found as well
+    }
     command = [os.path.realpath(sys.executable), *arguments]
     return subprocess.run(command, cwd=copy, env=variables).returncode == 0
 
