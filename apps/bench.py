@@ -10,11 +10,11 @@ from typing import Any
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.extras.evaluate.frames import WARM_UP, Bench
-from glsplat.extras.evaluate.machine import machine
 from glsplat.extras.evaluate.speed.budget import search
 from glsplat.extras.evaluate.speed.profile import profile
 from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
+from glsplat.io.provenance import machine
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, SceneLike, is_rigged

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import glsplat
 from glsplat.errors import GlsplatError
+from glsplat.optional import absent_extra
 
 from .usage import CommandParser, UsageError
 
@@ -88,6 +89,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except GlsplatError as error:
         print(f"{prog}: {error}", file=sys.stderr)
+        return 1
+    except ModuleNotFoundError as error:
+        extra = absent_extra(error)
+        if extra is None:
+            raise
+        print(f"{prog} needs {extra}, which is not installed", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.formats.fidelity import read_back
 from glsplat.formats import save, suffixes
 from glsplat.formats.registry import load
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.light import Light
 from glsplat.meshes import RiggedMesh
+from glsplat.optional import plugin
 from glsplat.scene import Content, Scene
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
@@ -77,7 +77,8 @@ def save_with_report(scene: Splats | Avatar, output: str | Path, command: str, q
             print(f"{command}: {output}: {loss}", file=sys.stderr)
 
     save(scene, output, say=say)
-    if not quiet and (words := ", ".join(read_back(scene, output).words())):
+    fidelity = None if quiet else plugin("formats.fidelity")
+    if fidelity is not None and (words := ", ".join(fidelity.read_back(scene, output).words())):
         print(f"{command}: {output}: read back, off by at most (mean): {words}", file=sys.stderr)
 
 

@@ -10,6 +10,7 @@ from glsplat.errors import GlsplatError
 
 __all__ = [
     "MissingPackageError",
+    "absent_extra",
     "extra_module",
     "has_extra",
     "has_package",
@@ -65,10 +66,17 @@ def plugin(name: str) -> ModuleType | None:
     try:
         return extra_module(name)
     except ModuleNotFoundError as error:
-        parts = (error.name or "").split(".")
-        if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
+        if absent_extra(error) is None:
             raise
         return None
+
+
+def absent_extra(error: ModuleNotFoundError) -> str | None:
+    """Return the extra whose absence is the cause of ``error``, as ``glsplat.extras.NAME``; None for another cause."""
+    parts = (error.name or "").split(".")[:3]
+    if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
+        return None
+    return ".".join(parts)
 
 
 def thumbnail(content: object) -> bytes | None:

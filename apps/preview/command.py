@@ -22,7 +22,7 @@ from glsplat.skinning.pose import Pose, load_pose
 from ..args import add_detail, add_light, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
 from ..output import save_png
 from ..usage import UsageError
-from . import headset
+from . import headset_options
 from .cameras import Options
 from .connect import StreamedPictures, read_tracked
 from .feed import feed_of
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     server.add_argument("--quality", type=int, help="JPEG quality, 1 to 100 (default: the server's)")
     server.add_argument("--token-file", type=Path, metavar="FILE", help="token of the server")
     server.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
-    headset.add_arguments(parser)
+    headset_options.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -86,6 +86,8 @@ def run(args: argparse.Namespace) -> int:
     frames = _frames(args)
     scene = open_scene(args)
     if args.xr:
+        from . import headset  # here: it needs extras/openxr
+
         return headset.run(args, scene, frames)
     drive = _drive(args, scene)
     rendering = RenderConfig(**detail_of(args))
@@ -152,7 +154,7 @@ def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
 def _frames(args: argparse.Namespace) -> int | None:
     """Return the number of pictures (None: no limit). Raises for invalid options before a window opens."""
     pinhole(1, 1, args.fov)
-    headset.check(args)
+    headset_options.check(args)
     _check_connect(args)
     if args.frames is not None and args.frames < 1:
         raise UsageError(f"--frames needs at least 1, not {args.frames}")

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.motions.derive import derive, truth_from_motion, with_expressions
 from glsplat.formats.motion_files import KINDS, embedded_motions
 from glsplat.motion.motion import Motion
 from glsplat.net.client import Client
@@ -282,6 +281,12 @@ def load_drive(
     skeleton = default_avatar().skeleton if skeleton is None else skeleton
     motion = motion_of(name or default_motion(), skeleton, option)
     if tracking or name is None:
+        from glsplat.extras.motions.derive import (  # here: recordings need none
+            derive,
+            truth_from_motion,
+            with_expressions,
+        )
+
         truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE_HZ)
         samples = with_expressions(derive(skeleton, truth), motion)
         return _recording(samples, motion.label), motion.duration

@@ -6,8 +6,8 @@ import platform
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from glsplat.extras.evaluate.machine import machine
 from glsplat.gl.software import is_software
+from glsplat.io.provenance import machine
 from glsplat.net.pace.stages import median_p95
 
 from .streaming import STAGES, Result
