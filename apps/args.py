@@ -1,11 +1,11 @@
-"""What several commands share on their command lines: the scene, the view and the picture's size."""
+"""Options that several commands share: the scene, its light, levels of detail, and argparse types."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,14 +61,13 @@ __all__ = [
 ]
 
 
-_LIGHT_BYTES = 1 << 20
-"""Of a file of --light."""
+_MAX_LIGHT_BYTES = 1 << 20  # of a file of --light
 
 _PEOPLE = f"{', '.join(PEOPLE[:-1])} or {PEOPLE[-1]}"
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
-    """The positional SCENE, --up and --strict."""
+    """Add the positional SCENE, --up and --strict."""
     what = f"a {suffixes()}, or a scene file (JSON), or an embedded person: {_PEOPLE}; default: the embedded avatar"
     parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
     add_up(parser)
@@ -76,27 +75,27 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 
 
 def add_light(parser: argparse.ArgumentParser) -> None:
-    """--light."""
+    """Add --light."""
     parser.add_argument(
         "--light",
         metavar="NAME|FILE",
-        help=f"light the avatars that know their surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; "
-        "none: as they were photographed (default: what a scene file says, else none)",
+        help=f"light on avatars with a surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; "
+        "none: as photographed (default: the scene file's light, else none)",
     )
 
 
 def _lit(file: SceneFile, args: Any) -> SceneFile:
-    """The scene under --light, where that is an option and given."""
-    asked = getattr(args, "light", None)
-    if asked is not None:
-        file.scene.light = None if asked == "none" else light_of(asked)
+    """Set the light of --light, if the command has it, and return ``file``."""
+    name = getattr(args, "light", None)
+    if name is not None:
+        file.scene.light = None if name == "none" else light_of(name)
         if file.scene.light is not None and not any(_has_surface(item.content) for item in file.scene.items):
             print("--light: nothing here knows its surface, so nothing is lit (docs/light.md)", file=sys.stderr)
     return file
 
 
 def _has_surface(content: Content) -> bool:
-    """Of whatever level: one of them may be all that has one."""
+    """Return whether the content, or one of its levels, has a surface."""
     if isinstance(content, RiggedMesh):
         return False
     each = (content, *(level.content for level in content.levels))
@@ -104,12 +103,12 @@ def _has_surface(content: Content) -> bool:
 
 
 def light_of(text: str) -> Light:
-    """A preset's name, or a JSON file as a scene file's "light". Raises FormatError."""
+    """Return a light of a preset's name, or of a JSON file (as "light" of a scene file). Raises FormatError."""
     if text in PRESETS or not Path(text).exists():
         return Light.preset(text)
     with naming(text), open_regular(text) as (file, size):
-        if size > _LIGHT_BYTES:
-            raise FormatError(f"a light has at most {_LIGHT_BYTES} bytes, this one {size}")
+        if size > _MAX_LIGHT_BYTES:
+            raise FormatError(f"a light has at most {_MAX_LIGHT_BYTES} bytes, this one {size}")
         try:
             data = json.loads(file.read())
         except (ValueError, RecursionError) as error:
@@ -118,59 +117,59 @@ def light_of(text: str) -> Light:
 
 
 def add_up(parser: argparse.ArgumentParser, what: str = "the file's axis that points up") -> None:
-    """--up."""
+    """Add --up."""
     parser.add_argument("--up", choices=UPS, default="y", help=f"{what} (default y; most 3DGS captures: -y)")
 
 
 def add_solver(parser: argparse.ArgumentParser) -> None:
-    """--solver: what guesses the body."""
-    from glsplat.tracking.solvers import SOLVERS  # and all of them, which few commands need
+    """Add --solver."""
+    from glsplat.tracking.solvers import SOLVERS  # here: few commands need the solvers
 
     parser.add_argument(
-        "--solver", choices=SOLVERS, default=SOLVERS[0], help=f"what guesses the body (default {SOLVERS[0]})"
+        "--solver", choices=SOLVERS, default=SOLVERS[0], help=f"solver of the body's pose (default {SOLVERS[0]})"
     )
 
 
 def open_scene(args: Any) -> SceneFile:
-    """All that the arguments name, turned so that --up is up: a scene file, or one thing as a scene."""
+    """Return the scene file or single content that the arguments name, rotated by --up and lit by --light."""
     if args.scene is None:
         return _lit(SceneFile.of(default_avatar()), args)
     path = embedded_file(args.scene)
     if not path.exists():
         raise FormatError(f"{args.scene}: no such file; give a {suffixes()} or a scene file, {_PEOPLE}, or nothing")
     file = load_scene(path, strict=args.strict)
-    _say_doubts(file, args.scene)
+    _report_doubts(file, args.scene)
     turn = upright(args.up)
     if args.up == "y":
         return _lit(file, args)
     if len(file.scene) == 1 and isinstance(splats := file.scene.items[0].content, Splats) and not file.composed:
-        return _lit(SceneFile.of(transformed(splats, turn)), args)  # static splats stay the leanest scene
+        return _lit(SceneFile.of(transformed(splats, turn)), args)  # an identity transform renders fastest
     for item in file.scene:
         item.transform = turn @ item.transform
     return _lit(file, args)
 
 
-def _say_doubts(file: SceneFile, name: str) -> None:
-    """What looks wrong in the motions of a scene file, on stderr; of each once."""
+def _report_doubts(file: SceneFile, name: str) -> None:
+    """Print what looks wrong in the motions of a scene file on stderr, once for each motion."""
     if not file.motions:
         return
-    said = set()
+    reported = set()
     for place, (item, motion) in file.motions.items():
-        if is_rigged(item.content) and id(motion) not in said:
-            said.add(id(motion))
+        if is_rigged(item.content) and id(motion) not in reported:
+            reported.add(id(motion))
             if line := _doubt(motion, item.content.skeleton, "FILE"):
                 print(f"{name}: item {place}, motion {motion.label}: {line}", file=sys.stderr)
 
 
 def single(file: SceneFile) -> Content | None:
-    """The one thing of a scene of one that stands where its file puts it; None for anything more."""
+    """Return the content of a scene of one still item at its original place; None for other scenes."""
     items = file.scene.items
     alone = len(items) == 1 and items[0].visible and not file.motions and items[0].pose is None
     return items[0].content if alone and np.array_equal(items[0].transform, np.eye(4)) else None
 
 
 def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Rigged:
-    """What an option names as an avatar: splats with a skin, or a rigged mesh. Raises UsageError for anything else."""
+    """Return the avatar that an option names: splats with a skin, or a rigged mesh. Raises UsageError."""
     file = embedded_file(path)
     if not file.exists():
         raise UsageError(f"{option} {path}: no such file, nor an embedded person ({_PEOPLE})")
@@ -184,7 +183,7 @@ def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Rigge
 
 
 def driven(file: SceneFile, what: str) -> Rigged:
-    """The one visible avatar, whose pose an option or a client sets. Raises UsageError where there is not just one."""
+    """Return the single visible avatar, whose pose an option or a client sets. Raises UsageError without one."""
     if file.avatar is not None:
         assert is_rigged(file.avatar.content)
         return file.avatar.content
@@ -194,22 +193,22 @@ def driven(file: SceneFile, what: str) -> Rigged:
 
 
 def tracked(skeleton: Skeleton, name: str) -> Skeleton:
-    """The same. Raises PoseError naming the file ``name`` where tracking cannot drive it."""
+    """Return ``skeleton``. Raises PoseError, which names the file ``name``, if tracking cannot drive it."""
     if why := why_not_tracked(skeleton):
         raise PoseError(f"{name}: tracking cannot drive this avatar: {why}")
     return skeleton
 
 
 def _doubt(motion: Motion, skeleton: Skeleton, name: str) -> str:
-    """Return what looks wrong in a motion, in one line; "" where nothing does, or extras/motions is not installed."""
+    """Return a line about what looks wrong in a motion; "" if nothing does, or extras/motions is not installed."""
     module = plugin("motions.doubts")
     return "" if module is None else module.doubt(motion, skeleton, name)
 
 
 def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion:
-    """The motion an option names: a file or an embedded one; what a user should know of it is said on stderr.
+    """Return the motion that an option names, from a file or embedded; notes about it are printed on stderr.
 
-    Raises UsageError where there is neither.
+    Raises UsageError if there is none.
     """
     from glsplat.formats.motion_files import embedded_motions, load_motion
 
@@ -225,36 +224,38 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
 
 
 def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
-    """--level, --lod-bias, --cull-hidden, and where they are on unasked (``lean``) --exact, which is none of them."""
-    unasked = "auto" if lean else "0"
+    """Add --level, --lod-bias and --cull-hidden; if they are on by default (``lean``), also --exact."""
+    default = "auto" if lean else "0"
     parser.add_argument(
         "--level",
         type=detail_level,
         metavar="N",
-        help="level of detail of what has several: 0 the finest, higher numbers coarser ones, auto: by the pixels it "
-        f"covers (default {unasked})",
+        help="level of detail: 0 the finest, higher numbers coarser, auto: by the pixels that an item covers "
+        f"(default {default})",
     )
     parser.add_argument(
         "--lod-bias",
         type=float,
         metavar="B",
-        help="of --level auto, in halvings of what is seen: 1 for finer levels, -1 for coarser ones (default 0)",
+        help="bias of --level auto: 1 chooses levels for twice the pixels, -1 for half (default 0)",
     )
     parser.add_argument(
         "--cull-hidden",
         action="store_true",
-        help="leave out what the splats' visibility cones say is hidden"
-        + (f" (default: where the worst picture keeps {CULL_PSNR:g} dB)" if lean else ""),
+        help="cull splats that are hidden by their visibility cones"
+        + (f" (default: if the worst picture keeps {CULL_PSNR:g} dB)" if lean else ""),
     )
     if lean:
-        parser.add_argument("--exact", action="store_true", help="draw every splat of the finest level, to its end")
+        parser.add_argument(
+            "--exact", action="store_true", help="draw every splat of the finest level, without cut-off"
+        )
 
 
-_LEAN = ("level", "cull_hidden", "max_sigma")  # where LEAN differs from the pixel contract
+_LEAN = ("level", "cull_hidden", "max_sigma")  # fields of LEAN that differ from the pixel contract
 
 
 def detail_of(args: Any) -> dict[str, Any]:
-    """What those options say, as fields of RenderConfig. Raises UsageError where they contradict each other."""
+    """Return the fields of RenderConfig of the options of ``add_detail``. Raises UsageError for contradictions."""
     exact = getattr(args, "exact", False)
     given = [name for name in ("level", "lod_bias") if getattr(args, name) is not None]
     given += ["cull_hidden"] if args.cull_hidden else []
@@ -263,21 +264,21 @@ def detail_of(args: Any) -> dict[str, Any]:
             raise UsageError(f"--exact and --{given[0].replace('_', '-')} contradict each other; leave one out")
         return {}
     lean = hasattr(args, "exact")
-    unasked: dict[str, Any] = {name: getattr(LEAN, name) for name in _LEAN} if lean else {}
-    level = unasked.get("level", 0) if args.level is None else args.level
+    defaults: dict[str, Any] = {name: getattr(LEAN, name) for name in _LEAN} if lean else {}
+    level = defaults.get("level", 0) if args.level is None else args.level
     if args.lod_bias is not None and level != "auto":
         raise UsageError("--lod-bias goes with --level auto")
     if args.lod_bias is not None and not -8 <= args.lod_bias <= 8:
         raise UsageError(f"--lod-bias needs -8 to 8, not {args.lod_bias:g}")
-    return unasked | {
+    return defaults | {
         "level": level,
         "lod_bias": args.lod_bias or 0.0,
-        "cull_hidden": True if args.cull_hidden else unasked.get("cull_hidden", False),
+        "cull_hidden": True if args.cull_hidden else defaults.get("cull_hidden", False),
     }
 
 
 def detail_level(text: str) -> int | str:
-    """argparse type: a number of a level, or auto."""
+    """Parse a level of detail, a number or auto (argparse type)."""
     if text == "auto":
         return text
     number = natural(text)
@@ -287,7 +288,7 @@ def detail_level(text: str) -> int | str:
 
 
 def size(text: str) -> tuple[int, int]:
-    """argparse type: WxH, or one number for a square."""
+    """Parse WxH, or one number for a square (argparse type)."""
     try:
         parts = [int(part) for part in text.lower().split("x")]
         width, height = parts * 2 if len(parts) == 1 else parts
@@ -299,36 +300,33 @@ def size(text: str) -> tuple[int, int]:
 
 
 def positive(text: str) -> float:
-    """argparse type: a finite number above zero."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not 0 < value < np.inf:
-        raise argparse.ArgumentTypeError(f"a finite number above 0 is needed, not {text!r}")
-    return value
+    """Parse a finite number above 0 (argparse type)."""
+    return _number(text, lambda value: 0 < value < np.inf, "above 0")
 
 
 def not_negative(text: str) -> float:
-    """argparse type: a finite number, zero or above."""
+    """Parse a finite number of at least 0 (argparse type)."""
+    return _number(text, lambda value: 0 <= value < np.inf, "of at least 0")
+
+
+def _number(text: str, allowed: Callable[[float], bool], words: str) -> float:
     try:
-        value = float(text)
+        if allowed(value := float(text)):
+            return value
     except ValueError:
-        value = np.nan
-    if not 0 <= value < np.inf:
-        raise argparse.ArgumentTypeError(f"a finite number of at least 0 is needed, not {text!r}")
-    return value
+        pass
+    raise argparse.ArgumentTypeError(f"a finite number {words} is needed, not {text!r}")
 
 
 def natural(text: str) -> int:
-    """argparse type: a whole number, zero or above."""
+    """Parse a whole number of at least 0 (argparse type)."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"a whole number of at least 0 is needed, not {text!r}")
     return int(text)
 
 
 def degrees(text: str) -> float:
-    """argparse type: a field of view between 0 and 180 degrees."""
+    """Parse a field of view between 0 and 180 degrees (argparse type)."""
     value = positive(text)
     if value >= 180:
         raise argparse.ArgumentTypeError(f"a field of view lies between 0 and 180 degrees, not {text!r}")
@@ -336,7 +334,7 @@ def degrees(text: str) -> float:
 
 
 def point(text: str) -> tuple[float, float, float]:
-    """argparse type: x,y,z in metres."""
+    """Parse a point x,y,z in metres (argparse type)."""
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
@@ -347,7 +345,7 @@ def point(text: str) -> tuple[float, float, float]:
 
 
 def expression(text: str) -> Mapping[str, float]:
-    """argparse type: NAME=WEIGHT,... of an avatar's shapes."""
+    """Parse weights NAME=WEIGHT,... of an avatar's shapes (argparse type)."""
     pairs = [part.partition("=") for part in text.split(",") if part.strip()]
     try:
         found = {name.strip(): float(weight) for name, _, weight in pairs}
@@ -358,11 +356,11 @@ def expression(text: str) -> Mapping[str, float]:
         raise argparse.ArgumentTypeError(
             f"an expression is NAME=WEIGHT,..., for example jawOpen=0.7,eyeBlinkLeft=1, not {text!r:.60}"
         ) from None
-    return found  # also those of 0, which a motion may not have
+    return found  # with zeros, which override the weights of a motion
 
 
 def colour(text: str) -> tuple[float, float, float]:
-    """argparse type: red,green,blue from 0 to 1."""
+    """Parse red,green,blue from 0 to 1 (argparse type)."""
     try:
         red, green, blue = (float(part) for part in text.split(","))
     except ValueError:

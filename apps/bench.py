@@ -1,4 +1,4 @@
-"""``glsplat bench``: what a frame costs on this driver, stage by stage, and what batching the eyes saves."""
+"""``glsplat bench``: measure the stages of a frame on this driver, and the gain of drawing both eyes in one pass."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.extras.evaluate.frames import WARM_UP, Bench
-from glsplat.extras.evaluate.machine import machine
 from glsplat.extras.evaluate.speed.budget import search
 from glsplat.extras.evaluate.speed.profile import profile
 from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
+from glsplat.io.provenance import machine
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.scene import Content, SceneLike, is_rigged
@@ -27,18 +27,18 @@ from .usage import UsageError
 
 HELP = (
     "Measure stage times (median and 95th percentile after warm-up), the draw floor, the gain of drawing both eyes in "
-    "one pass, bytes a splat, and what skinning costs. Timings of one run are comparable; machines are not."
+    "one pass, bytes per splat, and the cost of skinning. Timings of one run are comparable; machines are not."
 )
 _MOTION = "wave-and-turn"
 EXAMPLE = "glsplat bench --sizes 512x512 1024x1024 --frames 30 --json > bench.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     add_scene(parser)
-    parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels an eye")
+    parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels per eye")
     parser.add_argument("--views", type=int, nargs="+", choices=(1, 2), default=[2], help="eyes (default 2)")
-    parser.add_argument("--frames", type=int, default=30, help="measured frames a setting (default 30)")
+    parser.add_argument("--frames", type=int, default=30, help="measured frames per setting (default 30)")
     parser.add_argument("--motion", help=f"motion of an avatar (default {_MOTION}, if it can be driven)")
     parser.add_argument("--static", action="store_true", help="measure an avatar in its zero pose only")
     parser.add_argument(
@@ -52,14 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--budget",
         type=positive,
         metavar="MS",
-        help="instead: search levels of detail, hidden splats and sizes for that frame time, and what each costs in dB",
+        help="instead: search levels of detail, culling and sizes for that frame time, with the loss of each in dB",
     )
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print."""
+    """Measure and print the results."""
     if args.frames < 3:
         raise UsageError(f"--frames needs at least 3, not {args.frames}")
     file = open_scene(args)
@@ -97,7 +97,7 @@ def _other(
     kind: tuple[str, SceneLike, list[Pose | None]],
     file: SceneFile,
 ) -> int:
-    """--profile and --budget: of what moves, if anything does, at each size."""
+    """Run --profile or --budget at each size, with a moving avatar if there is one."""
     name, model, poses = kind
     if args.budget is not None and (args.level is not None or args.cull_hidden):
         raise UsageError("--budget tries all levels, with hidden splats and without; leave --level, --cull-hidden out")
@@ -119,7 +119,7 @@ def _other(
 
 
 def _motion(args: argparse.Namespace, scene: Content | None) -> Motion | None:
-    """What moves it; None of what stands still, which is said where somebody could expect otherwise."""
+    """Return the motion of the scene; None if it stands still. Prints a notice if the motion does not fit."""
     name = args.scene or "the default avatar"
     if args.static:
         return None
@@ -137,7 +137,7 @@ def _motion(args: argparse.Namespace, scene: Content | None) -> Motion | None:
 def kinds_of(
     bench: Bench, scene: Content | None, motion: Motion | None, file: SceneFile, frames: int
 ) -> list[tuple[str, SceneLike, list[Pose | None]]]:
-    """(name, scene, poses) of what is measured: one thing as ever, a scene of several as it plays."""
+    """Return (name, scene, poses) of each measurement: of single content, or of a scene as it plays."""
     if scene is None or (isinstance(scene, RiggedMesh) and not is_rigged(scene)):
         return [("in motion" if file.motions else "static", file.scene, [None] * frames)]
     return [*bench.kinds(scene, motion)]
@@ -157,7 +157,7 @@ def _floor(row: dict[str, Any]) -> str:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The numbers as text."""
+    """Return the numbers as text."""
     lines = [
         f"{result['driver']} ({result['backend']}); {result['machine']}, {result['cores']} cores; {result['date']}"
     ]
@@ -189,7 +189,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def profile_table(result: dict[str, Any]) -> str:
-    """Where the time of a frame goes, as text."""
+    """Return the stage times of --profile as text."""
     lines = [
         f"{result['driver']}; {result['machine']}, {result['cores']} cores; {result['date']}; {result['kind']}",
         "ms: cpu to issue the stage, gpu by the driver's timer, waited: with a wait after each stage",
@@ -204,7 +204,7 @@ def profile_table(result: dict[str, Any]) -> str:
 
 
 def budget_table(result: dict[str, Any]) -> str:
-    """What was tried for a frame time, as text, the fastest first."""
+    """Return the settings tried by --budget as text, the fastest first."""
     lines = [f"{result['driver']}; {result['machine']}, {result['cores']} cores; {result['date']}; {result['kind']}"]
     lines.append("dB at worst against level 0 drawn exactly: of the whole picture, and of the box around what is shown")
     for found in result["rows"]:

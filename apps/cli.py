@@ -1,4 +1,4 @@
-"""``glsplat COMMAND ...``: finds the command, prints expected errors as one line.
+"""``glsplat COMMAND ...``: run a command; print expected errors as one line.
 
 Exit codes: 0 ok, 1 failed, 2 bad usage.
 """
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import glsplat
 from glsplat.errors import GlsplatError
+from glsplat.optional import absent_extra
 
 from .usage import CommandParser, UsageError
 
@@ -25,56 +26,87 @@ _OPTION, _NEGATIVE = re.compile("--[a-z][a-z-]*"), re.compile(r"-\.?[0-9]")
 
 
 class Command(NamedTuple):
-    """A command's group, one of GROUPS, and what ``--help`` says of it."""
+    """A command's group, one of GROUPS, and its line in ``--help``."""
 
     group: str
     text: str
 
 
 GROUPS = ("Start", "Make an avatar", "Show it", "Build on it", "Measured")
-"""As the parts of the site are called (mkdocs.yml)."""
+"""Groups of commands, named as the parts of the site (mkdocs.yml)."""
 
-# imported when called: a command should not wait for the imports of the others
+# a command's module is imported when it is called
 COMMANDS = {
-    "render": Command("Show it", "a picture, a clip or a turntable of a scene or a posed avatar"),
-    "preview": Command("Show it", "a window that shows the avatar moving"),
-    "serve": Command("Show it", "the headless render server"),
-    "page": Command("Show it", "a folder for any file host that shows an avatar in browsers and in VR"),
-    "replay": Command("Build on it", "a client that streams a motion through a server and reports latency"),
-    "demo": Command("Start", "server and client together: frames per second, stage times, a contact sheet and a clip"),
-    "bench": Command("Measured", "stage times, bytes and the price of each feature on this driver"),
+    "render": Command("Show it", "render a picture, a clip or a turntable of a scene or a posed avatar"),
+    "preview": Command("Show it", "show the avatar moving in a window"),
+    "serve": Command("Show it", "run the headless render server"),
+    "page": Command("Show it", "write a static web page that shows an avatar in browsers and in VR"),
+    "replay": Command("Build on it", "stream a motion through a server and report latency"),
+    "demo": Command("Start", "run server and client: frame rates, stage times, a contact sheet and a clip"),
+    "bench": Command("Measured", "measure stage times, bytes and the cost of each feature on this driver"),
     "avatar": Command("Make an avatar", "make, import and export avatars"),
     "users": Command("Show it", "add, list and remove the accounts of a server"),
-    "models": Command("Make an avatar", "get, list and remove networks that others trained"),
-    "study": Command("Measured", "a user study: design, orders, a session in VR, questionnaires, tidy tables"),
-    "tracking": Command("Build on it", "head and hands to a full-body pose: derive, solve, score, show"),
-    "evaluate": Command("Measured", "methods of making avatars, compared over participants: the tables of the paper"),
-    "watermark": Command("Show it", "find the invisible mark in a clip: to whom a server sent it"),
-    "report": Command("Measured", "error against run time, batching, what is left out, stability: HTML, plots, JSON"),
-    "inspect": Command("Make an avatar", "what is in a scene or avatar file"),
-    "convert": Command("Make an avatar", "from one format of splats and avatars to another"),
+    "models": Command("Make an avatar", "download, list and remove third-party networks"),
+    "study": Command("Measured", "run a user study: design, orders, a session in VR, questionnaires, tidy tables"),
+    "tracking": Command("Build on it", "solve a full-body pose from head and hands: derive, solve, score, show"),
+    "evaluate": Command("Measured", "compare methods of making avatars over participants: the tables of the paper"),
+    "watermark": Command("Show it", "find the invisible watermark of a session in a clip"),
+    "report": Command("Measured", "report error against run time, batching, culling, stability: HTML, plots, JSON"),
+    "inspect": Command("Make an avatar", "describe a scene or avatar file"),
+    "convert": Command("Make an avatar", "convert splats and avatars between formats"),
 }
 
 NEXT = """glsplat: animatable 3D Gaussian avatars for VR on plain OpenGL. What next?
 
-  glsplat demo                              a person moves in both eyes: rates, stage times, a clip in out/demo
-  glsplat serve                             then open the address that it prints, in a browser or a headset
-  glsplat avatar photo me.jpg -o me.glb     an avatar of a photograph; glsplat serve me.glb shows it
+  glsplat demo                              a moving person for both eyes: rates, stage times, a clip in out/demo
+  glsplat serve                             then open the printed address in a browser or a headset
+  glsplat avatar photo me.jpg -o me.glb     make an avatar of a photograph; glsplat serve me.glb shows it
 
-All commands: glsplat --help. Each explains itself: glsplat COMMAND --help.
+All commands: glsplat --help. Details of one: glsplat COMMAND --help.
 """
-"""What ``glsplat`` alone prints."""
+"""Printed by ``glsplat`` without a command."""
 
 _FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "study", "tracking", "users", "watermark")
 MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "webpage.command"}
-"""Commands that are folders, or whose module is called otherwise."""
+"""Modules of commands that are folders, or have another name than the command."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the entry point of the installed ``glsplat``."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments:
-        return _next_steps()
+    prog = f"glsplat {_command(arguments)}" if arguments else "glsplat"
+    try:
+        if arguments:
+            module, args = parsed(arguments[0], arguments[1:])
+            code = int(module.run(args) or 0)
+        else:
+            code = 0
+            print(NEXT, end="")
+        sys.stdout.flush()  # here, where a full disk can still be reported
+        return code
+    except UsageError as error:
+        print(f"{prog}: {error}; see {prog} --help", file=sys.stderr)
+        return 2
+    except GlsplatError as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        return 1
+    except ModuleNotFoundError as error:
+        extra = absent_extra(error)
+        if extra is None:
+            raise
+        print(f"{prog} needs {extra}, which is not installed", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    except OSError as error:  # a full disk, a lost network drive: no reason for a traceback
+        if not isinstance(error, BrokenPipeError):  # `glsplat inspect ... | head` is no error
+            print(f"{prog}: {error.strerror or error}", file=sys.stderr)
+        _discard_output()
+        return 1
+
+
+def _command(arguments: Sequence[str]) -> str:
+    """Return the name of the command. Raises SystemExit after --help, --version, or an unknown name."""
     parser = CommandParser(
         prog="glsplat",
         description="Animatable 3D Gaussian avatars for VR on plain OpenGL. "
@@ -84,35 +116,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"glsplat {glsplat.__version__}")
     parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND", help="one of the commands below")
-    if arguments and arguments[0] not in COMMANDS and arguments[0] not in ("-h", "--help", "--version"):
+    if arguments[0] not in COMMANDS and arguments[0] not in ("-h", "--help", "--version"):
         near = difflib.get_close_matches(arguments[0], COMMANDS, 1)
         parser.error(
             f"{arguments[0]}: no such command" + (f"; is it {near[0]}?" if near else f"; {', '.join(COMMANDS)}")
         )
-    chosen = parser.parse_args(arguments[:1])
-
-    try:
-        module, args = parsed(chosen.command, arguments[1:])
-        code = int(module.run(args) or 0)
-        sys.stdout.flush()  # here, where a full disk can still be reported
-        return code
-    except UsageError as error:
-        print(f"glsplat {chosen.command}: {error}; see glsplat {chosen.command} --help", file=sys.stderr)
-        return 2
-    except GlsplatError as error:
-        print(f"glsplat {chosen.command}: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    except OSError as error:  # a full disk, a lost network drive: not ours, but no reason for a traceback either
-        if not isinstance(error, BrokenPipeError):  # `glsplat inspect ... | head` is no error at all
-            print(f"glsplat {chosen.command}: {error.strerror or error}", file=sys.stderr)
-        _forget_output()
-        return 1
+    return str(parser.parse_args(arguments[:1]).command)
 
 
 def parsed(name: str, words: Sequence[str]) -> tuple[ModuleType, argparse.Namespace]:
-    """A command's module, and what the words behind its name say. Raises SystemExit or UsageError for mistakes."""
+    """Return a command's module and its parsed arguments. Raises SystemExit or UsageError for mistakes."""
     module = import_module(f".{MODULES.get(name, name)}", __package__)
     command = CommandParser(
         prog=f"glsplat {name}",
@@ -126,28 +139,15 @@ def parsed(name: str, words: Sequence[str]) -> tuple[ModuleType, argparse.Namesp
 
 
 def listed(group: str) -> str:
-    """The commands of one group, as ``--help`` shows them."""
+    """Return the lines of a group in ``--help``."""
     lines = [f"  {name:10} {command.text}" for name, command in COMMANDS.items() if command.group == group]
     return "\n".join([f"{group}:", *lines])
 
 
-def _next_steps() -> int:
-    """What somebody who gave no command is told."""
-    try:
-        sys.stdout.write(NEXT)
-        sys.stdout.flush()
-        return 0
-    except OSError as error:
-        if not isinstance(error, BrokenPipeError):
-            print(f"glsplat: {error.strerror or error}", file=sys.stderr)
-        _forget_output()
-        return 1
-
-
 def joined(arguments: Sequence[str]) -> list[str]:
-    """``--eye -1.2,1,2`` as ``--eye=-1.2,1,2``: to argparse, what begins with a minus and is no number is an option.
+    """Join ``--eye -1.2,1,2`` to ``--eye=-1.2,1,2``, and ``--up -y``: argparse would read the value as an option.
 
-    No option of ours begins with a minus and a digit. So does ``--up -y``. What follows ``--`` stays as it is.
+    No option begins with a minus and a digit. Arguments after ``--`` are unchanged.
     """
     out: list[str] = []
     for index, argument in enumerate(arguments):
@@ -161,8 +161,8 @@ def joined(arguments: Sequence[str]) -> list[str]:
     return out
 
 
-def _forget_output() -> None:
-    """Point a broken standard output at nothing, so that Python does not fail once more when it flushes at the end."""
+def _discard_output() -> None:
+    """Redirect a broken standard output to the null device, so that Python's flush at exit does not fail."""
     try:
         sys.stdout.flush()
     except OSError:

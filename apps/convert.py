@@ -1,4 +1,4 @@
-"""``glsplat convert``: from one format of splats and avatars to another, and textured meshes to glTF."""
+"""``glsplat convert``: convert splats and avatars between formats, and textured meshes to glTF."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.formats.fidelity import read_back
 from glsplat.formats import save, suffixes
 from glsplat.formats.registry import load
 from glsplat.formats.scene_file import upright
 from glsplat.formats.transform import transformed
 from glsplat.light import Light
 from glsplat.meshes import RiggedMesh
+from glsplat.optional import plugin
 from glsplat.scene import Content, Scene
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
 from .args import add_up
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "add_quiet", "run", "save_and_say", "turned"]
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "add_quiet", "run", "save_with_report", "turned"]
 
 HELP = (
     f"Convert between {suffixes(last='and', written=True)} (3DGS PLY, KHR_gaussian_splatting); "
-    "the output's suffix decides. With --up the output has y up. "
+    "the output's suffix selects the format. With --up the output has y up. "
     "Textured meshes (.glb, .gltf, .obj, a person .npz) become .glb or .gltf."
 )
 EXAMPLE = "glsplat convert scene.ply scene.glb"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("input", metavar="IN", help=f"a {suffixes()}, recognised by content")
     parser.add_argument("output", metavar="OUT", help=f"file to write, ending in {suffixes(written=True)}")
     add_up(parser)
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Convert one file; what the output does not hold is said on stderr, in numbers. Raises FormatError."""
+    """Convert one file; losses are printed on stderr. Raises FormatError."""
     if not Path(args.input).exists():
         raise FormatError(f"{args.input}: no such file; give a {suffixes()}")
     found = load(args.input, strict=args.strict)
@@ -57,19 +57,19 @@ def run(args: argparse.Namespace) -> int:
     if isinstance(scene, RiggedMesh):
         save(scene, args.output)
         return 0
-    save_and_say(scene, args.output, "glsplat convert", args.quiet)
+    save_with_report(scene, args.output, "glsplat convert", args.quiet)
     return 0
 
 
 def add_quiet(parser: argparse.ArgumentParser) -> None:
-    """--quiet."""
-    parser.add_argument("--quiet", action="store_true", help="do not say what the file loses, nor read it back")
+    """Add --quiet."""
+    parser.add_argument("--quiet", action="store_true", help="do not report losses, nor read the file back")
 
 
-def save_and_say(scene: Splats | Avatar, output: str | Path, command: str, quiet: bool = False) -> None:
-    """Save by the suffix. Losses are said first, then, the file read back, what differs by more than float32 does.
+def save_with_report(scene: Splats | Avatar, output: str | Path, command: str, quiet: bool = False) -> None:
+    """Save in the format of the suffix; print the losses, and how the file read back differs beyond rounding.
 
-    "largest (mean)" over all splats; nothing is said where nothing is lost. Raises FormatError.
+    Differences are "largest (mean)" over all splats. Raises FormatError.
     """
 
     def say(loss: str) -> None:
@@ -77,12 +77,13 @@ def save_and_say(scene: Splats | Avatar, output: str | Path, command: str, quiet
             print(f"{command}: {output}: {loss}", file=sys.stderr)
 
     save(scene, output, say=say)
-    if not quiet and (words := ", ".join(read_back(scene, output).words())):
+    fidelity = None if quiet else plugin("formats.fidelity")
+    if fidelity is not None and (words := ", ".join(fidelity.read_back(scene, output).words())):
         print(f"{command}: {output}: read back, off by at most (mean): {words}", file=sys.stderr)
 
 
 def turned(scene: Content, up: str) -> Content:
-    """The scene turned for good, so that the axis ``up`` becomes y: means, rotations, colours' directions, the rig."""
+    """Return the content rotated so that the axis ``up`` becomes y: means, rotations, SH, the rig."""
     turn = upright(up)
     if isinstance(scene, Splats):
         return transformed(scene, turn)
@@ -106,9 +107,9 @@ def _turned(avatar: Avatar, turn: NDArray[np.float64], skeleton: Skeleton) -> Av
 
 
 def _turned_meta(meta: Mapping[str, Any], turn: NDArray[np.float64]) -> Mapping[str, Any]:
-    """The notes of a file; the light that was estimated of its photograph has the world's axes."""
+    """Return the metadata with its estimated light rotated, which is in world axes."""
     try:
         light = Light.from_json(meta["light"]) if isinstance(meta.get("light"), Mapping) else None
-    except FormatError:  # another tool's note of that name
+    except FormatError:  # another tool's metadata of that name
         light = None
     return meta if light is None else dict(meta) | {"light": light.turned(turn[:3, :3]).to_json()}

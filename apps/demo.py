@@ -1,4 +1,4 @@
-"""``glsplat demo``: server and client together on this machine, measured, with pictures to look at."""
+"""``glsplat demo``: run server and client on this machine; print rates and save pictures."""
 
 from __future__ import annotations
 
@@ -33,29 +33,29 @@ HELP = (
 )
 EXAMPLE = "glsplat demo -o out/demo"
 
-_START = 60.0  # seconds a server may take to get ready on a slow machine
-_STOP = 10.0
-_ACROSS = 1024  # pixels of the clip: VP9 of twice that would take longer than the streaming
+_START_TIMEOUT_S = 60.0  # for slow machines
+_STOP_TIMEOUT_S = 10.0
+_CLIP_WIDTH_PX = 1024  # encoding twice that as VP9 would take longer than streaming
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("-o", "--output", type=Path, default=Path("out/demo"), help="folder (default out/demo)")
     parser.add_argument("--avatar", metavar="FILE", help="avatar to show (default: the embedded one)")
     parser.add_argument(
         "--motion", metavar="FILE", help="motion to send as poses, or .jsonl (default: embedded recording)"
     )
-    parser.add_argument("--tracking", action="store_true", help="of a motion, send head and hands only")
-    parser.add_argument("--seconds", type=float, default=8.0, help="streaming time at each size (default 8)")
-    parser.add_argument("--fps", type=float, default=72.0, help="requests a second (default 72)")
-    parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels an eye")
+    parser.add_argument("--tracking", action="store_true", help="send only head and hands of the motion")
+    parser.add_argument("--seconds", type=float, default=8.0, help="seconds of streaming at each size (default 8)")
+    parser.add_argument("--fps", type=float, default=72.0, help="requests per second (default 72)")
+    parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels per eye")
     add_detail(parser, lean=True)
     parser.add_argument("--table", type=Path, metavar="FILE", help="write the stage table as markdown")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve, stream, report, save, stop."""
+    """Start a server, stream, print the report and save the pictures."""
     if not 0.1 <= args.seconds <= 600 or not 1 <= args.fps <= 240:
         raise UsageError("--seconds needs 0.1 to 600 and --fps 1 to 240")
     drive, _ = load_drive(args.motion, args.avatar, args.tracking)
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if not kept:
         raise GlsplatError("no picture came; run `glsplat serve --verbose` and `glsplat replay` to see why")
     save_sheet(sheet, kept)
-    shown = save_clip(clip, kept, across=_ACROSS)
+    shown = save_clip(clip, kept, across=_CLIP_WIDTH_PX)
     if args.table:
         replace_file(args.table, [table_markdown(results).encode()])
     if args.json:
@@ -92,7 +92,9 @@ async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tup
     for pixels in args.sizes:
         name = f"{pixels[0]}x{pixels[1]}"
         async with Client(url, timeout=30.0) as client:
-            await client.render(observer(0.0, np.zeros(3), pixels))  # a new size makes new targets: not measured
+            await client.render(
+                observer(0.0, np.zeros(3), pixels)
+            )  # allocates the targets of a new size, outside the measurement
             with Progress(frames, name, quiet=not bars) as bar:
                 result = await stream(
                     client,
@@ -109,16 +111,16 @@ async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tup
 
 @contextmanager
 def running_server(avatar: str | None, rendering: RenderConfig = LEAN) -> Iterator[str]:
-    """A server in a process of its own on a free port of loopback; yields its URL and stops it in order."""
+    """Run a server in its own process on a free loopback port; yields its URL, then stops it cleanly."""
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()
-    # no daemon: those may not have a process of their own for drawing
+    # no daemon, which could not start the server's drawing process
     process = processes.Process(target=_serve, args=(theirs, avatar, rendering), name="glsplat serve")
     process.start()
     theirs.close()
     try:
-        if not ours.poll(_START):
-            raise GlsplatError(f"the server was not ready within {_START:g} s")
+        if not ours.poll(_START_TIMEOUT_S):
+            raise GlsplatError(f"the server was not ready within {_START_TIMEOUT_S:g} s")
         try:
             ready, text = ours.recv()
         except EOFError:
@@ -127,15 +129,15 @@ def running_server(avatar: str | None, rendering: RenderConfig = LEAN) -> Iterat
             raise GlsplatError(text)
         yield text
     finally:
-        process.terminate()  # SIGTERM: it sends what is under way and ends with 0
-        process.join(_STOP)
+        process.terminate()  # SIGTERM: the server sends pending pictures and exits with 0
+        process.join(_STOP_TIMEOUT_S)
         if process.is_alive():
             process.kill()
             process.join()
 
 
 def _serve(connection: Connection, avatar: str | None, rendering: RenderConfig) -> None:
-    """The child: tells its URL, or one line of what went wrong."""
+    """Run the server in the child process; send (True, URL) or (False, error) to the parent."""
     from glsplat.net.options import ServerConfig
     from glsplat.net.served_scene import gl_server
 

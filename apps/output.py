@@ -1,11 +1,11 @@
-"""Writing pictures: always to a temporary neighbour first, so that no partial file is left behind."""
+"""Write pictures and arrays, through a temporary file, so that no partial file remains."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -15,30 +15,44 @@ from glsplat.errors import FormatError
 from glsplat.io.files import replace_file
 from glsplat.pictures import straight
 
-__all__ = ["Image", "eight_bit", "joined_views", "label", "save_depth", "save_npy", "save_png", "side_by_side", "stack"]
+if TYPE_CHECKING:
+    from glsplat.renderer import Renderer
+
+__all__ = [
+    "Image",
+    "eight_bit",
+    "frame_report",
+    "joined_views",
+    "label",
+    "save_depth",
+    "save_npy",
+    "save_png",
+    "side_by_side",
+    "stack",
+]
 
 Image = NDArray[np.uint8]
 
 
 def eight_bit(image: NDArray[Any]) -> Image:
-    """RGB(A) uint8 as it is, float clamped to [0, 1] and rounded."""
+    """Return RGB(A) as uint8; floats are clamped to [0, 1] and rounded."""
     if image.dtype == np.uint8:
         return image
     return np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
 
 
 def side_by_side(images: NDArray[Any]) -> Image:
-    """[V, H, W, C] to one [H, V * W, 3] picture."""
-    return np.concatenate(list(eight_bit(images[..., :3])), axis=1)
+    """Return views [V, H, W, C] as one 8-bit picture [H, V * W, 3]."""
+    return joined_views(eight_bit(images[..., :3]))
 
 
 def joined_views(images: NDArray[Any]) -> NDArray[Any]:
-    """[V, H, W, ...] to one [H, V * W, ...] picture, values and channels as they are."""
+    """Return views [V, H, W, ...] as one picture [H, V * W, ...] of the same values."""
     return np.concatenate(list(images), axis=1)
 
 
 def stack(rows: Sequence[Sequence[Image]], gap: int = 4) -> Image:
-    """A contact sheet of equally sized pictures, a list a row."""
+    """Return a contact sheet of equally sized pictures; each list is a row."""
     height, width = rows[0][0].shape[:2]
     columns = max(map(len, rows))
     sheet = np.full((len(rows) * (height + gap) - gap, columns * (width + gap) - gap, 3), 40, np.uint8)
@@ -50,7 +64,7 @@ def stack(rows: Sequence[Sequence[Image]], gap: int = 4) -> Image:
 
 
 def label(image: Image, text: str) -> Image:
-    """A copy with ``text`` in its upper left corner."""
+    """Return a copy with ``text`` in its upper left corner."""
     out = np.ascontiguousarray(image[..., :3]).copy()
     scale = max(0.4, image.shape[0] / 900)
     cv2.putText(out, text, (6, int(24 * scale) + 2), cv2.FONT_HERSHEY_SIMPLEX, scale, (230, 230, 230), 1, cv2.LINE_AA)
@@ -58,10 +72,14 @@ def label(image: Image, text: str) -> Image:
 
 
 def save_png(path: str | Path, image: NDArray[Any]) -> None:
-    """Write a picture [H, W, 3|4]. RGBA is as the renderer gives it (colours times alpha) and is stored straight."""
+    """Write a picture [H, W, 3|4] as PNG. RGBA, premultiplied as from the renderer, is stored straight."""
     pixels = eight_bit(straight(image) if image.shape[2] == 4 else image)
     order = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
-    ok, data = cv2.imencode(".png", cv2.cvtColor(np.ascontiguousarray(pixels), order))
+    _write_png(path, cv2.cvtColor(np.ascontiguousarray(pixels), order))
+
+
+def _write_png(path: str | Path, pixels: NDArray[Any]) -> None:
+    ok, data = cv2.imencode(".png", pixels)
     if not ok:
         raise FormatError(f"{path}: the picture could not be encoded as PNG")
     replace_file(path, [data.tobytes()])
@@ -75,15 +93,29 @@ def save_npy(path: str | Path, array: NDArray[Any]) -> None:
 
 
 def save_depth(path: str | Path, depths: NDArray[np.float32], several: bool) -> None:
-    """Write depths [V, H, W] in metres: .npy as they are (one view without ``several``: [H, W]), .png as 16-bit grey.
+    """Write depths [V, H, W] in metres as .npy (not ``several``: [H, W] of one view), or as .png in 16-bit grey.
 
-    The picture holds millimetres, views side by side: 0 is nothing, and 65535 is 65.535 m and all beyond.
+    The PNG has millimetres, views side by side: 0 is empty, 65535 is 65.535 m or more.
     """
     if Path(path).suffix.lower() == ".npy":
         return save_npy(path, depths if several else depths[0])
     millimetres = np.rint(np.clip(joined_views(depths).astype(np.float64) * 1000, 0, 65535))
-    nearest = np.where(joined_views(depths) > 0, np.maximum(millimetres, 1), 0)  # half a millimetre is not nothing
-    ok, data = cv2.imencode(".png", nearest.astype(np.uint16))
-    if not ok:
-        raise FormatError(f"{path}: the depths could not be encoded as PNG")
-    replace_file(path, [data.tobytes()])
+    nearest = np.where(
+        joined_views(depths) > 0, np.maximum(millimetres, 1), 0
+    )  # less than half a millimetre is not empty
+    _write_png(path, nearest.astype(np.uint16))
+
+
+def frame_report(renderer: Renderer) -> dict[str, Any]:
+    """Return driver, float target, counts and stage times of the last frame, as JSON values."""
+    stats = renderer.stats
+    return {
+        "driver": renderer.driver,
+        "float_target": renderer.target_dtype,
+        "splats": stats.splats,
+        "levels": stats.levels,
+        "drawn": stats.drawn,
+        "skipped": stats.skipped,
+        "culled": stats.culled,
+        "timings_ms": {stage: round(ms, 3) for stage, ms in renderer.timings.items()},
+    }

@@ -1,4 +1,4 @@
-"""Pieces of HTML pages that open without a network: a document, tables, pictures."""
+"""Parts of self-contained HTML pages: a document, tables, pictures."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ img { max-width: 100%; } code { background: #f2f2f2; padding: 0 3px; }
 
 
 def document(title: str, body: str) -> str:
-    """The whole page."""
+    """Return an HTML document."""
     head = f'<html lang="en"><head><meta charset="utf-8"><title>{escaped(title)}</title><style>{_STYLE}</style></head>'
     return f"<!doctype html>{head}<body>{body}</body></html>\n"
 
 
 def table_of(names: Sequence[str], rows: Sequence[Sequence[Any]], classes: Sequence[str] = ()) -> str:
-    """A table; numbers stand to the right, ``classes`` are of rows."""
+    """Return an HTML table; numbers are right-aligned, ``classes`` are those of rows."""
     lines = ["<table><tr>", *(f"<th>{escaped(name)}</th>" for name in names), "</tr>"]
     for index, row in enumerate(rows):
         kind = classes[index] if classes else ""
@@ -39,7 +39,7 @@ def table_of(names: Sequence[str], rows: Sequence[Sequence[Any]], classes: Seque
 
 
 def number_of(value: float | None) -> str:
-    """A number as tables have it: five digits, thousands apart."""
+    """Return a number with five digits and thousands separators."""
     if value is None:
         return "not finite"
     if isinstance(value, int):
@@ -49,12 +49,12 @@ def number_of(value: float | None) -> str:
 
 
 def image_of(pictures: Mapping[str, bytes], name: str) -> str:
-    """A PNG or JPEG, by its name, within the page."""
+    """Return an <img> with the PNG or JPEG embedded."""
     kind = "jpeg" if name.endswith(".jpg") else "png"
     data = base64.b64encode(pictures[name]).decode("ascii")
     return f'<p><img alt="{escaped(name)}" src="data:image/{kind};base64,{data}"></p>'
 
 
 def escaped(value: str) -> str:
-    """Text that HTML takes for text."""
+    """Return text with HTML's special characters escaped."""
     return html.escape(value)

@@ -1,4 +1,4 @@
-"""A line on stderr that shows how far a command is. Without a terminal there is none."""
+"""A progress line on stderr, if that is a terminal."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import TypeVar
 __all__ = ["Progress", "each"]
 
 T = TypeVar("T")
-_EVERY_S = 0.1  # between two redraws
+_REDRAW_PERIOD_S = 0.1
 _CLEAR = "\r\x1b[K"
 
 
 class Progress:
-    """Show a label, the share of ``total`` that is done and the seconds left; ``with`` clears the line at the end."""
+    """Shows a label, the percentage of ``total`` and the time left; the end of ``with`` clears the line."""
 
     def __init__(self, total: float, label: str = "", *, quiet: bool = False) -> None:
         self.total, self.done, self.label = total, 0.0, label
@@ -31,15 +31,15 @@ class Progress:
             sys.stderr.flush()
 
     def update(self, steps: float = 1) -> None:
-        """Count ``steps`` more as done."""
+        """Add ``steps`` to the work done."""
         self.show(self.done + steps)
 
     def show(self, done: float, label: str | None = None) -> None:
-        """Set how much is done, and the label."""
+        """Set the work done, and the label."""
         now, self.done = time.monotonic(), done
         new_label = label is not None and label != self.label
         self.label = self.label if label is None else label
-        if not self.shown or (now - self._drawn < _EVERY_S and not new_label):
+        if not self.shown or (now - self._drawn < _REDRAW_PERIOD_S and not new_label):
             return
         self._drawn = now
         share = min(1.0, done / self.total) if self.total else 0.0
@@ -49,12 +49,12 @@ class Progress:
         sys.stderr.flush()
 
     def write(self, text: str) -> None:
-        """Print a line of text above the progress."""
+        """Print a line of text above the progress line."""
         print(f"{_CLEAR}{text}" if self.shown else text, file=sys.stderr, flush=True)
 
 
 def each(items: Iterable[T], label: str = "", *, total: int | None = None, quiet: bool = False) -> Iterator[T]:
-    """Yield the ``items``, of which there are ``total`` or as many as they have, and show the progress."""
+    """Yield the ``items`` and show the progress; ``total`` is their number, by default their length."""
     if total is None:
         items = items if isinstance(items, Collection) else list(items)
         total = len(items)

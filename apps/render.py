@@ -1,4 +1,4 @@
-"""``glsplat render``: one picture, a clip of a motion, or a turntable."""
+"""``glsplat render``: render a picture, a clip of a motion, or a turntable."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from .args import (
     size,
 )
 from .clip import CLIPS, Clip
-from .output import joined_views, save_depth, save_npy, save_png, side_by_side
+from .output import frame_report, joined_views, save_depth, save_npy, save_png, side_by_side
 from .progress import each
 from .usage import UsageError, output_kind
 
@@ -52,27 +52,28 @@ if TYPE_CHECKING:
     from glsplat.extras.speech.sound import Sound
 
 HELP = (
-    "Render a scene or a posed avatar: .npy holds exact floats, .png a picture, .mp4 or .webm a motion or a turntable "
-    "(VP9, which browsers play)."
+    "Render a scene or a posed avatar: exact floats to .npy, a picture to .png, a motion or turntable to .mp4 or .webm "
+    "(VP9, for browsers)."
 )
-_NOTHING: Mapping[str, float] = {}
 EXAMPLE = "glsplat render --motion wave-and-turn --frame 40 --stereo -o wave.png"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     add_scene(parser)
     add_light(parser)
     parser.add_argument("-o", "--output", required=True, help=".png, .npy, a clip .mp4 or .webm, or a folder/ of PNG")
     parser.add_argument("--alpha", action="store_true", help="PNG with (straight) alpha, without the background")
     parser.add_argument(
-        "--depth", metavar="FILE", help="also expected depth: .npy in metres, .png in millimetres (16 bit); 0: nothing"
+        "--depth",
+        metavar="FILE",
+        help="also write depth: .npy in metres, .png in millimetres (16 bit); 0: empty",
     )
     parser.add_argument("--cameras", metavar="FILE", help="camera file: one object, or a list for several views")
     parser.add_argument("--size", type=size, default=(1024, 1024), help="WxH in pixels (default 1024x1024)")
     parser.add_argument("--fov", type=degrees, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
-    parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
-    parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
+    parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="position of the camera (default: all in view)")
+    parser.add_argument("--target", type=point, metavar="X,Y,Z", help="point it looks at (default: the scene's centre)")
     parser.add_argument("--stereo", action="store_true", help="both eyes in one pass, side by side in pictures")
     parser.add_argument("--ipd", type=not_negative, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
     parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
@@ -80,25 +81,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motion",
         metavar="FILE",
-        help=f"{KINDS}, or an embedded motion's name; of several in a file, FILE#NAME; "
-        "of one that is not read as it was meant, FILE#up=z and the like (docs/rigs.md)",
+        help=f"{KINDS}, or an embedded motion's name; FILE#NAME selects one of several; "
+        "FILE#up=z and the like correct its reading (docs/rigs.md)",
     )
     parser.add_argument(
         "--expression",
         type=expression,
         metavar="NAME=W,...",
-        help="weights of the avatar's shapes: jawOpen=0.7,eyeBlinkLeft=1; over those of a pose or motion",
+        help="weights of the avatar's shapes: jawOpen=0.7,eyeBlinkLeft=1; they override those of a pose or motion",
     )
     parser.add_argument(
         "--speech",
         metavar="FILE",
-        help="a .wav that the avatar says, in a clip as long as it; .mp4 has its sound, a motion repeats",
+        help="animate the mouth to a .wav, in a clip of its length; .mp4 has the sound, a motion repeats",
     )
     parser.add_argument(
         "--frame", type=int, metavar="N", help="frame of the motion, or picture of a scene file's clip (default: all)"
     )
-    parser.add_argument("--turntable", type=int, metavar="N", help="N views around the scene, as a clip or sequence")
-    parser.add_argument("--fps", type=positive, default=30.0, help="frames a second of a clip (default 30)")
+    parser.add_argument("--turntable", type=int, metavar="N", help="N views around the scene, as a clip or pictures")
+    parser.add_argument("--fps", type=positive, default=30.0, help="frames per second of a clip (default 30)")
     parser.add_argument(
         "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
     )
@@ -106,18 +107,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--antialias",
         action=argparse.BooleanOptionalAction,
-        help="opacity compensation for small splats (default: what the file asks for)",
+        help="opacity compensation for small splats (default: as the file says)",
     )
     add_detail(parser, lean=False)
     parser.add_argument("--rotation", choices=("polar", "raw"), default="polar", help="blended rotation of a skin")
-    parser.add_argument("--layers", choices=("auto", "vertex", "geometry"), default="auto", help="who writes gl_Layer")
+    parser.add_argument(
+        "--layers", choices=("auto", "vertex", "geometry"), default="auto", help="shader that writes gl_Layer"
+    )
     parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("--json", action="store_true", help="print driver, variant, counts and stage times")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Render what the arguments say."""
+    """Render by the options."""
     _check_combinations(args)
     output = Path(args.output)
     exact = output.suffix.lower() == ".npy"
@@ -127,11 +130,11 @@ def run(args: argparse.Namespace) -> int:
     sequence = sequence or args.speech is not None
     sound = None if args.speech is None else _sound_of(args.speech)
     count, shots = _shots(args, scene, plays, sound)
-    _check_output(args, sequence)  # after the motion: without one, it is not the output's name that is wrong
+    _check_output(args, sequence)  # after the motion: a missing motion is the more likely mistake
     first = next(shots)
     config = RenderConfig(
         target=args.float_target,
-        output="float32" if exact or args.alpha else "uint8",  # bytes divided by a small alpha would be coarse
+        output="float32" if exact or args.alpha else "uint8",  # float, as dividing bytes by a small alpha is inexact
         sorter=args.sorter,
         sh_degree=args.sh_degree,
         antialias=args.antialias,
@@ -179,12 +182,12 @@ def _sound_of(path: str) -> Sound:
 class _Shot:
     cameras: list[Camera]
     pose: Pose | None
-    several: bool  # a list of views was asked for: .npy is [V, H, W, 4]
+    several: bool  # a list of views: .npy is [V, H, W, 4]
     seconds: float = 0.0  # on the clock of the scene file's motions
 
 
 def _check_combinations(args: argparse.Namespace) -> None:
-    """Refuse options of which one would silently win."""
+    """Raise UsageError for options that contradict each other."""
     for one, other in (("pose", "motion"), ("cameras", "turntable"), ("cameras", "eye"), ("cameras", "target")):
         if getattr(args, one) is not None and getattr(args, other) is not None:
             raise UsageError(f"give --{one} or --{other}, not both")
@@ -208,7 +211,7 @@ def _is_sequence(output: Path) -> bool:
 
 
 def _check_output(args: argparse.Namespace, sequence: bool) -> None:
-    """Refuse what could not be written before the work starts."""
+    """Raise UsageError or FormatError, before the work starts, for an output that cannot be written."""
     if args.depth is not None:
         if sequence:
             raise UsageError("--depth is for one picture, not for a clip or a sequence")
@@ -231,7 +234,7 @@ def _check_output(args: argparse.Namespace, sequence: bool) -> None:
 
 
 def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool, sound: Sound | None) -> tuple[int, Iterator[_Shot]]:
-    """How many pictures, and each one's cameras and pose. ``plays``: the motions of the scene file."""
+    """Return the number of pictures, and their cameras and poses; ``plays`` runs the scene file's motions."""
     face = _face(args, scene)
     if args.frame is not None and args.motion is None and not scene.motions:
         raise UsageError("--frame needs --motion, or a scene file with motions")
@@ -248,7 +251,7 @@ def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool, sound: Sound
             raise UsageError(f"--frame needs 0 to {count - 1} for {args.motion or 'this scene'}, not {args.frame}")
         seconds = args.frame / (args.fps if motion is None else motion.fps)
         pose = pose if motion is None else motion.pose(args.frame)
-    pose = face(pose, _NOTHING)
+    pose = face(pose)
     if args.turntable is not None:
         if args.turntable < 1:
             raise UsageError(f"--turntable needs at least 1 view, not {args.turntable}")
@@ -260,28 +263,25 @@ def _shots(args: argparse.Namespace, scene: SceneFile, plays: bool, sound: Sound
     if sound is not None:
         from glsplat.extras.speech.speaking import Speaking
 
-        speaking, says = Speaking(sound), _face(args, scene, "--speech")
+        speaking, face = Speaking(sound), _face(args, scene, "--speech")
         count = max(1, round(sound.seconds * args.fps))
-        moves = (pose if motion is None else motion.at(i / args.fps) for i in range(count))
-        poses = (says(held, speaking.at(i / args.fps)) for i, held in enumerate(moves))
-        return count, (_Shot(cameras, held, several, i / args.fps) for i, held in enumerate(poses))
+        moments = (i / args.fps for i in range(count))
+        return count, (
+            _Shot(cameras, face(pose if motion is None else motion.at(t), speaking.at(t)), several, t) for t in moments
+        )
     if plays or (motion is not None and args.frame is None):
-        # on the motion's clock, so that a clip plays at the speed it was recorded
+        # by time, so that the clip plays at the motion's speed
         count = max(1, round((scene.duration if motion is None else motion.duration) * args.fps))
         times = (i / args.fps for i in range(count))
-        return count, (
-            _Shot(cameras, pose if motion is None else face(motion.at(t), _NOTHING), several, t) for t in times
-        )
+        return count, (_Shot(cameras, pose if motion is None else face(motion.at(t)), several, t) for t in times)
     return 1, iter([_Shot(cameras, pose, several, seconds)])
 
 
-def _face(
-    args: argparse.Namespace, scene: SceneFile, option: str = "--expression"
-) -> Callable[[Pose | None, Mapping[str, float]], Pose | None]:
-    """What sets the weights of --expression, over what else is said, in a pose. Raises UsageError."""
+def _face(args: argparse.Namespace, scene: SceneFile, option: str = "--expression") -> Callable[..., Pose | None]:
+    """Return ``f(pose, spoken={})``, the pose with the weights of speech and of --expression. Raises UsageError."""
     given = args.expression or {}
     if args.expression is None and option == "--expression":
-        return lambda pose, said: pose
+        return lambda pose: pose
     if scene.motions:
         raise UsageError(f"{option} is for an avatar, not for the motions of a scene file; write it into the poses")
     avatar = driven(scene, option)
@@ -293,9 +293,9 @@ def _face(
         raise UsageError(f"this avatar has no shape {unknown[0][:40]!r}; it has {some}")
     item = scene.avatar
 
-    def with_face(pose: Pose | None, said: Mapping[str, float]) -> Pose:
+    def with_face(pose: Pose | None, spoken: Mapping[str, float] = {}) -> Pose:
         held = pose or (item.pose if item is not None else None) or Pose.zero(len(avatar.skeleton))
-        return replace(held, expression={**held.expression, **said, **given})
+        return replace(held, expression={**held.expression, **spoken, **given})
 
     return with_face
 
@@ -333,17 +333,9 @@ def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], c
 
 
 def _report(renderer: Renderer) -> dict[str, object]:
-    stats = renderer.stats
     return {
-        "driver": renderer.driver,
         "backend": renderer.context.backend,
         "variant": asdict(renderer.variant),
-        "float_target": renderer.target_dtype,
-        "splats": stats.splats,
-        "levels": stats.levels,
-        "drawn": stats.drawn,
-        "skipped": stats.skipped,
-        "culled": stats.culled,
         "gpu_bytes": renderer.nbytes(),
-        "timings_ms": {stage: round(ms, 3) for stage, ms in renderer.timings.items()},
+        **frame_report(renderer),
     }

@@ -1,4 +1,4 @@
-"""Mistakes on the command line: one line that says what was wrong and where help is; exit code 2."""
+"""Usage errors: one line with the mistake and where to find help; exit code 2."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ __all__ = ["CommandParser", "UsageError", "output_kind"]
 
 
 class UsageError(GlsplatError):
-    """The command was given something it cannot mean; the line ends with where help is."""
+    """Invalid arguments of a command; the printed line ends with where to find help."""
 
 
 class CommandParser(argparse.ArgumentParser):
-    """argparse without its usage block, which buries what was wrong under a screen of options."""
+    """argparse without its usage block, which buries the error under a screen of options."""
 
     context = ""
-    """What the words that are parsed come from, said first: "server.toml: "; "" for the command line."""
+    """Prefix of errors: the source of the words, such as "server.toml: "; "" for the command line."""
 
     later: Callable[[argparse.ArgumentParser], None] | None = None
-    """Adds arguments when they are first asked for: an action that is not chosen need not be imported."""
+    """Adds arguments when they are first needed, so that other actions are not imported."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """As argparse, with all arguments."""
+        """Add the deferred arguments, then parse as argparse does."""
         self.complete()
         return super().parse_known_args(args, namespace)
 
     def complete(self) -> None:
-        """Add the arguments that come ``later``."""
+        """Add the deferred arguments."""
         later, self.later = self.later, None
         if later is not None:
             later(self)
 
     def error(self, message: str) -> NoReturn:
-        """Print one line, exit with 2."""
+        """Print one line and exit with 2."""
         text = re.sub(r"^argument ([^:]+): ", r"\1: ", message).replace("\n", " ")
         text = re.sub(r"^the following arguments are required: ", "missing: ", text)
         self.exit(2, f"{self.prog}: {self.context}{text}; see {self.prog} --help\n")
 
 
 def output_kind(option: str, name: str, endings: tuple[str, ...], what: str, folder: str = "") -> str:
-    """The ending of an output's name, "" for a folder. Refuses what could not be written before the work starts.
+    """Return the suffix of an output's name, "" for a folder, after checking that it can be written.
 
-    ``what`` says in words what is expected. ``folder`` says what a folder holds; without it there has to be a file.
-    Raises UsageError for a name that does not fit, FormatError for a place that is not there.
+    ``what`` describes the expected file, ``folder`` the content of a folder; without it the output is a file. Raises
+    UsageError for another suffix, FormatError for a missing parent folder.
     """
     path = Path(name)
     ending = path.suffix.lower()

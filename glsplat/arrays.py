@@ -1,8 +1,8 @@
-"""Checked parts of immutable values: arrays of one type that nobody else can change, and plain numbers.
+"""Validate the parts of immutable values: read-only arrays of one type, and plain numbers.
 
-A value (Camera, Pose, Skin, Splats, Skeleton) is checked once, when it is made. That holds later only if the arrays
-are its own: they are copied and made read-only. An array that is read-only already, down to the memory it owns, is
-kept as it is, so that a million splats are not copied by every ``replace()``.
+A value (Camera, Pose, Skin, Splats, Skeleton) is checked once, when it is made, so its arrays must not change later:
+they are copied and made read-only. An array that is already read-only, down to the memory it owns, is not copied, so
+that ``replace()`` of a million splats is cheap.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ class Value:
 
 
 def frozen(array: NDArray[Kind]) -> NDArray[Kind]:
-    """Make an array read-only and return it: for one just made, that nobody else holds."""
+    """Make an array read-only and return it. The caller must hold its only reference."""
     array.flags.writeable = False
     return array
 
 
 def plain(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) -> NDArray[Any]:
-    """Return ``value`` as an array of integers or floats, not copied.
+    """Return ``value`` as an array of integers or floats, without a copy where possible.
 
-    Text, booleans, complex numbers, None and arrays with masked values are refused.
+    Raises ``error`` for text, booleans, complex numbers, None and masked values.
     """
     if _masked(value):
         raise error(f"{what} needs an array without masked values; fill them (filled()) or leave them out")
@@ -79,7 +79,7 @@ def plain(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) 
 
 
 def own(value: ArrayLike, dtype: type[Kind], what: str, error: type[GlsplatError] = FormatError) -> NDArray[Kind]:
-    """Return ``value`` as a read-only C-contiguous array of the float type ``dtype``; copied unless it is one."""
+    """Return ``value`` as a read-only C-contiguous float array of ``dtype``, copied unless it is one already."""
     array = plain(value, what, error)
     if array.dtype == dtype and array.flags.c_contiguous and _constant(array):
         return array
@@ -90,7 +90,7 @@ def own(value: ArrayLike, dtype: type[Kind], what: str, error: type[GlsplatError
 
 
 def own_whole(value: ArrayLike, dtype: type[Kind], what: str, error: type[GlsplatError] = FormatError) -> NDArray[Kind]:
-    """Return ``value`` as a read-only array of the integer type ``dtype``; numbers that do not fit it are refused."""
+    """Return ``value`` as a read-only integer array of ``dtype``. Raises ``error`` for numbers that do not fit."""
     array = plain(value, what, error)
     if array.dtype == dtype and array.flags.c_contiguous and _constant(array):
         return array
@@ -103,7 +103,7 @@ def own_whole(value: ArrayLike, dtype: type[Kind], what: str, error: type[Glspla
 
 
 def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> float:
-    """Return ``value`` as a float; NaN and infinity, booleans and text are refused."""
+    """Return ``value`` as a float. Raises ``error`` for NaN, infinity, booleans and text."""
     if type(value) is not float:
         kind = getattr(getattr(value, "dtype", None), "kind", "f")
         vector = isinstance(value, np.ndarray) and value.ndim > 0
@@ -119,7 +119,7 @@ def number(value: Any, what: str, error: type[GlsplatError] = FormatError) -> fl
 
 
 def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least: int | None = None) -> int:
-    """Return ``value`` as an int of 63 bits, ``least`` or more: any integer type, but no float, boolean or text."""
+    """Return ``value`` as an int of 63 bits, at least ``least``. Raises ``error`` for floats, booleans and text."""
     value = bits(value, what, error)
     if abs(value) >= 2**63:
         raise error(f"{what} needs a whole number of at most 19 digits")
@@ -129,7 +129,7 @@ def count(value: Any, what: str, error: type[GlsplatError] = FormatError, least:
 
 
 def bits(value: Any, what: str, error: type[GlsplatError] = FormatError) -> int:
-    """Return ``value`` as an int of any length (-1: all bits): any integer type, but no float, boolean or text."""
+    """Return ``value`` as an int of any length (-1: all bits). Raises ``error`` for floats, booleans and text."""
     if type(value) is int:
         return value
     try:
@@ -141,28 +141,28 @@ def bits(value: Any, what: str, error: type[GlsplatError] = FormatError) -> int:
 
 
 def flag(value: Any, what: str, error: type[GlsplatError] = FormatError) -> bool:
-    """Return ``value``, which has to be a bool: a text "no" would be true."""
+    """Return ``value`` as a bool. Raises ``error`` for other types, because the text "no" would be true."""
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     raise error(f"{what} is True or False, not {_shown(value)}")
 
 
-def pixels(value: Any, what: str = "size", error: type[GlsplatError] = FormatError) -> tuple[int, int]:
-    """Return width and height: two whole numbers of 1 and above."""
+def pixels(value: Any, error: type[GlsplatError] = FormatError) -> tuple[int, int]:
+    """Return width and height as ints. Raises ``error`` unless both are whole numbers of at least 1."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
         value = tuple(value)
     if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise error(f"{what} needs two whole numbers, width and height, not {_shown(value)}")
-    width, height = count(value[0], f"{what}'s width", error), count(value[1], f"{what}'s height", error)
+        raise error(f"size needs two whole numbers, width and height, not {_shown(value)}")
+    width, height = count(value[0], "size's width", error), count(value[1], "size's height", error)
     if min(width, height) < 1:
-        raise error(f"{what} needs at least 1x1 pixels, not {width}x{height}")
+        raise error(f"size needs at least 1x1 pixels, not {width}x{height}")
     return width, height
 
 
 def shares(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError, hint: str = "") -> NDArray[Any]:
-    """Return ``value`` as an array of numbers meant as 0 to 1; those of 0 to 255 are refused.
+    """Return ``value`` as an array of fractions from 0 to 1. Raises ``error`` for a range of 0 to 255.
 
-    Floats may lie between -1 and 2, as views of spherical harmonics do. NaN and infinity are not checked.
+    Floats from -1 to 2 are accepted, as spherical harmonics overshoot. NaN and infinity are not checked.
     """
     array = plain(value, what, error)
     finite = array[np.isfinite(array)]
@@ -175,7 +175,7 @@ def shares(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError,
 
 
 def colour(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) -> tuple[float, float, float]:
-    """Return red, green and blue, 0 to 1."""
+    """Return red, green and blue from 0 to 1 as floats."""
     array = shares(value, what, error)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise error(f"{what} is three finite numbers, not {value!r:.60}")
@@ -184,7 +184,7 @@ def colour(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError)
 
 
 class FrozenDict(dict[Any, Any]):
-    """A dict that refuses changes; ``dict(it)`` is a copy that takes them."""
+    """A dict that refuses changes; ``dict(it)`` is a mutable copy."""
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
         raise TypeError(
@@ -226,7 +226,7 @@ def instance(
     error: type[GlsplatError] = FormatError,
     hint: str = "",
 ) -> Any:
-    """Return ``value`` if it is one of these classes; ``hint`` ends the error about another."""
+    """Return ``value`` if it is an instance of ``kinds``, else raise ``error``, whose message ends with ``hint``."""
     if isinstance(value, kinds):
         return value
     listed = kinds if isinstance(kinds, tuple) else (kinds,)
@@ -235,7 +235,7 @@ def instance(
 
 
 def restored(kind: type[Any], values: dict[str, Any]) -> Any:
-    """Return a pickled or copied value without checking it again; its arrays are read-only."""
+    """Return an unpickled or copied value without validating it again; its arrays are made read-only."""
     made = object.__new__(kind)
     for name, value in values.items():
         object.__setattr__(made, name, frozen(value) if isinstance(value, np.ndarray) else value)
@@ -243,8 +243,8 @@ def restored(kind: type[Any], values: dict[str, Any]) -> Any:
 
 
 def _masked(value: Any) -> bool:
-    """Return whether some of it is masked (numpy.ma), also in lists of arrays."""
-    if "numpy.ma" not in sys.modules:  # nobody has made such an array
+    """Return whether a value, or an array in a list of them, has masked entries (numpy.ma)."""
+    if "numpy.ma" not in sys.modules:  # no masked array can exist
         return False
     if isinstance(value, (list, tuple)):
         return any(map(_masked, value))
@@ -252,7 +252,7 @@ def _masked(value: Any) -> bool:
 
 
 def listed(value: Any, what: str, error: type[GlsplatError] = FormatError) -> tuple[Any, ...]:
-    """Return the members of an iterable."""
+    """Return the members of an iterable as a tuple. Raises ``error`` if it is none."""
     try:
         return tuple(value)
     except TypeError:
@@ -260,7 +260,7 @@ def listed(value: Any, what: str, error: type[GlsplatError] = FormatError) -> tu
 
 
 def rows(index: ArrayLike, count: int) -> NDArray[np.intp]:
-    """Return an integer or boolean index of ``count`` rows as integers. Raises FormatError for rows outside."""
+    """Return an integer or boolean index of ``count`` rows as integers. Raises FormatError if one is out of range."""
     try:
         i = np.asarray(index)
     except (TypeError, ValueError, RuntimeError, OverflowError):
@@ -273,7 +273,7 @@ def rows(index: ArrayLike, count: int) -> NDArray[np.intp]:
 
 
 def _constant(array: NDArray[Any]) -> bool:
-    """Return whether this array and all that it is a view of are read-only."""
+    """Return whether the array and every array that it is a view of are read-only."""
     memory: Any = array
     while isinstance(memory, np.ndarray):
         if memory.flags.writeable:

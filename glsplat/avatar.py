@@ -23,10 +23,10 @@ __all__ = ["Avatar", "splats_of"]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Avatar:
-    """Canonical Gaussians, their rig, and their metadata.
+    """Canonical Gaussians with a rig and metadata.
 
-    The Gaussians are in the zero pose, or in the pose of ``skeleton.inverse_bind`` where a rig was bound in another.
-    Raises FormatError when the parts do not fit each other.
+    The Gaussians are in the zero pose, or in the bind pose of ``skeleton.inverse_bind`` if that differs. Raises
+    FormatError if the parts do not fit each other.
 
     >>> splats = glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], [0.9], rgb=[[1, 0, 0]])
     >>> skeleton = glsplat.Skeleton.from_joints(["hip", "knee"], [-1, 0], [[0, 1, 0], [0, 0.5, 0]])
@@ -38,8 +38,8 @@ class Avatar:
     skeleton: Skeleton
     skin: Skin
     meta: Mapping[str, Any] = field(default_factory=dict)  # asset.extras.glsplat: version, source, licence, ...
-    levels: tuple[Level[Avatar], ...] = ()  # coarser, on the same skeleton, finest first; of these splats
-    shapes: Shapes | None = None  # the face's expressions; a level has the same names, or none and keeps a still face
+    levels: tuple[Level[Avatar], ...] = ()  # coarser avatars on the same skeleton, finest first
+    shapes: Shapes | None = None  # facial expressions; a level has the same names, or None for a still face
 
     def __post_init__(self) -> None:
         for name, kind in (("splats", Splats), ("skeleton", Skeleton), ("skin", Skin), ("meta", Mapping)):
@@ -58,13 +58,13 @@ class Avatar:
         self._check_levels()
 
     def weights(self, pose: Pose) -> NDArray[np.float64] | None:
-        """Return the shapes' weights [T] in a pose, clamped; None where all are 0, or there are no shapes."""
+        """Return the clamped weights [T] of the shapes in a pose; None if all are 0 or there are no shapes."""
         return None if self.shapes is None else self.shapes.weights(pose.expression)
 
     def without(self, joint: str) -> Avatar:
-        """Return the avatar without the splats that mostly follow ``joint`` and its descendants: a view from inside.
+        """Return the avatar without the splats that mostly follow ``joint`` or its descendants: a first-person view.
 
-        Their weight there is above one half. Raises PoseError where there is no such joint.
+        Removed splats have a weight above one half there. Raises PoseError if there is no such joint.
 
         >>> person = glsplat.default_avatar()
         >>> person.without("head")
@@ -73,7 +73,7 @@ class Avatar:
         return self._part(joint, False)
 
     def only(self, joint: str) -> Avatar:
-        """Return the splats that ``without(joint)`` leaves out, on the same skeleton.
+        """Return the avatar of the splats that ``without(joint)`` removes, on the same skeleton.
 
         >>> glsplat.default_avatar().only("head")
         Avatar(14328 splats, 55 joints, 4 a splat, 52 shapes, 3 levels)
@@ -81,7 +81,7 @@ class Avatar:
         return self._part(joint, True)
 
     def _part(self, joint: str, there: bool) -> Avatar:
-        """Return the splats that mostly follow a joint and its descendants, or all others; levels that stay coarser."""
+        """Return the splats that mostly follow ``joint`` or its descendants (``there``), or all others."""
         share = (self.skin.weights * self.skeleton.under(joint)[self.skin.joints]).sum(axis=1)
         keep = (share > 0.5) == there
         levels: list[Level[Avatar]] = []
@@ -126,5 +126,5 @@ class Avatar:
 
 
 def splats_of(scene: Splats | Avatar) -> Splats:
-    """Return the splats of either."""
+    """Return the splats of an avatar, or the splats themselves."""
     return scene.splats if isinstance(scene, Avatar) else scene

@@ -1,4 +1,4 @@
-"""Cameras: one view (world-to-camera matrix, intrinsics, size) and the stereo pair of a head pose.
+"""Cameras: a pinhole view (world-to-camera matrix, intrinsics, size) and the stereo pair of a head pose.
 
 Frames (docs/conventions.md): world right-handed, y up, metres; camera axes of OpenCV (x right, y down, z forward);
 head axes of OpenXR (x right, y up, -z forward); pixel (i, j) covers [i, i+1) x [j, j+1).
@@ -34,9 +34,9 @@ _NO_ROTATION = "viewmat needs a rotation (or reflection) with the last row 0 0 0
 ORTHONORMAL = 2e-5
 """Largest entry of R R^T - I of a viewmat: its numbers may be rounded to five digits, a centimetre at 1000 m."""
 
-_LARGEST = 1e12  # of pixels and metres; squares of it still fit into float32
-_CLOSE = 1e-12  # metres, or of the eye's own distance: float64 knows no direction any more
-_WIDEST = 2.0  # metres between two eyes; more are millimetres
+_MAX_VALUE = 1e12  # pixels or metres; its square fits into float32
+_MIN_DISTANCE = 1e-12  # metres, or of the eye's distance from the origin; below, float64 has no direction
+_MAX_IPD_M = 2.0  # a larger distance between the eyes was given in millimetres
 
 PAPER_IPD = 0.055
 PAPER_FOV = 65.0
@@ -45,11 +45,10 @@ PAPER_FOV = 65.0
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Camera(Value):
-    """A pinhole view: its position and direction, its projection, its number of pixels.
+    """A pinhole view: pose, intrinsics and size in pixels.
 
-    Takes anything that numpy reads as numbers, checks it and keeps read-only copies; the matrices are float64 so that
-    the host can compose them without loss. ``dataclasses.replace(camera, ...)`` makes another one of it. Raises
-    FormatError.
+    Accepts anything that numpy reads as numbers, validates it and keeps read-only copies. Matrices are float64, so that
+    composing them loses no precision. ``dataclasses.replace(camera, ...)`` returns a changed copy. Raises FormatError.
 
     >>> view = glsplat.look_at(eye=(0, 1.2, 2.5), target=(0, 1, 0))
     >>> glsplat.Camera(view, glsplat.pinhole(640, 480, fov=40), 640, 480, background=[1, 1, 1])
@@ -65,7 +64,7 @@ class Camera(Value):
     far: float = 1e10
     sh_degree: int = 3  # evaluate at most this degree
     name: str = field(default="", compare=False)
-    layers: int = 1  # bits; items without one of them are not drawn (Item.layers)
+    layers: int = 1  # bit mask; items that share no bit with it are not drawn (Item.layers)
 
     def __init__(
         self,
@@ -111,13 +110,13 @@ class Camera(Value):
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """Return the view with another number of pixels (K scales with it)."""
+        """Return the same view with another size in pixels; K is scaled."""
         width, height = count(width, "width"), count(height, "height")
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the camera-file object of docs/conventions.md, which has no layers."""
+        """Return the object of a camera file (docs/conventions.md), which has no layers."""
         return {
             "width": self.width,
             "height": self.height,
@@ -152,21 +151,21 @@ def pinhole(width: SupportsIndex, height: SupportsIndex, fov: SupportsFloat = PA
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> NDArray[np.float64]:
     """Return the viewmat [4, 4] of a camera at ``eye`` that looks at ``target`` (OpenCV axes); [3], metres, world.
 
-    Looking straight along ``up`` is legal: another axis takes its place.
+    If the view is parallel to ``up``, another axis replaces it.
 
     >>> view = glsplat.look_at(eye=(0, 0, 3), target=(0, 0, 0))
     >>> (view @ [0, 0, 0, 1])[:3].tolist()  # the target lies 3 m ahead
     [0.0, 0.0, 3.0]
     """
     start, end, above = _vector(eye, "eye", 3), _vector(target, "target", 3), _vector(up, "up", 3)
-    if max(np.abs(start).max(), np.abs(end).max()) > _LARGEST:
-        raise FormatError(f"eye and target need metres below {_LARGEST:g}")
+    if max(np.abs(start).max(), np.abs(end).max()) > _MAX_VALUE:
+        raise FormatError(f"eye and target need metres below {_MAX_VALUE:g}")
     forward, most = end - start, float(np.abs(above).max())
-    if not np.linalg.norm(forward) > _CLOSE * max(1.0, float(np.abs(start).max())):
+    if not np.linalg.norm(forward) > _MIN_DISTANCE * max(1.0, float(np.abs(start).max())):
         raise FormatError("eye and target are the same point; move one of them")
     if not most > 0:
         raise FormatError("up needs a direction, not zero")
-    if not 1e-6 < most < 1e6:  # the squares of its numbers may be too large or too small
+    if not 1e-6 < most < 1e6:  # avoids overflow and underflow of squares
         above = above / most
     others = (above, np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0]))
     above = next(one for one in others if _apart(forward, one))
@@ -186,7 +185,7 @@ def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64
     if quat.shape != (4,) or not (np.isfinite(quat).all() and norm > 1e-9):
         raise FormatError(f"a head pose needs a finite quaternion of non-zero length, not {quat.tolist()!r:.60}")
     matrix = np.eye(4)
-    # column vectors, unlike its 4x4 ones; unwrapped, as the decorator inspects the function's source at each call
+    # unlike pyrr's 4x4 matrices, this has column vectors; __wrapped__ skips a decorator that inspects source per call
     matrix[:3, :3] = pyrr.matrix33.create_from_quaternion.__wrapped__(quat / norm)
     matrix[:3, 3] = _vector(position, "a head's position", 3)
     return matrix
@@ -218,8 +217,8 @@ def stereo_cameras(
     if ks.shape not in ((3, 3), (2, 3, 3)):
         raise FormatError(f"K needs shape (3, 3), or (2, 3, 3) for one a side, not {ks.shape}")
     ks, half = np.broadcast_to(ks, (2, 3, 3)), 0.5 * number(ipd, "ipd")
-    if not 0 <= 2 * half <= _WIDEST:
-        raise FormatError(f"ipd needs metres from 0 to {_WIDEST:g}, not {2 * half:g}; 63 mm are 0.063")
+    if not 0 <= 2 * half <= _MAX_IPD_M:
+        raise FormatError(f"ipd needs metres from 0 to {_MAX_IPD_M:g}, not {2 * half:g}; 63 mm are 0.063")
     eyes = []
     for index, (name, sign) in enumerate((("left", -1.0), ("right", 1.0))):
         world_from_eye = head.copy()
@@ -242,10 +241,10 @@ def sorting_camera(cameras: Sequence[Camera]) -> NDArray[np.float64]:
 
 
 def passes_of(cameras: Sequence[Camera], shared: bool = True) -> list[list[int]]:
-    """Return the indices of the views of each pass, one or two, which share an order of splats.
+    """Return the view indices of each pass: one or two views that share a depth order.
 
-    A list of two is a pair unless its axes are more than 60 degrees apart; in longer lists neighbours pair up where
-    they look the same way. Not ``shared``: every view has an order of its own.
+    Two views form a pair unless their axes are more than 60 degrees apart. In longer lists, neighbours with parallel
+    axes form pairs. With ``shared`` False every view has its own order.
     """
     closest = 0.5 if len(cameras) == 2 else 1 - 1e-6
     passes: list[list[int]] = []
@@ -263,12 +262,12 @@ def passes_of(cameras: Sequence[Camera], shared: bool = True) -> list[list[int]]
 
 
 def _check_matrices(view: list[list[float]], k: list[list[float]]) -> None:
-    """Refuse matrices of no camera; on plain floats, because a pair is made for every frame."""
+    """Raise FormatError for an invalid viewmat or K. Uses plain floats for speed: a pair is made for every frame."""
     values = (*view[0], *view[1], *view[2], *view[3], *k[0], *k[1], *k[2])
     if not all(map(isfinite, values)):
         raise FormatError("a camera needs finite numbers in viewmat and K, found NaN or infinity")
-    if max(map(abs, values)) > _LARGEST:
-        raise FormatError(f"a camera needs numbers below {_LARGEST:g} in viewmat and K")
+    if max(map(abs, values)) > _MAX_VALUE:
+        raise FormatError(f"a camera needs numbers below {_MAX_VALUE:g} in viewmat and K")
     for i in range(3):
         for j in range(i, 3):
             a, b = view[i], view[j]

@@ -1,4 +1,4 @@
-"""RenderConfig: everything that decides pixels except the scene and the cameras, in one frozen value."""
+"""RenderConfig: the settings that determine pixels, apart from the scene and the cameras."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from glsplat.errors import GlsplatError
 __all__ = ["CULL_PSNR", "LEAN", "MAX_BIAS", "MAX_LEVELS", "DebugConfig", "RenderConfig", "with_fields"]
 
 CULL_PSNR = 45.0
-"""Decibels that pictures keep at worst without the splats that ``cull_hidden="auto"`` leaves out."""
+"""PSNR in dB of the worst picture at which ``cull_hidden="auto"`` culls an item's hidden splats."""
 
 MAX_LEVELS = 16
-"""Levels of detail of one item, at most."""
+"""Maximum number of levels of detail of an item."""
 
 MAX_BIAS = 8.0
-"""Halvings of lod_bias either way, at most."""
+"""Maximum magnitude of lod_bias."""
 
 Target = Literal["auto", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
 
 
 def _choose(config: Any, name: str, *choices: str | int | None) -> None:
-    """Set a field to the one of ``choices`` that it equals and whose type it has. Raises GlsplatError."""
+    """Normalise a field to the equal choice of the same type. Raises GlsplatError if there is none."""
     value = getattr(config, name)
     if isinstance(value, (bool, np.bool_)):
         plain: object = bool(value)
@@ -43,7 +43,7 @@ def _choose(config: Any, name: str, *choices: str | int | None) -> None:
 
 
 def _limit(config: Any, name: str, least: float, most: float, unit: str = "") -> None:
-    """Set a field to its value as a float. Raises GlsplatError beyond the limits."""
+    """Convert a field to float. Raises GlsplatError outside ``least`` to ``most``."""
     value = number(getattr(config, name), name, GlsplatError)
     if not least <= value <= most:
         raise GlsplatError(f"{name} needs {least:g} to {most:g}{unit}, not {value:g}")
@@ -57,24 +57,24 @@ def _changed(config: Any) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class DebugConfig:
-    """Settings that measurements and tests change: every way of drawing that the defaults choose from.
+    """Settings for measurements and tests: the alternatives that the defaults choose from.
 
-    Raises GlsplatError for a value out of range.
+    Raises GlsplatError for an invalid value.
     """
 
     layers: Literal["auto", "vertex", "geometry"] = "auto"  # shader that writes gl_Layer; auto probes by rendering
-    shape: Literal["auto", "quad", "triangle"] = "auto"  # of a splat; auto: triangle on software rasterizers
-    fetch: Literal["auto", "attributes", "storage"] = "auto"  # of records by the draw; storage needs OpenGL 4.3;
-    # auto: storage on software rasterizers, up to 500,000 records
+    shape: Literal["auto", "quad", "triangle"] = "auto"  # geometry of a splat; auto: triangle on software rasterizers
+    fetch: Literal["auto", "attributes", "storage"] = "auto"  # source of the draw's records; storage needs OpenGL
+    # 4.3; auto: storage on software rasterizers, up to 500,000 records
     order: Literal["shared", "per_view"] = "shared"  # one depth order for both eyes, or one per eye
-    sort_bits: Literal[16, 32] = 32  # of the depth key
-    sort_period: int = 1  # sort every n-th moved frame of one pass, keep the old order in between; at rest it is exact
+    sort_bits: Literal[16, 32] = 32  # width of the depth key
+    sort_period: int = 1  # sort every n-th frame with motion and reuse the order in between; still frames are exact
     rotation: Literal["polar", "raw"] = "polar"  # R_i under skinning: nearest rotation, or the blended matrix
-    influences: Literal[0, 1, 2, 4, 8] = 0  # joints per splat; 0: as many as the avatar has
-    cull_margin: float = 0.0  # added to the smallest cosine of every visibility cone: above 0 leaves out more
+    influences: Literal[0, 1, 2, 4, 8] = 0  # joints per splat; 0: all of the avatar's
+    cull_margin: float = 0.0  # added to the smallest cosine of every visibility cone; above 0 culls more
     eps2d: float = 0.3  # px^2 added to the diagonal of the projected covariance
-    mesh_samples: Literal[1, 4] = 4  # points of a pixel at which meshes are drawn; 1 where the driver has no more
-    mesh_anisotropy: Literal[1, 2, 4, 8, 16] = 16  # texture samples at most along a slanted surface
+    mesh_samples: Literal[1, 4] = 4  # mesh samples per pixel; 1 if the driver supports no more
+    mesh_anisotropy: Literal[1, 2, 4, 8, 16] = 16  # maximum anisotropy of mesh textures
 
     def __post_init__(self) -> None:
         _choose(self, "layers", "auto", "vertex", "geometry")
@@ -98,24 +98,24 @@ class DebugConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RenderConfig:
-    """Settings of a renderer; the defaults are the pixel contract (docs/conventions.md) at its best price.
+    """Settings of a renderer; the defaults meet the pixel contract (docs/conventions.md) at the lowest cost.
 
-    Raises GlsplatError for a value out of range.
+    Raises GlsplatError for an invalid value.
 
     >>> glsplat.RenderConfig(output="float32", cull_hidden=True)
     RenderConfig(output='float32', cull_hidden=True)
     """
 
     target: Target = "auto"  # float target; auto = 32f on software rasterizers, 16f on GPUs (measured)
-    output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the target as it is, unclipped
+    output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the unclipped target
     sorter: Literal["auto", "cpu", "gpu"] = "auto"  # gpu needs OpenGL 4.3
     sh_degree: int = 3  # evaluate at most this degree
-    antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: if the splats ask for it
-    cull_hidden: bool | Literal["auto"] = False  # leave out splats seen from outside their visibility cone
-    # (authoring/cones.py); auto: only of items whose worst picture keeps CULL_PSNR without them
-    max_sigma: float = 3.33  # standard deviations at which a splat ends at the latest
-    level: int | Literal["auto"] = 0  # of detail: 0 the finest, a number (or the coarsest there is); auto: by pixels
-    lod_bias: float = 0.0  # of auto, in halvings: 1 takes levels that suffice at twice the pixels, -1 at half of them
+    antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: as the splats say
+    cull_hidden: bool | Literal["auto"] = False  # cull splats seen from outside their visibility cone
+    # (authoring/cones.py); auto: only of items whose worst picture keeps CULL_PSNR
+    max_sigma: float = 3.33  # maximum radius of a splat in standard deviations
+    level: int | Literal["auto"] = 0  # level of detail: 0 the finest, higher are coarser; auto: by pixels
+    lod_bias: float = 0.0  # bias of auto: 1 takes levels sharp enough for twice the pixels, -1 for half
     debug: DebugConfig = DebugConfig()
 
     def __post_init__(self) -> None:
@@ -140,7 +140,7 @@ class RenderConfig:
 
 
 def with_fields(config: RenderConfig, **values: Any) -> RenderConfig:
-    """Return ``config`` with other values of its own fields, or of those of its ``debug``.
+    """Return ``config`` with changed fields, of its own or of its ``debug``.
 
     >>> from glsplat.config import with_fields
     >>> with_fields(glsplat.RenderConfig(), target="16f", sort_bits=16)
@@ -151,4 +151,4 @@ def with_fields(config: RenderConfig, **values: Any) -> RenderConfig:
 
 
 LEAN = RenderConfig(cull_hidden="auto", level="auto", max_sigma=2.5)
-"""Default of ``serve``, ``preview`` and ``demo`` without ``--exact``: differences are hard to see."""
+"""Default of ``serve``, ``preview`` and ``demo`` without ``--exact``: faster, with barely visible differences."""

@@ -1,13 +1,13 @@
-"""Every error glsplat raises on purpose.
+"""The errors that glsplat raises on purpose.
 
 ::
 
     GlsplatError
-    ├── FormatError      a file is not what it should be (names the file, what was expected, what came)
-    │   └── CaptureError     a photograph that no good avatar can be made from; ``findings`` says why
-    ├── BudgetError      a picture would cost more, or takes longer, than it may
-    ├── ContextError     no OpenGL context, or one that cannot do the work
-    │   └── ContextLostError    the context is gone, or does nothing any more
+    ├── FormatError      a file or array is invalid (names the file, the expected and the found content)
+    │   └── CaptureError     a photograph is unsuitable for an avatar; ``findings`` lists the reasons
+    ├── BudgetError      a picture exceeds its limit of cost or time
+    ├── ContextError     there is no OpenGL context, or it lacks a feature
+    │   └── ContextLostError    the context was lost
     ├── ShaderError      a shader does not compile (names file and line of the chunk)
     ├── PoseError        a pose or motion does not fit the skeleton
     └── ProtocolError    a message breaks the wire protocol
@@ -29,7 +29,7 @@ __all__ = [
 
 
 class GlsplatError(Exception):
-    """Base of all errors raised on purpose. The message is one line: expected, came, what to do.
+    """Base of all errors raised on purpose. The message is one line: expected, found, what to do.
 
     >>> try:
     ...     glsplat.pinhole(640, 480, fov=200)
@@ -40,11 +40,11 @@ class GlsplatError(Exception):
 
 
 class FormatError(GlsplatError):
-    """A file or an array does not hold what its format promises."""
+    """A file or an array does not follow its format."""
 
 
 class CaptureError(FormatError):
-    """Photographs that no good avatar can be made from. ``findings``: (side, code, text), one for each thing wrong.
+    """Photographs are unsuitable for an avatar. ``findings``: (side, code, text) of each fault.
 
     Sides are front, back, left and right; codes are those of docs/photo.md.
     """
@@ -59,11 +59,11 @@ class ContextError(GlsplatError):
 
 
 class ContextLostError(ContextError):
-    """The context worked and does not any more; nothing but a new one helps."""
+    """The context was lost; make a new one."""
 
 
 class BudgetError(GlsplatError):
-    """A picture was not drawn to its end. ``code`` says why: too_costly, too_slow or abandoned."""
+    """A picture was aborted. ``code`` is the reason: too_costly, too_slow or abandoned."""
 
     def __init__(self, message: str, code: str = "too_costly") -> None:
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""Meshes: textured triangles on a skeleton. Values; readers are in extras/rigs and extras/formats."""
+"""Meshes: textured triangles on a skeleton, as values. Readers are in extras/rigs and extras/formats."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ class MeshPart:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Morphs:
-    """Morph targets of a mesh: T targets, M offsets of vertices in metres in the mesh's own space, without zeros.
+    """Sparse morph targets of a mesh: T targets with M vertex offsets in metres, in the mesh's own space.
 
-    Target t, called ``names[t]``, at weight w moves vertex ``vertices[i]`` by w ``offsets[i]`` for the i from
-    ``starts[t]`` to ``starts[t + 1]``; targets add up (glTF 2.0, 3.7.2.2).
+    Target t, called ``names[t]``, at weight w moves vertex ``vertices[i]`` by w ``offsets[i]`` for all i from
+    ``starts[t]`` to ``starts[t + 1]``. Targets add up (glTF 2.0, 3.7.2.2).
     """
 
     names: tuple[str, ...]
@@ -69,7 +69,7 @@ class Morphs:
     def of(
         cls, parts: Mapping[str, Sequence[tuple[NDArray[np.integer], NDArray[np.floating]]]]
     ) -> Morphs:  # name -> vertices [K] and offsets [K, 3] of each mesh
-        """Merge the targets of several meshes, in that order."""
+        """Return the merged targets of several meshes, in their order."""
         nothing = [(np.empty(0, np.uint32), np.empty((0, 3)))]
         held = {name: list(of) or nothing for name, of in parts.items()}
         sizes = [sum(len(vertices) for vertices, _ in of) for of in held.values()]
@@ -84,7 +84,7 @@ class Morphs:
         )
 
     def plus(self, more: Mapping[str, tuple[NDArray[np.integer], NDArray[np.floating]]]) -> Morphs:
-        """Return the targets with ``more`` offsets: of target names, vertices [K] and offsets [K, 3]."""
+        """Return the targets with offsets added: ``more`` maps a target to vertices [K] and offsets [K, 3]."""
         parts = {}
         for target, name in enumerate(self.names):
             part = slice(*self.starts[target : target + 2])
@@ -92,42 +92,42 @@ class Morphs:
         return Morphs.of(parts)
 
     def dense(self, name: str, count: int) -> NDArray[np.float64]:
-        """Return the offsets [count, 3] of all vertices with the target ``name`` at weight 1."""
+        """Return the offsets [count, 3] of all vertices for the target ``name`` at weight 1."""
         out, target = np.zeros((count, 3)), self.names.index(name)
         part = slice(*self.starts[target : target + 2])
         np.add.at(out, self.vertices[part], self.offsets[part].astype(np.float64))
         return out
 
     def moved(self, pose: Pose, count: int) -> NDArray[np.float64]:
-        """Return the offsets [count, 3] of all vertices with the pose's expression, weights clamped to 0 to 1."""
+        """Return the offsets [count, 3] of all vertices for the pose's expression, weights clamped to [0, 1]."""
         out = np.zeros((count, 3))
         for weight, part in self._weighted(pose):
             np.add.at(out, self.vertices[part], weight * self.offsets[part].astype(np.float64))
         return out
 
     def farthest(self, pose: Pose) -> float:
-        """Return an upper bound of the moves of vertices with the pose's expression, metres."""
+        """Return an upper bound in metres of a vertex's offset for the pose's expression."""
         moves = [w * float(np.linalg.norm(self.offsets[p], axis=1).max(initial=0.0)) for w, p in self._weighted(pose)]
         return sum(moves, 0.0)
 
     def _weighted(self, pose: Pose) -> Iterator[tuple[float, slice]]:
-        """Yield the weight above zero and the offsets' rows of each target in a pose."""
+        """Yield the weight and the rows of ``offsets`` of each target with a positive weight in a pose."""
         for target, name in enumerate(self.names):
             weight = min(max(pose.expression.get(name, 0.0), 0.0), 1.0)
             if weight:
                 yield weight, slice(*self.starts[target : target + 2])
 
     def turned(self, linear: NDArray[np.float64]) -> Morphs:
-        """Return the targets of a mesh moved by ``linear`` [3, 3]."""
+        """Return the targets with offsets transformed by ``linear`` [3, 3]."""
         return replace(self, offsets=(self.offsets @ linear.T).astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RiggedMesh:
-    """Textured triangles in the bind pose of their rig: a person, or with one joint a thing that stands.
+    """Textured triangles in the bind pose of their rig; a rig of one joint is a static object.
 
-    Scenes show it opaque, in its textures' colours, cut out where their alpha is below one half. Raises FormatError
-    when the parts do not fit each other.
+    It is drawn opaque in the colours of its textures, with holes where alpha is below one half. Raises FormatError if
+    the parts do not fit each other.
 
     >>> from glsplat.meshes import MeshPart
     >>> red = np.full((4, 4, 4), (255, 0, 0, 255), np.uint8)
@@ -138,13 +138,13 @@ class RiggedMesh:
     1
     """
 
-    vertices: NDArray[np.float64]  # [V, 3] metres, y up, facing +z, as bound; ``posed`` has the zero pose
+    vertices: NDArray[np.float64]  # [V, 3] metres, y up, facing +z, in the bind pose
     skeleton: Skeleton
     joints: NDArray[np.int64]  # [V, K] joints of each vertex
     weights: NDArray[np.float64]  # [V, K] >= 0
     parts: tuple[MeshPart, ...]
-    meta: Mapping[str, Any] = field(default_factory=dict)  # source, licence, ... (what the file says)
-    morphs: Morphs | None = None  # its face's expressions, by ARKit's names, in the space of ``vertices``
+    meta: Mapping[str, Any] = field(default_factory=dict)  # source, licence, ... of the file
+    morphs: Morphs | None = None  # facial expressions by ARKit's names, in the space of ``vertices``
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meta", frozen_mapping(instance(self.meta, Mapping, "a mesh's meta")))
@@ -182,10 +182,10 @@ class RiggedMesh:
         return np.repeat(np.arange(len(self.parts)), [len(part.faces) for part in self.parts])
 
     def without(self, joint: str) -> RiggedMesh:
-        """Return the mesh without the triangles that mostly follow ``joint`` and its descendants: a view from inside.
+        """Return the mesh without the triangles that mostly follow ``joint`` or its descendants: a first-person view.
 
-        Their corners have a mean weight there above one half. Raises PoseError where there is no such joint, and where
-        no triangle is left.
+        The corners of removed triangles have a mean weight above one half there. Raises PoseError if there is no such
+        joint, or no triangle is left.
         """
         share = (self.weights * self.skeleton.under(joint)[self.joints]).sum(axis=1)
         share = share / np.maximum(self.weights.sum(axis=1), 1e-12)
@@ -196,7 +196,7 @@ class RiggedMesh:
         return replace(self, parts=parts)
 
     def posed(self, pose: Pose) -> NDArray[np.float64]:
-        """Return the vertices [V, 3] under linear blend skinning, after the pose's expression (weights 0 to 1)."""
+        """Return the vertices [V, 3] after the pose's expression and linear blend skinning."""
         bones = pose.bones(self.skeleton)
         vertices = self.vertices if self.morphs is None else self.vertices + self.morphs.moved(pose, len(self.vertices))
         total = self.weights.sum(axis=1, keepdims=True)
@@ -205,7 +205,7 @@ class RiggedMesh:
 
 
 def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source: str) -> RiggedMesh:
-    """Return a mesh on one joint at the origin; ``vertices`` [V, 3] in metres."""
+    """Return a static mesh, on one joint at the origin; ``vertices`` [V, 3] in metres."""
     count = len(vertices)
     skeleton = Skeleton.from_joints(("root",), [-1], [[0.0, 0.0, 0.0]])
     bound = np.zeros((count, 1), np.int64), np.ones((count, 1))
@@ -213,7 +213,7 @@ def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source:
 
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return unit normals [V, 3], the mean of the adjacent triangles', weighted by area."""
+    """Return unit normals [V, 3], the area-weighted mean of the adjacent triangles' normals."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
     across = np.cross(second - first, third - first)
     normals = np.zeros_like(vertices)

@@ -1,4 +1,4 @@
-"""Extras and optional packages by name: the core imports neither, so that each may be absent."""
+"""Look up extras and optional packages by name: the core imports neither, so that each may be missing."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from glsplat.errors import GlsplatError
 
 __all__ = [
     "MissingPackageError",
+    "absent_extra",
     "extra_module",
     "has_extra",
     "has_package",
@@ -22,26 +23,26 @@ __all__ = [
 
 
 class MissingPackageError(GlsplatError, ImportError):
-    """A package that pip installs with one of glsplat's extras is not installed; the message has the command."""
+    """A package of one of glsplat's pip extras is not installed; the message has the command."""
 
 
 def has_package(name: str) -> bool:
-    """Return whether a Python package is installed; it is not imported."""
+    """Return whether a Python package is installed, without importing it."""
     try:
         return find_spec(name) is not None
-    except ModuleNotFoundError:  # its parent is not
+    except ModuleNotFoundError:  # of its parent
         return False
 
 
 def missing_package(what: str, package: str, extra: str) -> str:
-    """Return the message for something that needs an absent package: ``missing_package("video", "av", "video")``."""
+    """Return the error message for a missing package: ``missing_package("video", "av", "video")``."""
     return f"{what} needs {package}: pip install 'glsplat[{extra}]'"
 
 
 def require_package(what: str, package: str, extra: str, instead: str = "") -> None:
-    """Raise MissingPackageError unless ``package`` is installed, with the pip extra that has it.
+    """Raise MissingPackageError, which names the pip ``extra``, unless ``package`` is installed.
 
-    ``instead``: what else the user can do, such as "leave --video out".
+    ``instead`` is an alternative for the user, such as "leave --video out".
     """
     if not has_package(package):
         raise MissingPackageError(missing_package(what, package, extra) + (f", or {instead}" if instead else ""))
@@ -53,33 +54,40 @@ def has_extra(name: str) -> bool:
 
 
 def extra_module(name: str) -> ModuleType:
-    """Return the module ``glsplat.extras.NAME``. Raises ModuleNotFoundError where its folder is not installed."""
+    """Return the module ``glsplat.extras.NAME``. Raises ModuleNotFoundError if it is not installed."""
     return import_module(f"glsplat.extras.{name}")
 
 
 def plugin(name: str) -> ModuleType | None:
-    """Return the module ``glsplat.extras.NAME``; None where it, or another extra that it imports, is not installed.
+    """Return the module ``glsplat.extras.NAME``; None if it, or an extra that it imports, is not installed.
 
-    Any other error of its import is raised: a package that is not installed, a mistake in the module.
+    Other import errors are raised, such as a missing package.
     """
     try:
         return extra_module(name)
     except ModuleNotFoundError as error:
-        parts = (error.name or "").split(".")
-        if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
+        if absent_extra(error) is None:
             raise
         return None
 
 
-def thumbnail(content: object) -> bytes | None:
-    """Return a PNG of splats or an avatar for a notebook; None where it cannot be drawn.
+def absent_extra(error: ModuleNotFoundError) -> str | None:
+    """Return the extra whose absence is the cause of ``error``, as ``glsplat.extras.NAME``; None for another cause."""
+    parts = (error.name or "").split(".")[:3]
+    if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
+        return None
+    return ".".join(parts)
 
-    Values stand below the renderer: it is imported when a notebook shows one.
+
+def thumbnail(content: object) -> bytes | None:
+    """Return a PNG of splats or an avatar for a notebook; None if it cannot be drawn.
+
+    The renderer is imported here, because values must not import it.
     """
     picture: bytes | None = import_module("glsplat.renderer.thumbnail").thumbnail(content)
     return picture
 
 
 def missing(extra: str, what: str) -> str:
-    """Return the message for something that needs an absent extra: ``missing("formats", "SPZ")``."""
+    """Return the error message for a missing extra: ``missing("formats", "SPZ")``."""
     return f"{what} needs glsplat.extras.{extra}, which is not installed"

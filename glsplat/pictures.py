@@ -1,4 +1,4 @@
-"""Pictures: premultiplied alpha to straight alpha; sRGB and linear light."""
+"""Convert pictures: premultiplied to straight alpha, sRGB to linear light and back."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ Float = TypeVar("Float", np.float32, np.float64)
 
 
 def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[Depth]:
-    """Return the picture with straight alpha, as PNG files and image libraries expect it: a new array like ``image``.
+    """Return a copy of the picture with straight alpha, as PNG files and image libraries expect it.
 
-    ``image`` is [..., 4] RGBA as ``render()`` returns it, uint8 or float32: colours times alpha, plus the camera's
-    ``background`` [3] (0 to 1) times what alpha leaves. That share is taken out again and the rest divided by alpha, so
-    laying the result over the same background gives the picture back. Alpha stays; where it is zero there is no
-    colour, and RGB is zero. uint8 is rounded to the nearest and clamped to 0..255, float32 is neither. Raises
-    GlsplatError for anything else.
+    ``image`` is [..., 4] RGBA as ``render()`` returns it, uint8 or float32: colour times alpha, plus the camera's
+    ``background`` [3] (0 to 1) times 1 - alpha. The background is subtracted and the rest divided by alpha, so that
+    compositing the result over the same background restores the picture. Alpha is unchanged; where it is 0, RGB is 0.
+    uint8 is rounded and clamped to 0..255, float32 is neither. Raises GlsplatError for other arrays.
 
     >>> glsplat.straight(np.array([[100, 50, 0, 128]], np.uint8)).tolist()
     [[199, 100, 0, 128]]
@@ -34,7 +33,7 @@ def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> 
     behind = np.array(colour(background, "a background", GlsplatError))
     alpha, full = image[..., 3:], 1.0
     if image.dtype == np.uint8:
-        # float64 divides two bytes exactly enough that a half is a half
+        # float64, so that halves round exactly
         alpha, full = alpha.astype(np.float64), 255.0
     with np.errstate(all="ignore"):
         rgb = (image[..., :3] - (behind * (full - alpha)).astype(alpha.dtype)) * full / alpha
@@ -47,7 +46,7 @@ def straight(image: NDArray[Depth], background: ArrayLike = (0.0, 0.0, 0.0)) -> 
 
 
 def lifted(image: NDArray[Float], background: tuple[float, float, float]) -> NDArray[Float]:
-    """Return a picture [H, W, 4] without hidden splats, compensated for their light (lift.glsl).
+    """Return a picture [H, W, 4] with its opacity compensated for culled hidden splats (lift.glsl).
 
     Hidden splats add about A^3 of the same colour behind alpha A: A' = 1 - (1 - A) (1 - A^3).
     """

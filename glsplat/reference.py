@@ -1,6 +1,6 @@
-"""The exact float64 twin of every shader: test oracle and documentation. Slow, nothing is approximated.
+"""The float64 twin of every shader, without approximations: the oracle of tests, and documentation. Slow.
 
-Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk it mirrors. Sources: EWA Splatting
+Rules: docs/conventions.md, "pixel contract". Each function names the GLSL chunk that it mirrors. Sources: EWA Splatting
 (Zwicker et al. 2002), 3DGS (Kerbl et al. 2023), gsplat (projection, clamp), the paper's GA backend (skinning).
 """
 
@@ -50,9 +50,9 @@ F64 = NDArray[np.float64]
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 AA_FLOOR = 2.5e-5  # smallest det / det_dilated under antialias (gsplat: 0.005 squared)
-POWER = 32  # of the 4x4 rotation matrix average, see blended_rotations
-SOFT = 0.3  # of the cosine, over which a hollow takes the sun away
-SELECT = 1e-3  # weight of the dominant column beside it
+POWER = 32  # exponent of the rotation average, see blended_rotations
+SOFT = 0.3  # range of the cosine over which occlusion fades the sun out
+SELECT = 1e-3  # weight of the dominant column in blended_rotations
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,20 @@ class Posed:
 
     means: F64  # [N, 3]
     shapes: F64  # [N, 3, 3] M with Sigma = M M^T
-    rotations: F64  # [N, 3, 3] R_i: turns canonical directions into posed ones
+    rotations: F64  # [N, 3, 3] R_i: posed from canonical directions
 
 
 @dataclass(frozen=True)
 class MeshLayer:
-    """Opaque meshes at the pixel centres of one view."""
+    """Opaque meshes of one view, sampled at pixel centres."""
 
     colours: F64  # [H, W, 3]
-    z: F64  # [H, W] camera z in metres, infinite where no mesh is
+    z: F64  # [H, W] camera z in metres, infinite without a mesh
 
 
 @dataclass(frozen=True)
 class Projected:
-    """Splats of one view in pixels."""
+    """Splats projected into one view, in pixels."""
 
     means2d: F64  # [N, 2]
     covars2d: F64  # [N, 3] a, b, c of [[a, b], [b, c]], dilated
@@ -90,18 +90,18 @@ class Projected:
 
 
 def rest(splats: Splats) -> Posed:
-    """Return static splats: M = R(q) diag(s), equation for Sigma_i of the paper (covariance.glsl)."""
+    """Return the splats at rest: M = R(q) diag(s), the paper's equation for Sigma_i (covariance.glsl)."""
     rotations = quaternion_matrices(splats.quats)
     shapes = rotations * np.asarray(splats.scales, np.float64)[:, None, :]
     return Posed(splats.means.astype(np.float64), shapes, np.broadcast_to(np.eye(3), rotations.shape))
 
 
 def blended_rotations(blended: F64, anchor: F64, shift: float = 1.0) -> F64:
-    """Return R_i [N, 3, 3], the nearest rotation to a blended 3x3 [N, 3, 3], continuous through a collapse (skin.glsl).
+    """Return R_i [N, 3, 3], the nearest rotation to a blended matrix, continuous through a collapse (rotation.glsl).
 
     The nearest rotation's quaternion is the top eigenvector of the symmetric 4x4 matrix Q(A) + shift I (Davenport's
-    q-method; for a blend of rotations this is Markley's average of their quaternions). Instead of the eigenvector we
-    take P v with P = (Q + I)^32, trace 1, and v the quaternion of the ``anchor`` bone's matrix [N, 3, 3]. That is
+    q-method; for a blend of rotations this is Markley's average of their quaternions). Instead of the eigenvector
+    this takes P v with P = (Q + I)^32, trace 1, and v the quaternion of the ``anchor`` bone's matrix [N, 3, 3]. That is
     equal to 1e-7 while the two largest eigenvalues differ (two equal weights up to 150 degrees apart). Where they meet
     (a collapse, where the nearest rotation jumps) it swings through the anchor's rotation instead, at most 32 times as
     fast as one joint turns, if the anchor keeps at least half of the weight on its side of that joint (Skin.anchored).
@@ -128,7 +128,7 @@ def _swing(blended: F64, anchor: F64, shift: float) -> tuple[F64, F64]:
 
 
 def expressed(splats: Splats, shapes: Shapes, weights: F64) -> Posed:
-    """Return splats at rest with an expression: ``weights`` [T] of the shapes (shapes.glsl)."""
+    """Return the splats at rest with an expression; ``weights`` [T] of the shapes (shapes.glsl)."""
     still, rows = rest(splats), shapes.rows
     amount = weights[shapes.targets]
     means = still.means.copy()
@@ -136,7 +136,7 @@ def expressed(splats: Splats, shapes: Shapes, weights: F64) -> Posed:
     np.add.at(means, rows, (amount * units)[:, None] * shapes.moves)
     bends = np.zeros((len(splats), 2, 3))
     np.add.at(bends, rows, (amount * BEND)[:, None, None] * shapes.bends)
-    moved = np.flatnonzero(np.diff(shapes.starts))  # the others are as they were, to the last bit
+    moved = np.flatnonzero(np.diff(shapes.starts))  # other splats stay bit-identical
     axes, order = quaternion_matrices(splats.quats[moved]), long_axes(splats.scales[moved])
     a, b = (np.take_along_axis(axes, order[:, None, k, None], axis=2)[:, :, 0] + bends[moved, k] for k in (0, 1))
     normal = np.cross(a, b)
@@ -156,7 +156,7 @@ def skin(
     shapes: Shapes | None = None,
     expression: F64 | None = None,  # [T] weights of the shapes; None: all 0
 ) -> Posed:
-    """Apply an expression, then linear blend skinning (paper, p_i' and Sigma_i'; skin.glsl)."""
+    """Return the splats after an expression and linear blend skinning (paper, p_i' and Sigma_i'; skin.glsl)."""
     still = rest(splats) if shapes is None or expression is None else expressed(splats, shapes, expression)
     weights = binding.weights.astype(np.float64)
     blended = np.einsum("nk,nkij->nij", weights, bones[binding.joints])
@@ -168,7 +168,7 @@ def skin(
 
 
 def placed(posed: Posed, transform: F64) -> Posed:
-    """Transform the splats of an item: x -> s R x + t of ``transform`` [4, 4] (place.vert.glsl)."""
+    """Return an item's splats transformed by x -> s R x + t of ``transform`` [4, 4] (place.vert.glsl)."""
     linear = transform[:3, :3]
     turn = linear / np.cbrt(np.linalg.det(linear))
     means = posed.means @ linear.T + transform[:3, 3]
@@ -176,7 +176,7 @@ def placed(posed: Posed, transform: F64) -> Posed:
 
 
 def joined(parts: Sequence[tuple[Posed, Splats]]) -> tuple[Posed, Splats, NDArray[np.bool_]]:
-    """Return all items of a scene as one: posed splats, their attributes, and their antialias flags [N]."""
+    """Return the concatenated items of a scene: posed splats, attributes, antialias flags [N]."""
     degree = max(splats.sh_degree for _, splats in parts)
     count = (degree + 1) ** 2
     sh = [np.pad(splats.sh, ((0, 0), (0, count - splats.sh.shape[1]), (0, 0))) for _, splats in parts]
@@ -197,14 +197,15 @@ def evaluate_sh(sh: F64, directions: F64, degree: int) -> F64:
 def shading(posed: Posed, splats: Splats, light: Light) -> F64:
     """Return the factors [N, 3] of colours in linear light; below 0 where there is no surface (light.glsl).
 
-    Irradiance over pi (Ramamoorthi and Hanrahan 2001) over the light that the colours hold. Normals are fixed in the
-    splats' axes, so they turn with skin and expression. The sun reaches a hollow in a cone about the normal that lets
-    in as much as its occlusion says: sin^2 of half its angle (Oat and Sander, Ambient Aperture Lighting, 2007).
+    The factor is irradiance over pi (Ramamoorthi and Hanrahan 2001), divided by the light baked into the colours.
+    Normals are fixed in the splats' axes, so they rotate with skin and expression. The sun reaches an occluded point
+    within a cone about the normal; sin^2 of its half angle is the openness (Oat and Sander, Ambient Aperture Lighting,
+    2007).
     """
     assert splats.surface is not None
     lengths = np.linalg.norm(posed.shapes, axis=1, keepdims=True)
     axes = np.where(lengths > 1e-15, posed.shapes / np.maximum(lengths, 1e-300), 0.0)
-    for k in range(3):  # of several the first
+    for k in range(3):  # of several zero axes the first
         flat = np.flatnonzero((lengths[:, 0, k] <= 1e-15) & (lengths[:, 0, :k] > 1e-15).all(axis=1))
         axes[flat, :, k] = np.cross(axes[flat, :, (k + 1) % 3], axes[flat, :, (k + 2) % 3])
     local = splats.surface.in_axes(signed_axes(splats.quats, splats.scales))
@@ -220,7 +221,7 @@ def shading(posed: Posed, splats: Splats, light: Light) -> F64:
 
 
 def lit(colours: F64, factors: F64) -> F64:
-    """Multiply colours [N, 3] by the factors of ``shading``, clamped to [0, 1]; unchanged where there is no surface."""
+    """Return colours [N, 3] times the factors of ``shading``, clamped to [0, 1]; unchanged without a surface."""
     return np.where(factors[:, :1] < 0, colours, to_srgb(to_linear(colours) * np.maximum(factors, 0)))
 
 
@@ -235,7 +236,7 @@ def jacobians(x: F64, y: F64, z: F64, camera: Camera) -> F64:
 
 
 def dilated_covariances(T: F64, eps2d: float) -> tuple[F64, F64, F64, F64, F64]:
-    """Return a, b, c dilated, det before, det after of shapes on the screen [N, 2, 3], Sigma2D = T T^T (project.glsl).
+    """Return dilated a, b, c and the determinants before and after, of Sigma2D = T T^T, T [N, 2, 3] (project.glsl).
 
     Lagrange: det(T T^T) = |T_0 x T_1|^2, a sum of squares where a c - b^2 would cancel.
     """
@@ -252,7 +253,7 @@ def project(
     antialias: NDArray[np.bool_] | None = None,  # [N] of a scene whose items differ; default: the splats' own flag
     light: Light | None = None,
 ) -> Projected:
-    """Project the splats to one view: EWA projection, culling, colour (project.glsl, extent.glsl, sh.glsl)."""
+    """Return the splats in one view: EWA projection, culling, colour (project.glsl, extent.glsl, sh.glsl)."""
     config = config or RenderConfig()
     asked = splats.antialias if antialias is None else antialias
     with np.errstate(all="ignore"):
@@ -286,16 +287,16 @@ def project(
 
 
 def depth_order(means: F64, viewmat: F64) -> NDArray[np.intp]:
-    """Return indices [N] far to near by camera z as float32; of equal depths the lower is the nearer (sort.py)."""
+    """Return indices [N] far to near by camera z as float32; at equal depth the lower index is nearer (sort.py)."""
     with np.errstate(all="ignore"):
         depths = (means @ viewmat[2, :3] + viewmat[2, 3]).astype(np.float32)
     return np.argsort(np.nan_to_num(depths, nan=np.inf), kind="stable")[::-1]
 
 
 def composite(view: Projected, order: NDArray[np.intp], camera: Camera, ground: MeshLayer | None = None) -> F64:
-    """Blend a view [H, W, 5]: premultiplied over, far to near, on the camera's background (splat.frag.glsl).
+    """Return the blended view [H, W, 5]: premultiplied over, far to near, on the background (splat.frag.glsl).
 
-    With ``ground`` splats whose mean lies behind a mesh are not drawn there. Channel 4 is the sum of weight times z.
+    ``ground`` hides splats whose mean is behind a mesh. Channel 4 is the sum of weight times z.
     """
     image = np.zeros((camera.height, camera.width, 5))
     image[..., :3] = camera.background
@@ -336,7 +337,7 @@ def render(
     expression: F64 | None = None,  # [T] weights of the shapes
     light: Light | None = None,
 ) -> F64:
-    """Render the frame [V, H, W, 4]: RGB over the background (unclipped) and accumulated alpha, rows top down."""
+    """Return the frame [V, H, W, 4]: RGB over the background (unclipped) and accumulated alpha, rows top down."""
     config = config or RenderConfig()
     posed = rest(splats)
     if binding is not None and bones is not None:
@@ -351,7 +352,7 @@ def render_scene(
     config: RenderConfig | None = None,
     light: Light | None = None,
 ) -> tuple[F64, F64]:
-    """Render several items: images [V, H, W, 4], and expected depths [V, H, W] in metres, 0 where alpha is 0."""
+    """Return images [V, H, W, 4] of several items, and expected depths [V, H, W] in metres, 0 where alpha is 0."""
     config = config or RenderConfig()
     posed, splats, antialias = joined(parts)
     image = _layers(posed, splats, cameras, config, light, antialias, grounds)
@@ -368,7 +369,7 @@ def _layers(
     antialias: NDArray[np.bool_] | None = None,
     grounds: Sequence[MeshLayer] | None = None,
 ) -> F64:
-    """Return all views [V, H, W, 5] as of ``composite``; the views of a pass share an order (camera.passes_of)."""
+    """Return all views [V, H, W, 5] of ``composite``; the views of a pass share a depth order (camera.passes_of)."""
     layers = []
     for indices in passes_of(cameras, config.debug.order == "shared"):
         order = depth_order(posed.means, sorting_camera([cameras[i] for i in indices]))

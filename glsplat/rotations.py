@@ -1,6 +1,6 @@
-"""Rotations and directions in float64, once: quaternions (wxyz), matrices, axis-angle, harmonics, flips of axes.
+"""Rotations and directions in float64: quaternions (wxyz), matrices, axis-angle, spherical harmonics, axis flips.
 
-The scalar quaternions of one tracked body are in tracking/solve/quat.py.
+tracking/solve/quat.py has scalar quaternions for a single tracked body.
 """
 
 from __future__ import annotations
@@ -62,20 +62,20 @@ _DIRECTIONS = 64
 
 
 def unit_vectors(vectors: ArrayLike, least: float = 1e-12) -> F64:
-    """Return vectors [..., N] at length 1; those shorter than ``least`` are divided by that: zero stays zero."""
+    """Return vectors [..., N] divided by their length, or by ``least`` if they are shorter: zero stays zero."""
     v = np.asarray(vectors, np.float64)
     return np.asarray(v / np.maximum(lengths(v)[..., None], least))
 
 
 def component_sums(values: NDArray[Any]) -> NDArray[Any]:
-    """Return ``values.sum(axis=-1)`` of [..., N] floats, bit for bit; much faster for N = 3."""
+    """Return ``values.sum(axis=-1)`` of [..., N] floats, bit-identical and much faster for N = 3."""
     if values.shape[-1] != 3:
         return np.asarray(values.sum(axis=-1))
     return np.asarray(values[..., 0] + values[..., 1] + values[..., 2])
 
 
 def lengths(vectors: NDArray[Any]) -> NDArray[Any]:
-    """Return ``np.linalg.norm(vectors, axis=-1)``, bit for bit and faster."""
+    """Return ``np.linalg.norm(vectors, axis=-1)``, bit-identical and faster."""
     return np.asarray(np.sqrt(component_sums(vectors * vectors)))
 
 
@@ -103,7 +103,7 @@ def signed_axes(quats: NDArray[np.floating], scales: NDArray[np.floating]) -> F6
 def matrix_quaternions(matrices: F64) -> F64:
     """Return unit quaternions wxyz [..., 4] of rotations [..., 3, 3].
 
-    The row of 4 q q^T with the largest diagonal, so that nothing cancels.
+    Takes the row of 4 q q^T with the largest diagonal, which avoids cancellation.
     """
     m = np.asarray(matrices, np.float64)
     diagonal = m[..., [0, 1, 2], [0, 1, 2]]
@@ -173,13 +173,13 @@ def rotation_matrices(axis_angle: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotation_between(first: ArrayLike, second: ArrayLike) -> F64:
-    """Return the smallest rotation [3, 3] from one direction [3] to another; opposite ones about any axis across."""
+    """Return the smallest rotation [3, 3] from one direction [3] to another; opposite ones: any axis."""
     a, b = (np.asarray(v, np.float64) for v in (first, second))
     a, b = (v / max(float(np.linalg.norm(v)), 1e-12) for v in (a, b))
     axis, cos = np.cross(a, b), float(a @ b)
     sin = float(np.linalg.norm(axis))
     if sin < 1e-9:
-        if cos > -0.5 or not np.isfinite(cos):  # alike, or no direction at all
+        if cos > -0.5 or not np.isfinite(cos):  # parallel, or no direction
             return np.eye(3)
         axis = np.cross(a, np.eye(3)[np.abs(a).argmin()])
         return rotation_matrices(axis / np.linalg.norm(axis) * np.pi)
@@ -202,21 +202,21 @@ def quaternion_vectors(quats: F64) -> F64:
 
 
 def slerp(first: F64, second: F64, part: ArrayLike) -> F64:
-    """Interpolate axis-angle [..., 3] at ``part`` (broadcast over ...), the short way; above 1, extrapolate."""
+    """Return axis-angle [..., 3] interpolated the short way at ``part`` (broadcast over ...); above 1 extrapolates."""
     turn = turn_between(first, second) * np.asarray(part)[..., None]
     return quaternion_vectors(quaternion_product(vector_quaternions(first), vector_quaternions(turn)))
 
 
 def turn_between(first: F64, second: F64) -> F64:
-    """Return the axis-angle [..., 3] of the short way from one [..., 3] to another, in the frame of the first."""
+    """Return the shortest rotation from ``first`` to ``second``, axis-angle [..., 3] in the frame of the first."""
     back = vector_quaternions(first) * (1, -1, -1, -1)
     return quaternion_vectors(quaternion_product(back, vector_quaternions(second)))
 
 
 def nearest_rotations(matrices: F64) -> F64:
-    """Return the polar factor of each [N, 3, 3], never a reflection; it jumps where two rotations are equally near.
+    """Return the nearest rotation (polar factor) of each [N, 3, 3]; it jumps where two are equally near.
 
-    reference.blended_rotations is continuous there.
+    ``reference.blended_rotations`` is continuous there.
     """
     u, _, vt = np.linalg.svd(matrices)
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
@@ -259,7 +259,7 @@ def sh_basis(directions: F64, degree: int) -> F64:
 def sh_rotations(turns: F64, degree: int) -> F64:
     """Return D [..., K, K] with basis(d) . (D c) = basis(turn^T d) . c for all d; ``turns`` [..., 3, 3] or mirrors.
 
-    Each degree spans a space that rotations and mirrors map to itself, so a fit over directions is exact up to
+    Rotations and mirrors map the space of each degree to itself, so a fit over random directions is exact up to
     rounding.
     """
     directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, 3))

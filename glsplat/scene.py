@@ -1,4 +1,4 @@
-"""Scene: several items in one frame, each with a transform, a pose and a visibility. Nothing here draws."""
+"""Scene: the items of a frame, each with a transform, a pose and a visibility. This module does not draw."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 __all__ = ["Content", "Item", "Rigged", "Scene", "SceneLike", "is_rigged", "similarity", "skeleton_of"]
 
 Content = Splats | Avatar | RiggedMesh
-"""What an item may show."""
+"""Content of an item."""
 
 Rigged = Avatar | RiggedMesh
-"""What a pose may move (``is_rigged``): splats with a skin, or a mesh with joints."""
+"""Content with a skeleton (``is_rigged``): splats with a skin, or a mesh with joints."""
 
-_MAX_VALUE = 1e6  # metres, and of a scale; more is a mistake of units
+_MAX_VALUE = 1e6  # metres, or a scale; a larger value has the wrong unit
 _MIN_SCALE = 1e-6
 
 
 def is_rigged(thing: object) -> TypeGuard[Rigged]:
-    """Return whether a pose may move it: an Avatar, or a RiggedMesh of more than one joint.
+    """Return whether a pose can move ``thing``: an Avatar, or a RiggedMesh of more than one joint.
 
     >>> glsplat.scene.is_rigged(glsplat.default_avatar()), glsplat.scene.is_rigged(glsplat.default_avatar().splats)
     (True, False)
@@ -42,15 +42,15 @@ def is_rigged(thing: object) -> TypeGuard[Rigged]:
 
 
 def skeleton_of(thing: Content) -> Skeleton | None:
-    """Return the skeleton that a pose moves; None where there is none (``is_rigged``)."""
+    """Return the skeleton of rigged content; None for other content (``is_rigged``)."""
     return thing.skeleton if is_rigged(thing) else None
 
 
 class Item:
     """Splats, an Avatar or a RiggedMesh in a scene. The content is fixed; the rest may change between frames.
 
-    ``transform`` [4, 4] takes the thing's own space to the scene: a rotation, one scale for all axes, a translation
-    in metres (see ``similarity``). Assigning an attribute checks and copies what it is given.
+    ``transform`` [4, 4] maps the content's space to the scene: a rotation, one scale for all axes, a translation in
+    metres (see ``similarity``). Assigning an attribute validates and copies the value.
 
     >>> item = glsplat.Item(glsplat.default_avatar(), name="Ann")
     >>> item.transform = glsplat.similarity((0, 0, 2), scale=1.1)
@@ -64,7 +64,7 @@ class Item:
         self,
         content: Content,
         *,
-        pose: Pose | None = None,  # zero pose if none
+        pose: Pose | None = None,  # None: zero pose
         transform: ArrayLike | None = None,  # [4, 4]
         visible: bool = True,
         opacity: float = 1.0,
@@ -90,12 +90,12 @@ class Item:
 
     @property
     def name(self) -> str:
-        """A name for messages; need not be distinct."""
+        """Name for messages; need not be unique."""
         return self._name
 
     @property
     def pose(self) -> Pose | None:
-        """Of its skeleton; None: the zero pose."""
+        """Pose of the skeleton; None: the zero pose."""
         return self._pose
 
     @pose.setter
@@ -112,7 +112,7 @@ class Item:
 
     @property
     def transform(self) -> NDArray[np.float64]:
-        """Scene from item [4, 4]; read-only, assign a new one to move it."""
+        """Scene from item [4, 4]; read-only: assign a new one to move the item."""
         return self._transform
 
     @transform.setter
@@ -121,7 +121,7 @@ class Item:
 
     @property
     def visible(self) -> bool:
-        """False: it is not drawn, costs nothing and keeps its buffers."""
+        """Whether the item is drawn. A hidden item costs no time and keeps its buffers."""
         return self._visible
 
     @visible.setter
@@ -130,7 +130,7 @@ class Item:
 
     @property
     def layers(self) -> int:
-        """Bits: a view draws it if ``layers & camera.layers`` is not 0, without staging it again."""
+        """Bit mask: a view draws the item if ``layers & camera.layers`` is not 0. Changing it uploads nothing."""
         return self._layers
 
     @layers.setter
@@ -139,7 +139,7 @@ class Item:
 
     @property
     def finest(self) -> int:
-        """Finest level of detail that is drawn, however near it is; 0: all. The coarsest if it has fewer."""
+        """Finest level of detail that is drawn at any distance; 0: no limit. The coarsest if there are fewer levels."""
         return self._finest
 
     @finest.setter
@@ -148,7 +148,7 @@ class Item:
 
     @property
     def opacity(self) -> float:
-        """Factor 0 to 1 of its splats' opacities; a mesh is always opaque."""
+        """Factor, 0 to 1, of the splats' opacities; a mesh is always opaque."""
         return self._opacity
 
     @opacity.setter
@@ -164,7 +164,7 @@ class Item:
 
 
 class Scene:
-    """Items in one frame. At equal depth, splats of earlier items are the nearer (docs/conventions.md).
+    """Items of one frame. At equal depth, splats of earlier items are nearer (docs/conventions.md).
 
     >>> person = glsplat.default_avatar()
     >>> scene = glsplat.Scene([glsplat.Item(person), glsplat.Item(person, transform=glsplat.similarity((0.7, 0, 0)))])
@@ -192,7 +192,7 @@ class Scene:
 
     @classmethod
     def of(cls, thing: SceneLike) -> Scene:
-        """Return the scene itself, or a scene of that one thing."""
+        """Return ``thing`` if it is a scene, else a scene that holds it."""
         if isinstance(thing, Scene):
             return thing
         return cls([thing if isinstance(thing, Item) else Item(thing)])
@@ -205,14 +205,14 @@ class Scene:
     @light.setter
     def light(self, light: Light | None) -> None:
         if light is not None:
-            from glsplat.light.light import Light  # here: clients and most scenes have none
+            from glsplat.light.light import Light  # here: most scenes have no light
 
             instance(light, Light, "a scene's light", GlsplatError)
         self._light: Light | None = light
 
     @property
     def transform(self) -> NDArray[np.float64]:
-        """[4, 4] the cameras' world from the scene, applied after each item's own; read only, assign a new one."""
+        """World from scene [4, 4], applied after each item's own transform; read-only: assign a new one."""
         return self._transform
 
     @transform.setter
@@ -221,12 +221,12 @@ class Scene:
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """Items in the order in which they were added."""
+        """Items in the order of their addition."""
         return tuple(self._items)
 
     @property
     def figures(self) -> tuple[Item, ...]:
-        """The visible items that a pose may move."""
+        """Visible items with a skeleton."""
         return tuple(item for item in self._items if item.visible and is_rigged(item.content))
 
     def add(self, item: Item) -> Item:
@@ -239,10 +239,10 @@ class Scene:
         return item
 
     def remove(self, item: Item) -> None:
-        """Remove an item; its buffers are released with the next frame."""
+        """Remove an item; the next frame releases its buffers."""
         try:
-            if isinstance(item, Item):  # which equals nothing but itself
-                return self._items.remove(item)  # atomic: other threads may remove others
+            if isinstance(item, Item):  # an Item equals only itself
+                return self._items.remove(item)  # atomic: other threads may remove other items
         except ValueError:
             pass
         raise GlsplatError(f"{item!r:.60} is not in the scene")
@@ -258,7 +258,7 @@ class Scene:
 
 
 SceneLike = Scene | Item | Content
-"""Argument of a renderer: a scene, or one thing, which is then a scene of one."""
+"""Argument of a renderer: a scene, or a single item or content."""
 
 
 def similarity(

@@ -1,4 +1,4 @@
-"""Splats: the attributes of a set of 3D Gaussians, checked once, immutable afterwards."""
+"""Splats: the attributes of a set of 3D Gaussians, validated once, then immutable."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ SH_C0 = 0.28209479177387814
 """Y_0^0, the constant real spherical harmonic: rgb = SH_C0 * f_dc + 0.5 (3DGS)."""
 
 
-_ROUNDED = 5e-7  # of a squared length: unit to float32 rounding
+_UNIT_TOLERANCE = 5e-7  # of the squared length of a float32 unit quaternion
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level(Generic[T]):
-    """A coarser stand-in for Splats or an Avatar: fewer splats that look the same from afar.
+    """A coarser level of detail of Splats or an Avatar: fewer splats that look the same from afar.
 
-    ``density`` is the focal length over the depth, in pixels a metre, up to which it is drawn. ``psnr`` is the PSNR in
-    dB of the worst picture at that density, against the finest.
+    ``density``, in pixels per metre, is the largest focal length over depth at which it is drawn. ``psnr`` is the PSNR
+    in dB of the worst picture at that density against the finest level.
     """
 
     content: T
@@ -41,7 +41,7 @@ class Level(Generic[T]):
 
 
 class Levels(tuple[Level[T], ...]):
-    """Levels, and the arrays of the splats that they belong to: levels of replaced arrays are dropped."""
+    """Levels with the arrays of the splats that they belong to: levels of replaced arrays are dropped."""
 
     of: tuple[NDArray[np.float32], ...]
 
@@ -58,9 +58,9 @@ class Levels(tuple[Level[T], ...]):
 def checked_levels(
     levels: Iterable[Level[T]], finest: T, of: tuple[NDArray[np.float32], ...], sizes: Iterable[int]
 ) -> tuple[Level[T], ...]:
-    """Return the checked levels of ``finest``, whose arrays are ``of``; ``sizes``: numbers of splats, its own first.
+    """Return the validated levels of ``finest``, whose arrays are ``of``; ``sizes``: splat counts, finest first.
 
-    Levels of other arrays are dropped: ``dataclasses.replace`` hands them on. Raises FormatError for invalid levels.
+    Levels of other arrays, which ``dataclasses.replace`` passes on, are dropped. Raises FormatError for invalid levels.
     """
     if isinstance(levels, Levels) and any(a is not b for a, b in zip(levels.of, of, strict=True)):
         return ()
@@ -86,10 +86,10 @@ def checked_levels(
 class Splats(Value):
     """N Gaussians with activated attributes (linear scales and opacities), float32, C-contiguous, read-only.
 
-    Values are stored as they came: NaN, zero quaternions, negative scales and opacities outside [0, 1] are legal, so
-    that loading loses nothing; docs/conventions.md says how the renderer handles them. Arrays
-    are converted and copied, except float32 ones that are read-only down to the memory they own: those are kept, so
-    ``array.flags.writeable = False`` hands a large one over. Raises FormatError when a shape does not fit.
+    NaN, zero quaternions, negative scales and opacities outside [0, 1] are kept, so that loading loses nothing;
+    docs/conventions.md says how the renderer handles them. Arrays are converted and copied, except float32 arrays that
+    are read-only down to the memory they own: set ``array.flags.writeable = False`` to avoid the copy. Raises
+    FormatError if a shape does not fit.
 
     >>> glsplat.Splats.create([[0, 1, 0]], [[1, 0, 0, 0]], [[0.1, 0.1, 0.1]], opacities=[0.9], rgb=[[1, 0, 0]])
     Splats(1 splats, SH degree 0, 56 bytes)
@@ -100,11 +100,11 @@ class Splats(Value):
     scales: NDArray[np.float32]  # [N, 3] standard deviations in metres
     opacities: NDArray[np.float32]  # [N] in [0, 1]
     sh: NDArray[np.float32]  # [N, (degree + 1)^2, 3] raw coefficients; colour = SH . basis + 0.5
-    antialias: bool = False  # meant to be drawn with opacity compensation for the dilation (RenderConfig.antialias)
-    cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone / 127: axis in the splat's own axes, smallest cosine
-    cones_psnr: float | None = None  # dB that the worst picture keeps without the splats the cones hide; None: unknown
-    levels: tuple[Level[Splats], ...] = ()  # coarser ones, finest first; dropped where other attributes are replaced
-    surface: Surface | None = None  # for relighting; None: never lit
+    antialias: bool = False  # to be drawn with opacity compensation (RenderConfig.antialias)
+    cones: NDArray[np.int8] | None = None  # [N, 4] visibility cone times 127: axis in the splat's axes, smallest cosine
+    cones_psnr: float | None = None  # PSNR in dB of the worst picture with culled cones; None: unknown
+    levels: tuple[Level[Splats], ...] = ()  # coarser levels, finest first; dropped if an attribute is replaced
+    surface: Surface | None = None  # for relighting; None: not lit
 
     def __init__(
         self,
@@ -140,7 +140,7 @@ class Splats(Value):
         if held is not None and held.shape != (n, 4):
             raise FormatError(f"cones needs int8 of shape ({n}, 4), not {held.shape}")
         if surface is not None:
-            from glsplat.light.surface import Surface  # here: few splats know of one
+            from glsplat.light.surface import Surface  # here: few splats have a surface
 
             if len(instance(surface, Surface, "surface")) != n:
                 raise FormatError(f"a surface needs one row a splat, not {len(surface)} for {n}")
@@ -168,10 +168,10 @@ class Splats(Value):
         cones_psnr: float | None = None,
         surface: Surface | None = None,
     ) -> Splats:
-        """Return splats, also of plain colours: ``rgb`` makes splats of SH degree 0.
+        """Return splats of ``sh``, or of plain colours ``rgb``, which have SH degree 0.
 
-        Raises FormatError when a shape does not fit, not exactly one of ``sh`` and ``rgb`` is given, or ``rgb`` is
-        0 to 255; colours a little outside [0, 1] are kept (-1 to 2: views of a higher degree overshoot).
+        Raises FormatError unless exactly one of ``sh`` and ``rgb`` is given, if a shape does not fit, or if ``rgb``
+        is 0 to 255. Colours from -1 to 2 are kept, as spherical harmonics overshoot.
         """
         if (sh is None) == (rgb is None):
             raise FormatError("a splat needs exactly one of sh and rgb")
@@ -203,7 +203,7 @@ class Splats(Value):
 
     @property
     def arrays(self) -> tuple[NDArray[np.float32], ...]:
-        """means, quats, scales, opacities, sh."""
+        """The arrays means, quats, scales, opacities, sh."""
         return self.means, self.quats, self.scales, self.opacities, self.sh
 
     @property
@@ -215,7 +215,7 @@ class Splats(Value):
     def take(self, index: ArrayLike) -> Splats:
         """Return the splats at ``index`` (an integer or boolean array), in that order, without levels.
 
-        Raises FormatError outside of them.
+        Raises FormatError for an index out of range.
         """
         i = rows(index, len(self))
         means, quats, scales, opacities, sh = (frozen(a.take(i, axis=0)) for a in self.arrays)
@@ -224,7 +224,7 @@ class Splats(Value):
         return Splats(means, quats, scales, opacities, sh, self.antialias, cones, self.cones_psnr, surface=surface)
 
     def finite(self) -> NDArray[np.bool_]:
-        """Return [N] True where every attribute is finite."""
+        """Return a mask [N] of the splats whose attributes are all finite."""
         ok = np.isfinite(self.opacities)
         for array in (self.means, self.quats, self.scales):
             ok &= np.isfinite(array).all(axis=1)
@@ -232,19 +232,19 @@ class Splats(Value):
         return ok
 
     def drawable(self) -> NDArray[np.bool_]:
-        """Return [N] True where every attribute is finite and there is a rotation; no other splat is ever drawn."""
+        """Return a mask [N] of the splats that can be drawn: finite, with a non-zero quaternion."""
         return self.finite() & self.quats.any(axis=1)
 
 
 def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return unit quaternions [N, 4]; zero and non-finite ones are returned as they are.
 
-    Dividing by the largest component first keeps tiny and huge quaternions from under- or overflowing. What is unit
-    to float32 rounding stays as it is, so that reading a written file changes no bit.
+    Dividing by the largest component first avoids under- and overflow. Quaternions that are unit within float32
+    rounding are unchanged, so that reading a written file is bit-exact.
     """
     with np.errstate(all="ignore"):
         peak = np.abs(quats).max(axis=-1, keepdims=True)
-        rounded = np.abs(np.einsum("...i,...i->...", quats, quats)[..., None] - 1) <= _ROUNDED
+        rounded = np.abs(np.einsum("...i,...i->...", quats, quats)[..., None] - 1) <= _UNIT_TOLERANCE
         usable = np.isfinite(peak) & (peak > 0) & ~rounded
         scaled = quats / np.where(usable, peak, 1)
         unit = scaled / np.where(usable, np.linalg.norm(scaled, axis=-1, keepdims=True), 1)
@@ -252,13 +252,13 @@ def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _are_unit(quats: NDArray[np.float32]) -> bool:
-    """Return whether normalised() would change nothing."""
+    """Return whether all quaternions are unit within float32 rounding."""
     with np.errstate(all="ignore"):
-        return bool((np.abs(np.einsum("ij,ij->i", quats, quats) - 1) <= _ROUNDED).all())
+        return bool((np.abs(np.einsum("ij,ij->i", quats, quats) - 1) <= _UNIT_TOLERANCE).all())
 
 
 def _sh_of(rgb: ArrayLike) -> NDArray[np.float32]:
-    """Return the coefficients [N, 1, 3] of plain colours."""
+    """Return the SH coefficients [N, 1, 3] of plain colours."""
     colours = shares(rgb, "rgb", hint=", or give sh for more light")
     colours = colours.reshape(0, 3) if colours.shape == (0,) else colours
     if colours.ndim != 2 or colours.shape[1] != 3:

@@ -1,4 +1,4 @@
-"""Stage timers: wall-clock milliseconds between marks, with the GPU finished at each mark only when asked."""
+"""Stage timer: wall-clock milliseconds between marks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ __all__ = ["StageTimer"]
 
 
 class StageTimer:
-    """``start()``, then ``mark("name")`` after each stage; ``ms`` holds the last frame.
+    """Time the stages of a frame: ``start()``, then ``mark("name")`` after each; ``ms`` has the last frame's times.
 
-    Without ``finish`` a mark is the time the CPU spent issuing the stage (on software rasterizers GL commands run
-    deferred as well); with it, every mark waits for the GPU, which makes stages exact and frames slower.
+    Without ``finish`` a stage is the CPU time of issuing it, as GL commands run deferred, also on software rasterizers.
+    With it, every mark waits for the GPU, which makes stages exact and frames slower.
     """
 
     def __init__(self, finish: Callable[[], None] | None = None) -> None:
@@ -26,7 +26,7 @@ class StageTimer:
         self._start = self._last = time.perf_counter()
 
     def mark(self, stage: str) -> None:
-        """End a stage; repeated names add up."""
+        """End a stage; times of one name add up."""
         if self._finish is not None:
             self._finish()
         now = time.perf_counter()
@@ -34,5 +34,5 @@ class StageTimer:
         self._last = now
 
     def stop(self) -> None:
-        """End the frame: ``total`` is the time since start()."""
+        """End the frame; ``ms["total"]`` is the time since start()."""
         self.ms["total"] = (time.perf_counter() - self._start) * 1e3

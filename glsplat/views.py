@@ -1,4 +1,4 @@
-"""Views of a scene that nobody chose: where to stand to see all of it, and the cameras there."""
+"""Default views of a scene: an eye point that shows all of it, and the cameras there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["box_of", "orbited", "view_of", "viewing_point"]
 
 
 def viewing_point(scene: SceneLike, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(eye, target) from the front (+z) that shows 98 % of the splats and vertices of each visible item."""
+    """Return (eye, target), seen from the front (+z), that show 98 % of the points of each visible item."""
     boxes = [box for item in Scene.of(scene) if item.visible and (box := box_of(item)) is not None]
     if not boxes:
         return np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -27,18 +27,18 @@ def viewing_point(scene: SceneLike, fov: float) -> tuple[NDArray[np.float64], ND
 
 
 def orbited(eye: NDArray[np.float64], target: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """[3] ``eye`` [3] once it has gone round the upright axis through ``target`` [3] by ``angle`` radians, +z to +x."""
+    """Return ``eye`` [3] rotated about the vertical axis through ``target`` [3] by ``angle`` radians, +z to +x."""
     x, y, z = eye - target
     return target + np.array([x * np.cos(angle) + z * np.sin(angle), y, z * np.cos(angle) - x * np.sin(angle)])
 
 
 def box_of(item: Item) -> NDArray[np.float64] | None:
-    """[2, 3] lowest and highest of 98 % of an item in its scene; None if empty.
+    """Return the bounds [2, 3] (lowest, highest) of 98 % of an item's points in its scene; None if it is empty.
 
-    A mesh in its pose; an avatar as it was bound, moved by ``trans``, because its splats are posed on the GPU.
+    A mesh is posed. An avatar is in its bind pose, moved by ``trans``, because its splats are posed on the GPU.
     """
     if isinstance(item.content, RiggedMesh):
-        # what a file binds may be of another size than what its rest pose shows
+        # the bind pose of a file may have another size than its rest pose
         points = item.content.posed(item.pose or Pose.zero(len(item.content.skeleton)))
     else:
         splats = splats_of(item.content)
@@ -60,7 +60,7 @@ def view_of(
     ipd: float | None = None,  # a stereo pair with this distance between the eyes
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> list[Camera]:
-    """One camera, or the two eyes of a head, looking from ``eye`` to ``target``."""
+    """Return a camera, or the two eyes of a head, that looks from ``eye`` to ``target``."""
     viewmat = look_at(eye, target)
     if ipd is None:
         return [Camera(viewmat, pinhole(*pixels, fov), *pixels, background=background)]

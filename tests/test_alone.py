@@ -21,6 +21,21 @@ class Refusing(importlib.abc.MetaPathFinder):
 sys.meta_path.insert(0, Refusing())
 """
 
+# the extra that a command names where there is none; the others print their help, and look for extras later
+NEEDED = {
+    "serve": "consent",
+    "page": "browser",
+    "bench": "evaluate",
+    "users": "accounts",
+    "models": "authoring",
+    "study": "study",
+    "tracking": "evaluate",
+    "evaluate": "evaluate",
+    "watermark": "authoring",
+    "report": "evaluate",
+    "inspect": "consent",
+}
+
 COMMAND = """
 from apps.cli import main
 options = ["--motion", "walk", "--frame", "5", "--stereo", "--size", "64x64"]
@@ -99,12 +114,33 @@ def test_the_core_runs_alone(program: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.gl
-def test_speech_without_its_extra_is_refused_in_one_line(tmp_path: Path) -> None:
-    program = """
-from apps.cli import main
-sys.exit(main(["render", "--speech", "hello.wav", "-o", sys.argv[1]]))
-"""
-    command = [sys.executable, "-c", REFUSING + program, str(tmp_path / "a.mp4")]
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("render --speech hello.wav -o out.mp4", "render: --speech needs glsplat.extras.speech"),
+        ("preview --xr", "preview: --xr needs glsplat.extras.openxr"),
+        ("users list users.json", "users needs glsplat.extras.accounts"),
+    ],
+    ids=["speech", "xr", "users"],
+)
+def test_an_option_without_its_extra_is_refused_in_one_line(words: str, line: str) -> None:
+    program = "from apps.cli import main\nsys.exit(main(sys.argv[1:]))\n"
+    command = [sys.executable, "-c", REFUSING + program, *words.split()]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
-    line = "glsplat render: --speech needs glsplat.extras.speech, which is not installed\n"
-    assert (done.returncode, done.stderr) == (1, line)
+    assert (done.returncode, done.stderr) == (1, f"glsplat {line}, which is not installed\n")
+
+
+def test_a_command_names_the_extra_that_it_lacks() -> None:
+    program = """
+from apps.cli import COMMANDS, main
+for words in ([], *([name] for name in COMMANDS)):
+    try:
+        assert main([*words, "--help"]) == 1
+    except SystemExit as end:
+        assert end.code == 0
+"""
+    command = [sys.executable, "-c", REFUSING + program]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0 and done.stdout.startswith("usage: glsplat ")
+    lines = [f"glsplat {name} needs glsplat.extras.{extra}, which is not installed" for name, extra in NEEDED.items()]
+    assert sorted(done.stderr.splitlines()) == sorted(lines)

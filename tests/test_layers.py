@@ -1,13 +1,16 @@
-"""Imports go down and never in a circle, every package is installed, and the root exports what it lists."""
+"""Imports go down and never in a circle, extras import what they require, every package is installed."""
 
 from __future__ import annotations
 
 import ast
 import tomllib
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+
+from tools.without_extra import requirements
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -168,8 +171,8 @@ def test_imports_go_down() -> None:
         ("glsplat.renderer.arena", "from glsplat import reference"),
         ("glsplat.renderer.stage", "from glsplat.renderer.arena import Arena"),  # up within a room
         ("glsplat.net.session", "from glsplat.net.client_stream import ClientStream"),
-        ("glsplat.net.session", "from glsplat.extras.uploads.job import UploadConfig"),  # the core, an extra
-        ("glsplat.extras.evaluate.frames", "from glsplat_apps.output import label"),
+        ("glsplat.net.session", "from glsplat.extras import uploads"),  # the core, an extra
+        ("glsplat.extras", "from glsplat_apps.output import label"),
     ],
 )
 def test_an_import_upwards_is_found(module: str, line: str) -> None:
@@ -189,6 +192,16 @@ def test_no_circle() -> None:
 
     for module in FILES:
         walk(module, ())
+
+
+def test_extras_import_the_extras_that_they_require_and_no_others() -> None:
+    required, imported = requirements(ROOT), {name: set() for name in requirements(ROOT)}
+    for module in FILES:
+        for other in imports_of(module):
+            if module.startswith("glsplat.extras.") and other.startswith("glsplat.extras."):
+                imported[module.split(".")[2]].add(other.split(".")[2])
+    assert required == {name: tuple(sorted(others - {name})) for name, others in imported.items()}
+    TopologicalSorter(required).prepare()  # raises CycleError for a circle
 
 
 def test_every_package_is_installed() -> None:

@@ -16,7 +16,7 @@ from glsplat.extras.authoring.detail.measure import MeasureConfig
 from glsplat.formats import load_splats, save, suffixes
 
 from ..args import natural
-from ..inspect import levels_of, levels_said
+from ..inspect import levels_of, levels_text
 from ..usage import UsageError
 from .writing import check_name, progress_bar
 
@@ -79,6 +79,6 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(facts))
         return 0
     print(f"{args.out}: {total:,} splats, {len(levels)} coarser levels, {size / 1e6:.2f} MB, {seconds:.1f} s")
-    for said in levels_said(levels) or [f"no level keeps {args.psnr:g} dB; --psnr asks for less"]:
+    for said in levels_text(levels) or [f"no level keeps {args.psnr:g} dB; --psnr asks for less"]:
         print(f"  {said}")
     return 0

@@ -39,7 +39,7 @@ from glsplat.skinning.pose import Pose, load_pose
 from glsplat.splats import Level
 
 from ..args import add_up, motion_of
-from ..convert import add_quiet, save_and_say
+from ..convert import add_quiet, save_with_report
 from ..usage import UsageError
 from .person import add_rig, doubts, is_gltf, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
@@ -256,7 +256,7 @@ def export(args: argparse.Namespace) -> int:
     levels = tuple(Level(posed_splats(one.content, pose), one.density, one.psnr) for one in scene.levels)
     posed = replace(posed_splats(scene, pose), levels=levels)
     splats = transformed(posed, upright(args.up).T)  # from y up to the file's axis
-    save_and_say(splats, args.out, "glsplat avatar export", args.quiet)
+    save_with_report(splats, args.out, "glsplat avatar export", args.quiet)
     print(f"{args.out}: {len(scene.splats)} splats")
     return 0
 

@@ -26,8 +26,8 @@ from glsplat.extras.authoring.reconstruct.registry import named, names
 from glsplat.extras.authoring.threads import aside, one_heap
 
 from ..args import natural, positive
-from ..farming import add_ray
 from ..output import save_png
+from ..ray_tasks import add_ray
 from ..usage import UsageError
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 

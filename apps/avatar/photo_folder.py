@@ -12,7 +12,7 @@ from pathlib import Path
 
 from glsplat.errors import FormatError, GlsplatError
 
-from ..farming import on_ray
+from ..ray_tasks import on_ray
 from ..usage import UsageError
 from .mine import sign_mine
 

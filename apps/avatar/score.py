@@ -17,9 +17,9 @@ from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.avatar_poses import SCORE_POSES
 from glsplat.extras.evaluate.avatar_score import AvatarScore, score
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.formats import load_splats
 from glsplat.io.files import replace_file
 from glsplat.meshes import RiggedMesh

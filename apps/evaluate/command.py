@@ -21,12 +21,12 @@ from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, 
 from glsplat.extras.evaluate.comparison.work import Result, Task, alone, finished
 from glsplat.extras.evaluate.comparison.workers import run_tasks
 from glsplat.formats.motion_files import embedded_motions, split_choice
+from glsplat.io.cores import cores
 from glsplat.io.files import locked, replace_file
-from glsplat.io.machine import cores
 
 from ..args import motion_of
-from ..farming import add_ray, on_ray
 from ..progress import Progress
+from ..ray_tasks import add_ray, on_ray
 from ..usage import UsageError
 from .html import page
 from .outcome import outcome, plots, table_lines

@@ -11,7 +11,7 @@ from glsplat.extras.evaluate.comparison.measure import MEASURES, OVERLAP
 from glsplat.extras.evaluate.comparison.participant import Participant
 from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.comparison.work import Result
-from glsplat.extras.evaluate.machine import machine
+from glsplat.io.provenance import machine
 
 __all__ = ["LOWER", "NAMES", "outcome", "plots", "table_lines"]
 

@@ -1,4 +1,4 @@
-"""Where the preview looks from: how it starts, one state that orbits and flies, and the cameras of each layout."""
+"""The preview's view: start options, a viewpoint that orbits and flies, and the cameras of each layout."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from glsplat.rotations import FLIP_YZ
 
 __all__ = ["Options", "View", "cameras_of"]
 
-_STEEPEST = np.pi / 2
+_MAX_PITCH_RAD = np.pi / 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """How the preview starts."""
+    """Start options of the preview."""
 
     layout: Layout = "mono"
     fov: float = PAPER_FOV
@@ -28,16 +28,16 @@ class Options:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     eye: tuple[float, float, float] | None = None
     target: tuple[float, float, float] | None = None
-    numbers: bool = False  # the overlay is on
+    numbers: bool = False  # show the overlay
     text_scale: float = 1.0
     rendering: RenderConfig = field(default_factory=RenderConfig)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """An eye that looks at ``target`` from ``distance`` metres; angles in radians, world y up.
+    """Viewpoint that looks at ``target`` from ``distance`` metres; angles in radians, world y up.
 
-    yaw 0 stands on the target's +z side (in front of an avatar) and grows towards +x; pitch grows upwards.
+    At yaw 0 the eye is on the target's +z side, in front of an avatar; yaw grows towards +x, pitch upwards.
     """
 
     target: NDArray[np.float64]  # [3]
@@ -47,7 +47,7 @@ class View:
 
     @classmethod
     def between(cls, eye: ArrayLike, target: ArrayLike) -> View:
-        """Looking from ``eye`` to ``target``. FormatError if they are one point."""
+        """Return the view from ``eye`` to ``target``. Raises FormatError if they are one point."""
         target = np.array(target, np.float64)
         x, y, z = np.asarray(eye, np.float64) - target
         distance = float(np.sqrt(x * x + y * y + z * z))
@@ -57,13 +57,13 @@ class View:
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """[3, 3] columns right, up, back (OpenGL axes): defined straight up and down as well."""
+        """Axes [3, 3], columns right, up, back (OpenGL); also defined straight up and down."""
         cy, sy, cp, sp = np.cos(self.yaw), np.sin(self.yaw), np.cos(self.pitch), np.sin(self.pitch)
         return np.array([[cy, -sy * sp, sy * cp], [0, cp, sp], [-sy, -cy * sp, cy * cp]])
 
     @property
     def eye(self) -> NDArray[np.float64]:
-        """[3] position in metres."""
+        """Position [3] in metres."""
         return self.target + self.distance * self.axes[:, 2]
 
     @property
@@ -74,21 +74,21 @@ class View:
         return matrix
 
     def orbited(self, right: float, up: float) -> View:
-        """The eye moved round the target by angles in radians; it stops straight above and below."""
-        pitch = float(np.clip(self.pitch + up, -_STEEPEST, _STEEPEST))
+        """Return the view with the eye rotated about the target by angles in radians, up to straight above or below."""
+        pitch = float(np.clip(self.pitch + up, -_MAX_PITCH_RAD, _MAX_PITCH_RAD))
         return replace(self, yaw=(self.yaw + right) % (2 * np.pi), pitch=pitch)
 
     def looked(self, right: float, up: float) -> View:
-        """The eye turned on the spot by angles in radians."""
+        """Return the view with its direction rotated by angles in radians; the eye stays."""
         turned = self.orbited(-right, -up)
         return replace(turned, target=self.eye - self.distance * turned.axes[:, 2])
 
     def moved(self, right: float, up: float, forward: float) -> View:
-        """Eye and target moved together, metres along the eye's own axes."""
+        """Return the view with eye and target moved by metres along the eye's axes."""
         return replace(self, target=self.target + self.axes @ np.array([right, up, -forward]))
 
     def zoomed(self, factor: float, nearest: float = 1e-4, farthest: float = 1e7) -> View:
-        """The distance scaled within bounds in metres."""
+        """Return the view with its distance scaled, within bounds in metres."""
         return replace(self, distance=float(np.clip(self.distance * factor, nearest, farthest)))
 
 
@@ -100,10 +100,10 @@ def cameras_of(
     ipd: float,  # metres between the eyes
     background: tuple[float, float, float],
 ) -> list[Camera]:
-    """The cameras that fill a window.
+    """Return the cameras that fill a window.
 
-    Side by side shows what a headset gets: parallel axes. An anaglyph is looked at on a screen, so its frusta are
-    shifted until the target lies in the screen's plane (zero disparity) and not the point at infinity.
+    Side by side has parallel axes, as in a headset. An anaglyph is viewed on a screen, so its frusta are shifted until
+    the target has zero disparity.
     """
     size = view_size(window, layout)
     K = pinhole(*size, fov)

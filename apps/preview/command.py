@@ -1,4 +1,4 @@
-"""``glsplat preview``: a window that shows a scene or a moving avatar."""
+"""``glsplat preview``: show a scene or a moving avatar in a window."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from glsplat.errors import FormatError
 from glsplat.formats.motion_files import KINDS
 from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.motion import Motion
-from glsplat.net.guard.access import read_token
 from glsplat.scene import skeleton_of
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose, load_pose
@@ -23,45 +22,51 @@ from glsplat.skinning.pose import Pose, load_pose
 from ..args import add_detail, add_light, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
 from ..output import save_png
 from ..usage import UsageError
-from . import headset
+from . import headset_options
 from .cameras import Options
-from .connect import Watched, read_tracked
-from .feed import Feed
+from .connect import StreamedPictures, read_tracked
+from .feed import feed_of
 from .files import motion_names, read_motion
 from .viewer import Viewer
 from .window import Window
 
-HELP = (
-    "A window that shows a scene or a moving avatar: orbit, fly, pose it by hand, in mono or stereo. H shows the keys."
-)
+HELP = "Show a scene or a moving avatar in a window: orbit, fly, pose it by hand, in mono or stereo. H shows the keys."
 EXAMPLE = "glsplat preview --motion walk --layout anaglyph"
 
-_FPS = 30.0  # of the clock under --frames
+_CLOCK_FPS = 30.0  # of the motion under --frames
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     add_scene(parser)
     add_light(parser)
     parser.add_argument(
         "--motion", metavar="FILE", help=f"a motion: {KINDS}, or a name (default: an embedded one, if it fits)"
     )
     parser.add_argument("--pose", metavar="FILE", help="pose file (JSON) instead of a motion")
-    parser.add_argument("--paused", action="store_true", help="begin with the motion's first frame and stay there")
+    parser.add_argument("--paused", action="store_true", help="start paused at the motion's first frame")
     parser.add_argument("--layout", choices=("mono", "side-by-side", "anaglyph"), default="mono", help="keys 1, 2, 3")
     parser.add_argument("--size", type=size, default=(1280, 720), help="WxH of the window (default 1280x720)")
     parser.add_argument("--fov", type=float, default=PAPER_FOV, help="vertical field of view in degrees (default 65)")
-    parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="where the camera stands (default: all in view)")
-    parser.add_argument("--target", type=point, metavar="X,Y,Z", help="what it looks at (default: the scene's middle)")
+    parser.add_argument("--eye", type=point, metavar="X,Y,Z", help="position of the camera (default: all in view)")
+    parser.add_argument("--target", type=point, metavar="X,Y,Z", help="point it looks at (default: the scene's centre)")
     parser.add_argument("--ipd", type=float, default=PAPER_IPD, help="metres between the eyes (default 0.055)")
     parser.add_argument("--background", type=colour, metavar="R,G,B", help="0 to 1 each (default 0,0,0)")
     add_detail(parser, lean=True)
-    parser.add_argument("--numbers", action="store_true", help="begin with the overlay of times and counts (key O)")
-    parser.add_argument("--vsync", action="store_true", help="one picture a refresh of the screen instead of all")
-    parser.add_argument("--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, and end")
-    parser.add_argument("--screenshot", metavar="FILE", help="save the last picture (.png) and end; alone: --frames 1")
-    parser.add_argument("--json", action="store_true", help="at the end print driver, counts and stage times")
-    server = parser.add_argument_group("watch a running server", "SCENE is then what it shows, for skeleton and view")
+    parser.add_argument("--numbers", action="store_true", help="start with the overlay of times and counts (key O)")
+    parser.add_argument(
+        "--vsync", action="store_true", help="draw at the refresh rate of the screen instead of as fast as possible"
+    )
+    parser.add_argument(
+        "--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, then exit"
+    )
+    parser.add_argument(
+        "--screenshot", metavar="FILE", help="save the last picture (.png) and exit; implies --frames 1"
+    )
+    parser.add_argument("--json", action="store_true", help="on exit print driver, counts and stage times")
+    server = parser.add_argument_group(
+        "watch a running server", "SCENE is the scene of the server, for skeleton and view"
+    )
     server.add_argument("--connect", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws")
     server.add_argument(
         "--recording",
@@ -71,9 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="send head and hands (.jsonl; default: the embedded recording) instead of poses: the server solves",
     )
     server.add_argument("--quality", type=int, help="JPEG quality, 1 to 100 (default: the server's)")
-    server.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
+    server.add_argument("--token-file", type=Path, metavar="FILE", help="token of the server")
     server.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
-    headset.add_arguments(parser)
+    headset_options.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -81,12 +86,14 @@ def run(args: argparse.Namespace) -> int:
     frames = _frames(args)
     scene = open_scene(args)
     if args.xr:
+        from . import headset  # here: it needs extras/openxr
+
         return headset.run(args, scene, frames)
     drive = _drive(args, scene)
     rendering = RenderConfig(**detail_of(args))
     label = args.connect or ("default avatar" if args.scene is None else Path(args.scene).name)
     with ExitStack() as stack:
-        feed = _feed(args)
+        feed = feed_of(args, args.connect)
         if feed is not None:
             feed.start()
             stack.callback(feed.close)
@@ -105,14 +112,14 @@ def run(args: argparse.Namespace) -> int:
         pictures = None
         if feed is not None:
             feed.wake = window.wake
-            stack.callback(feed.close)  # before the window, which it wakes, is gone
-            pictures = Watched(feed, window.context.ctx)
+            stack.callback(feed.close)  # before the window is destroyed, which it wakes
+            pictures = StreamedPictures(feed, window.context.ctx)
         viewer = Viewer(scene, window.context, window.size, options, label, pictures)
         stack.callback(viewer.release)
         _start(args, drive, viewer)
         window.attach(viewer)
         loop(window, viewer, frames)
-        report = viewer.report()  # before the screenshot draws once more
+        report = viewer.report()  # before the screenshot draws another frame
         if args.screenshot:
             save_png(args.screenshot, viewer.capture())
         if args.json:
@@ -121,22 +128,22 @@ def run(args: argparse.Namespace) -> int:
 
 
 def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
-    """Draw whenever the picture changes, sleep when nothing does; ``frames`` pictures on a clock of their own."""
+    """Draw whenever the picture changes, else sleep. ``frames``: draw that many at a fixed rate, then return."""
     drawn, last = 0, time.perf_counter()
     while frames is None or drawn < frames:
         visible = min(window.size) > 0
         busy = visible and (viewer.animating or viewer.dirty)
-        pace = viewer.pictures.pace if frames is None else 0.0
-        window.wait(pace if busy or frames is not None else viewer.timeout)
+        period = viewer.pictures.period_s if frames is None else 0.0
+        window.wait(period if busy or frames is not None else viewer.timeout)
         if window.closing or viewer.closing:
             return
         now = time.perf_counter()
         if frames is None:
-            # what moves starts when it starts, not when the window fell asleep
+            # the time asleep does not count for a motion that starts now
             viewer.advance(now - last if busy or not viewer.animating else 0.0)
         else:
-            viewer.advance(1 / _FPS if drawn else 0.0)
-            viewer.settle()
+            viewer.advance(1 / _CLOCK_FPS if drawn else 0.0)
+            viewer.wait_ready()
             viewer.expose()
         last = now
         if viewer.dirty and viewer.refresh(window.framebuffer):
@@ -145,9 +152,9 @@ def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
 
 
 def _frames(args: argparse.Namespace) -> int | None:
-    """How many pictures; refuses what could not be shown or saved before a window opens."""
+    """Return the number of pictures (None: no limit). Raises for invalid options before a window opens."""
     pinhole(1, 1, args.fov)
-    headset.check(args)
+    headset_options.check(args)
     _check_connect(args)
     if args.frames is not None and args.frames < 1:
         raise UsageError(f"--frames needs at least 1, not {args.frames}")
@@ -162,7 +169,7 @@ def _frames(args: argparse.Namespace) -> int | None:
 
 
 def _check_connect(args: argparse.Namespace) -> None:
-    """Options of the server and options of drawing here do not mix."""
+    """Raise UsageError for options that do not go with or without --connect."""
     if args.quality is not None and not 1 <= args.quality <= 100:
         raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
     if args.xr:
@@ -180,9 +187,9 @@ def _check_connect(args: argparse.Namespace) -> None:
 
 
 def _drive(args: argparse.Namespace, scene: SceneFile) -> Pose | Motion | None:
-    """What the arguments move the scene with: read, or refused, before a window opens.
+    """Return the pose or motion of the options; None without them. Raises before a window opens.
 
-    Where nothing is asked for and no embedded motion fits the avatar, it is said.
+    Prints a notice if no option is given and no embedded motion fits the avatar.
     """
     given = {name: getattr(args, name) for name in ("pose", "motion", "recording")}
     asked = [name for name, value in given.items() if value is not None]
@@ -201,16 +208,8 @@ def _drive(args: argparse.Namespace, scene: SceneFile) -> Pose | Motion | None:
     return read_tracked(args.recording or None) if asked[0] == "recording" else read_motion(args.motion, skeleton)
 
 
-def _feed(args: argparse.Namespace) -> Feed | None:
-    """The server's pictures, if they are asked for; not connected yet."""
-    if args.connect is None:
-        return None
-    token = None if args.token_file is None else read_token(args.token_file)
-    return Feed(args.connect, token, cafile=args.tls_ca, quality=args.quality)
-
-
 def _start(args: argparse.Namespace, drive: Pose | Motion | None, viewer: Viewer) -> None:
-    """The pose or motion the arguments ask for, or the scene file, or the embedded one that fits."""
+    """Start the pose or motion of the options, of the scene file, or the first embedded motion that fits."""
     if args.paused:
         viewer.others.playing = False
     if viewer.player is None:

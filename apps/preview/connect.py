@@ -1,4 +1,4 @@
-"""Pictures of a server in the preview's window: wishes to the feed, its newest picture to a texture."""
+"""Show a server's pictures in the preview's window: send view requests, upload the newest picture."""
 
 from __future__ import annotations
 
@@ -21,38 +21,40 @@ from glsplat.skinning.pose import EXPRESSION, Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
 from ..replay.command import Recording, load_drive
-from .feed import PACE, Feed, Picture, Wish
+from .feed import MIN_PERIOD_S, Feed, Picture, ViewRequest
 from .overlay import Line
 from .player import Player, Tracked
 
-__all__ = ["Watched", "read_tracked"]
+__all__ = ["StreamedPictures", "read_tracked"]
+
+_RATE_HZ = 72.0  # of samples sent
 
 
-def read_tracked(name: str | None, rate: float = 72.0) -> Tracked:
-    """A recording of head and hands (.jsonl, or the embedded one); of each moment the newest sample.
+def read_tracked(name: str | None) -> Tracked:
+    """Return a recording of head and hands (.jsonl, or the embedded one), resampled to the newest sample at 72 Hz.
 
-    Raises FormatError naming the file.
+    Raises FormatError, which names the file.
     """
     if name is not None and not name.lower().endswith(".jsonl"):
         raise GlsplatError(f"{name}: a recording of head and hands ends in .jsonl")
     recording, seconds = load_drive(name)
     if not isinstance(recording, Recording):
         raise GlsplatError("this installation has no recording of its own; give --recording a file")
-    count = max(1, min(round(seconds * rate), 4 * len(recording.samples)))  # a long gap is not held in memory
-    samples = [recording.at((i + 0.5) / rate).tracking or {} for i in range(count)]
+    count = max(1, min(round(seconds * _RATE_HZ), 4 * len(recording.samples)))  # limits the memory for a long gap
+    samples = [recording.at((i + 0.5) / _RATE_HZ).tracking or {} for i in range(count)]
     zeros = np.zeros((count, len(JOINT_NAMES), 3))
     label = Path(name).stem if name else "recording"
-    return Tracked(rate, zeros, zeros[:, 0], JOINT_NAMES, label, samples=samples)
+    return Tracked(_RATE_HZ, zeros, zeros[:, 0], JOINT_NAMES, label, samples=samples)
 
 
-class Watched:
-    """What a server draws. The feed is the caller's; it outlives the pictures."""
+class StreamedPictures:
+    """Pictures drawn by a server. The caller owns the feed and closes it later."""
 
-    pace = PACE
+    period_s = MIN_PERIOD_S
 
     def __init__(self, feed: Feed, context: moderngl.Context) -> None:
         self._feed, self._ctx = feed, context
-        self._wish: Wish | None = None
+        self._request: ViewRequest | None = None
         self._picture: Picture | None = None
         self._shown = 0
         self._age_ms = 0.0
@@ -61,44 +63,44 @@ class Watched:
 
     @property
     def notice(self) -> str:
-        """What is wrong with the connection."""
+        """Problem of the connection, or \"\"."""
         return self._feed.notice
 
     @property
     def fresh(self) -> bool:
-        """True while a picture waits."""
+        """Whether a picture is queued."""
         return self._feed.ready
 
-    def ask(self, cameras: Sequence[Camera], player: Player | None) -> bool:
-        """Send what is wanted if it is something else than before; True if a newer picture is there."""
-        wish = _wish(cameras, player)
-        if self._wish is None or not _same(wish, self._wish):
-            self._wish = wish
-            self._feed.ask(wish)
+    def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
+        """Send the view if it changed; return whether a newer picture is queued."""
+        request = _request_for(cameras, player)
+        if self._request is None or not _same(request, self._request):
+            self._request = request
+            self._feed.request(request)
         return self._feed.ready
 
-    def settle(self) -> None:
-        """Wait for the answer to the newest wish. GlsplatError if there is none."""
-        self._feed.settle()
+    def wait_ready(self) -> None:
+        """Wait for the reply to the newest request. Raises GlsplatError if there is none."""
+        self._feed.wait_ready()
 
     def draw(self, cameras: Sequence[Camera], player: Player | None, exact: bool) -> Target:
-        """The newest picture; of another size than the window it is scaled (while the window is being resized)."""
+        """Return the newest picture, scaled to the window's size while that changes."""
         size = cameras[0].width, cameras[0].height
         picture = self._feed.take()
         if picture is not None:
             self._picture = picture
             self._shown += 1
-            self._age_ms = (time.perf_counter() - picture.asked) * 1e3
+            self._age_ms = (time.perf_counter() - picture.requested_at) * 1e3
         if self._picture is not None and (picture is not None or self._target.shape[2:0:-1] != size):
             self._upload(self._picture, size)
         return self._target
 
     def load(self, scene: SceneLike) -> None:
-        """Not here."""
+        """Raise GlsplatError: only the server can change the scene."""
         raise GlsplatError("the server chooses what is shown: start it with `glsplat serve FILE`")
 
     def facts(self) -> list[Line]:
-        """Driver of the server, the picture's bytes and age, counts."""
+        """Return the server's driver, the picture's bytes and age, and counts."""
         if self._picture is None:
             return [("no picture yet",)]
         info = self._picture.info
@@ -114,7 +116,7 @@ class Watched:
         ]
 
     def stages(self) -> dict[str, float]:
-        """The server's stages without the parts of rendering, then the way and the decoding."""
+        """Return the server's stages, the communication and the decoding, in milliseconds."""
         if self._picture is None:
             return {}
         times = self._picture.info.get("times", {})
@@ -122,7 +124,7 @@ class Watched:
         return stages | {"communication": self._picture.communication_ms, "decode": self._picture.decode_ms}
 
     def report(self) -> dict[str, Any]:
-        """Address, driver, counts and the stage times of the newest picture."""
+        """Return address, driver, counts and the stage times of the newest picture."""
         info: Mapping[str, Any] = {} if self._picture is None else self._picture.info
         return {
             "url": self._feed.url,
@@ -150,39 +152,39 @@ class Watched:
         self._target.texture.write(images)
 
 
-def _wish(cameras: Sequence[Camera], player: Player | None) -> Wish:
-    """A recording goes as raw tracking, all else as a pose."""
+def _request_for(cameras: Sequence[Camera], player: Player | None) -> ViewRequest:
+    """Return the request of a view: tracking samples of a recording, else a pose."""
     if player is None:
-        return Wish(cameras)
+        return ViewRequest(cameras)
     if isinstance(player.motion, Tracked):
-        return Wish(cameras, tracking=player.motion.samples[player.frame])
+        return ViewRequest(cameras, tracking=player.motion.samples[player.frame])
     pose, names = player.pose(), player.skeleton.names
     if names == JOINT_NAMES:
-        return Wish(cameras, pose)
+        return ViewRequest(cameras, pose)
     joints: dict[str, Any] = {"joints": dict(zip(names, pose.rotations, strict=True)), "trans": pose.trans}
     if pose.translations is not None:
         joints["translations"] = dict(zip(names, pose.translations, strict=True))
     if pose.expression:
         joints[EXPRESSION] = dict(pose.expression)
-    return Wish(cameras, joints)
+    return ViewRequest(cameras, joints)
 
 
-def _same(a: Wish, b: Wish) -> bool:
+def _same(a: ViewRequest, b: ViewRequest) -> bool:
     return a.tracking is b.tracking and np.array_equal(_numbers(a), _numbers(b))
 
 
-def _numbers(wish: Wish) -> np.ndarray[Any, np.dtype[np.float64]]:
-    parts = [np.append(np.append(c.viewmat, c.K), (c.width, c.height)) for c in wish.cameras]
-    if isinstance(wish.pose, Pose):
-        parts += [wish.pose.rotations.ravel(), wish.pose.trans, _weights(wish.pose.expression)]
-    elif wish.pose is not None:
-        parts += [wish.pose["trans"]]
-        parts += [value for key in ("joints", "translations") for value in wish.pose.get(key, {}).values()]
-        parts += [_weights(wish.pose.get(EXPRESSION, {}))]
+def _numbers(request: ViewRequest) -> np.ndarray[Any, np.dtype[np.float64]]:
+    parts = [np.append(np.append(c.viewmat, c.K), (c.width, c.height)) for c in request.cameras]
+    if isinstance(request.pose, Pose):
+        parts += [request.pose.rotations.ravel(), request.pose.trans, _weights(request.pose.expression)]
+    elif request.pose is not None:
+        parts += [request.pose["trans"]]
+        parts += [value for key in ("joints", "translations") for value in request.pose.get(key, {}).values()]
+        parts += [_weights(request.pose.get(EXPRESSION, {}))]
     return np.concatenate(parts)
 
 
 def _weights(expression: Mapping[str, float]) -> NDArray[np.float64]:
-    """Told apart by names, too."""
+    """Return comparable numbers of an expression: a checksum of each name, and its weight."""
     numbers = [(float(crc32(name.encode())), weight) for name, weight in sorted(expression.items())]
     return np.array(numbers, np.float64).ravel()

@@ -1,4 +1,4 @@
-"""Files for the preview: what a dropped file or folder is, by content, and the motions that fit a scene."""
+"""Files for the preview: read a dropped file or folder by its content, and list the motions that fit a scene."""
 
 from __future__ import annotations
 
@@ -32,37 +32,37 @@ from ..args import motion_of
 
 __all__ = ["Dropped", "motion_names", "read_dropped", "read_motion", "shown"]
 
-_MOST_TELLING = "wave-and-turn"
-_MAX_JSON = 512 << 20
+_FIRST_MOTION = "wave-and-turn"
+_MAX_JSON_BYTES = 512 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class Dropped:
-    """What a file holds, and what to call it."""
+    """Content of a dropped file, and its label."""
 
     content: Content | SceneFile | Motion | Pose
     label: str
 
 
 def shown(scene: SceneLike | SceneFile) -> SceneLike:
-    """What a renderer takes."""
+    """Return the scene that a renderer draws."""
     return scene.scene if isinstance(scene, SceneFile) else scene
 
 
 def motion_names(skeleton: Skeleton | None) -> list[str]:
-    """Embedded motions for a skeleton (SMPL-X only), the one that shows most of the body first."""
+    """Return the names of the embedded motions that fit a skeleton (SMPL-X only)."""
     if why_not_driven(skeleton):
         return []
-    return sorted(embedded_motions(), key=lambda name: (name != _MOST_TELLING, name))
+    return sorted(embedded_motions(), key=lambda name: (name != _FIRST_MOTION, name))
 
 
 def read_motion(name: str, skeleton: Skeleton) -> Motion:
-    """A motion file, an embedded motion by name, or a recording of head and hands (.jsonl), solved for the skeleton."""
+    """Return a motion: a file, an embedded one by name, or a recording (.jsonl) solved for the skeleton."""
     return _solved(name, skeleton) if name.lower().endswith(".jsonl") else motion_of(name, skeleton)
 
 
 def _solved(name: str, skeleton: Skeleton) -> Motion:
-    """The poses of a recording at its median rate; of each moment the newest that was known then."""
+    """Return the solved poses of a recording, resampled to its median rate by the newest pose."""
     tracker = Tracker(skeleton)
     times, poses = [], []
     for sample in replay(name):
@@ -73,8 +73,8 @@ def _solved(name: str, skeleton: Skeleton) -> Motion:
         raise FormatError(f"{name}: expected tracking samples with a time, one JSON object a line, found none")
     steps = [later - earlier for earlier, later in pairwise(times) if later > earlier]
     step = max(median(steps), 1e-3) if steps else 1 / 72
-    moments = np.maximum.accumulate(times)  # clocks of headsets sometimes run backwards
-    count = min(len(poses) * 4, round((moments[-1] - moments[0]) / step) + 1)  # a long gap is not held in memory
+    moments = np.maximum.accumulate(times)  # clocks of headsets may run backwards
+    count = min(len(poses) * 4, round((moments[-1] - moments[0]) / step) + 1)  # limits the memory for a long gap
     chosen = np.searchsorted(moments, moments[0] + (np.arange(count) + 0.5) * step) - 1
     rotations = np.stack([poses[i].rotations for i in chosen])
     trans = np.stack([poses[i].trans for i in chosen])
@@ -83,7 +83,7 @@ def _solved(name: str, skeleton: Skeleton) -> Motion:
 
 
 def read_dropped(name: str, skeleton: Skeleton | None) -> Dropped:
-    """Read a scene, a motion or a pose, whichever the file or folder is. GlsplatError, one line, names it."""
+    """Return the scene, motion or pose of a file or folder. Raises GlsplatError, which names it."""
     path = embedded_file(name)
     if not path.exists():
         raise FormatError(f"{path}: no such file")
@@ -106,7 +106,7 @@ def _kind(path: Path) -> str:
         known = sniffed(start)
         if known is not None and known.name == "scene":
             return "scene"
-        if are_poses(start) and start.size <= _MAX_JSON:
+        if are_poses(start) and start.size <= _MAX_JSON_BYTES:
             start.file.seek(0)
             try:
                 data = json.loads(start.file.read())
@@ -114,7 +114,7 @@ def _kind(path: Path) -> str:
                 raise FormatError(f"expected JSON, but {error}") from None
             return "pose" if isinstance(data, dict) and "frames" not in data else "motion"
         if known is None:
-            return "scene"  # whose reader says what is expected
+            return "scene"  # its reader raises the error
         if known.name in ("glb", "gltf"):
             return "motion" if only_moves(read_container(start.file, start.size, start.folder).gltf) else "scene"
         return "motion" if known.load is None else "scene"

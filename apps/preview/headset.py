@@ -1,4 +1,4 @@
-"""``glsplat preview --xr``: a scene, or a server's pictures, on the headset of this computer (docs/openxr.md)."""
+"""``glsplat preview --xr``: show a scene, or a server's pictures, on this computer's headset (docs/openxr.md)."""
 
 from __future__ import annotations
 
@@ -19,94 +19,43 @@ from glsplat.errors import ContextError, GlsplatError
 from glsplat.extras.openxr.local import LocalShow
 from glsplat.extras.openxr.openxr.graphics import EGL_ENABLE
 from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime, offered
-from glsplat.extras.openxr.placing import VIEWS
 from glsplat.extras.openxr.runtime import Runtime
 from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context, create_context
-from glsplat.net.guard.access import read_token
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import record
 from glsplat.tracking.sample import Sample
-from glsplat.tracking.solvers import SOLVERS
 
-from ..args import add_solver, detail_of, driven
+from ..args import detail_of, driven
 from ..output import Image, save_png
 from ..usage import UsageError
-from .feed import Feed
+from .feed import Feed, feed_of
 from .headset_feed import FeedShow
 from .player import Others
 from .window import Window
 
-__all__ = ["add_arguments", "check", "run"]
+__all__ = ["run"]
 
-_MOST = 72 * 60 * 30  # samples of a recording: half an hour
-_OWN = ("url", "view", "passthrough", "no_floor", "window", "scale", "record", "height", "calibration")
-_OTHERS = ("motion", "pose", "paused", "eye", "target", "connect", "recording", "numbers", "vsync")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of --xr."""
-    group = parser.add_argument_group("on a headset", "by OpenXR: SteamVR, Link, WiVRn, Monado; docs/openxr.md")
-    group.add_argument("--xr", action="store_true", help="on the headset of this computer, moved by who wears it")
-    group.add_argument("--url", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws there")
-    group.add_argument("--view", choices=VIEWS, help="begin with it (default mirror); button A or X: the next")
-    group.add_argument("--passthrough", action="store_true", help="show the room around the wearer, where it can be")
-    group.add_argument("--no-floor", action="store_true", help="leave the dark empty")
-    group.add_argument("--window", action="store_true", help="show in a window (--size) what the wearer sees")
-    group.add_argument("--scale", type=float, metavar="F", help="of the size that the headset asks for (default 1)")
-    group.add_argument("--record", metavar="FILE", help="write head, hands and all else that is tracked (.jsonl)")
-    group.add_argument("--height", type=float, help="the wearer's stature in metres (default: found as they move)")
-    group.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`, instead")
-    add_solver(group)  # type: ignore[arg-type]
-
-
-def check(args: argparse.Namespace) -> None:
-    """Refuse options that mean nothing together, before anything is opened."""
-    if not args.xr:
-        for name in _OWN:
-            if getattr(args, name) not in (None, False):
-                raise UsageError(f"--{name.replace('_', '-')} goes with --xr")
-        return
-    for name in _OTHERS:
-        if getattr(args, name) not in (None, False):
-            hint = "; a server's pictures there: --url" if name == "connect" else ": its wearer moves the avatar"
-            raise UsageError(f"--{name} does not go with --xr{hint}")
-    if args.height is not None and (args.calibration is not None or args.url is not None):
-        raise UsageError("--height goes neither with --calibration nor with --url, where the address has height=METRES")
-    if args.scale is not None and not 0.05 <= args.scale <= 4:
-        raise UsageError(f"--scale needs 0.05 to 4, not {args.scale:g}")
-    if args.record is not None and not args.record.lower().endswith(".jsonl"):
-        raise UsageError(f"--record {args.record}: the name needs to end in .jsonl")
-    if args.url is None and (args.token_file is not None or args.tls_ca is not None or args.quality is not None):
-        raise UsageError("--token-file, --tls-ca and --quality go with --url")
-    if args.url is not None:
-        given = any(getattr(args, name) is not None for name in ("light", "level", "lod_bias", "calibration"))
-        if given or args.cull_hidden or args.exact or args.solver != SOLVERS[0]:
-            raise UsageError(
-                "--light, --level, --lod-bias, --cull-hidden, --exact, --calibration and --solver do not go with --url:"
-                " a server decides"
-            )
-    if args.background is not None and (args.url is not None or args.passthrough):
-        raise UsageError("--background does not go with --url and --passthrough: there it is black, or the room")
+_MAX_SAMPLES = 72 * 60 * 30  # of a recording: half an hour
 
 
 def run(
     args: argparse.Namespace,
     scene: SceneFile,
     frames: int | None,
-    connect: Callable[[Context, bool], Runtime] | None = None,  # default: the runtime of this computer
+    connect: Callable[[Context, bool], Runtime] | None = None,  # default: this computer's OpenXR runtime
 ) -> int:
-    """Show until the runtime, the window or Ctrl-C ends it."""
+    """Show the scene until the runtime, the window or Ctrl-C ends the session."""
     samples: list[Sample] = []
-    wearer = Wearer(args.view or "mirror", room=_in_room(args.url), heard=_heard(args.record, samples))
-    known = offered() if connect is None else frozenset({EGL_ENABLE})  # one line where there is no runtime
-    make = connect or _own
+    wearer = Wearer(args.view or "mirror", room=_in_room(args.url), heard=_recorder(args.record, samples))
+    known = offered() if connect is None else frozenset({EGL_ENABLE})  # raises if there is no runtime
+    make = connect or OpenXrRuntime
     with ExitStack() as stack:
         if args.record is not None:
-            stack.callback(_keep, args.record, samples)  # at last, whatever ended the session
-        feed = _feed(args)
+            stack.callback(_save, args.record, samples)  # last, however the session ends
+        feed = feed_of(args, args.url)
         if feed is not None:
             feed.start()
             stack.callback(feed.close)
@@ -138,7 +87,7 @@ def loop(
     window: Window | None,
     frames: int | None,
 ) -> None:
-    """Step until it is over; the window shows the left eye of each picture that is new."""
+    """Step until the session ends; the window shows the left eye of each new picture."""
     shown = -1
     try:
         while session.step():
@@ -157,10 +106,6 @@ def loop(
         session.quit()
         while session.step():
             pass
-
-
-def _own(context: Context, passthrough: bool) -> Runtime:
-    return OpenXrRuntime(context, passthrough)
 
 
 def _show(
@@ -197,7 +142,7 @@ def _calibration(args: argparse.Namespace, scene: SceneFile) -> Calibration | No
 
 
 def _choose_blend(args: argparse.Namespace, session: Session) -> None:
-    """With --passthrough: what lets the room through. ContextError if nothing does."""
+    """Set the blend mode of --passthrough. Raises ContextError if the runtime has none."""
     runtime = session.runtime
     if runtime is None or not args.passthrough:
         return
@@ -207,35 +152,28 @@ def _choose_blend(args: argparse.Namespace, session: Session) -> None:
     session.blend = "alpha" if found == "alpha" else "additive"
 
 
-def _feed(args: argparse.Namespace) -> Feed | None:
-    if args.url is None:
-        return None
-    token = None if args.token_file is None else read_token(args.token_file)
-    return Feed(args.url, token, cafile=args.tls_ca, quality=args.quality)
-
-
 def _in_room(url: str | None) -> bool:
-    """Whether the address asks for one of the server's rooms, where others are."""
+    """Return whether the address has a room of the server."""
     return url is not None and bool(parse_qs(urlsplit(url).query).get("room"))
 
 
-def _heard(name: str | None, samples: list[Sample]) -> Callable[[Sample], None]:
-    """Keeps samples for --record: half an hour of them at most."""
+def _recorder(name: str | None, samples: list[Sample]) -> Callable[[Sample], None]:
+    """Return a function that appends up to _MAX_SAMPLES samples for --record."""
     if name is None:
         return lambda _: None
     if not Path(name).absolute().parent.is_dir():
         raise UsageError(f"--record {name}: there is no such folder; create it first")
 
     def keep(sample: Sample) -> None:
-        if len(samples) < _MOST:
+        if len(samples) < _MAX_SAMPLES:
             samples.append(sample)
-            if len(samples) == _MOST:
+            if len(samples) == _MAX_SAMPLES:
                 _say(f"{name} is full; the session goes on")
 
     return keep
 
 
-def _keep(name: str, samples: list[Sample]) -> None:
+def _save(name: str, samples: list[Sample]) -> None:
     if samples:
         print(f"{name}: {record(name, samples)} samples", file=sys.stderr)
 
@@ -259,7 +197,7 @@ def _report(session: Session, show: LocalShow | FeedShow) -> dict[str, Any]:
 
 
 def _picture(context: Context, show: LocalShow | FeedShow) -> Image:
-    """Both eyes beside each other, as the wearer saw them last. GlsplatError if they saw nothing."""
+    """Return both eyes of the last picture, side by side. Raises GlsplatError if there was none."""
     if show.eyes is None or not show.eyes.filled:
         raise GlsplatError("--screenshot: the wearer saw no picture")
     pictures, size = [], show.eyes.size

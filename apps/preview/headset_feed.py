@@ -1,7 +1,6 @@
-"""Pictures of a server in a headset: the wearer's eyes and tracking to the feed, its newest pair to the runtime.
+"""Show a server's pictures in a headset: send the wearer's eyes and tracking, submit the newest pair.
 
-A pair is handed over with the poses that it was asked for, so a late one stays where it belongs: the runtime
-reprojects it.
+A pair is submitted with the eye poses of its request, so that the runtime reprojects it correctly if it is late.
 """
 
 from __future__ import annotations
@@ -27,21 +26,21 @@ from glsplat.gl.context import Context
 from glsplat.renderer.targets import Target
 from glsplat.rotations import FLIP_X
 
-from .feed import Feed, Picture, Wish
+from .feed import Feed, Picture, ViewRequest
 
 __all__ = ["FeedShow"]
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """What a picture was asked for."""
+class _Subject:
+    """Eye poses and placement of a request."""
 
     views: Sequence[ViewPose]
     place: Place
 
 
 class FeedShow:
-    """A ``Show`` of what a server draws. The feed is the caller's; it outlives the show."""
+    """A ``Show`` of a server's pictures. The caller owns the feed and closes it later."""
 
     def __init__(
         self,
@@ -56,37 +55,37 @@ class FeedShow:
     ) -> None:
         self._feed, self._context, self.wearer, self._say = feed, context, wearer, say
         self._scale, self._floor, self._transparent = scale, floor and not transparent, transparent
-        self._size = (0, 0)  # that is asked for
+        self._size = (0, 0)  # of requested pictures
         self._eyes: EyeSwapchains | None = None
         self._last: Projection | None = None
         self._said = ""
         self._target: Target | None = None
         self._around: Surroundings | None = None
         self.pictures = 0
-        self.age_ms = 0.0  # of the newest picture when it was handed over
+        self.age_ms = 0.0  # of the newest picture when it was submitted
 
     @property
     def eyes(self) -> EyeSwapchains | None:
-        """The runtime's images, while there are any."""
+        """The runtime's images; None before the first picture."""
         return self._eyes
 
     def attach(self, runtime: Runtime) -> None:
-        """Know the runtime's size; images are made for what the server sends."""
+        """Read the runtime's picture size. Images are made when the server's first picture arrives."""
         self._size = fitting(runtime, self._scale, self._context.max_size)
 
     def detach(self) -> None:
-        """Give the images back."""
+        """Release the images."""
         eyes, self._eyes, self._last = self._eyes, None, None
         if eyes is not None:
             eyes.close()
         self.recentred()
 
     def recentred(self) -> None:
-        """Place the view anew."""
+        """Recentre the view."""
         self.wearer.recentred()
 
     def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
-        """Ask for a pair for this moment; hand over the newest one that came."""
+        """Request a pair for this frame; submit the newest one received."""
         moment = self.wearer.look(runtime, timing, focused)
         views = sighted(runtime.views(timing.display_time))
         located = time.perf_counter()
@@ -95,16 +94,16 @@ class FeedShow:
             if self._said:
                 self._say(self._said)
         if views is not None and moment is not None and moment.sample.head is not None:
-            self._feed.ask(self._wish(views, moment.place, moment.sample.to_json()))
+            self._feed.request(self._request_for(views, moment.place, moment.sample.to_json()))
         picture, drawing = self._feed.take(), 0.0
-        if picture is not None and isinstance(picture.about, _Asked) and len(picture.images) == 2:
+        if picture is not None and isinstance(picture.about, _Subject) and len(picture.images) == 2:
             begun = time.perf_counter()
-            self._hand_over(runtime, picture, picture.about)
+            self._submit(runtime, picture, picture.about)
             drawing = time.perf_counter() - begun
         return Shown(self._last, located, drawing)
 
     def look(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], eye: int = 0) -> bool:
-        """Show in a window what was handed over last; False if that was nothing."""
+        """Draw the last submitted picture into ``framebuffer``; return False if there is none."""
         if self._eyes is None or self._target is None or self._last is None:
             return False
         self._eyes.show(self._target, framebuffer, size, self._around, eye)
@@ -117,20 +116,20 @@ class FeedShow:
             self._target.release()
             self._target = None
 
-    def _wish(self, views: Sequence[ViewPose], place: Place, tracking: dict[str, Any]) -> Wish:
+    def _request_for(self, views: Sequence[ViewPose], place: Place, tracking: dict[str, Any]) -> ViewRequest:
         mirror = place.glass is not None
-        shown = place.shown @ FLIP_X if mirror else place.shown  # the server reflects by itself
+        shown = place.shown @ FLIP_X if mirror else place.shown  # the server mirrors the avatar
         cameras: list[Camera] = [camera_of(view, self._size, shown) for view in views]
         options: dict[str, Any] = {}
         if mirror:
             options["mirror"] = True
         if place.view == "own":
             options["hide"] = ("head",)
-        if self._transparent or not mirror:  # a mirror's glass is black: nothing shows through
+        if self._transparent or not mirror:  # a mirror's glass is opaque black
             options["alpha"] = "straight"
-        return Wish(cameras, tracking=tracking, options=options, about=_Asked(tuple(views), place))
+        return ViewRequest(cameras, tracking=tracking, options=options, about=_Subject(tuple(views), place))
 
-    def _hand_over(self, runtime: Runtime, picture: Picture, asked: _Asked) -> None:
+    def _submit(self, runtime: Runtime, picture: Picture, subject: _Subject) -> None:
         _, height, width, _ = picture.images.shape
         size = (width, height)
         if self._eyes is None or self._eyes.size != size:
@@ -144,8 +143,8 @@ class FeedShow:
                     self._target.release()
                 self._target = Target(self._context.ctx, *size, 2, "f1")
             self._target.texture.write(np.ascontiguousarray(picture.images))
-        self._around = surroundings(asked.views, size, asked.place, self._floor)
+        self._around = surroundings(subject.views, size, subject.place, self._floor)
         self._eyes.fill(self._target, None, self._around)
-        self._last = self._eyes.projection(asked.views, None, self._transparent)
+        self._last = self._eyes.projection(subject.views, None, self._transparent)
         self.pictures += 1
-        self.age_ms = (time.perf_counter() - picture.asked) * 1e3
+        self.age_ms = (time.perf_counter() - picture.requested_at) * 1e3

@@ -1,4 +1,4 @@
-"""Keys of the preview: what they are called, what they do, and the help that says so."""
+"""Keys of the preview: their names, their actions, and the help text."""
 
 from __future__ import annotations
 

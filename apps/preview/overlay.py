@@ -1,4 +1,4 @@
-"""Text over the preview: which lines are due, and lines of cells as a small premultiplied RGBA picture."""
+"""Text over the preview: its current lines, and their picture in premultiplied RGBA."""
 
 from __future__ import annotations
 
@@ -16,53 +16,53 @@ from .player import Player
 __all__ = ["Line", "Overlay", "number_lines", "text_image", "title_line"]
 
 Line = tuple[str, ...]
-"""Cells of one line; the columns of consecutive lines with as many cells are aligned."""
+"""Cells of one line. Consecutive lines with equally many cells have aligned columns."""
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_SHADE = 0.6  # how much of the picture the box hides
-_INK = 235
-_LONGEST = 110  # characters of a cell
-_SHOWN = 4.0  # seconds a message stays
-_PERIOD = 0.25  # seconds between new numbers: a text that changes with every picture cannot be read
+_BOX_OPACITY = 0.6
+_INK = 235  # grey of the text
+_MAX_CELL_CHARS = 110
+_MESSAGE_S = 4.0
+_NUMBERS_PERIOD_S = 0.25  # numbers that change with every picture are unreadable
 
 
 class Overlay:
-    """Numbers, keys, a passing message and a lasting notice; ``lines()`` changes only with something new to read."""
+    """Numbers, help, a temporary message and a permanent notice, as lines of text."""
 
     def __init__(self, numbers: bool = False) -> None:
         self.numbers = numbers
         self.help = False
-        self.left = 0.0  # seconds the message stays
-        self.notice = ""  # stays until it is taken away
+        self.left = 0.0  # seconds until the message disappears
+        self.notice = ""  # shown until it is cleared
         self._message = ""
         self._numbers: list[Line] = []
         self._due = 0.0
 
     def say(self, message: str) -> None:
-        """Show a message for a while."""
-        self._message, self.left = message, _SHOWN
+        """Show a message for _MESSAGE_S seconds."""
+        self._message, self.left = message, _MESSAGE_S
 
     def advance(self, seconds: float) -> bool:
-        """Let time pass; True if a message went away."""
+        """Advance the clock; return whether the message disappeared."""
         if self.left <= 0:
             return False
         self.left -= seconds
         return self.left <= 0
 
     def renew(self) -> None:
-        """Something was done: the numbers are due now."""
+        """Make the numbers due now."""
         self._due = 0.0
 
     def lines(self, numbers: Callable[[], list[Line]], live: bool = True) -> tuple[Line, ...]:
-        """What is to be read now; ``numbers`` is asked when they are on and due.
+        """Return the current lines; ``numbers`` is called if the numbers are shown and due.
 
-        ``live`` False is for screenshots: no message, and the numbers of the window instead of the extra picture's.
+        With ``live`` False, for screenshots, there is no message, and the numbers are those of the window.
         """
         out: list[Line] = []
         if self.numbers:
             now = time.monotonic()
             if not self._numbers or (live and now >= self._due):
-                self._numbers, self._due = numbers(), now + _PERIOD
+                self._numbers, self._due = numbers(), now + _NUMBERS_PERIOD_S
             out += self._numbers
         if self.help:
             out += [("",), *HELP_LINES] if out else HELP_LINES
@@ -74,14 +74,14 @@ class Overlay:
 
 
 def title_line(label: str, layout: str, size: tuple[int, int]) -> Line:
-    """What is shown, and the pixels of a view."""
+    """Return the label, the layout and the size of a view."""
     return (f"{label}  {layout} {'' if layout == 'mono' else '2 x '}{size[0]}x{size[1]}",)
 
 
 def number_lines(
     facts: Sequence[Line], player: Player | None, stages: Mapping[str, float], rate: float | None
 ) -> list[Line]:
-    """Facts about the picture, motion, joint and stage times (ms) of the last frame; ``rate`` in pictures a second."""
+    """Return facts, motion, joint and stage times (ms) of the last frame as lines; ``rate`` in pictures per second."""
     lines = list(facts)
     if player is not None and player.motion is not None:
         state = "playing" if player.playing else "paused"
@@ -95,20 +95,20 @@ def number_lines(
 
 
 def text_image(lines: Sequence[Line], scale: float = 1.0) -> NDArray[np.uint8] | None:
-    """Premultiplied RGBA [h, w, 4] of light text on a dark box, or None without lines. Other than ASCII becomes "?"."""
+    """Return premultiplied RGBA [h, w, 4] of light text on a dark box; None without lines. Non-ASCII becomes "?"."""
     if not lines:
         return None
     size = 0.48 * scale
     height, margin, gap = round(19 * scale), round(8 * scale), round(14 * scale)
     rows = [tuple(_plain(cell) for cell in line) for line in lines]
-    # lines with equally many cells make a block: one set of columns, and a box as wide as its widest line
+    # lines with equally many cells form a block with common columns and box
     blocks = [(block, _columns(block, size, gap)) for block in _runs(rows)]
     ink = np.zeros((height * len(rows) + 2 * margin, max(edges[-1] for _, edges in blocks) + 2 * margin), np.uint8)
     shade = np.zeros(ink.shape, np.float32)
     top = margin
     for block, edges in blocks:
         bottom = top + height * len(block)
-        shade[top - margin * (top == margin) : bottom, : edges[-1] + 2 * margin] = _SHADE
+        shade[top - margin * (top == margin) : bottom, : edges[-1] + 2 * margin] = _BOX_OPACITY
         for line in block:
             for cell, x in zip(line, edges[:-1], strict=True):
                 at = (margin + x, top + round(14 * scale))
@@ -123,12 +123,12 @@ def text_image(lines: Sequence[Line], scale: float = 1.0) -> NDArray[np.uint8] |
 
 
 def _runs(rows: Sequence[Line]) -> Iterator[list[Line]]:
-    """Consecutive lines with equally many cells."""
+    """Yield runs of consecutive lines with equally many cells."""
     return (list(run) for _, run in groupby(rows, len))
 
 
 def _columns(block: Sequence[Line], size: float, gap: int) -> list[int]:
-    """Left edge of each column, then the right end of the widest line."""
+    """Return the left edge of each column, then the right end of the widest line."""
     edges = [0]
     for column in zip(*block, strict=True):
         edges.append(edges[-1] + max(_width(cell, size) for cell in column) + gap)
@@ -136,9 +136,9 @@ def _columns(block: Sequence[Line], size: float, gap: int) -> list[int]:
 
 
 def _plain(text: str) -> str:
-    # the stroke fonts of OpenCV know ASCII only
+    # OpenCV's stroke fonts have only ASCII
     text = text.encode("ascii", "replace").decode()
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return text if len(text) <= _MAX_CELL_CHARS else text[: _MAX_CELL_CHARS - 3] + "..."
 
 
 def _width(text: str, size: float) -> int:

@@ -1,4 +1,4 @@
-"""Where the preview's pictures come from: what a viewer asks of a source, and the source that draws them here."""
+"""Sources of the preview's pictures: their interface, and the source that draws them locally."""
 
 from __future__ import annotations
 
@@ -17,53 +17,54 @@ from glsplat.renderer.targets import Target
 from glsplat.scene import SceneLike
 from glsplat.timing import StageTimer
 
+from ..output import frame_report
 from .overlay import Line
 from .player import Player
 
-__all__ = ["Drawn", "Pictures"]
+__all__ = ["LocalPictures", "PictureSource"]
 
 
-class Pictures(Protocol):
-    """A source of pictures. All calls come from the thread of the window and return soon, ``settle`` excepted."""
+class PictureSource(Protocol):
+    """A source of pictures. Calls come from the window's thread; all but ``wait_ready`` return at once."""
 
-    pace: float  # seconds between looks at what moves; 0: as often as it can be drawn
+    period_s: float  # least time between requests while the picture moves; 0: none
 
     @property
     def notice(self) -> str:
-        """What the user has to know for as long as it is so; empty if all is well."""
+        """Current problem to show; \"\" without one."""
         ...
 
     @property
     def fresh(self) -> bool:
-        """True when something came by itself: a picture or a notice."""
+        """Whether a new picture is queued."""
         ...
 
-    def ask(self, cameras: Sequence[Camera], player: Player | None) -> bool:
-        """This picture is wanted now. False: there is nothing newer to show than before."""
+    def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
+        """Request a picture; return whether a newer one than before can be drawn."""
         ...
 
-    def settle(self) -> None:
-        """Wait for the picture last asked for. GlsplatError if it does not come."""
+    def wait_ready(self) -> None:
+        """Wait for the last requested picture. Raises GlsplatError if it fails."""
         ...
 
     def draw(self, cameras: Sequence[Camera], player: Player | None, exact: bool) -> Target:
-        """The layers to show, one a view; ``exact`` waits at each stage, so that its time is its own."""
+        """Return the layers to show, one per view; ``exact`` waits for the GPU after each stage."""
         ...
 
     def load(self, scene: SceneLike) -> None:
-        """Show another scene from now on. GlsplatError leaves all as it was."""
+        """Replace the scene. A GlsplatError leaves it unchanged."""
         ...
 
     def facts(self) -> list[Line]:
-        """Who draws, and what is in the picture."""
+        """Return the driver and the counts of the picture, as lines."""
         ...
 
     def stages(self) -> dict[str, float]:
-        """Milliseconds by stage of the newest picture."""
+        """Return the stage times of the newest picture in milliseconds."""
         ...
 
     def report(self) -> dict[str, Any]:
-        """Driver, counts and stage times, for --json."""
+        """Return driver, counts and stage times, for --json."""
         ...
 
     def release(self) -> None:
@@ -71,29 +72,29 @@ class Pictures(Protocol):
         ...
 
 
-class Drawn:
+class LocalPictures:
     """Pictures drawn in the window's own context."""
 
-    pace = 0.0
+    period_s = 0.0
     notice = ""
     fresh = False
 
     def __init__(
         self, scene: SceneLike, context: Context, size: tuple[int, int], config: RenderConfig | None = None
     ) -> None:
-        config = replace(config or RenderConfig(), output="float32")  # nothing is read back: the window rounds to 8 bit
+        config = replace(config or RenderConfig(), output="float32")  # not read back: the window rounds to 8 bit
         self._scene, self._context = scene, context
         self._renderer = Renderer(scene, size=size, config=config, context=context)
 
-    def ask(self, cameras: Sequence[Camera], player: Player | None) -> bool:
-        """Whatever is asked for can be drawn."""
+    def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
+        """Return True: any picture can be drawn."""
         return True
 
-    def settle(self) -> None:
-        """Nothing is under way."""
+    def wait_ready(self) -> None:
+        """Return at once: pictures are drawn on demand."""
 
     def draw(self, cameras: Sequence[Camera], player: Player | None, exact: bool) -> Target:
-        """Render one view or a pair."""
+        """Return the rendered view or pair."""
         renderer = self._renderer
         renderer.timer = StageTimer(self._context.ctx.finish if exact else None)
         renderer.resize(cameras[0].width, cameras[0].height)
@@ -109,7 +110,7 @@ class Drawn:
         self._scene = scene
 
     def facts(self) -> list[Line]:
-        """Driver and counts."""
+        """Return driver and counts."""
         stats = self._renderer.stats
         reasons = [f"{count} {reason}" for reason, count in stats.culled.items() if count]
         if stats.skipped:
@@ -119,22 +120,12 @@ class Drawn:
         return [(self._renderer.driver,), (f"{stats.splats} splats{levels}, {stats.drawn} drawn{why}",)]
 
     def stages(self) -> dict[str, float]:
-        """The renderer's stages."""
+        """Return the renderer's stage times in milliseconds."""
         return {name: ms for name, ms in self._renderer.timings.items() if name != "total"}
 
     def report(self) -> dict[str, Any]:
-        """Driver, float target, counts and stage times of the last frame."""
-        stats = self._renderer.stats
-        return {
-            "driver": self._renderer.driver,
-            "float_target": self._renderer.target_dtype,
-            "splats": stats.splats,
-            "levels": stats.levels,
-            "drawn": stats.drawn,
-            "skipped": stats.skipped,
-            "culled": stats.culled,
-            "timings_ms": {stage: round(ms, 3) for stage, ms in self._renderer.timings.items()},
-        }
+        """Return driver, float target, counts and stage times of the last frame."""
+        return frame_report(self._renderer)
 
     def release(self) -> None:
         """Delete the renderer's GL objects."""

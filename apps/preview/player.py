@@ -1,4 +1,4 @@
-"""What pose the preview shows: a motion on its own clock or a still pose, with single joints turned by hand."""
+"""The preview's pose: a motion on its own clock or a still pose, with joints rotated by hand."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ __all__ = ["Others", "Player", "Tracked", "players_of"]
 
 @dataclass(frozen=True, eq=False)
 class Tracked(Motion):
-    """A recording on the player's clock, for a server that solves its samples: the poses here stay zero."""
+    """A recording of tracking samples on the player's clock; the server solves them, and the poses here stay zero."""
 
-    samples: Sequence[Mapping[str, Any]] = ()  # tracking objects of docs/protocol.md, one a frame
+    samples: Sequence[Mapping[str, Any]] = ()  # tracking objects of docs/protocol.md, one per frame
 
 
 class Others:
-    """The motions of a scene file, but for the one that the player took over."""
+    """The motions of a scene file, except that of the player's item."""
 
     def __init__(self, file: SceneFile | None = None, own: Item | None = None) -> None:
         motions = () if file is None else file.motions.values()
@@ -37,7 +37,7 @@ class Others:
 
     @property
     def moving(self) -> bool:
-        """True while the scene changes by itself."""
+        """Whether the scene changes over time."""
         return self.playing
 
     def toggle(self) -> None:
@@ -45,48 +45,48 @@ class Others:
         self.playing = bool(self._motions) and not self.playing
 
     def advance(self, seconds: float) -> None:
-        """Let the clock run, and pose the items."""
+        """Advance the clock, and pose the items."""
         self._time += seconds
         for item, motion in self._motions:
             item.pose = motion.at(self._time)
 
 
 class Player:
-    """The pose of the moment on one skeleton. ``playing`` lets the clock run; turned joints stay turned meanwhile."""
+    """The current pose of one skeleton. ``playing`` runs the clock; rotations by hand are kept."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
         self.motion: Motion | None = None
         self.playing = False
-        self.joint: int | None = None  # the one that turn() turns
+        self.joint: int | None = None  # selected for turn()
         self._still: Pose | None = None
         self._time = 0.0
         self._turns: dict[int, NDArray[np.float64]] = {}  # quaternions wxyz
 
     @property
     def moving(self) -> bool:
-        """True while the pose changes by itself."""
+        """Whether the pose changes over time."""
         return self.playing and self.motion is not None and len(self.motion) > 1
 
     @property
     def idle(self) -> bool:
-        """True while there is neither a motion nor a pose."""
+        """Whether there is neither a motion nor a pose."""
         return self.motion is None and self._still is None
 
     @property
     def frame(self) -> int:
-        """Frame of the motion that is shown or was passed last."""
-        # the clock is a sum of small steps: a frame that is due in 1e-6 of one has begun
+        """Index of the motion's current frame."""
+        # the clock is a sum of small steps: 1e-6 of a frame covers its rounding
         return 0 if self.motion is None else int(self._time * self.motion.fps + 1e-6) % len(self.motion)
 
     @property
     def joint_name(self) -> str:
-        """Name of the selected joint, or nothing."""
+        """Name of the selected joint, or \"\"."""
         return "" if self.joint is None else self.skeleton.names[self.joint]
 
     @property
     def turned(self) -> float:
-        """Degrees by which the selected joint is turned."""
+        """Rotation of the selected joint by hand, in degrees."""
         turn = None if self.joint is None else self._turns.get(self.joint)
         return 0.0 if turn is None else float(np.degrees(np.linalg.norm(quaternion_vectors(turn))))
 
@@ -95,22 +95,22 @@ class Player:
         self.motion, self._still, self._time, self.playing = motion, None, 0.0, True
 
     def hold(self, pose: Pose | None) -> None:
-        """Show one pose (none: the zero pose) and forget the motion."""
+        """Show one pose (None: the zero pose) and drop the motion."""
         self.motion, self._still, self.playing = None, pose, False
 
     def advance(self, seconds: float) -> None:
-        """Let the clock run if it does; the motion repeats."""
+        """Advance the clock while playing; the motion repeats."""
         if self.moving and self.motion is not None:
             self._time = (self._time + seconds) % self.motion.duration
 
     def step(self, frames: int) -> None:
-        """Stop, and go on or back by whole frames."""
+        """Pause, and step by whole frames."""
         if self.motion is not None:
             self.playing = False
             self._time = (self.frame + frames) % len(self.motion) / self.motion.fps
 
     def select(self, step: int) -> None:
-        """The next or previous joint."""
+        """Select the next (1) or previous (-1) joint."""
         count = len(self.skeleton)
         if self.joint is None:
             self.joint = 0 if step > 0 else count - 1
@@ -118,21 +118,21 @@ class Player:
             self.joint = (self.joint + step) % count
 
     def turn(self, axis: Sequence[float], degrees: float) -> None:
-        """Turn the selected joint about an axis of its own frame (in the zero pose: of the world)."""
+        """Rotate the selected joint about an axis of its own frame."""
         if self.joint is not None:
             delta = vector_quaternions(np.radians(degrees) * np.asarray(axis, np.float64))
             before = self._turns.get(self.joint, np.array([1.0, 0, 0, 0]))
             self._turns[self.joint] = quaternion_product(before, delta)
 
     def straighten(self) -> None:
-        """Undo the turns of the selected joint; of all joints where none is selected."""
+        """Undo the rotations by hand of the selected joint, or of all joints if none is selected."""
         if self.joint is None:
             self._turns.clear()
         else:
             self._turns.pop(self.joint, None)
 
     def pose(self) -> Pose:
-        """Motion or still pose, then the turned joints."""
+        """Return the motion's or still pose with the rotations by hand."""
         if self.motion is not None:
             pose = self.motion.at(self._time)
         else:
@@ -146,7 +146,7 @@ class Player:
 
 
 def players_of(file: SceneFile) -> tuple[Player | None, Others]:
-    """A player for the one visible avatar, if there is one, at what the file says of it; and the other motions."""
+    """Return a player of the single visible avatar (or None) with its pose or motion, and the other motions."""
     item = file.avatar
     if item is None or not is_rigged(item.content):
         return None, Others(file)

@@ -1,4 +1,4 @@
-"""Viewer: everything the preview does between a window's events and a framebuffer. Knows no window system."""
+"""Viewer: turns the preview's events into pictures in a framebuffer, without a window system."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from .cameras import Options, View, cameras_of
 from .files import Dropped, motion_names, read_dropped, read_motion, shown
 from .keys import ACTIONS, FLIGHT, TURNS
 from .overlay import Line, Overlay, number_lines, text_image, title_line
-from .pictures import Drawn, Pictures
+from .pictures import LocalPictures, PictureSource
 from .player import Others, Player, Tracked, players_of
 
 __all__ = ["Options", "Viewer"]
 
-_TURN = 5.0  # degrees a key press
-_ORBIT = 3.5  # radians across the height of the window
-_ZOOM = 0.9  # of the distance a notch of the wheel
-_LONGEST = 0.1  # seconds of flight a frame: after a pause the eye must not jump
+_TURN_DEG = 5.0  # per key press
+_ORBIT_RAD = 3.5  # per height of the window
+_ZOOM = 0.9  # factor of the distance per notch of the wheel
+_MAX_FLIGHT_S = 0.1  # per frame, so that the eye does not jump after a pause
 
 
 class Viewer:
-    """A scene, a view and a pose, changed by events; ``dirty`` when the picture is no longer what it should be."""
+    """A scene, a view and a pose, changed by events; ``dirty`` while the picture is out of date."""
 
     def __init__(
         self,
-        scene: SceneLike | SceneFile,  # for its skeleton and where to look from; drawn if there are no other pictures
+        scene: SceneLike | SceneFile,  # for its skeleton and view; drawn unless ``pictures`` are given
         context: Context,
         size: tuple[int, int],
         options: Options,
         label: str = "",
-        pictures: Pictures | None = None,  # released with the viewer
+        pictures: PictureSource | None = None,  # released with the viewer
     ) -> None:
         self.options = options
         self.layout: Layout = options.layout
@@ -69,8 +69,10 @@ class Viewer:
         self._frames: deque[float] = deque(maxlen=30)
         self._present_ms = 0.0
         self._motion_index = -1
-        self._exposed = True  # the window's pixels are due, whether there is a new picture or not
-        self.pictures = pictures or Drawn(shown(scene), context, view_size(size, self.layout), options.rendering)
+        self._exposed = True  # the window has to be redrawn even without a new picture
+        self.pictures = pictures or LocalPictures(
+            shown(scene), context, view_size(size, self.layout), options.rendering
+        )
         try:
             self._present = Present(context.ctx)
             self._show(scene, label)
@@ -82,27 +84,27 @@ class Viewer:
 
     @property
     def animating(self) -> bool:
-        """True while the next picture differs without any event."""
+        """Whether the picture changes without events."""
         return bool(self._held) or self.others.moving or (self.player is not None and self.player.moving)
 
     @property
     def timeout(self) -> float | None:
-        """Seconds until something is due although nothing moves; None: wait for an event."""
+        """Seconds until the still picture changes; None: wait for an event."""
         return self.overlay.left if self.overlay.left > 0 else None
 
     def cameras(self) -> list[Camera]:
-        """The cameras of the window as it is."""
+        """Return the current cameras of the window."""
         o = self.options
         return cameras_of(self.view, self.layout, self.size, o.fov, o.ipd, o.background)
 
     def pose(self) -> Pose | None:
-        """The pose of the moment; None for a scene without a skeleton."""
+        """Return the current pose; None for a scene without a skeleton."""
         return None if self.player is None else self.player.pose()
 
     def advance(self, seconds: float) -> None:
-        """Let time pass: motion, flight, messages, and what came by itself."""
+        """Advance motion, flight and messages, and check for new pictures."""
         if not self.animating:
-            self._frames.clear()  # a pause is no slow picture
+            self._frames.clear()  # a pause is not a slow picture
         notice, self.overlay.notice = self.overlay.notice, self.pictures.notice
         if self.overlay.advance(seconds) or notice != self.overlay.notice:
             self.dirty = self._exposed = True
@@ -112,77 +114,77 @@ class Viewer:
                 clock.advance(seconds)
                 self.dirty = True
         if self._held:
-            way = np.sum([FLIGHT[key] for key in self._held], axis=0)
-            # as fast as the scene is large, slower near the target
+            direction = np.sum([FLIGHT[key] for key in self._held], axis=0)
+            # proportional to the size of the scene, slower near the target
             speed = max(0.05 * self._home.distance, 0.6 * min(self.view.distance, self._home.distance))
-            step = way * speed * (3 if self._shift else 1) * min(seconds, _LONGEST)
+            step = direction * speed * (3 if self._shift else 1) * min(seconds, _MAX_FLIGHT_S)
             self.view = self.view.moved(*map(float, step))
             self.dirty = True
 
     # --------------------------------------------------------------------------------------------------- events
 
     def press(self, key: str, shift: bool = False, repeated: bool = False) -> None:
-        """A key goes down (or repeats); names as in preview_keys."""
+        """Handle a pressed (or repeated) key; names as in keys.py."""
         self._shift = shift
         if key in FLIGHT:
             self._held.add(key)
         elif key in TURNS and self.player is not None:
-            self._turn(TURNS[key], 1.0 if shift else _TURN)
+            self._turn(TURNS[key], 1.0 if shift else _TURN_DEG)
         elif key in ACTIONS and (not repeated or key in ".,[]"):
             action: Callable[[], None] = getattr(self, ACTIONS[key])
             action()
         self._changed()
 
     def release_key(self, key: str) -> None:
-        """A key goes up."""
+        """Handle a released key."""
         self._held.discard(key)
 
     def hold_shift(self, down: bool) -> None:
-        """Shift goes down or up while other keys are held."""
+        """Handle shift while other keys are held."""
         self._shift = down
 
     def drag(self, button: str, shift: bool = False) -> None:
-        """A mouse button goes down: left, middle or right; nothing: all are up."""
+        """Handle a pressed mouse button: left, middle, right, or \"\" if all are released."""
         self._drag = "middle" if button == "left" and shift else button
 
     def move(self, x: float, y: float) -> None:
-        """The cursor is at (x, y) pixels from the upper left corner."""
+        """Handle the cursor at (x, y), pixels from the upper left corner."""
         height = max(1, self.size[1])
         right, down = (x - self._cursor[0]) / height, (y - self._cursor[1]) / height
         self._cursor = (x, y)
         if not self._drag or (right, down) == (0, 0):
             return
         if self._drag == "left":
-            self.view = self.view.orbited(-right * _ORBIT, down * _ORBIT)
+            self.view = self.view.orbited(-right * _ORBIT_RAD, down * _ORBIT_RAD)
         elif self._drag == "right":
-            self.view = self.view.looked(right * _ORBIT / 2, -down * _ORBIT / 2)
+            self.view = self.view.looked(right * _ORBIT_RAD / 2, -down * _ORBIT_RAD / 2)
         else:
             metres = 2 * self.view.distance * float(np.tan(np.radians(self.options.fov) / 2))
             self.view = self.view.moved(-right * metres, down * metres, 0)
         self.dirty = True
 
     def scroll(self, notches: float) -> None:
-        """The wheel turns; up is nearer."""
+        """Handle the wheel: up zooms in."""
         home = self._home.distance
         self.view = self.view.zoomed(_ZOOM**notches, 1e-3 * home, 1e3 * home)
         self.dirty = True
 
     def unfocus(self) -> None:
-        """The window lost the keyboard: no key is held any more."""
+        """Handle the loss of focus: no key is held."""
         self._held.clear()
         self._drag = ""
 
     def resize(self, width: int, height: int) -> None:
-        """The window has another number of pixels; 0 where it is iconified."""
+        """Handle a new size in pixels; 0 if iconified."""
         self.size = (width, height)
         self.dirty = self._exposed = True
 
     def expose(self) -> None:
-        """The window system lost the picture."""
+        """Redraw the window, whose picture the window system lost."""
         self.dirty = self._exposed = True
 
     def drop(self, path: str) -> None:
-        """A scene, a pose or a motion is opened; what fails is said in the window and leaves all as it was."""
+        """Open a dropped scene, pose or motion; an error is shown in the window and changes nothing."""
         try:
             self.open(read_dropped(path, None if self.player is None else self.player.skeleton))
         except (GlsplatError, moderngl.Error) as error:
@@ -191,7 +193,7 @@ class Viewer:
         self._changed()
 
     def open(self, what: Dropped) -> None:
-        """Show what was read from a file."""
+        """Show the content of a file."""
         if not isinstance(what.content, (Motion, Pose)):
             self.pictures.load(shown(what.content))
             self._show(what.content, what.label)
@@ -206,15 +208,15 @@ class Viewer:
     # -------------------------------------------------------------------------------------------------- actions
 
     def mono(self) -> None:
-        """One view."""
+        """Show one view."""
         self.layout = "mono"
 
     def side_by_side(self) -> None:
-        """Both eyes, left on the left."""
+        """Show both eyes, left on the left."""
         self.layout = "side-by-side"
 
     def anaglyph(self) -> None:
-        """Both eyes in one picture for red-cyan glasses."""
+        """Show both eyes in one picture for red-cyan glasses."""
         self.layout = "anaglyph"
 
     def play(self) -> None:
@@ -224,15 +226,15 @@ class Viewer:
             self.player.playing = not self.player.playing
 
     def next_frame(self) -> None:
-        """Stop at the next frame."""
+        """Pause at the next frame."""
         self._step(1)
 
     def previous_frame(self) -> None:
-        """Stop at the previous frame."""
+        """Pause at the previous frame."""
         self._step(-1)
 
     def next_motion(self) -> None:
-        """The next embedded motion; after the last the zero pose."""
+        """Play the next embedded motion; after the last show the zero pose."""
         names = motion_names(None if self.player is None else self.player.skeleton)
         if self.player is None or not names:
             return self.overlay.say("this scene has no skeleton that the embedded motions fit")
@@ -252,16 +254,16 @@ class Viewer:
         self._select(-1)
 
     def straighten(self) -> None:
-        """Undo what the arrow keys did to the selected joint."""
+        """Undo the rotation of the selected joint by arrow keys."""
         if self.player is not None:
             self.player.straighten()
 
     def reset_view(self) -> None:
-        """The view of the beginning."""
+        """Return to the initial view."""
         self.view = self._home
 
     def screenshot(self) -> None:
-        """Save the picture under a name of the moment in the current folder."""
+        """Save the picture in the current folder, named by the time."""
         name = time.strftime("glsplat-%Y%m%d-%H%M%S")
         path = next(p for i in range(1000) if not (p := Path(f"{name}{f'-{i}' if i else ''}.png")).exists())
         try:
@@ -271,11 +273,11 @@ class Viewer:
         self.overlay.say(f"saved {path}")
 
     def toggle_numbers(self) -> None:
-        """Stage times and splat counts; while they are on, every stage waits for the GPU."""
+        """Show or hide stage times and splat counts; shown, every stage waits for the GPU."""
         self.overlay.numbers = not self.overlay.numbers
 
     def toggle_help(self) -> None:
-        """The keys."""
+        """Show or hide the keys."""
         self.overlay.help = not self.overlay.help
 
     def quit(self) -> None:
@@ -285,26 +287,26 @@ class Viewer:
     # ------------------------------------------------------------------------------------------------- pictures
 
     def refresh(self, framebuffer: moderngl.Framebuffer) -> bool:
-        """Bring the window up to date; False if there is nothing new to show. ``dirty`` is False afterwards."""
+        """Redraw the window and clear ``dirty``; return False if there is nothing new to show."""
         self.dirty = False
         if min(self.size) < 1:
             return False
-        new = self.pictures.ask(self.cameras(), self.player)
+        new = self.pictures.request(self.cameras(), self.player)
         if not (new or self._exposed):
             return False
         if not self.animating:
-            self.overlay.renew()  # nothing may come after this picture: the numbers are to be its own
+            self.overlay.renew()  # this may be the last picture: show its own numbers
         self.draw(framebuffer, new=new)
         return True
 
-    def settle(self) -> None:
-        """Wait for the picture of this moment. GlsplatError if it does not come."""
+    def wait_ready(self) -> None:
+        """Wait for the current picture. Raises GlsplatError if it fails."""
         if min(self.size) > 0:
-            self.pictures.ask(self.cameras(), self.player)
-            self.pictures.settle()
+            self.pictures.request(self.cameras(), self.player)
+            self.pictures.wait_ready()
 
     def draw(self, framebuffer: moderngl.Framebuffer, live: bool = True, new: bool = True) -> None:
-        """Picture and text into ``framebuffer``; ``dirty`` is False afterwards. Without a pixel nothing happens."""
+        """Draw picture and text into ``framebuffer`` and clear ``dirty``. An iconified window is not drawn."""
         self.dirty = self._exposed = False
         if min(self.size) < 1:
             return
@@ -321,7 +323,7 @@ class Viewer:
             self._frames.append(now)
 
     def capture(self) -> NDArray[np.uint8]:
-        """[H, W, 3] the window's pixels without messages; drawn anew, because a covered window has none."""
+        """Return the window's pixels [H, W, 3] without messages, redrawn because a covered window has none."""
         if min(self.size) < 1:
             raise GlsplatError("the window is iconified; there is nothing to save")
         texture = self._context.ctx.texture(self.size, 4)
@@ -338,7 +340,7 @@ class Viewer:
         return np.ascontiguousarray(pixels[::-1])
 
     def report(self) -> dict[str, Any]:
-        """Driver, counts and stage times of the last frame."""
+        """Return driver, counts and stage times of the last frame."""
         return {"window": list(self.size), "layout": self.layout, **self.pictures.report()}
 
     def release(self) -> None:
@@ -349,7 +351,7 @@ class Viewer:
     # ------------------------------------------------------------------------------------------------ internals
 
     def _show(self, scene: SceneLike | SceneFile, label: str) -> None:
-        """Take over a scene the renderer has loaded."""
+        """Set up players and view of a loaded scene."""
         before, self._label = self.player, label
         self.player, self.others = players_of(scene if isinstance(scene, SceneFile) else SceneFile.of(scene))
         if self.player is not None and self.player.idle and before is not None and before.motion is not None:
@@ -357,7 +359,7 @@ class Viewer:
                 self.player.play(before.motion)
                 self.player.playing = before.playing
         eye, target = viewing_point(shown(scene), self.options.fov)
-        if before is None:  # of a scene that comes later nobody said where it lies
+        if before is None:  # the options are for the first scene only
             eye = eye if self.options.eye is None else np.array(self.options.eye)
             target = target if self.options.target is None else np.array(self.options.target)
         self.view = self._home = View.between(eye, target)

@@ -1,4 +1,4 @@
-"""The preview's window: GLFW, its OpenGL context handed to the renderer, and its events to the viewer."""
+"""The preview's window: GLFW's OpenGL context for the renderer, and its events for the viewer."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ __all__ = ["NO_DISPLAY", "Window"]
 
 NO_DISPLAY = "no display: glsplat preview needs a window; use `glsplat render` or run under xvfb-run"
 
-# highest first: some drivers give exactly the version that is asked for; macOS ends at 4.1
+# highest first: some drivers return exactly the requested version; macOS has at most 4.1
 _VERSIONS = ((4, 6), (4, 3), (4, 1), (3, 3))
 _REQUIRED = 330
 
 
 class _Current:
-    """What moderngl asks of a context object: GLFW's context, whatever window system made it."""
+    """moderngl's interface of a context object, on GLFW's current context."""
 
     def __init__(self, glfw: Any) -> None:
         self._glfw = glfw
 
     def load_opengl_function(self, name: str) -> int:
-        """Address of a GL function."""
+        """Return the address of a GL function, 0 if there is none."""
         return ctypes.cast(self._glfw.get_proc_address(name), ctypes.c_void_p).value or 0
 
     def __enter__(self) -> _Current:
@@ -39,22 +39,22 @@ class _Current:
     def __exit__(self, *_: object) -> None: ...
 
     def release(self) -> None:
-        """The window owns the context."""
+        """Do nothing: the window owns the context."""
 
 
 class Window:
-    """One window and its context. ``with Window(...) as window``; everything GL of it must be released before."""
+    """A window and its context; release all its GL objects before the ``with`` block ends."""
 
     def __init__(self, size: tuple[int, int], title: str, vsync: bool = False, visible: bool = True) -> None:
-        self._visible = visible  # else it is there for its context alone
+        self._visible = visible  # False: only its context is used
         self._errors: list[str] = []
         try:
-            import glfw  # here: loading it fails where its library is missing
+            import glfw  # here: importing it fails if its library is missing
         except (ImportError, OSError) as error:
             raise ContextError(f"the glfw package cannot load its library ({error}); install libglfw3") from None
         self._glfw: Any = glfw
         self._window: Any = None
-        # without a callback of our own the package turns every error into a Python warning
+        # without a callback the package turns every error into a Python warning
         glfw.set_error_callback(self._on_error)
         if not glfw.init():
             raise ContextError(f"{NO_DISPLAY}{self._reason()}")
@@ -64,7 +64,7 @@ class Window:
             glfw.swap_interval(1 if vsync else 0)
             settings: dict[str, Any] = {"context": _Current(glfw)}
             self._ctx = moderngl.create_context(require=_REQUIRED, **settings)
-            # nobody but us draws in this window: there is no state of others to look after
+            # nobody else draws in this window: no state has to be saved
             self.context: Context = replace(create_context(given=self._ctx), state=None)
             self._screen = self._ctx.screen
         except BaseException:
@@ -73,31 +73,31 @@ class Window:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Pixels of the framebuffer, which are more than the window's units on some screens; 0 if iconified."""
+        """Size of the framebuffer in pixels; 0 if iconified. On some screens it exceeds the window's units."""
         width, height = self._glfw.get_framebuffer_size(self._window)
         return int(width), int(height)
 
     @property
     def text_scale(self) -> float:
-        """How much larger than usual text needs to be on this screen."""
+        """Scale of text on this screen, at least 1."""
         return float(max(1.0, self._glfw.get_window_content_scale(self._window)[0]))
 
     @property
     def framebuffer(self) -> moderngl.Framebuffer:
-        """What is shown after the next swap()."""
+        """Framebuffer that the next swap() shows."""
         return self._screen
 
     @property
     def closing(self) -> bool:
-        """True once the user closed the window."""
+        """Whether the user closed the window."""
         return bool(self._glfw.window_should_close(self._window))
 
     def resize(self, width: int, height: int) -> None:
-        """Ask for another size, in the window's units."""
+        """Request another size, in the window's units."""
         self._glfw.set_window_size(self._window, width, height)
 
     def wait(self, seconds: float | None) -> None:
-        """Handle events: those that are there (0), or sleep until one comes (None) or time is over."""
+        """Handle queued events (0), or sleep until an event (None) or at most ``seconds``."""
         if seconds is None:
             self._glfw.wait_events()
         elif seconds > 0:
@@ -106,11 +106,11 @@ class Window:
             self._glfw.poll_events()
 
     def wake(self) -> None:
-        """End a wait(); the one call that other threads may make."""
+        """End a wait(). Other threads may call this."""
         self._glfw.post_empty_event()
 
     def swap(self) -> None:
-        """Show what was drawn."""
+        """Show the drawn framebuffer."""
         self._glfw.swap_buffers(self._window)
 
     def attach(self, viewer: Viewer) -> None:
@@ -148,7 +148,7 @@ class Window:
             if not focused:
                 viewer.unfocus()
 
-        on_cursor(window, *glfw.get_cursor_pos(window))  # it may be pressed before it is moved
+        on_cursor(window, *glfw.get_cursor_pos(window))  # a button may be pressed before the first move
         glfw.set_key_callback(window, on_key)
         glfw.set_mouse_button_callback(window, on_button)
         glfw.set_cursor_pos_callback(window, on_cursor)
@@ -187,7 +187,7 @@ class Window:
         )
 
     def _on_error(self, code: int, description: str | bytes) -> None:
-        # typed as text by the package, but what comes is bytes
+        # the package declares str, but passes bytes
         text = description.decode("utf-8", "replace") if isinstance(description, bytes) else description
         self._errors.append(text)
 
@@ -196,7 +196,7 @@ class Window:
 
 
 def _key_names(glfw: Any) -> dict[int, str]:
-    """GLFW's key code -> name in preview_keys. Keys are places on a US keyboard, whatever is printed on them."""
+    """Return a map of GLFW's key code to the name in keys.py. Keys are positions on a US keyboard."""
     named = {
         "SPACE": "space",
         "ESCAPE": "escape",

@@ -1,4 +1,4 @@
-"""``glsplat replay``: a client that streams a motion through a server and reports where the time goes."""
+"""``glsplat replay``: stream a motion through a server and report latency by stage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.motions.derive import derive, truth_from_motion, with_expressions
 from glsplat.formats.motion_files import KINDS, embedded_motions
 from glsplat.motion.motion import Motion
 from glsplat.net.client import Client
@@ -45,16 +44,16 @@ from .streaming import POLICIES, Drive, Driven, Result, stream
 HELP = "Stream recorded head and hands, or a motion, through a server; report latency by stage and save pictures."
 EXAMPLE = "glsplat replay --url ws://127.0.0.1:8000/ws --save sheet.png"
 
-_SHOWN_FIRST = ("wave-and-turn", "wave", "walk")
-_TRACKING_RATE = 72.0  # samples a second that a headset delivers
-_STANDS = 2.0  # seconds over which the head's way is averaged to tell where the user stands
+_PREFERRED_MOTIONS = ("wave-and-turn", "wave", "walk")
+_TRACKING_RATE_HZ = 72.0  # of a headset's samples
+_ROOT_WINDOW_S = 2.0  # over which head positions are averaged to estimate where the user stands
 _MOMENTS = 6  # pairs on a contact sheet
-_TILE = 1024  # pixels across a pair on a contact sheet
-_LONGEST = 86_400  # seconds
+_TILE_WIDTH_PX = 1024  # of a pair on a contact sheet
+_MAX_SECONDS = 86_400
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument(
         "motion",
         nargs="?",
@@ -63,18 +62,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "default: the embedded recording",
     )
     parser.add_argument("--url", default="ws://127.0.0.1:8000/ws", help="server (default ws://127.0.0.1:8000/ws)")
-    parser.add_argument("--avatar", metavar="FILE", help="avatar the server shows, for the motion's skeleton")
+    parser.add_argument("--avatar", metavar="FILE", help="avatar of the server, for the motion's skeleton")
     parser.add_argument(
-        "--tracking", action="store_true", help="of a motion, send head and hands only: the server solves"
+        "--tracking", action="store_true", help="send only head and hands of a motion; the server solves the pose"
     )
-    parser.add_argument("--fps", type=float, default=72.0, help="requests and display refreshes a second (default 72)")
-    parser.add_argument("--frames", type=int, help="requests in all (default: all of it once, at most 20 s)")
-    parser.add_argument("--seconds", type=float, metavar="S", help="play it so long, over and over where it is shorter")
-    parser.add_argument("--loop", action="store_true", help="play it over and over, for --seconds or until Ctrl-C")
-    parser.add_argument("--window", type=int, help="pictures under way (default: as the server says; fifo asks for 2)")
-    parser.add_argument("--fixed", action="store_true", help="do not say when pictures arrive: the server fits none")
-    parser.add_argument("--policy", choices=POLICIES, default=POLICIES[0], help="when to ask (default mailbox)")
-    parser.add_argument("--compare", action="store_true", help="one run with each policy, and a table of them")
+    parser.add_argument(
+        "--fps", type=float, default=72.0, help="requests and display refreshes per second (default 72)"
+    )
+    parser.add_argument("--frames", type=int, help="number of requests (default: one play, at most 20 s)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="play for S seconds, repeating if it is shorter")
+    parser.add_argument("--loop", action="store_true", help="repeat, for --seconds or until Ctrl-C")
+    parser.add_argument("--window", type=int, help="unanswered requests (default: set by the server; 2 for fifo)")
+    parser.add_argument(
+        "--fixed", action="store_true", help="do not report arrivals, so that the server adapts nothing"
+    )
+    parser.add_argument(
+        "--policy", choices=POLICIES, default=POLICIES[0], help="when to send requests (default mailbox)"
+    )
+    parser.add_argument("--compare", action="store_true", help="compare the policies in a table, one run each")
     parser.add_argument(
         "--link",
         type=link,
@@ -82,19 +87,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RTT,MBIT[,LOSS]",
         help="simulate a link: ms, Mbit/s, %% of lost packets",
     )
-    parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels an eye (default 1024x1024)")
+    parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels per eye (default 1024x1024)")
     parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")
-    parser.add_argument("--crop", action="store_true", help="have only the covered part of each picture sent")
-    parser.add_argument("--mirror", action="store_true", help="ask for the mirror image")
+    parser.add_argument("--crop", action="store_true", help="request only the covered part of each picture")
+    parser.add_argument("--mirror", action="store_true", help="request the mirror image")
     add_crowd(parser)
-    parser.add_argument("--token-file", type=Path, metavar="FILE", help="token for a server that wants one")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="token of the server")
     parser.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
     parser.add_argument("--save", metavar="OUT", help="a folder/ of PNG, a clip .mp4 or .webm (VP9), a sheet .png")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Stream, report, save. 1 when no picture came."""
+    """Stream, report, save. Raises GlsplatError if no picture arrives."""
     if not 1 <= args.fps <= 240:
         raise UsageError(f"--fps needs 1 to 240, not {args.fps:g}")
     if args.frames is not None and args.frames < 1:
@@ -103,8 +108,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--window needs 1 to 8, not {args.window}")
     if args.quality is not None and not 1 <= args.quality <= 100:
         raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
-    if args.seconds is not None and not 0 < args.seconds <= _LONGEST:
-        raise UsageError(f"--seconds needs more than 0 and at most {_LONGEST}, not {args.seconds:g}")
+    if args.seconds is not None and not 0 < args.seconds <= _MAX_SECONDS:
+        raise UsageError(f"--seconds needs more than 0 and at most {_MAX_SECONDS}, not {args.seconds:g}")
     if args.frames is not None and (args.seconds is not None or args.loop):
         raise UsageError("--frames says how long it plays: leave out --seconds and --loop, or --frames")
     if args.loop and args.seconds is None and (args.save or args.compare or args.link):
@@ -119,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
     drive, seconds = load_drive(args.motion, args.avatar, args.tracking or args.room is not None, "MOTION")
     if args.loop and args.seconds is None:
         with contextlib.suppress(KeyboardInterrupt):
-            while True:  # one round after the other: what a report is made of does not grow
+            while True:  # separate runs, so that results do not accumulate
                 _play(args, token, drive, _round(args, seconds, seconds))
         return 0
     frames = args.frames or _round(args, seconds if args.seconds is None else args.seconds, args.seconds)
@@ -143,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _play(args: argparse.Namespace, token: str | None, drive: Drive, frames: int) -> None:
-    """Once, without a report. Raises GlsplatError where no picture comes."""
+    """Stream once, without a report. Raises GlsplatError if no picture arrives."""
     if args.room is not None:
         _check_shown(asyncio.run(stream_crowd(args, token, drive, frames)))
     else:
@@ -151,13 +156,13 @@ def _play(args: argparse.Namespace, token: str | None, drive: Drive, frames: int
 
 
 def _round(args: argparse.Namespace, seconds: float, most: float | None = None) -> int:
-    """Requests that ``seconds`` take, ``most`` of which count (None: 20)."""
+    """Return the number of requests in ``seconds``, of which at most ``most`` (None: 20) count."""
     frames: int = max(1, round(min(seconds, 20.0 if most is None else most) * args.fps))
     return frames
 
 
 def _check_shown(results: Sequence[Result]) -> None:
-    """Raises GlsplatError where a run brought no picture."""
+    """Raise GlsplatError if a run showed no picture."""
     failed = next((result for result in results if not result.shown), None)
     if failed is not None:
         raise GlsplatError(f"no picture came{f': {failed.last_error}' if failed.last_error else ''}")
@@ -222,31 +227,31 @@ async def _stream(
 
 @dataclass(frozen=True)
 class Recording:
-    """Tracking samples in order of time; the sample of a moment is the newest that was known then."""
+    """Tracking samples in order of time; at any time the newest earlier sample is current."""
 
     times: list[float]  # seconds from the first sample
     samples: list[dict[str, Any]]
-    roots: NDArray[np.float64]  # [N, 3] where the user stands, without the sway of the head
+    roots: NDArray[np.float64]  # [N, 3] where the user stands: smoothed head positions on the floor
 
     @property
     def seconds(self) -> float:
-        """From the first sample to the last; 1 for a single one."""
+        """Seconds from the first sample to the last; 1 for a single one."""
         return self.times[-1] or 1.0
 
     def at(self, seconds: float) -> Driven:
-        """The tracking object at ``seconds``; the recording repeats."""
+        """Return the tracking object at ``seconds``; the recording repeats."""
         index = max(0, bisect_right(self.times, seconds % self.seconds) - 1)
         return Driven(tracking=self.samples[index], root=self.roots[index])
 
 
 @dataclass(frozen=True)
 class Played:
-    """A motion, played over and over. Rigs other than SMPL-X are sent by joint name."""
+    """A repeating motion. Poses of rigs other than SMPL-X are sent by joint name."""
 
     motion: Motion
 
     def at(self, seconds: float) -> Driven:
-        """The pose at ``seconds``."""
+        """Return the pose at ``seconds``."""
         pose = self.motion.at(seconds)
         if self.motion.names == JOINT_NAMES:
             return Driven(pose, root=pose.trans)
@@ -258,10 +263,10 @@ class Played:
 def load_drive(
     name: str | None, avatar: str | None = None, tracking: bool = False, option: str = "--motion"
 ) -> tuple[Drive, float]:
-    """What moves the avatar, and for how many seconds. Raises GlsplatError naming the file.
+    """Return the drive of the avatar and its duration in seconds. Raises GlsplatError, which names the file.
 
-    ``tracking`` sends a motion's head and hands, not its poses. Without a name it is the embedded recording, or, for an
-    avatar of its own, the embedded motion.
+    ``tracking`` sends head and hands of a motion instead of poses. Without ``name`` the drive is the embedded
+    recording, or with ``avatar`` the embedded motion.
     """
     skeleton = load_avatar(avatar, "--avatar").skeleton if avatar else None
     if avatar and skeleton is not None and (tracking or name is None or name.endswith(".jsonl")):
@@ -276,23 +281,29 @@ def load_drive(
     skeleton = default_avatar().skeleton if skeleton is None else skeleton
     motion = motion_of(name or default_motion(), skeleton, option)
     if tracking or name is None:
-        truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE)
+        from glsplat.extras.motions.derive import (  # here: recordings need none
+            derive,
+            truth_from_motion,
+            with_expressions,
+        )
+
+        truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, _TRACKING_RATE_HZ)
         samples = with_expressions(derive(skeleton, truth), motion)
         return _recording(samples, motion.label), motion.duration
     return Played(motion), motion.duration
 
 
 def has_recording() -> bool:
-    """True where this installation has a recording of its own."""
+    """Return whether a recording is embedded."""
     return resources.files("glsplat.data").joinpath("recording.jsonl").is_file()
 
 
 def default_motion() -> str:
-    """The embedded motion that shows most of the body; whichever there is otherwise."""
+    """Return the name of the preferred embedded motion. Raises GlsplatError if there is none."""
     names = embedded_motions()
     if not names:
         raise GlsplatError("this installation has no embedded motions; give a motion file")
-    return next((name for name in _SHOWN_FIRST if name in names), names[0])
+    return next((name for name in _PREFERRED_MOTIONS if name in names), names[0])
 
 
 def _recording(samples: Iterable[Sample], name: str) -> Recording:
@@ -304,7 +315,7 @@ def _recording(samples: Iterable[Sample], name: str) -> Recording:
     if not tracked:
         raise FormatError(f"{name}: expected tracking samples, a JSON object a line, found none")
     heads = np.array([(fields.get("head") or (0.0, 0.0, 0.0))[:3] for fields in tracked]) * (1, 0, 1)
-    width = round(_STANDS * _TRACKING_RATE)
+    width = round(_ROOT_WINDOW_S * _TRACKING_RATE_HZ)
     padded = np.pad(heads, ((width // 2, width - 1 - width // 2), (0, 0)), mode="edge")
     roots = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
     return Recording([max(0.0, t - times[0]) for t in times], tracked, roots)
@@ -319,12 +330,12 @@ def _finite(value: Any) -> bool:
 
 
 def check_target(target: str) -> None:
-    """Refuse what could not be saved before the work starts."""
+    """Raise UsageError or FormatError, before the work starts, for an output that cannot be saved."""
     output_kind("--save", target, (*CLIPS, ".png"), "a clip .mp4 or .webm, a contact sheet .png", folder="PNG files")
 
 
 def save_pictures(target: str, result: Result) -> str:
-    """The kept pairs as a folder of PNG, a clip at the speed they came, or a contact sheet; says what was written."""
+    """Save the kept pairs as a folder of PNG, a clip in real time, or a contact sheet; return what was written."""
     path = Path(target)
     if path.suffix.lower() in CLIPS:
         return save_clip(path, result.kept)
@@ -338,7 +349,7 @@ def save_pictures(target: str, result: Result) -> str:
 
 
 def save_clip(path: Path, kept: list[tuple[float, Reply]], across: int | None = None) -> str:
-    """Left and right side by side at the mean rate of the pictures; at most ``across`` pixels wide. Says what it is."""
+    """Save a clip, eyes side by side, at the mean rate and at most ``across`` pixels wide; return a line about it."""
     seconds = kept[-1][0] - kept[0][0]
     fps = (len(kept) - 1) / seconds if seconds > 0 else 10.0
     full = _full(kept)
@@ -348,19 +359,19 @@ def save_clip(path: Path, kept: list[tuple[float, Reply]], across: int | None = 
     return clip.summary
 
 
-def save_sheet(path: Path, kept: list[tuple[float, Reply]], columns: int = 2) -> None:
-    """Several moments, each left and right side by side with frame number and time."""
+def save_sheet(path: Path, kept: list[tuple[float, Reply]]) -> None:
+    """Save a contact sheet of several moments, each left and right side by side with frame number and time."""
     step = max(1, len(kept) / _MOMENTS)
     chosen = [kept[int(i * step)] for i in range(min(_MOMENTS, len(kept)))]
     tiles, full = [], _full(chosen)
     for seconds, reply in chosen:
-        pair = _fitted(_pair(reply, full), _TILE)
+        pair = _fitted(_pair(reply, full), _TILE_WIDTH_PX)
         tiles.append(label(pair, f"frame {reply.frame_id}, {seconds:.2f} s: left | right"))
-    save_png(path, stack([tiles[i : i + columns] for i in range(0, len(tiles), columns)]))
+    save_png(path, stack([tiles[i : i + 2] for i in range(0, len(tiles), 2)]))
 
 
 def _full(kept: list[tuple[float, Reply]]) -> tuple[int, int]:
-    """Width and height of the largest picture: a server that holds a rate sends smaller ones between."""
+    """Return the largest picture size: a server that holds a rate also sends smaller ones."""
     width, height = np.max([reply.info.get("size", (1, 1)) for _, reply in kept], axis=0)
     return int(width), int(height)
 

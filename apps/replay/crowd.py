@@ -1,4 +1,4 @@
-"""People of a room, driven by one recording: each is a client of its own, somewhere else in the recording."""
+"""People of a room, driven by one recording: each is a separate client at another time of the recording."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from .streaming import Drive, Driven, Result, stream
 __all__ = ["MOST_PEOPLE", "add_crowd", "check_crowd", "crowd_text", "names_of", "stream_crowd"]
 
 MOST_PEOPLE = 64
-_APART = 1.7  # seconds of the recording from one person to the next
+_OFFSET_S = 1.7  # of the recording between two people
 
 
 def add_crowd(parser: argparse.ArgumentParser) -> None:
-    """--room, --name and --people."""
-    parser.add_argument("--room", metavar="NAME", help="be a person in this room of the server, seen by its own eyes")
-    parser.add_argument("--name", help="what the person is called there (default: as the account is, or as a guest)")
+    """Add --room, --name and --people."""
     parser.add_argument(
-        "--people", type=int, default=1, metavar="N", help="so many people, numbered if more than one (default 1)"
+        "--room", metavar="NAME", help="join this room of the server as a person, and see through its eyes"
     )
+    parser.add_argument("--name", help="name of the person (default: that of the account, or of a guest)")
+    parser.add_argument("--people", type=int, default=1, metavar="N", help="number of people (default 1)")
 
 
 def check_crowd(args: argparse.Namespace) -> None:
-    """Raises UsageError naming the option that does not fit."""
+    """Raise UsageError for options that do not fit."""
     if args.room is None:
         if args.name is not None or args.people != 1:
             raise UsageError("--name and --people go with --room")
@@ -45,7 +45,7 @@ def check_crowd(args: argparse.Namespace) -> None:
 
 
 def names_of(args: argparse.Namespace) -> list[str]:
-    """What the people ask to be called; "" of one who does not."""
+    """Return the requested names of the people; "" for none."""
     if args.people == 1:
         return [args.name or ""]
     return [f"{args.name or 'replay'} {number}" for number in range(1, args.people + 1)]
@@ -53,7 +53,7 @@ def names_of(args: argparse.Namespace) -> list[str]:
 
 @dataclass(frozen=True)
 class _Later:
-    """The same from a later moment on."""
+    """A drive that starts later."""
 
     drive: Drive
     seconds: float
@@ -63,7 +63,7 @@ class _Later:
 
 
 def own_eyes(seconds: float, driven: Driven, size: tuple[int, int]) -> tuple[Camera, Camera]:
-    """The eyes of the head that is tracked."""
+    """Return the eyes of the tracked head."""
     head = None if driven.tracking is None else driven.tracking.get("head")
     if head is None:
         raise ProtocolError("people of a room are seen by their own eyes: this recording has moments without a head")
@@ -71,7 +71,7 @@ def own_eyes(seconds: float, driven: Driven, size: tuple[int, int]) -> tuple[Cam
 
 
 async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive, frames: int) -> list[Result]:
-    """One result a person. Whoever cannot come in, or is put out, ends the run for all."""
+    """Return one result per person. A person who is refused or removed ends the run for all."""
     bars = not args.json and sys.stderr.isatty()
     names = names_of(args)
     clients = [
@@ -94,7 +94,7 @@ async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive
             runs = [
                 stream(
                     client,
-                    _Later(drive, _APART * number),
+                    _Later(drive, _OFFSET_S * number),
                     frames=frames,
                     fps=args.fps,
                     size=args.size,
@@ -120,7 +120,7 @@ async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive
 
 
 def crowd_text(names: Sequence[str], results: Sequence[Result]) -> str:
-    """A line a person: pictures a second, and their age on show."""
+    """Return a line per person: pictures per second and their age when shown."""
     lines = [f"{'person':20}{'shown/s':>9}{'age, ms':>9}{'p95':>7}{'asked':>8}{'failed':>8}"]
     for name, result in zip(names, results, strict=True):
         age, age95 = median_p95(result.ages)

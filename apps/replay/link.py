@@ -1,8 +1,8 @@
-"""A simulated network link: a TCP relay on loopback that delays and throttles what passes, for ``glsplat replay``.
+"""Simulated network link: a TCP relay on loopback that delays and throttles data, for ``glsplat replay``.
 
-Each direction has its own rate and half of the round trip. Bytes wait in a queue of bounded length, as in a router; a
-sender that is faster than the link is held back, as by TCP. A lost packet holds back all behind it for a round trip, or
-for two where it is lost again, as TCP has it; TCP's slowing down after it is not there, nor is jitter.
+Each direction has its own rate and half of the round trip. Bytes wait in a bounded queue, as in a router, which blocks
+a faster sender, as TCP does. A lost packet delays all later ones by a round trip per loss. TCP's congestion control and
+jitter are not simulated.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from ..usage import UsageError
 
 __all__ = ["Link", "link", "over"]
 
-_PACKET = 1448  # bytes
-_CHUNK = 4096  # bytes read at once: 0.7 ms at 50 Mbit/s
-_QUEUE = 128 * 1024  # bytes that may wait before the sender is held back
+_PACKET_BYTES = 1448
+_CHUNK_BYTES = 4096  # per read: 0.7 ms at 50 Mbit/s
+_QUEUE_BYTES = 128 * 1024  # queued before the sender is blocked
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """What a link does to a stream."""
+    """Properties of a link."""
 
     round_trip: float  # ms
     rate: float  # Mbit/s, each way
-    loss: float = 0.0  # of the packets, percent
+    loss: float = 0.0  # percent of packets
 
     def __str__(self) -> str:
         return f"{self.round_trip:g} ms, {self.rate:g} Mbit/s" + (f", {self.loss:g} % lost" if self.loss else "")
 
-    def held_back(self, nbytes: int, chance: Random) -> float:
-        """Seconds by which so many bytes come later because of packets that were lost, once or several times."""
-        times, lost = 0, 1 - (1 - self.loss / 100) ** -(-nbytes // _PACKET)
+    def loss_delay(self, nbytes: int, chance: Random) -> float:
+        """Return the delay in seconds of ``nbytes`` by packets that were lost, once or repeatedly."""
+        times, lost = 0, 1 - (1 - self.loss / 100) ** -(-nbytes // _PACKET_BYTES)
         while chance.random() < lost:
             times, lost = times + 1, self.loss / 100
         return times * self.round_trip / 1e3
 
 
 def link(text: str) -> Link:
-    """argparse type: RTT,MBIT or RTT,MBIT,LOSS, for example 20,100 and 20,100,1."""
+    """Parse RTT,MBIT[,LOSS], for example 20,100 or 20,100,1 (argparse type)."""
     try:
         round_trip, rate, loss = (float(part) for part in (text if text.count(",") > 1 else f"{text},0").split(","))
         if not (0 <= round_trip <= 10_000 and 0.01 <= rate <= 100_000 and 0 <= loss <= 50):
@@ -61,9 +61,9 @@ def link(text: str) -> Link:
 
 @asynccontextmanager
 async def over(simulated: Link | None, url: str) -> AsyncIterator[str]:
-    """An address that leads to ``url`` over the link, on this machine; ``url`` itself without one.
+    """Yield a local address that leads to ``url`` over the link; ``url`` itself without a link.
 
-    Raises GlsplatError for wss://, whose certificate names another address, and where there is no server.
+    Raises UsageError for wss://, whose certificate has another address, and GlsplatError if there is no server.
     """
     if simulated is None:
         yield url
@@ -77,7 +77,7 @@ async def over(simulated: Link | None, url: str) -> AsyncIterator[str]:
     except OSError:
         raise GlsplatError(f"no server at {url}: start one with `glsplat serve`") from None
     writer.close()
-    server = await asyncio.start_server(relay.connected, "127.0.0.1", 0, limit=_CHUNK)
+    server = await asyncio.start_server(relay.connected, "127.0.0.1", 0, limit=_CHUNK_BYTES)
     port = server.sockets[0].getsockname()[1]
     try:
         yield urlunsplit(parts._replace(netloc=f"127.0.0.1:{port}"))
@@ -87,7 +87,7 @@ async def over(simulated: Link | None, url: str) -> AsyncIterator[str]:
 
 
 class _Relay:
-    """The connections of one link."""
+    """Relays the connections of one link."""
 
     def __init__(self, simulated: Link, host: str, port: int) -> None:
         self.host, self.port = host, port
@@ -95,14 +95,14 @@ class _Relay:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One client: its own connection to the server, and a pipe each way."""
+        """Relay a client: open its own connection to the server, and a pipe each way."""
         task = asyncio.create_task(self._relay(reader, writer))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     async def _relay(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            there = await asyncio.open_connection(self.host, self.port, limit=_CHUNK)
+            there = await asyncio.open_connection(self.host, self.port, limit=_CHUNK_BYTES)
         except OSError:
             writer.transport.abort()
             return
@@ -110,20 +110,20 @@ class _Relay:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._pipe(reader, there[1]))
                 group.create_task(self._pipe(there[0], writer))
-        except* OSError:  # either end is gone: so is the other
+        except* OSError:  # an end is closed: close the other
             pass
         finally:
             for end in (writer, there[1]):
                 end.transport.abort()
 
     async def close(self) -> None:
-        """End all connections."""
+        """Close all connections."""
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def _pipe(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        queue: deque[tuple[float, bytes]] = deque()  # when to hand over, and what
+        queue: deque[tuple[float, bytes]] = deque()  # time of delivery, data
         room, filled = asyncio.Event(), asyncio.Event()
         waiting = 0  # bytes
 
@@ -146,11 +146,11 @@ class _Relay:
         async with asyncio.TaskGroup() as group:
             group.create_task(deliver())
             chance = Random(1)
-            free = 0.0  # when the link has sent what it was given
+            free = 0.0  # time at which the link is idle
             while True:
-                data = await reader.read(_CHUNK)
+                data = await reader.read(_CHUNK_BYTES)
                 free = max(free, time.perf_counter()) + len(data) * 8e-6 / self._link.rate
-                queue.append((free + self._link.round_trip / 2e3 + self._link.held_back(len(data), chance), data))
+                queue.append((free + self._link.round_trip / 2e3 + self._link.loss_delay(len(data), chance), data))
                 filled.set()
                 if not data:
                     break
@@ -161,5 +161,5 @@ class _Relay:
 
     @property
     def _capacity(self) -> float:
-        """Bytes under way on the link and waiting for it."""
-        return _QUEUE + self._link.rate * 1e6 / 8 * self._link.round_trip / 2e3
+        """Maximum bytes in transit and queued."""
+        return _QUEUE_BYTES + self._link.rate * 1e6 / 8 * self._link.round_trip / 2e3

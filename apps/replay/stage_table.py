@@ -1,4 +1,4 @@
-"""The latency table of a streaming run, as text for the terminal and as markdown for the documentation."""
+"""Latency tables of streaming runs: text for the terminal, markdown for the documentation."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import platform
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from glsplat.extras.evaluate.machine import machine
 from glsplat.gl.software import is_software
+from glsplat.io.provenance import machine
 from glsplat.net.pace.stages import median_p95
 
 from .streaming import STAGES, Result
@@ -15,24 +15,24 @@ from .streaming import STAGES, Result
 __all__ = ["comparison_markdown", "frame_text", "table_markdown", "table_text"]
 
 
-_DEFERS = "This driver defers work: most of the drawing is in the stage that waits for it (resolve)."
+_DEFERRED_NOTE = "This driver defers work: most of the drawing is in the stage that waits for it (resolve)."
 
 
 def table_text(result: Result) -> str:
-    """Rows of stage, place, median and 95th percentile in ms; the parts of rendering are indented.
+    """Return rows of stage, place, median and 95th percentile in ms; the parts of rendering are indented.
 
-    Below, one line where the driver is one that draws when it is waited for.
+    A note follows for software rasterizers, which defer drawing.
     """
     lines = [f"{'stage':28}{'where':8}{'median':>9}{'p95':>9}   ms"]
     for name, place, median, p95 in _rows(result):
         lines.append(f"{name:28}{place:8}{median:9.2f}{p95:9.2f}")
     if is_software(result.driver):
-        lines.append(_DEFERS)
+        lines.append(_DEFERRED_NOTE)
     return "\n".join(lines)
 
 
 def frame_text(result: Result) -> str:
-    """Two lines about frames, bytes, the age of the picture on show, and what comes on top of rendering."""
+    """Return two lines about frames, bytes, the age of shown pictures, and the time beyond rendering."""
     age, age95 = median_p95(result.ages)
     more, more95 = median_p95(result.beyond_render)
     size = sum(result.nbytes) / max(len(result.nbytes), 1) / 1e3
@@ -45,7 +45,7 @@ def frame_text(result: Result) -> str:
 
 
 def comparison_markdown(runs: Sequence[tuple[str, str, Result]]) -> str:
-    """One row a run: link, policy, rate and ages; below it driver, machine, versions and date."""
+    """Return a table with a row per run (link, policy, rate, ages), then driver, machine, versions and date."""
     lines = [
         "| link | policy | shown a second | render, mean | share of render rate | reply - render, median | p95 "
         "| of it in the mailbox | age at reply, p95 | bound | age on show, median | p95 | kB a frame |",
@@ -64,7 +64,7 @@ def comparison_markdown(runs: Sequence[tuple[str, str, Result]]) -> str:
 
 
 def table_markdown(results: Sequence[tuple[str, Result]]) -> str:
-    """One table, a pair of columns for each run, with driver, machine, versions and date below."""
+    """Return a table with a pair of columns per run, then driver, machine, versions and date."""
     names = [name for name, _ in results]
     lines = [
         "| stage | where | " + " | ".join(f"{name}: median | p95" for name in names) + " |",

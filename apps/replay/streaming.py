@@ -1,8 +1,8 @@
-"""Streaming a motion through a server and timing every stage: what ``replay`` and ``demo`` share.
+"""Stream a motion through a server and time every stage, for ``replay`` and ``demo``.
 
-Three policies of asking, to compare. ``mailbox``: a request at every refresh of the display, the server draws the
-newest. ``stop-and-wait``: the next request when both eyes are decoded, as the paper's released client does.
-``fifo``: as many requests under way as the window holds, each of them drawn.
+There are three request policies to compare. ``mailbox``: a request at every display refresh, of which the server draws
+the newest. ``stop-and-wait``: the next request when both eyes are decoded, as in the paper's released client. ``fifo``:
+as many unanswered requests as the window allows, all of which are drawn.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from glsplat.skinning.pose import Pose
 
 __all__ = ["POLICIES", "STAGES", "Drive", "Driven", "Result", "observer", "stream"]
 
-_LAST = 3.0  # seconds to wait for the last pictures
+_DRAIN_TIMEOUT_S = 3.0  # for the last pictures
 
 STAGES: tuple[tuple[str, str, str], ...] = (
     ("ik", "tracking and IK", "server"),
@@ -39,54 +39,54 @@ STAGES: tuple[tuple[str, str, str], ...] = (
     ("decode", "decoding", "client"),
     ("end_to_end", "end to end", ""),
 )
-"""Key, name and place of the rows of the latency table; the first six add up to the last."""
+"""Key, name and place of the rows of the latency table. The last is the sum of the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """What moves the avatar at one moment: a pose, or a tracking object of docs/protocol.md."""
+    """Input of the avatar at one time: a pose, or a tracking object of docs/protocol.md."""
 
     pose: Pose | Mapping[str, Any] | None = None
     tracking: Mapping[str, Any] | None = None
-    root: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))  # [3] where the avatar stands, metres
+    root: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))  # [3] position of the avatar, metres
 
 
 class Drive(Protocol):
-    """What moves the avatar over time."""
+    """Input of the avatar over time."""
 
     def at(self, seconds: float) -> Driven:
-        """The pose or tracking of any moment from 0 on."""
+        """Return the pose or tracking sample at a time >= 0."""
         ...
 
 
 @dataclass
 class Result:
-    """What happened to the frames of one run. Times in ms."""
+    """Statistics of the frames of one run, times in ms."""
 
     sent: int = 0
     received: int = 0
     shown: int = 0
-    late: int = 0  # received, but replaced by a newer picture before it could be shown
+    late: int = 0  # received, but replaced by a newer picture before it was shown
     errors: int = 0
     seconds: float = 0.0  # from the first request to the last picture
     interval: float = 0.0  # ms from request to request
     last_error: str = ""
     driver: str = ""
     times: dict[str, list[float]] = field(default_factory=dict)  # by stage
-    ages: list[float] = field(default_factory=list)  # of the picture on show, at each display refresh
-    replies: list[float] = field(default_factory=list)  # from request to reply: how old the pose is then
-    waits: list[float] = field(default_factory=list)  # of them in the server's mailbox, until the renderer was free
+    ages: list[float] = field(default_factory=list)  # of the shown picture at each display refresh
+    replies: list[float] = field(default_factory=list)  # from request to reply: age of the pose at arrival
+    waits: list[float] = field(default_factory=list)  # in the server's mailbox, until the renderer was free
     nbytes: list[int] = field(default_factory=list)  # of each reply
     kept: list[tuple[float, Reply]] = field(default_factory=list)  # seconds and picture, in order
 
     @property
     def dropped(self) -> int:
-        """Requests that were never drawn because a newer one came."""
+        """Requests that were dropped for a newer one."""
         return self.sent - self.received - self.errors
 
     @property
     def fps(self) -> float:
-        """Different pictures shown a second."""
+        """Distinct pictures shown per second."""
         return self.shown / self.seconds if self.seconds > 0 else 0.0
 
     @property
@@ -96,22 +96,24 @@ class Result:
 
     @property
     def share(self) -> float:
-        """Pictures shown, of those that the renderer could draw without a pause: fps / (1 / mean render time)."""
+        """Share of the renderer's maximum rate that was shown: fps times the mean render time."""
         return self.fps * self.render_ms / 1e3
 
     @property
     def beyond_render(self) -> list[float]:
-        """From request to reply, less the render time."""
+        """Times from request to reply without the render time."""
         return [reply - ms for reply, ms in zip(self.replies, self.times.get("render", ()), strict=True)]
 
     @property
     def age_bound(self) -> float:
-        """What the 95th percentile of ``replies`` is at most if the newest pose is always the one drawn: it waits for
-        the next one at the longest. 95th percentiles of solving, rendering and encoding, and a request interval."""
+        """Upper bound of the 95th percentile of ``replies`` if the newest pose is always drawn.
+
+        It is the sum of the 95th percentiles of solving, rendering and encoding, and one request interval.
+        """
         return self.interval + sum(median_p95(self.times.get(stage, ()))[1] for stage in ("ik", "render", "encode"))
 
     def add(self, arrived: ReceivedReply, decode_ms: float, done: float) -> None:
-        """Account for one decoded reply."""
+        """Add one decoded reply."""
         server = arrived.reply.info.get("times", {})
         row = {
             "ik": server.get("ik", 0.0),
@@ -121,7 +123,7 @@ class Result:
             "decode": decode_ms,
             "end_to_end": (done - arrived.requested) * 1e3,
         }
-        # whatever is left: the mailbox, hand-overs between threads, a busy client
+        # the rest: the mailbox, switches between threads, a busy client
         row["wait"] = max(0.0, 2 * row["end_to_end"] - sum(row.values()))
         row |= {f"render/{k}": v for k, v in server.items() if k not in (*row, "total", "wait")}
         for name, ms in row.items():
@@ -130,7 +132,7 @@ class Result:
         self.waits.append(server.get("wait", 0.0))
 
     def summary(self) -> dict[str, Any]:
-        """The numbers, for --json."""
+        """Return the numbers for --json."""
         stages = {name: median_p95(values) for name, values in self.times.items()}
         return {
             "driver": self.driver,
@@ -155,9 +157,10 @@ class Result:
 
 
 def observer(seconds: float, root: NDArray[np.float64], size: tuple[int, int]) -> tuple[Camera, Camera]:
-    """The eyes of somebody who stands about 2 m in front of the avatar and sways: the view of the mirror study.
+    """Return the eyes of an observer who sways about 2 m in front of the avatar: the view of the mirror study.
 
-    Head pose to eyes by the paper's equations 1 to 3. ``root`` [3] is the avatar's translation, followed on the floor.
+    Eyes follow from the head pose by the paper's equations 1 to 3. ``root`` [3] is the avatar's translation, which the
+    observer follows on the floor.
     """
     floor = np.array([root[0], 0.0, root[2]])
     sway = 0.3 * np.sin(0.7 * seconds), 1.35 + 0.05 * np.sin(0.45 * seconds), 2.0 + 0.2 * np.cos(0.3 * seconds)
@@ -183,8 +186,8 @@ async def stream(
 ) -> Result:
     """Stream for ``frames`` refreshes of a display of ``fps`` Hz; at each, show the newest decoded picture.
 
-    ``policy`` says when to ask, ``window`` how many requests may be unanswered under ``fifo``. ``keep`` keeps the shown
-    replies. ``see`` gives the eyes at a moment (default: those of an observer), ``hide`` is what they do not see.
+    ``policy`` says when to send requests; ``window`` limits the unanswered requests of ``fifo``. ``keep`` stores the
+    shown replies. ``see`` returns the eyes at a time (default: ``observer``); ``hide`` lists parts hidden from them.
     """
     run = _Stream(client, keep)
     run.result.interval = 1e3 / fps
@@ -199,7 +202,7 @@ async def stream(
         while not over.is_set():
             if client.flow.may_request(policy, window, run.decoded):
                 await ask(time.perf_counter() - start)
-                await asyncio.sleep(1 / fps)  # tracking has nothing newer before
+                await asyncio.sleep(1 / fps)  # no newer tracking sample before
             else:
                 run.answered.clear()
                 await run.answered.wait()
@@ -221,7 +224,7 @@ async def stream(
         over.set()
         run.answered.set()
         await asyncio.gather(*tasks[2:])
-        end = time.perf_counter() + _LAST
+        end = time.perf_counter() + _DRAIN_TIMEOUT_S
         while not (run.finished or any(task.done() for task in tasks[:2])) and time.perf_counter() < end:
             await asyncio.sleep(1 / fps)
             run.refresh(time.perf_counter() - start)
@@ -249,7 +252,7 @@ def _pair(values: list[float]) -> dict[str, float]:
 
 
 class _Stream:
-    """The receiving half: newest undecoded reply, newest decoded picture."""
+    """Receives, decodes and shows replies; keeps only the newest undecoded and the newest decoded one."""
 
     def __init__(self, client: Client, keep: bool) -> None:
         self.result = Result()
@@ -267,12 +270,12 @@ class _Stream:
 
     @property
     def finished(self) -> bool:
-        """True once the newest request has been answered and shown."""
+        """Whether the newest request was answered and shown."""
         pending = self._decoding or self._arrived is not None or self._decoded is not None
         return not self._client.waiting and not pending
 
     async def receive(self) -> None:
-        """Take replies as they come; a reply that replaces an undecoded one makes that late."""
+        """Receive replies; an undecoded reply that is replaced counts as late."""
         while True:
             try:
                 arrived = await self._client.receive()
@@ -280,12 +283,12 @@ class _Stream:
                 if error.code in ("closed", "timeout", "bad_reply"):
                     raise
                 if error.code == "bad_pose" and not self.result.received:
-                    raise  # and so it will be with all of them
+                    raise  # all others will fail alike
                 self.result.errors += 1
                 self.result.last_error = str(error)
                 self.answered.set()
                 continue
-            if still := arrived.reply.info.get("still"):  # no figures of a pose that was not applied
+            if still := arrived.reply.info.get("still"):  # figures without the applied pose would mislead
                 raise ProtocolError(f"the server does not apply poses: {still}", "bad_pose")
             self.result.received += 1
             self.answered.set()
@@ -316,7 +319,7 @@ class _Stream:
             self._decoded = arrived
 
     def refresh(self, seconds: float) -> None:
-        """One refresh of the display: show the newest decoded picture, note the age of what is on show."""
+        """Show the newest decoded picture, and record the age of the shown one."""
         now = time.perf_counter()
         if self._decoded is not None:
             self._on_show, self._decoded = self._decoded, None

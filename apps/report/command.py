@@ -19,7 +19,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.evaluate.difference import require_extra
 from glsplat.extras.evaluate.frames import WARM_UP
 from glsplat.extras.evaluate.knobs import Setting, base_config, error_frames, settings_of
-from glsplat.extras.evaluate.machine import machine
 from glsplat.extras.evaluate.sections.batching import batching
 from glsplat.extras.evaluate.sections.growth import Grid, grid_of, growth, growth_cost
 from glsplat.extras.evaluate.sections.hidden import Search, hidden, hidden_cost, with_hidden
@@ -32,6 +31,7 @@ from glsplat.extras.evaluate.subjects import PERSON_SPLATS, Subject, check_camer
 from glsplat.formats import suffixes
 from glsplat.gl.context import Context, create_context
 from glsplat.io.files import replace_file
+from glsplat.io.provenance import machine
 from glsplat.skinning.driven import why_not_driven
 
 from ..progress import Progress

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
 from glsplat.net.guard.access import is_loopback, read_token
-from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
-from glsplat.optional import require_package
+from glsplat.optional import has_extra, missing, require_package
 
 from ..usage import UsageError
 from .options import ServeOptions
@@ -74,6 +74,10 @@ def watermark_of(args: ServeOptions) -> WatermarkKey | None:
     """
     if args.watermark == "off":
         return None
+    log = logging.getLogger("glsplat.serve")
+    if args.watermark is None and not has_extra("watermark"):
+        log.warning("pictures are not marked: %s", missing("watermark", "a watermark"))
+        return None
     from glsplat.extras.watermark.keys import read_watermark
     from glsplat.extras.watermark.state import kept_watermark
 
@@ -84,5 +88,5 @@ def watermark_of(args: ServeOptions) -> WatermarkKey | None:
     except GlsplatError as error:
         if args.watermark == "on":
             raise
-        logging.getLogger("glsplat.serve").warning("pictures are not marked: %s, or set watermark to off", error)
+        log.warning("pictures are not marked: %s, or set watermark to off", error)
         return None

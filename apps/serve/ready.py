@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import TextIO
 
 from glsplat.net.guard.access import is_loopback
-from glsplat.net.guard.machine import machine_names, reachable_at
-from glsplat.optional import has_package, missing_package
+from glsplat.net.guard.host_info import machine_names, reachable_at
+from glsplat.optional import has_package, missing, missing_package, plugin
 
 from .keys import Keys
 
@@ -89,8 +89,10 @@ def _print_qr(address: str, out: TextIO, person: bool) -> None:
     if not has_package("segno"):
         print(f"  ({missing_package('a QR code', 'segno', 'server')})", file=out)
         return
-    from glsplat.extras.operations import qr  # here: most outputs are no terminal
-
+    qr = plugin("operations.qr")  # here: most outputs are no terminal
+    if qr is None:
+        print(f"  ({missing('operations', 'a QR code')})", file=out)
+        return
     lines, columns = qr.terminal(address)
     if person and shutil.get_terminal_size().columns < columns:
         print(f"  (no QR code: it needs a terminal of {columns} columns)", file=out)

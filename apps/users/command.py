@@ -1,4 +1,4 @@
-"""``glsplat users``: the accounts of a server. Tokens are printed once, when they are made; the file holds hashes."""
+"""``glsplat users``: manage the accounts of a server. A token is printed once; the file has its hash."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from glsplat.io.files import locked
 
 from ..usage import UsageError
 
-HELP = "Add, list and remove the accounts of a server (glsplat serve --users FILE): who may drive and enter what."
+HELP = "Add, list and remove the accounts of a server (glsplat serve --users FILE), with their avatars and rooms."
 EXAMPLE = "glsplat users add ann --avatars ann,default"
 
 _FILE = Path("users.json")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The subcommands and their options."""
+    """Add the subcommands and their options."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    add = commands.add_parser("add", help="an account; prints its token, which nothing prints again")
+    add = commands.add_parser("add", help="add an account and print its token, once")
     add.add_argument("name", metavar="NAME", help="1 to 32 letters, digits or -_~, the first no sign")
     add.add_argument("--avatars", metavar="A,B", default=ANY, help="avatars it may drive (default *, all)")
     add.add_argument("--rooms", metavar="R,S", default=ANY, help="rooms it may enter (default *, all)")
-    listed = commands.add_parser("list", help="the accounts and what they may do")
-    remove = commands.add_parser("remove", help="an account; who is connected by it is put out within a second")
+    listed = commands.add_parser("list", help="list the accounts and their rights")
+    remove = commands.add_parser("remove", help="remove an account; its connections end within a second")
     remove.add_argument("name", metavar="NAME")
     for command in (add, listed, remove):
         command.add_argument("--users", type=Path, default=_FILE, metavar="FILE", help=f"of accounts (default {_FILE})")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the chosen action; 0 on success. Raises GlsplatError naming the file."""
+    """Run the chosen action; 0 on success. Raises GlsplatError, which names the file."""
     path: Path = args.users
     if args.action == "list":
         for user in read_users(path).values():
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if not path.parent.is_dir():
         raise GlsplatError(f"{path}: there is no folder {path.parent}; create it first")
-    with locked(path.with_name(f".{path.name}.lock"), 5.0):  # of two that add at once none is lost
+    with locked(path.with_name(f".{path.name}.lock"), 5.0):  # concurrent changes are not lost
         users = read_users(path) if path.exists() or args.action == "remove" else {}
         return _add(args, path, users) if args.action == "add" else _remove(args, path, users)
 

@@ -1,4 +1,4 @@
-"""``glsplat watermark``: finds the mark that a server drew into its pictures."""
+"""``glsplat watermark``: find the watermark of a server in its pictures."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from glsplat.net.guard.state_dir import state_folder
 from ..args import natural
 from ..usage import UsageError
 
-HELP = "The invisible mark in the pictures of `glsplat serve`: finds it, and says to whom they were sent."
+HELP = "Find the invisible watermark in pictures of `glsplat serve`, which identifies the session."
 EXAMPLE = "glsplat watermark detect leaked.mp4"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The subcommands and their options."""
+    """Add the subcommands and their options."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     finder = commands.add_parser(
-        "detect", help="server and session of a clip, or of pictures of one size; 1 where no mark is found"
+        "detect", help="print server and session of a clip, or of pictures of one size; exit code 1 without a mark"
     )
     finder.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a clip, or pictures (PNG, JPEG, WebP)")
     finder.add_argument(
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the chosen action: 0 where a mark was found, 1 where not."""
+    """Run the chosen action; return 0 if a mark was found, else 1."""
     if args.window < 1:
         raise UsageError("--window needs at least 1 picture")
     key = read_watermark(state_folder() / WATERMARK if args.key is None else args.key).key
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _pictures(files: list[Path]) -> Iterator[NDArray[np.uint8]]:
-    """[H, W, 3] RGB of a clip, or of each file. Raises FormatError, UsageError naming what does not fit."""
+    """Yield the pictures [H, W, 3] RGB of a clip, or of each file. Raises FormatError or UsageError."""
     if is_video(files[0]):
         if len(files) > 1:
             raise UsageError(f"give one clip at a time, or pictures; found {files[0]} and {len(files) - 1} more")

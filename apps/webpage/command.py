@@ -1,4 +1,4 @@
-"""``glsplat page``: a folder for any file host that shows an avatar in browsers and in VR, without our server."""
+"""``glsplat page``: write a static page that shows an avatar in browsers and in VR, without ``glsplat serve``."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ from ..args import load_avatar
 __all__ = ["EXAMPLE", "HELP", "add_arguments", "baked", "run"]
 
 HELP = (
-    "Write a page that shows an avatar in any browser with WebGL 2 and in VR: orbit, motions, no server but one that "
-    "gives out files (python -m http.server). The avatar's splats are in the folder for everybody to take, so its "
-    "consent record needs hand_out; the embedded avatar needs none."
+    "Write a page that shows an avatar in any browser with WebGL 2 and in VR, with motions. Any file server will do "
+    "(python -m http.server). Visitors can download the avatar's splats, so its consent record needs hand_out; the "
+    "embedded avatar needs none."
 )
 EXAMPLE = "glsplat page me.glb -o out/page"
 
 _START = "alone/main.js"
 _IMPORT = re.compile(r"""(?:from|import)\s*\(?\s*'(\.[^']+)'""")
 _AVATAR = "avatar.splats"
-_DIGITS = 5  # of radians and metres
-_MOST_FRAMES = 20_000  # of a motion
+_DECIMALS = 5  # of radians and metres
+_MAX_FRAMES = 20_000  # of a motion
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("avatar", nargs="?", metavar="AVATAR", help="avatar to show (default: the embedded one)")
     parser.add_argument(
-        "-o", "--output", type=Path, default=Path("out/page"), metavar="FOLDER", help="to write (default out/page)"
+        "-o", "--output", type=Path, default=Path("out/page"), metavar="FOLDER", help="output folder (default out/page)"
     )
     parser.add_argument(
         "--motion",
@@ -57,11 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="motion to offer, a file or an embedded one; may be repeated (default: all embedded ones that fit)",
     )
-    parser.add_argument("--name", help="what the page calls the avatar (default: the file's name)")
+    parser.add_argument("--name", help="name of the avatar on the page (default: the file's name)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the folder, its index.html last. Raises GlsplatError; then no page was begun."""
+    """Write the folder, index.html last. Raises GlsplatError before anything is written."""
     name = args.name or (Path(args.avatar).stem if args.avatar else "The embedded avatar")
     avatar = _agreed(args.avatar, name)
     motions = _motions(args.motion, avatar)
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
             (args.output / path).parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
-    for path, data in {**files, "index.html": index}.items():  # the page is there when all that it needs is
+    for path, data in {**files, "index.html": index}.items():  # index.html last, when all its files exist
         replace_file(args.output / path, [data])
     size = sum(map(len, files.values())) + len(index)
     shown = ", ".join(motions) or "no motions"
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _agreed(path: str | None, name: str) -> Avatar:
-    """The avatar, if its record lets its splats be given away. Raises GlsplatError."""
+    """Return the avatar. Raises GlsplatError unless its consent record allows handing out its splats."""
     policy = ConsentPolicy()
     if path is None:
         found, kept = default_avatar(), OnFile(nobody=True)
@@ -98,7 +98,7 @@ def _agreed(path: str | None, name: str) -> Avatar:
 
 
 def _motions(asked: list[str] | None, avatar: Avatar) -> dict[str, Motion]:
-    """By the name that a page shows. Embedded ones that do not fit the rig are left out, and that is said."""
+    """Return the motions by their label on the page. Embedded ones that do not fit are skipped with a notice."""
     found: dict[str, Motion] = {}
     for name in asked if asked is not None else embedded_motions():
         try:
@@ -108,15 +108,15 @@ def _motions(asked: list[str] | None, avatar: Avatar) -> dict[str, Motion]:
                 raise
             print(f"glsplat page: {name} is left out: {error}", file=sys.stderr)
             continue
-        if len(motion) > _MOST_FRAMES:
-            raise FormatError(f"{name}: a page takes motions of at most {_MOST_FRAMES} frames, not {len(motion)}")
+        if len(motion) > _MAX_FRAMES:
+            raise FormatError(f"{name}: a page takes motions of at most {_MAX_FRAMES} frames, not {len(motion)}")
         label = re.sub(r"[-_.]+", " ", Path(name).stem).strip().capitalize() or "Motion"
         found[label if label not in found else f"{label} {len(found) + 1}"] = motion
     return found
 
 
 def _files(avatar: Avatar, name: str, motions: Mapping[str, Motion]) -> Iterator[tuple[str, bytes]]:
-    """(path, content) of everything in the folder."""
+    """Yield (path, content) of each file in the folder."""
     web = resources.files("glsplat.net") / "web"
     for path in _modules(web):
         yield path, (web / path).read_bytes()
@@ -134,7 +134,7 @@ def _files(avatar: Avatar, name: str, motions: Mapping[str, Motion]) -> Iterator
 
 
 def _modules(web: Traversable) -> list[str]:
-    """The page's script and all that it imports."""
+    """Return the paths of the page's script and of all its imports."""
     found, todo = set[str](), [_START]
     while todo:
         path = todo.pop()
@@ -147,7 +147,7 @@ def _modules(web: Traversable) -> list[str]:
 
 
 def baked(motion: Motion) -> dict[str, Any]:
-    """A motion as track/drivers.js plays it, on this avatar's own joints: rotation vectors and the root's place."""
+    """Return a motion for track/drivers.js: axis-angle of this avatar's joints, and the root's translation."""
     frames = []
     for index in range(len(motion)):
         pose = motion.pose(index)
@@ -159,11 +159,11 @@ def baked(motion: Motion) -> dict[str, Any]:
 
 
 def _rounded(values: Any) -> Any:
-    return (np.round(values, _DIGITS) + 0.0).tolist()
+    return (np.round(values, _DECIMALS) + 0.0).tolist()
 
 
 def _credit(avatar: Avatar) -> str:
-    """Who made it, and what others may do with it, as its file says."""
+    """Return the source and the licence in the avatar's metadata."""
     said = [avatar.meta.get(key) for key in ("source", "licence")]
     return "; ".join(text for text in said if isinstance(text, str))[:300]
 

@@ -5,7 +5,8 @@ import sys
 import numpy as np
 
 import glsplat
-from glsplat.extras.evaluate import SCORE_POSES, MeshTruth, score
+from glsplat.extras.authoring.mesh_truth import MeshTruth
+from glsplat.extras.evaluate import SCORE_POSES, score
 
 if len(sys.argv) < 3:
     sys.exit(__doc__)

@@ -1,4 +1,4 @@
-"""Embedded data: people, motions, a recording, participants, and the licences beside them."""
+"""Embedded data: people, motions, a recording and participants, with their licences."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from glsplat.formats.gltf.splats import read_gltf
 __all__ = ["DEFAULT", "PEOPLE", "default_avatar", "embedded_file", "participants_folder", "person"]
 
 PEOPLE: tuple[str, ...] = ("anna", "ben", "mei")
-"""The embedded people with faces that move, each a file of people/."""
+"""Names of the embedded people, each a file in people/ with an animated face."""
 
 DEFAULT: str = "ben"
-"""Who is shown where nobody says whom."""
+"""Name of the default person."""
 
 
 @lru_cache(maxsize=len(PEOPLE))
 def person(name: str) -> Avatar:
-    """Load one of the embedded people (40,000 splats, 55 SMPL-X joints, 52 shapes of ARKit).
+    """Return an embedded person (40,000 splats, 55 SMPL-X joints, 52 ARKit shapes).
 
     Raises FormatError for a name that is not in ``PEOPLE``.
 
@@ -39,7 +39,7 @@ def person(name: str) -> Avatar:
 
 
 def default_avatar() -> Avatar:
-    """Return the embedded person that is shown by default: ``person(DEFAULT)``.
+    """Return the default embedded person: ``person(DEFAULT)``.
 
     >>> glsplat.default_avatar().skeleton
     Skeleton(55 joints: pelvis, left_hip, right_hip, ...)
@@ -50,7 +50,7 @@ def default_avatar() -> Avatar:
 def embedded_file(name: str | Path) -> Path:
     """Return the file of the embedded person ``name``; ``name`` itself if such a file exists or it is no person.
 
-    Commands take what follows as an avatar: ``anna``, ``./anna`` for a file of that name, ``me.glb``.
+    Avatar arguments of commands are ``anna``, ``me.glb``, or ``./anna`` for a file of that name.
     """
     path = Path(name)
     if str(name) not in PEOPLE or path.exists():
@@ -60,9 +60,9 @@ def embedded_file(name: str | Path) -> Path:
 
 
 def participants_folder() -> Path:
-    """Return the folder of the four synthetic people that ``glsplat evaluate`` takes by default.
+    """Return the folder of the four synthetic people that are the default of ``glsplat evaluate``.
 
-    Raises FormatError where the package does not lie in files (a zip archive).
+    Raises FormatError if the package is in a zip archive.
     """
     folder = resources.files("glsplat.data") / "participants"
     if not isinstance(folder, Path):

@@ -1,1 +1,1 @@
-"""OpenGL contexts: making them, taking turns with others, leaving them as they were found."""
+"""OpenGL contexts: create them, make them current, and restore the state of a shared one."""

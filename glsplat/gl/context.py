@@ -1,6 +1,6 @@
-"""OpenGL contexts without a window: EGL with device choice, OSMesa through its C library, or one that is given.
+"""OpenGL contexts without a window: EGL on a chosen device, OSMesa through its C library, or a given context.
 
-What a driver can do is probed by rendering, not read from extension strings (docs/shaders.md has the reasons).
+The abilities of a driver are probed by rendering, not read from extension strings (docs/shaders.md has the reasons).
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ INSTALL = (
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """A moderngl context and what it can do. Belongs to the thread that made it (docs/python.md).
+    """A moderngl context and its abilities. It belongs to the thread that made it (docs/python.md).
 
-    glsplat enters it by itself. For OpenGL of your own use ``with context:``, which makes it current and gives back
-    what was current before.
+    glsplat makes it current by itself. For your own OpenGL calls use ``with context:``, which makes it current and
+    restores the previous context afterwards.
     """
 
     ctx: moderngl.Context
@@ -47,61 +47,61 @@ class Context:
     vertex_layers: bool  # the vertex shader can write gl_Layer (probed)
     vertex_ids: bool  # gl_VertexID counts beyond the first 4096 points of a draw (probed)
     compute: bool  # OpenGL 4.3
-    vertex_storage: bool  # and its vertex shader reads storage buffers
+    vertex_storage: bool  # OpenGL 4.3 with storage buffers in vertex shaders
     software: bool  # a software rasterizer
-    scratch: moderngl.Framebuffer  # 1x1; what is bound while nothing is drawn
+    scratch: moderngl.Framebuffer  # 1x1, bound between frames
     owner: Owner
-    state: GLState | None = None  # of a given context, which is left as it was found
-    _stays: list[ContextGuard] = field(default_factory=list)
+    state: GLState | None = None  # saves and restores the state of a given context
+    _guards: list[ContextGuard] = field(default_factory=list)
 
     @property
     def driver(self) -> str:
-        """Renderer and version strings of the driver."""
+        """Return the renderer and version strings of the driver."""
         return f"{self.ctx.info['GL_RENDERER']}, {self.ctx.info['GL_VERSION']}"
 
     @property
     def max_size(self) -> int:
-        """Largest width or height of a target in pixels."""
+        """Return the largest width or height of a target in pixels."""
         info = self.ctx.info
         return min(info["GL_MAX_TEXTURE_SIZE"], *info["GL_MAX_VIEWPORT_DIMS"])
 
     @property
     def released(self) -> bool:
-        """True after release()."""
+        """Return whether release() was called."""
         return isinstance(self.scratch.mglo, moderngl.InvalidObject)
 
     def entered(self, call: str) -> ContextGuard:
-        """``with`` it this context is current, its state is known, and afterwards all is as before.
+        """Return a context manager that makes this context current and restores everything afterwards.
 
-        Raises ContextError, which names ``call``, on another thread, in a forked child and after release().
+        It raises ContextError, which names ``call``, on another thread, in a forked child and after release().
         """
         if self.released:
             raise ContextError(f"{call}: this context was released; make a new one")
         return ContextGuard(self.owner, call, self.state)
 
     def __enter__(self) -> Context:
-        stay = ContextGuard(self.owner, "Context", None, draws=False)
-        stay.__enter__()
-        self._stays.append(stay)
+        guard = ContextGuard(self.owner, "Context", None, draws=False)
+        guard.__enter__()
+        self._guards.append(guard)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stays.pop().__exit__(kind, error, trace)
+        self._guards.pop().__exit__(kind, error, trace)
 
-    def loosen(self) -> None:
-        """Break the ring of references through the framebuffer in use, so that the last holder's end is the end."""
+    def break_cycle(self) -> None:
+        """Break the reference cycle through the bound framebuffer, so that the last reference frees the context."""
         if self.ctx.fbo is self.scratch:
             self.ctx.fbo = None  # type: ignore[assignment]  # as moderngl leaves a new context
 
     def release(self) -> None:
-        """Destroy the context unless it was given. May be called twice; raises ContextError on another thread."""
+        """Destroy the context unless it was given; may be called twice. Raises ContextError on another thread."""
         if self.released or self.owner.forked:
             return
         with self.entered("Context.release()"):
             if self.state is None:
-                self.scratch.use()  # moderngl restores the framebuffer that was bound, and fails if it is gone
+                self.scratch.use()  # moderngl rebinds the previous framebuffer, and fails if it is deleted
             else:
                 self.state.release()
             for texture in self.scratch.color_attachments:
@@ -118,12 +118,12 @@ def create_context(
     backend: str | None = None,
     given: moderngl.Context | None = None,
 ) -> Context:
-    """A context that can render, with its abilities probed.
+    """Return a context that can render, with its abilities probed.
 
     ``device`` is an index or a part of a name in ``egl_devices()``; by default GLSPLAT_DEVICE, else the first.
     ``backend`` is egl or osmesa; by default GLSPLAT_BACKEND, else EGL and, where EGL has no device, OSMesa.
-    ``given`` is your own moderngl context, current on this thread: it is left as it is found. A new context stays
-    current if none was. Raises ContextError with the list of devices or what to install.
+    ``given`` is your own moderngl context, current on this thread; its state is restored after every call. A new
+    context stays current if none was. Raises ContextError with the list of devices or the packages to install.
 
     >>> context = glsplat.create_context()
     >>> renderer = glsplat.Renderer(glsplat.default_avatar(), size=(320, 240), context=context)
@@ -142,7 +142,7 @@ def create_context(
     if given is not None:
         return _given(given)
     with _kept_current():
-        current.unbind()  # one library does not make a context current over another's
+        current.unbind()  # a library refuses to make a context current over one of another library
         return _created(device, backend)
 
 
@@ -162,7 +162,7 @@ def _created(device: int | str | None, backend: str | None) -> Context:
 
 
 def egl_devices() -> list[str]:
-    """Names of the EGL devices in index order, e.g. ["NVIDIA (cuda 0)", "Mesa software"]; empty without EGL."""
+    """Return the names of the EGL devices in index order, e.g. ["NVIDIA (cuda 0)", "Mesa software"]; [] without EGL."""
     path = ctypes.util.find_library("EGL")
     if path is None:
         return []
@@ -229,7 +229,7 @@ def _egl(wanted: int | str | None) -> moderngl.Context:
 
 
 def _made(**settings: Any) -> moderngl.Context:
-    """A new context that does not become moderngl's default one: that belongs to the user."""
+    """Return a new context without making it moderngl's default context, which belongs to the user."""
     store = getattr(moderngl, "_store", None)
     default = getattr(store, "default_context", None)
     try:
@@ -244,7 +244,7 @@ def _osmesa_library() -> str | None:
 
 
 class _OSMesa:
-    """What moderngl asks of a context object, on OSMesa's C functions."""
+    """moderngl's interface of a context object on OSMesa's C functions."""
 
     def __init__(self) -> None:
         path = _osmesa_library()
@@ -261,13 +261,13 @@ class _OSMesa:
         # format RGBA, profile core, version 3.3 at least (names from GL/osmesa.h)
         attributes = (ctypes.c_int * 9)(0x22, 0x1908, 0x33, 0x34, 0x36, 3, 0x37, 3, 0)
         self._handle = lib.OSMesaCreateContextAttribs(attributes, None)
-        self._pixels = ctypes.create_string_buffer(16 * 16 * 4)  # never drawn to; OSMesa wants one
+        self._pixels = ctypes.create_string_buffer(16 * 16 * 4)  # never drawn to, but OSMesa requires a buffer
         if not self._handle:
             raise ContextError("OSMesa gives no OpenGL 3.3 core context; update Mesa")
         self.__enter__()
 
     def load_opengl_function(self, name: str) -> int:
-        """Address of a GL function, as moderngl asks for it."""
+        """Return the address of a GL function, 0 if there is none."""
         return self._lib.OSMesaGetProcAddress(name.encode()) or 0
 
     def __enter__(self) -> _OSMesa:
@@ -297,10 +297,10 @@ def _own(ctx: moderngl.Context, backend: str) -> Context:
 
 def _given(given: moderngl.Context) -> Context:
     _check_version(given)
-    with _kept_current(whatever=True):
+    with _kept_current(always=True):
         try:
-            given.mglo.__enter__()  # a context of moderngl's becomes current
-        except Exception:  # a window's may have no such method: it has to be current
+            given.mglo.__enter__()  # makes a context of moderngl current
+        except Exception:  # the context of a window may lack this method: it has to be current already
             pass
         owner, state = owner_of(given, current.binding()), GLState(given)
         with owner.entered("create_context()", state):
@@ -308,16 +308,16 @@ def _given(given: moderngl.Context) -> Context:
 
 
 @contextmanager
-def _kept_current(whatever: bool = False) -> Iterator[None]:
-    """Give back what was current; if nothing was, only after an error, or ``whatever`` happens."""
+def _kept_current(always: bool = False) -> Iterator[None]:
+    """Make the previous context current again. Without one, unbind only after an error, or ``always``."""
     former = current.binding()
     try:
         yield
     except BaseException:
-        whatever = True
+        always = True
         raise
     finally:
-        if former is not None or whatever:
+        if former is not None or always:
             current.give_back(former)
 
 
@@ -333,12 +333,12 @@ def _probed(ctx: moderngl.Context, backend: str, owner: Owner, state: GLState | 
     layers = _vertex_layers(ctx, scratch)
     ids = _vertex_ids(ctx)
     compute = ctx.version_code >= 430
-    storage = compute and ctx.info["GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS"] > 0  # 4.3 lets a driver have none
+    storage = compute and ctx.info["GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS"] > 0  # OpenGL 4.3 allows 0
     return Context(ctx, backend, layers, ids, compute, storage, software, scratch, owner, state)
 
 
 def _vertex_ids(ctx: moderngl.Context) -> bool:
-    """Write gl_VertexID of many points and look: Mesa's softpipe (22.3.6) begins anew every 4096."""
+    """Return whether gl_VertexID counts all points of a draw: Mesa's softpipe (22.3.6) restarts it every 4096."""
     text = "out float id; void main() { id = float(gl_VertexID); gl_Position = vec4(0.0); }"
     source = flatten("probe.vert.glsl", {}, overrides={"probe.vert.glsl": text})
     program = link(ctx, "probe", {"vertex_shader": source}, ("id",))
@@ -355,7 +355,7 @@ def _vertex_ids(ctx: moderngl.Context) -> bool:
 
 
 def _vertex_layers(ctx: moderngl.Context, scratch: moderngl.Framebuffer) -> bool:
-    """Draw one pixel into each of two layers, routed by the vertex shader, and look."""
+    """Return whether the vertex shader can route a pixel to each of two layers."""
     variant = Variant(views=2)
     vertex = flatten("screen.vert.glsl", variant.defines())
     fragment = flatten(
@@ -375,7 +375,7 @@ def _vertex_layers(ctx: moderngl.Context, scratch: moderngl.Framebuffer) -> bool
         array.release()
         program.release()
         return bool(abs(int(layers[0]) - 128) <= 1 and layers[1] == 255)
-    except (moderngl.Error, ShaderError):  # a driver that rejects the shader answers the question as well
+    except (moderngl.Error, ShaderError):  # a driver that rejects the shader cannot either
         return False
     finally:
         scratch.use()

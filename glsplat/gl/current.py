@@ -1,7 +1,6 @@
-"""Which OpenGL context is current on this thread, and making another one so: EGL, GLX and OSMesa by their C functions.
+"""Query and switch the current OpenGL context of this thread through the C functions of EGL, GLX and OSMesa.
 
-Wherever none of the three is found (Windows, macOS) nothing is known and nothing is switched: whoever made the context
-keeps it current.
+Where none of the three is loaded (Windows, macOS), nothing is switched: the maker of a context keeps it current.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ Handle = int | None
 
 
 class Binding(NamedTuple):
-    """A context as one of the APIs binds it."""
+    """Arguments that make a context current in one of the APIs."""
 
     api: _Api
     context: int
@@ -28,7 +27,7 @@ class Binding(NamedTuple):
 
 
 class _Api:
-    """One way to make contexts current. A library this process has not loaded can have made none."""
+    """An API that makes contexts current. A library that this process has not loaded cannot have made one."""
 
     libraries: tuple[str, ...]
 
@@ -110,13 +109,13 @@ class _Glx(_Api):
 
 
 class _OSMesa(_Api):
-    """Shares Mesa's notion of the current context with Mesa's EGL and GLX, which do not hear of it when it changes."""
+    """OSMesa shares Mesa's current context with EGL and GLX, but does not notify them of a change."""
 
     libraries = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 
     def __init__(self) -> None:
         super().__init__()
-        self._as_seen: dict[int, Handle] = {}  # context of EGL or GLX -> what OSMesa calls it while it is current
+        self._as_seen: dict[int, Handle] = {}  # handle of EGL or GLX -> OSMesa's handle while it is current
 
     def _declare(self) -> None:
         self.context = self._function("OSMesaGetCurrentContext", _P)
@@ -128,7 +127,7 @@ class _OSMesa(_Api):
         self._get = self._function("OSMesaGetIntegerv", None, ctypes.c_int, out)
 
     def current(self, other: Binding | None = None) -> Binding | None:
-        """``other``: what EGL or GLX take for current."""
+        """Return the binding unless it is ``other``, the context that EGL or GLX report as current."""
         context = self.context() if self._lib else None
         if not context or (other is not None and self._as_seen.get(other.context, context) == context):
             return None
@@ -138,11 +137,11 @@ class _OSMesa(_Api):
         return Binding(self, context, (buffer, kind.value, width.value, height.value))
 
     def holds(self, other: int) -> bool:
-        """Whether the context that EGL or GLX take for current still is."""
+        """Return whether ``other``, which EGL or GLX report as current, still is."""
         return self._lib is None or (other in self._as_seen and self._as_seen[other] == self.context())
 
     def note(self, other: int) -> None:
-        """EGL or GLX just made that context current."""
+        """Record that EGL or GLX just made ``other`` current."""
         if self._lib:
             self._as_seen[other] = self.context()
 
@@ -164,26 +163,26 @@ if _find_symbol is not None:
 
 
 def look() -> None:
-    """See which of the libraries this process has loaded. Takes 0.1 ms; to be called where contexts are made."""
+    """Find the libraries that this process has loaded. Takes 0.1 ms; call it where contexts are made."""
     for api in _APIS:
         api.find()
 
 
 def _look_for_osmesa() -> None:
-    # somebody may have loaded it for all (as PyOpenGL does) after our contexts were made
+    # a library such as PyOpenGL may have loaded OSMesa after our contexts were made
     if _OSMESA._lib is None and _find_symbol is not None and _find_symbol(None, b"OSMesaGetCurrentContext"):
         look()
 
 
 def binding() -> Binding | None:
-    """What is current on this thread."""
+    """Return the current context of this thread."""
     _look_for_osmesa()
     other = _EGL.current() or _GLX.current()
     return _OSMESA.current(other) or other
 
 
 def is_current(mine: Binding) -> bool:
-    """Whether GL calls of this thread go to ``mine``."""
+    """Return whether GL calls of this thread go to ``mine``."""
     _look_for_osmesa()
     if mine.api is _OSMESA:
         return bool(_OSMESA.context() == mine.context)
@@ -198,7 +197,7 @@ def bind(mine: Binding) -> None:
             _GLX.unbind()
         _EGL.unbind()
     else:
-        if _OSMESA._lib:  # behind the back of the others: only what is bound anew is bound
+        if _OSMESA._lib:  # EGL and GLX skip a context that they believe current: unbind first
             _OSMESA.unbind()
             mine.api.unbind()
         (_GLX if mine.api is _EGL else _EGL).unbind()
@@ -212,7 +211,7 @@ def bind(mine: Binding) -> None:
 
 
 def give_back(former: Binding | None) -> None:
-    """What was current before is again; nothing is where that was nothing, or was destroyed, current as it was."""
+    """Make ``former`` current again; leave no context current if it is None or was destroyed."""
     if former is None:
         unbind()
     elif not is_current(former):

@@ -1,4 +1,4 @@
-"""GL functions that moderngl has no call for, by their names, from whatever made the context."""
+"""GL functions that moderngl does not wrap, loaded by name from the context's own loader."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["gl_functions"]
 
 
 def gl_functions(ctx: moderngl.Context) -> Callable[..., Any]:
-    """``function(name, result, *arguments)``: the C function "gl" + name of a context; None where it has none.
+    """Return a loader ``function(name, result, *arguments)`` of the C function "gl" + name; None where there is none.
 
-    ``result`` and ``arguments`` are ctypes; None as a result is void, no arguments are not checked.
+    ``result`` and ``arguments`` are ctypes. A result of None is void; without arguments calls are not checked.
     """
-    loader: Any = ctx.mglo._context  # whatever made the context
+    loader: Any = ctx.mglo._context
     load = getattr(loader, "load_opengl_function", None) or loader.load
     kind: Callable[..., Any] = ctypes.WINFUNCTYPE if os.name == "nt" else ctypes.CFUNCTYPE  # type: ignore[attr-defined]
 

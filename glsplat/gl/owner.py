@@ -1,7 +1,7 @@
-"""Owner: the process and the thread a context belongs to, and what nobody released in it.
+"""Owner: the process and the thread of a context, and its GL objects queued for deletion.
 
-Everything that owns GL objects does its work inside ``with owner.entered(...)``: the context is made current, and what
-was current before is given back. Both together cost a few microseconds.
+Everything that owns GL objects works inside ``with owner.entered(...)``: the context is made current, and the previous
+one is restored. Both together cost a few microseconds.
 """
 
 from __future__ import annotations
@@ -41,45 +41,45 @@ _FORKED = (
 
 
 class State(Protocol):
-    """GL state that a user set."""
+    """Saves and restores GL state that the user set."""
 
     def save(self) -> Any:
-        """Note it, and set what drawing needs."""
+        """Return the current state, and set what drawing needs."""
 
     def restore(self, was: Any) -> None:
-        """Set what was noted."""
+        """Restore the saved state."""
 
 
 class Owner:
-    """Of one OpenGL context."""
+    """Owner of one OpenGL context: its process, its thread, and objects queued for deletion."""
 
     def __init__(self, binding: current.Binding | None) -> None:
         global _made_after
-        self.orphans: list[Callable[[], None]] = []  # what releases things that were dropped without release()
-        self.inside = 0  # stays that are not over
-        self._busy: tuple[str, FrameType] | None = None  # the call that draws, and where
+        self.orphans: list[Callable[[], None]] = []  # deletes objects that were garbage collected without release()
+        self.inside = 0  # guards that are entered
+        self._busy: tuple[str, FrameType] | None = None  # the active draw call and its frame
         self.destroyed = False
         self.warned = False
         self.adopt(binding)
         _made_after = _forks
 
     def adopt(self, binding: current.Binding | None) -> None:
-        """This thread is the owner from now on, and its context is ``binding`` (None: nothing is known of it)."""
+        """Make this thread the owner of ``binding``; None if the platform cannot report it."""
         self.binding, self.thread, self._forks = binding, threading.get_ident(), _forks
         self._name = threading.current_thread().name
 
     @property
     def forked(self) -> bool:
-        """True in a child of the process that made the context."""
+        """Return whether this is a forked child of the process that made the context."""
         return self._forks != _forks
 
     @property
     def here(self) -> bool:
-        """True on the owner's thread."""
+        """Return whether this is the owner's thread."""
         return self.thread == threading.get_ident() and not self.forked
 
     def check(self, call: str) -> None:
-        """ContextError on any thread but the owner's, in a forked child, and within a call that draws."""
+        """Raise ContextError on another thread, in a forked child, and within an active draw call."""
         if self._forks != _forks:
             raise ContextError(f"{call}: the OpenGL context {_FORKED}")
         if self.thread != threading.get_ident():
@@ -89,7 +89,7 @@ class Owner:
             )
         if self._busy is None:
             return
-        # one that was broken off while it ended is still noted, but nobody's caller any more
+        # a draw that an exception interrupted while it ended is still recorded, but no longer a caller
         former, begun = self._busy
         frame: FrameType | None = sys._getframe()
         while frame is not None and frame is not begun:
@@ -101,31 +101,31 @@ class Owner:
             )
 
     def begin(self, call: str, frame: FrameType) -> None:
-        """From now on ``call`` draws, which was called in ``frame``."""
+        """Mark ``call`` in ``frame`` as the active draw; nested calls are refused."""
         self._busy = call, frame
 
     def end(self) -> None:
-        """Nothing draws any more."""
+        """Clear the active draw."""
         self._busy = None
 
     def entered(self, call: str, state: State | None = None) -> ContextGuard:
-        """``with`` it the context is current; then what was before is again. Raises ContextError as check() does."""
+        """Return a context manager that makes the context current, then restores the former. Raises as check() does."""
         return ContextGuard(self, call, state)
 
     def leave(self) -> None:
-        """Leave the thread without a context if this one is current."""
+        """Unbind the context if it is current on this thread."""
         if self.binding is not None and current.is_current(self.binding):
             current.unbind()
 
 
 class ContextGuard:
-    """One stay in a context."""
+    """Context manager: makes a context current, and restores the previous one and its state."""
 
     __slots__ = ("_call", "_draws", "_former", "_owner", "_state", "_switched", "_was")
 
     def __init__(self, owner: Owner, call: str, state: State | None, draws: bool = True) -> None:
         self._owner, self._call, self._state = owner, call, state
-        self._draws = draws  # else others may draw within it
+        self._draws = draws  # False: calls within it may draw
         self._switched, self._was = False, None
         self._former: current.Binding | None = None
 
@@ -146,7 +146,7 @@ class ContextGuard:
                 owner.orphans.pop()()
             if self._draws:
                 owner.begin(self._call, sys._getframe(1))
-        except BaseException:  # Ctrl-C as well: what was current must not be lost
+        except BaseException:  # also Ctrl-C: the previous context has to be restored
             self._leave()
             raise
 
@@ -169,11 +169,11 @@ class ContextGuard:
 
 _owners: weakref.WeakKeyDictionary[moderngl.Context, Owner] = weakref.WeakKeyDictionary()
 _orphans: dict[int, list[Callable[[], None]]] = {}
-"""Contexts that were dropped on another thread than theirs, or in the middle of a frame; by their thread."""
+"""Deletions of contexts that were dropped on another thread than their own, or during a frame; by thread."""
 
 
 def owner_of(ctx: moderngl.Context, binding: current.Binding | None = None) -> Owner:
-    """The one owner of ``ctx``. A context that is met for the first time belongs to this thread."""
+    """Return the owner of ``ctx``. An unknown context becomes owned by this thread."""
     owner = _owners.get(ctx)
     if owner is None:
         owner = _owners[ctx] = Owner(binding or current.binding())
@@ -183,13 +183,13 @@ def owner_of(ctx: moderngl.Context, binding: current.Binding | None = None) -> O
 
 
 def check_process() -> None:
-    """ContextError in a child of a process that made contexts: the driver would wait for threads for ever."""
+    """Raise ContextError in a forked child of a process with contexts: the driver's threads are missing there."""
     if _made_after not in (None, _forks):
         raise ContextError(f"an OpenGL context {_FORKED}")
 
 
 def destroy_when_dropped(ctx: moderngl.Context, owner: Owner, label: str) -> None:
-    """Destroy the context once nobody holds ``ctx`` any more, with a ResourceWarning unless it was released."""
+    """Destroy the context when ``ctx`` is garbage collected, with a ResourceWarning unless it was released."""
     native = ctx.mglo
 
     def destroy() -> None:
@@ -207,10 +207,10 @@ def destroy_when_dropped(ctx: moderngl.Context, owner: Owner, label: str) -> Non
 
 
 def release_later(label: str, owner: Owner, release: Callable[[], None], owns_context: bool) -> None:
-    """From ``__del__``: warn, and free it, or have it freed when its thread next draws.
+    """Warn that an object was not released, and queue ``release``. Called by ``__del__``.
 
-    It may be any thread's garbage collector that calls, and in the middle of a frame. What lies in a context that
-    others use waits until they enter it; a context of its own is entered now if this is its thread.
+    The garbage collector may run on any thread and during a frame. Objects in a shared context are freed the next time
+    its owner enters it. An object that owns its context is freed now if this is its thread.
     """
     if owner.forked or sys.is_finalizing():
         return
@@ -218,12 +218,12 @@ def release_later(label: str, owner: Owner, release: Callable[[], None], owns_co
         _free(owner, release)
     else:
         owner.orphans.append(release)
-    owner.warned = owner.warned or owns_context  # one warning is enough for both
+    owner.warned = owner.warned or owns_context  # one warning for the object and its context
     _warn(label)
 
 
 def release_dropped() -> None:
-    """Free what was dropped by this thread, or for it."""
+    """Destroy the contexts queued for deletion on this thread."""
     for release in _orphans.pop(threading.get_ident(), ()):
         release()
 
@@ -236,5 +236,5 @@ def _free(owner: Owner, release: Callable[[], None]) -> None:
 
 
 def _warn(label: str) -> None:
-    # without the object as its source: whoever records warnings would keep it alive
+    # no ``source``: a recorded warning would keep the object alive
     warnings.warn(f"{label} was never released; call release() or use a with block", ResourceWarning, 4)

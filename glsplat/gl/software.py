@@ -1,4 +1,4 @@
-"""Drivers that draw on the processor, by the names that they give themselves."""
+"""Recognise software rasterizers by their driver names."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ _NAMES = ("llvmpipe", "softpipe", "lavapipe", "swrast", "swiftshader")
 
 
 def is_software(driver: str) -> bool:
-    """Whether that driver (GL_RENDERER) shares the processor with everything else."""
+    """Return whether ``driver`` (GL_RENDERER) renders on the CPU."""
     return any(name in driver.lower() for name in _NAMES)

@@ -1,7 +1,7 @@
-"""GLState: the state of somebody else's context, noted before glsplat draws in it and set again afterwards.
+"""GLState: saves the state of a given context before glsplat draws in it, and restores it afterwards.
 
-moderngl sets only what it is told to, and can ask for little; what a user set by other means is asked for by the GL
-functions themselves. docs/python.md lists what is not looked after.
+moderngl can query little of the GL state, so it is read by GL functions. docs/python.md lists the state that is not
+restored.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ _INTEGERS: dict[str, tuple[int, int, int]] = {
     "clip_origin": (0x935C, 1, 450),
     "clip_depth": (0x935D, 1, 450),
 }
-# pixel store: name -> (enum, what moderngl's reads and writes need)
+# pixel store: enum -> value that moderngl's reads and writes need; None: moderngl sets it
 _PIXEL_STORE = {
     0x0D00: 0,  # GL_PACK_SWAP_BYTES
     0x0D02: 0,  # ROW_LENGTH
     0x0D03: 0,  # SKIP_ROWS
     0x0D04: 0,  # SKIP_PIXELS
-    0x0D05: None,  # ALIGNMENT: moderngl sets it
+    0x0D05: None,  # ALIGNMENT
     0x806C: 0,  # IMAGE_HEIGHT
     0x806B: 0,  # SKIP_IMAGES
     0x0CF0: 0,  # GL_UNPACK_..., in the same order
@@ -61,7 +61,7 @@ _PIXEL_STORE = {
     0x806E: 0,
     0x806D: 0,
 }
-# enum -> (what drawing needs, least GL version); None: moderngl sets it
+# enum -> (value that drawing needs, least GL version); None: moderngl sets it
 _SWITCHES: dict[int, tuple[bool | None, int]] = {
     0x0BE2: (None, 330),  # BLEND
     0x0B71: (None, 330),  # DEPTH_TEST
@@ -73,7 +73,7 @@ _SWITCHES: dict[int, tuple[bool | None, int]] = {
     0x809F: (False, 330),  # SAMPLE_ALPHA_TO_ONE
     0x0B90: (False, 330),  # STENCIL_TEST
     0x0BF2: (False, 330),  # COLOR_LOGIC_OP
-    0x0BD0: (True, 330),  # DITHER: as a context of our own has it
+    0x0BD0: (True, 330),  # DITHER: the default of a new context
     0x8F9D: (False, 330),  # PRIMITIVE_RESTART
     0x8D69: (False, 430),  # PRIMITIVE_RESTART_FIXED_INDEX
     0x8DB9: (False, 330),  # FRAMEBUFFER_SRGB
@@ -86,7 +86,7 @@ _SWITCHES: dict[int, tuple[bool | None, int]] = {
     0x864F: (False, 330),  # DEPTH_CLAMP
     **{0x3000 + i: (False, 330) for i in range(8)},  # CLIP_DISTANCEi
 }
-_ENABLE_ONLY = {  # what moderngl remembers by itself
+_ENABLE_ONLY = {  # switches that moderngl tracks itself
     0x0BE2: moderngl.BLEND,
     0x0B71: moderngl.DEPTH_TEST,
     0x0B44: moderngl.CULL_FACE,
@@ -140,7 +140,7 @@ _TESTS = tuple("Is" + kind for kind in "Framebuffer VertexArray Buffer Texture S
 
 
 class Snapshot(NamedTuple):
-    """What was set when we came."""
+    """GL state saved by ``GLState.save``."""
 
     integers: tuple[int, ...]
     floats: tuple[float, ...]  # clear colour, clear depth, depth range
@@ -153,7 +153,7 @@ class Snapshot(NamedTuple):
 
 
 class GLState:
-    """Of one context: ``snapshot = save()``, then draw, then ``restore(snapshot)``; current while that is done."""
+    """State of one context: ``snapshot = save()``, draw, ``restore(snapshot)``. The context has to be current."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
@@ -161,7 +161,7 @@ class GLState:
         function = gl_functions(ctx)
         self._gl = {name: function(name, None, *arguments) for name, arguments in _SIGNATURES.items()}
         self._gl |= {name: function(name, ctypes.c_ubyte, _U) for name in _TESTS}
-        # asked dozens of times a frame: without declared arguments a call is a third cheaper
+        # called dozens of times a frame: a call without declared arguments is a third cheaper
         self._get: Any = function("GetIntegerv", None)
         self._enabled: Any = function("IsEnabled", ctypes.c_ubyte)
         self._integers = (ctypes.c_int * 64)()
@@ -180,22 +180,22 @@ class GLState:
         self._switches = [(enum, needed) for enum, (needed, least) in _SWITCHES.items() if version >= least]
         self._slots = [(*_UNIFORM, 0)]
         self._version = version
-        self._own = ctypes.c_uint(0)  # so that slots of the user's transform feedback stay as they are
+        self._own = ctypes.c_uint(0)  # own transform feedback, which keeps the user's slots unchanged
         if version >= 400:
             self._gl["GenTransformFeedbacks"](1, ctypes.byref(self._own))
 
     def save(self) -> Snapshot:
-        """Note what is set, then set what the passes do not set themselves."""
+        """Return the current state, then set the state that the passes rely on but do not set."""
         snapshot = self._read()
         self._neutral(snapshot)
         return snapshot
 
-    def look_after_storage(self) -> None:
-        """From now on the shader storage slots of the GPU sorter and of the draw too."""
+    def include_storage(self) -> None:
+        """Also save and restore the shader storage slots of the GPU sorter and the draw."""
         self._slots = [(*_UNIFORM, 0)] + [(*_STORAGE, i) for i in _STORAGE_SLOTS if self._version >= 430]
 
     def release(self) -> None:
-        """Delete what restoring needed."""
+        """Delete the own transform feedback."""
         if self._own.value:
             self._gl["DeleteTransformFeedbacks"](1, ctypes.byref(self._own))
             self._own.value = 0
@@ -247,7 +247,7 @@ class GLState:
         for (switch, wanted), on in zip(self._switches, was.switches, strict=True):
             if wanted is not None and wanted != on:
                 gl["Enable" if wanted else "Disable"](switch)
-        # moderngl skips what it takes for set, which need not be what is: all on and all off, then both agree
+        # moderngl skips switches that it believes set: all on, then all off makes its record true
         self._ctx.enable_only(_ALL)
         self._ctx.enable_only(moderngl.NOTHING)
         for (enum, need), value in zip(_PIXEL_STORE.items(), was.pixel_store, strict=True):
@@ -275,7 +275,7 @@ class GLState:
             gl["BindTransformFeedback"](0x8E22, self._own.value)
 
     def restore(self, was: Snapshot) -> None:
-        """Set again what was set. What has been deleted meanwhile stays unbound."""
+        """Restore a saved state. Objects that were deleted meanwhile stay unbound."""
         gl, at, values, ctx = self._gl, self._at, was.integers, self._ctx
         bind = gl["BindBuffer"]
 
@@ -341,7 +341,7 @@ class GLState:
             if value(name):
                 bind(target, alive("IsBuffer", value(name)))
         gl["BindVertexArray"](alive("IsVertexArray", value("vertex_array")))
-        gl["UseProgram"](alive("IsProgram", value("program")))  # a deleted one lived only while it was in use
+        gl["UseProgram"](alive("IsProgram", value("program")))  # a deleted program lived only while it was in use
 
 
 def _gone(framebuffer: Any) -> bool:

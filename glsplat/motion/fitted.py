@@ -1,4 +1,4 @@
-"""Motions on another body, in a turned world, and with their feet on its floor."""
+"""Adapt motions: to another body, to a rotated world, and to the floor."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDES = ("left", "right")
 _FOOT_NAMES = [f"{side}_{part}" for side in _SIDES for part in ("ankle", "foot")]
 _FEET = [_AT[name] for name in _FOOT_NAMES]
-_STANDING = 20  # percent of the frames in which the lower foot may be below the floor
-_SAME = 2e-4  # metres; bodies whose joints lie nearer than that are one, as motions are rounded
+_FLOOR_PERCENTILE = 20  # of the lower foot's heights
+_SAME_BODY_M = 2e-4  # largest distance of joints of equal bodies; the numbers in motion files are rounded
 
 
 def body_of(joints: object) -> Skeleton:
@@ -34,7 +34,7 @@ def body_of(joints: object) -> Skeleton:
 
 
 def leg_length(joints: F64) -> float:
-    """Return metres from hip over knee to ankle, the mean of both legs; of [55, 3] rest positions."""
+    """Return the length in metres from hip over knee to ankle, mean of both legs; ``joints`` [55, 3] at rest."""
     chains = [[joints[_AT[f"{side}_{part}"]] for part in ("hip", "knee", "ankle")] for side in _SIDES]
     return float(np.mean([np.linalg.norm(np.diff(chain, axis=0), axis=1).sum() for chain in chains]))
 
@@ -42,10 +42,10 @@ def leg_length(joints: F64) -> float:
 def fitted(rotations: F64, trans: F64, made_for: Skeleton, skeleton: Skeleton) -> F64:
     """Return translations [T, 3] for ``skeleton`` of a motion [T, 55, 3], [T, 3] made for another body.
 
-    All ways are scaled by the lengths of the legs. Then each frame's lowest foot joint is as high above where it rests
-    as it is on the first body, in leg lengths: what stood, stands, and what jumped, jumps.
+    Translations are scaled by leg length. The lowest foot joint of each frame then keeps its height above its rest
+    position, in leg lengths, so that standing feet stand and jumps stay jumps.
     """
-    if np.abs(made_for.joints - skeleton.joints).max() < _SAME:
+    if np.abs(made_for.joints - skeleton.joints).max() < _SAME_BODY_M:
         return trans
     scale = leg_length(skeleton.joints) / max(leg_length(made_for.joints), 1e-9)
     out = trans * scale
@@ -56,12 +56,12 @@ def fitted(rotations: F64, trans: F64, made_for: Skeleton, skeleton: Skeleton) -
 
 
 def _clearance(skeleton: Skeleton, rotations: F64) -> float:
-    """Return metres from its rest height up to the lowest foot joint, without a translation."""
+    """Return the height in metres of the lowest foot joint above its rest position, without a translation."""
     return float((skeleton.forward(rotations)[_FEET, 1, 3] - skeleton.joints[_FEET, 1]).min())
 
 
 def turned(rotations: F64, trans: F64, turn: F64, skeleton: Skeleton) -> tuple[F64, F64]:
-    """Turn the world of a motion: x' = Q x for x = R (v - J0) + J0 + t."""
+    """Return a motion in a rotated world: x' = Q x for x = R (v - J0) + J0 + t."""
     root = skeleton.joints[0]
     out = np.array(rotations)
     out[:, 0] = quaternion_vectors(quaternion_product(quaternion_of(turn), vector_quaternions(rotations[:, 0])))
@@ -69,9 +69,9 @@ def turned(rotations: F64, trans: F64, turn: F64, skeleton: Skeleton) -> tuple[F
 
 
 def grounded(rotations: F64, trans: F64, skeleton: Skeleton) -> F64:
-    """Shift ``trans`` so that a standing lower foot is mostly as high as in the zero pose.
+    """Return ``trans`` [T, 3] shifted so that a standing foot is at its height in the zero pose.
 
-    The height is a low percentile over the frames, not the minimum: a toe that bends down would lift the rest.
+    Uses a low percentile of the lower foot's height: with the minimum, a single bent toe would lift all frames.
     """
     feet = [i for i, name in enumerate(skeleton.names) if name in _FOOT_NAMES]
     if not feet:
@@ -82,4 +82,4 @@ def grounded(rotations: F64, trans: F64, skeleton: Skeleton) -> F64:
         float((skeleton.forward(turn, shift)[feet, 1, 3] - rest).min())
         for turn, shift in zip(rotations[::step], trans[::step], strict=True)
     ]
-    return trans - np.array([0, np.percentile(lowest, _STANDING), 0])
+    return trans - np.array([0, np.percentile(lowest, _FLOOR_PERCENTILE), 0])

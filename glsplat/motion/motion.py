@@ -1,4 +1,4 @@
-"""Motion: a pose for every moment."""
+"""Motion: a sequence of poses at a constant rate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Motion"]
 
 F64 = NDArray[np.float64]
 
-_DEGREES = 4 * np.pi  # an angle beyond two turns was not meant in radians
+_MAX_ANGLE_RAD = 4 * np.pi  # a larger angle is in degrees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,11 +31,11 @@ class Motion:
     names: tuple[str, ...] = JOINT_NAMES
     label: str = field(default="", compare=False)
     note: str = field(default="", compare=False)
-    """What a user should know: of several in a file, which one this is; what was left out of it."""
+    """Note for the user: which motion of a file this is, and what was left out."""
     known_up: bool = field(default=False, compare=False)
-    """The format says what is up, as glTF does, or the user."""
+    """Whether the format (as glTF) or the user defines the up axis."""
     expressions: tuple[Mapping[str, float], ...] = ()
-    """T weights of an avatar's shapes by name; empty: none in any frame."""
+    """Weights of an avatar's shapes by name, one mapping per frame; empty: no expressions."""
 
     def __post_init__(self) -> None:
         frames, joints = len(self.rotations), len(self.names)
@@ -57,7 +57,7 @@ class Motion:
             if bad.any():
                 raise PoseError(f"frame {int(bad.argmax())} holds NaN or infinity; a motion needs finite numbers")
         angle = np.linalg.norm(self.rotations, axis=2).max(axis=1)
-        if angle.max() > _DEGREES:
+        if angle.max() > _MAX_ANGLE_RAD:
             worst = int(angle.argmax())
             raise PoseError(f"frame {worst} turns a joint by {angle[worst]:.0f} rad; angles are radians, not degrees")
 
@@ -66,25 +66,26 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Seconds of one round: frames / fps."""
+        """Seconds of one loop: frames / fps."""
         return len(self) / self.fps
 
     def pose(self, frame: int) -> Pose:
-        """Return the pose of a frame; negative indices count from the end."""
+        """Return the pose of a frame; negative indices count from the end. Raises PoseError."""
         if not -len(self) <= frame < len(self):
             raise PoseError(f"frame {frame} does not exist; this motion has {len(self)}")
         return Pose(self.rotations[frame], self.trans[frame], expression=self._face(frame % len(self)))
 
     def _face(self, first: int, second: int = 0, part: float = 0.0) -> Mapping[str, float]:
-        """Return the expression of a frame, or of ``part`` of the way to the ``second``."""
+        """Return the expression of a frame, interpolated towards ``second`` by ``part``."""
         if not self.expressions:
             return {}
         return mixed(self.expressions[first], self.expressions[second], part) if part else self.expressions[first]
 
     def at(self, seconds: float, loop: bool = True) -> Pose:
-        """Return the pose at a time: rotations by slerp, translation linearly.
+        """Return the pose at a time: rotations by slerp, translation linearly. Raises PoseError.
 
-        ``loop`` repeats with the period ``duration`` (the last frame leads back to the first); else time is clamped.
+        ``loop`` repeats with the period ``duration``, interpolating from the last frame to the first; otherwise time
+        is clamped.
         """
         if not np.isfinite(seconds):
             raise PoseError(f"a time needs to be finite, not {seconds}")

@@ -82,7 +82,7 @@ class Renderer:
         self._prepared: Prepared | None = None  # valid until the next call
         self._released = False
         if self.context.state is not None and (self.config.sorter != "cpu" or self.config.debug.fetch != "attributes"):
-            self.context.state.look_after_storage()
+            self.context.state.include_storage()
         try:
             with self.context.entered("Renderer()"):
                 checks.check_driver(self.config, self.context)
@@ -349,7 +349,7 @@ class Renderer:
                 self._free(stack)
         self._released = True
         if self._owns_context:
-            self.context.loosen()
+            self.context.break_cycle()
 
 
 class Prepared:

@@ -1,4 +1,4 @@
-"""GLSL: chunks put together to programs by a variant, compiled for a context or handed to a page."""
+"""GLSL: chunks assembled into programs by a variant, compiled for a context or sent to the page."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-// What lies behind the splats: the views' backgrounds where a plain clear cannot tell them apart, and meshes.
+// Writes what is behind the splats: backgrounds that differ between views, and meshes.
 #include "frame.glsl"
 #if OCCLUDED || SAMPLED
 #include "mesh_layer.glsl"
@@ -20,7 +20,7 @@ void main() {
     vec4 mesh = mesh_colour_at(pixel, layer);
     if (mesh.a > 0.0) {
 #if SAMPLED
-        // all or nothing, by the centre: what splats would show through the rest of the pixel is not known here
+        // coverage 0 or 1, by the pixel's centre: the splats behind a partly covered pixel are not drawn yet
         vec4 samples = mesh_samples_at(pixel, layer);
         if (samples.a > 0.0) mesh.rgb = samples.rgb / samples.a;
 #endif

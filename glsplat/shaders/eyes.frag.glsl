@@ -1,9 +1,9 @@
-// The float layers to a headset's images, an instance an eye; row 0 is the bottom there. A pixel is a texel: no filter.
-// With ROOM also what stands around the avatar: a mirror's frame and glass, and a floor. Twin of the planes: xr/room.py.
+// Copies the float layers to a headset's images, an instance per eye, without filtering; row 0 is the bottom there.
+// ROOM adds the frame and glass of a mirror, and a floor. Twin of the planes: extras/openxr/room.py.
 uniform sampler2DArray target;
 uniform int first;  // the eye of the first instance
 uniform int rows;   // pixels of an image
-uniform vec3 corner;  // of a window: where the picture begins in it, and its pixels a pixel of the window; else 0, 0, 1
+uniform vec3 corner;  // in a window: corner of the picture, and picture pixels per window pixel; else 0, 0, 1
 #if LIFTED
 #include "lift.glsl"
 uniform vec3 first_background, second_background;
@@ -18,17 +18,17 @@ uniform vec2 depth_range;  // near and far in metres
 #if ROOM
 uniform mat3 glass_from_pixel[2];  // metres on the mirror's plane, homogeneous; z > 0 where the eye looks at it
 uniform mat3 floor_from_pixel[2];
-uniform vec4 glass;  // half of its width, bottom and top in metres, width of the frame; width 0: no mirror
-uniform vec3 extent;  // of the floor: half its side, fade from the eye (metres), 0: no floor, 1: one
-uniform vec2 eye[2];  // x and z over the floor
+uniform vec4 glass;  // metres: half width, bottom, top, width of the frame; half width 0: no mirror
+uniform vec3 extent;  // floor: half its side and the fade distance in metres; 1 if there is a floor, else 0
+uniform vec2 eye[2];  // x and z on the floor
 const vec3 FRAME = vec3(0.45, 0.36, 0.22), LINES = vec3(0.22, 0.26, 0.33);
-const float THICK = 0.006;  // metres, half of a line
+const float THICK = 0.006;  // half the width of a line in metres
 #endif
 flat in int layer;
 out vec4 fragment;
 
 #if ROOM
-float grid(vec2 at, vec2 seen) {  // cover of lines a metre apart, at least a pixel wide
+float grid(vec2 at, vec2 seen) {  // coverage of lines a metre apart, at least a pixel wide
     vec2 off = abs(at - round(at)), wide = max(vec2(THICK), 0.5 * seen);
     vec2 cover = clamp((wide - off) / seen + 0.5, 0.0, 1.0) * THICK / wide;
     return max(cover.x, cover.y);
@@ -46,7 +46,7 @@ vec4 placed(vec4 picture, vec3 pixel, int view) {
     vec2 spot = mirror.xy / mirror.z, middle = vec2(0.0, 0.5 * (glass.y + glass.z));
     vec2 beyond = abs(spot - middle) - vec2(glass.x, 0.5 * (glass.z - glass.y));
     float most = max(beyond.x, beyond.y);
-    if (most <= 0.0) return vec4(picture.rgb, 1.0);  // the glass is black where nobody is
+    if (most <= 0.0) return vec4(picture.rgb, 1.0);  // the glass is black behind people
     return most <= glass.w ? vec4(FRAME, 1.0) : around;
 }
 #endif
@@ -69,7 +69,7 @@ void main() {
     colour = placed(colour, vec3(vec2(texel.xy) + 0.5, 1.0), view);
 #endif
 #if LINEAR
-    colour.rgb = linear_of(colour.rgb);  // the image is not encoded: runtimes take its bytes for light
+    colour.rgb = linear_of(colour.rgb);  // the image has a linear format: runtimes read its bytes as linear light
 #endif
     fragment = colour;
 }

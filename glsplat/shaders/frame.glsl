@@ -1,8 +1,8 @@
-// The per-frame block. One numpy record writes it: frame_dtype in renderer/frame_block.py (a test compares the sizes).
+// The uniform block of a frame. Twin: frame_dtype in renderer/frame_block.py (a test compares the sizes).
 struct View {
-    vec4 rows[3];     // camera from scene, rows of [R | t]; the scene's origin is already subtracted (float64, host)
+    vec4 rows[3];     // camera from scene, rows of [R | t], relative to the scene's origin (composed in float64)
     vec4 intrinsics;  // fx, fy, cx, cy in pixels
-    vec4 limits;      // smallest and largest x/z, then y/z, for the Jacobian (gsplat: 0.3 half fields beyond the image)
+    vec4 limits;      // smallest and largest x/z, then y/z, for the Jacobian (gsplat: 15 % beyond the image)
     vec4 eye;         // xyz: the eye in scene coordinates
     vec4 background;  // rgb
     vec4 range;       // near, far

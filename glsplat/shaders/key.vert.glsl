@@ -1,4 +1,4 @@
-// Key pass: depth as a sortable uint, nearest first, or why no view draws the splat; and where it falls.
+// Key pass: depth as a sortable uint, nearest first, or the reason of culling; and the splat's screen bounds and cost.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "covariance.glsl"
@@ -9,8 +9,8 @@
 #endif
 
 flat out uint key;
-// x: tiles of 1/256 of the image that the splat touches in any view: x0, y0, x1, y1, a byte each;
-// y: blocks of 4x4 pixels that its box covers, summed over the views (renderer/key.py)
+// x: bounds in any view, in units of 1/256 of the image: x0, y0, x1, y1, a byte each;
+// y: blocks of 4x4 pixels that its bounds cover, summed over the views (renderer/key.py)
 flat out uvec2 cover;
 
 void main() {
@@ -41,7 +41,7 @@ void main() {
     }
     uvec4 tiles = uvec4(clamp(vec4(low, high), 0.0, 255.0));
     cover = uvec2(tiles.x | tiles.y << 8 | tiles.z << 16 | tiles.w << 24, cost);
-    // IEEE floats compare like integers once the sign is undone; codes lie above every finite key
+    // with this sign handling IEEE floats compare like integers; codes are above every finite key
     uint bits = floatBitsToUint(dot(frame.sort_row.xyz, splat.mean) + frame.sort_row.w);
     bits = (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;
     key = reason == VISIBLE ? min(bits, 0xFFFFFEFFu) : 0xFFFFFF00u + reason;

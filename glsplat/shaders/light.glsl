@@ -1,16 +1,16 @@
-// Light on what is a surface: nine coefficients of ambient light and a sun. Twins: reference.shading, reference.lit.
-// The direct light of a body's own hollows is a cone about the normal as wide as its occlusion says.
+// Lighting of splats with a surface: nine coefficients of ambient light and a sun. Twins: reference.shading,
+// reference.lit. Direct light reaches an occluded point within a cone about the normal, whose width is its openness.
 #include "srgb.glsl"
-uniform sampler2D surfaces;  // two texels a splat: normal in the splat's own axes (0: no surface), occlusion; 1 / shade
+uniform sampler2D surfaces;  // two texels per splat: normal in the splat's own axes (0: none), occlusion; 1 / shade
 uniform vec4 light[11];      // irradiance over pi: coefficients by their monomials, the sun's direction, its colour
-const float SOFT = 0.3;         // of the cosine, over which a hollow takes the sun away
+const float SOFT = 0.3;      // range of the cosine over which occlusion fades the sun out
 
-vec3 axis(vec3 column) {  // unit, or zero: below 1e-15 m a float has no direction left
+vec3 axis(vec3 column) {  // unit, or zero below 1e-15 m, where the direction of a float vector is lost
     float square = dot(column, column);
     return square > 1e-30 ? column * inversesqrt(square) : vec3(0.0);
 }
 
-vec3 turned_normal(mat3 shape, vec3 normal) {  // to the scene's axes; a flat splat's third axis follows from two
+vec3 turned_normal(mat3 shape, vec3 normal) {  // in the scene's axes; the third axis of a flat splat follows from two
     vec3 a = axis(shape[0]), b = axis(shape[1]), c = axis(shape[2]);
     if (a == vec3(0.0)) a = cross(b, c);
     else if (b == vec3(0.0)) b = cross(c, a);
@@ -25,7 +25,7 @@ vec3 ambient(vec3 n) {
     return max(sum + n.x * n.z * light[7].rgb + (n.x * n.x - n.y * n.y) * light[8].rgb, 0.0);
 }
 
-// What a splat's colour is multiplied by in linear light; below zero: it is no surface.
+// Return the factor of a splat's colour in linear light; below zero without a surface.
 vec3 shading(int index, mat3 shape) {
     ivec2 at = texel_of(index, 2);
     vec4 surface = texelFetch(surfaces, at, 0);

@@ -1,4 +1,4 @@
-// The texture's colour, opaque, and the camera z. Colours are as stored, without gamma; light on vertices needs it.
+// Writes the texture's opaque colour and the camera z. Colours stay in sRGB; only vertex light is applied linearly.
 #if LOGARITHMIC
 #include "frame.glsl"
 #endif
@@ -8,11 +8,11 @@
 in vec3 surface_shade;
 #endif
 
-uniform sampler2D skin_texture;  // rgb premultiplied by alpha, so that mip maps do not mix in what is cut away
+uniform sampler2D skin_texture;  // premultiplied, so that mip maps do not mix in the colour of holes
 uniform float lowest;
 
 in vec2 surface_uv;
-centroid in float surface_z;  // never beyond the triangle's edge, where its plane may lead anywhere
+centroid in float surface_z;  // centroid: extrapolation beyond the triangle's edge is unbounded
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 z;
 
@@ -27,7 +27,7 @@ void main() {
 #if LOGARITHMIC
     vec4 range = frame.views[0].range;
     if (surface_z > range.y) discard;
-    // a millionth of z everywhere from the near plane on, where 24 bits of 1 / z have cm at 100 m
+    // resolves a millionth of z at any distance; 24 bits of 1 / z would resolve centimetres at 100 m
     gl_FragDepth = clamp(log2(surface_z / range.x) / 27.0, 0.0, 1.0);
 #endif
 }

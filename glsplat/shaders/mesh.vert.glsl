@@ -1,4 +1,4 @@
-// Meshes of a scene, before any splat.
+// Mesh pass, which runs before any splat is drawn.
 #include "surface.glsl"
 
 out vec2 surface_uv;
@@ -11,7 +11,7 @@ out vec3 surface_shade;
 void main() {
     vec3 c = camera_point();
 #if LOGARITHMIC
-    gl_Position = vec4(image_place(c), c.z - 2.0 * frame.views[0].range.x, c.z);  // cut at the near plane alone
+    gl_Position = vec4(image_place(c), c.z - 2.0 * frame.views[0].range.x, c.z);  // clipped at the near plane only
 #else
     gl_Position = clip_place(c);
 #endif

@@ -1,9 +1,9 @@
-// What the meshes of a scene left at a pixel. Each view has targets of its own: rows of one would round differently, and
-// a pair has to equal its single renders.
-uniform sampler2D mesh_z;        // camera z of the nearest mesh at the pixel's centre, in metres; or, for the depth of
-                                 // meshes alone, its mean over the pixel times coverage
-uniform sampler2D mesh_colour;   // at the pixel's centre; alpha 0 where no mesh is
-uniform sampler2D mesh_samples;  // mean of the samples: premultiplied, alpha is the share of the pixel that is covered
+// Results of the mesh pass at a pixel. Each view has its own targets: in a shared target rounding would depend on the
+// row, and a pair has to equal its single renders.
+uniform sampler2D mesh_z;        // camera z of the nearest mesh at the pixel's centre, in metres; without splats its
+                                 // mean over the pixel times coverage
+uniform sampler2D mesh_colour;   // at the pixel's centre; alpha 0 without a mesh
+uniform sampler2D mesh_samples;  // premultiplied mean of the samples; alpha is the coverage
 #if VIEWS > 1
 uniform sampler2D mesh_z_2, mesh_colour_2, mesh_samples_2;  // of the second view
 #endif
@@ -28,6 +28,6 @@ vec4 mesh_samples_at(ivec2 pixel, int view) {
 #if VIEWS > 1
     if (view > 0) mean = texelFetch(mesh_samples_2, pixel, 0);
 #endif
-    return vec4(mean.rgb, round(mean.a * float(SAMPLED)) / float(SAMPLED));  // eight bits do not hold a quarter
+    return vec4(mean.rgb, round(mean.a * float(SAMPLED)) / float(SAMPLED));  // eight bits cannot store a quarter
 }
 #endif

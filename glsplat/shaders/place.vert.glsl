@@ -1,10 +1,10 @@
-// Place pass, once a splat of an item without a skeleton: mean' = s R mean + t, M' = s R M, by transform feedback.
+// Place pass, once per splat of an item without a skeleton: mean' = s R mean + t, M' = s R M, by transform feedback.
 #include "covariance.glsl"
 #include "splat_input.glsl"
 
 uniform mat3 turn;           // R
 uniform vec3 rodrigues;      // its modified Rodrigues parameters
-uniform vec3 offset;         // t, about the scene's origin
+uniform vec3 offset;         // t, relative to the scene's origin
 uniform float size;          // s
 uniform float signed_opacity;  // as in skin.vert.glsl
 

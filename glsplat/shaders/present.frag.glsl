@@ -1,4 +1,4 @@
-// The float layers to a window: one view, two side by side, or red-cyan; text over them. Row 0 of a layer is the top.
+// Copies the float layers to a window: one view, two side by side, or red-cyan; with text. Row 0 of a layer is the top.
 uniform sampler2DArray target;
 uniform ivec2 window; // pixels
 uniform int view_width; // of one view
@@ -27,7 +27,7 @@ vec3 picture(ivec2 pixel) {
 #else
     int view = int(pixel.x >= view_width);
     int x = pixel.x - view * view_width;
-    if (x >= view_width) return vec3(0.0); // the odd column beside two views
+    if (x >= view_width) return vec3(0.0); // the last column of an odd width
     return texel(x, pixel.y, view).rgb;
 #endif
 }

@@ -1,22 +1,26 @@
-"""Programs: compiled and linked, one for each distinct text; errors name the chunk and its line."""
+"""Programs: compile and link each distinct text once; errors name the chunk and its line."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import signal
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
 
 import moderngl
 
 from glsplat.errors import ShaderError
 from glsplat.shaders.slots import bind_slots
 from glsplat.shaders.source import STORAGE_VERSION, Source, flatten
-from glsplat.shaders.uninterrupted import uninterrupted
 from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, Variant
 
 __all__ = ["Programs", "link"]
 
 
 class Programs:
-    """Compiled programs of one context, one for each distinct text; owns them."""
+    """Compiled programs of one context, one for each distinct text, which it owns."""
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
@@ -28,7 +32,7 @@ class Programs:
     def feedback(
         self, name: str, variant: Variant | SkinVariant, varyings: Sequence[str], separate: bool = False
     ) -> moderngl.Program:
-        """Program ``name``.vert.glsl that captures ``varyings`` (into one buffer, or one each) and draws nothing."""
+        """Return the program ``name``.vert.glsl that captures ``varyings``, into one buffer or ``separate`` ones."""
         return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings, separate)
 
     def draw(
@@ -38,9 +42,9 @@ class Programs:
         variant: Variant | MeshVariant | ResolveVariant,
         overrides: Mapping[str, str] = {},  # texts of chunks
     ) -> moderngl.Program:
-        """Program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers.
+        """Return the program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers.
 
-        With ``variant.pulled`` it needs OpenGL 4.3.
+        ``variant.pulled`` needs OpenGL 4.3.
         """
         stages = {"vertex_shader": f"{vertex}.vert.glsl", "fragment_shader": f"{fragment}.frag.glsl"}
         if variant.defines().get("GEOMETRY"):
@@ -65,12 +69,12 @@ class Programs:
         return program
 
     def compute(self, name: str) -> moderngl.ComputeShader:
-        """Compute shader ``name``.comp.glsl; needs OpenGL 4.3."""
+        """Return the compute shader ``name``.comp.glsl; needs OpenGL 4.3."""
         source = flatten(f"{name}.comp.glsl", {}, STORAGE_VERSION)
         key = (source.text,)
         if key not in self._cache:
             try:
-                with uninterrupted():
+                with _deferred_signals():
                     self._cache[key] = self._ctx.compute_shader(source.text)
             except moderngl.Error as error:
                 raise ShaderError(_message(f"{name}.comp.glsl", {"compute_shader": source}, str(error))) from None
@@ -92,9 +96,9 @@ def link(
     varyings: Sequence[str] = (),
     separate: bool = False,
 ) -> moderngl.Program:
-    """Compile and link; a ShaderError names the chunk and its line."""
+    """Return the compiled and linked program. Raises ShaderError, which names the chunk and its line."""
     try:
-        with uninterrupted():
+        with _deferred_signals():
             return ctx.program(
                 vertex_shader=stages["vertex_shader"].text,
                 fragment_shader=stages["fragment_shader"].text if "fragment_shader" in stages else None,
@@ -106,8 +110,34 @@ def link(
         raise ShaderError(_message(name, stages, str(error))) from None
 
 
+@contextmanager
+def _deferred_signals() -> Iterator[None]:
+    """Call Python signal handlers only after the block: moderngl crashes if one raises while it compiles."""
+    if threading.current_thread() is not threading.main_thread():  # handlers run on the main thread alone
+        yield
+        return
+    deferred: list[tuple[int, FrameType | None]] = []
+    handlers: dict[int, Any] = {}
+
+    def defer(number: int, frame: FrameType | None) -> None:
+        deferred.append((number, frame))
+
+    try:
+        for number in signal.valid_signals():
+            handler = signal.getsignal(number)
+            if callable(handler):
+                handlers[number] = handler
+                signal.signal(number, defer)
+        yield
+    finally:
+        for replaced, former in handlers.items():
+            signal.signal(replaced, former)
+        for received, frame in deferred:
+            handlers[received](received, frame)
+
+
 def _message(name: str, stages: Mapping[str, Source], log: str) -> str:
-    # moderngl titles the log with the stage that failed; a link error belongs to none
+    # moderngl titles the log with the stage that failed; a link error has none
     failed = next((stage for stage in stages if stage in log.lower().replace(" ", "_")), next(iter(stages)))
     body = "\n".join(line for line in log.splitlines() if line.strip() and not set(line.strip()) <= {"="})
     return f"{name} does not compile:\n{stages[failed].annotate(body)}"

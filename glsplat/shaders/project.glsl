@@ -1,12 +1,12 @@
 // EWA projection of one splat into one view, culling included. Twin: reference.project.
 struct Footprint {
     vec2 centre;   // pixels
-    vec3 cholesky; // l00, l10, l11 of the dilated covariance (px): a square root needs no eigenvectors, has no bad case
+    vec3 cholesky; // l00, l10, l11 of the dilated covariance (px); unlike eigenvectors, it has no degenerate case
     float alpha;   // opacity, compensated under ANTIALIAS
     float z;       // of the mean, in metres
 };
 
-// Why a splat is not drawn; 0 = it is. Codes are counted on the host: CULL_REASONS in renderer/sort.py.
+// Reason of culling; 0: visible. Twin: CULL_REASONS in renderer/sort.py.
 const uint VISIBLE = 0u;
 const uint OUT_OF_RANGE = 1u;
 const uint TRANSPARENT = 2u;
@@ -36,8 +36,8 @@ uint project(vec3 mean, mat3 shape, float opacity, int view, out Footprint foot)
     vec3 t0 = (v.intrinsics.x / p.z) * (v.rows[0].xyz * shape - slope.x * row_z);
     vec3 t1 = (v.intrinsics.y / p.z) * (v.rows[1].xyz * shape - slope.y * row_z);
 
-    // det(T T^T) = |t0 x t1|^2 (Lagrange): positive terms only, where a c - b^2 cancels for needles.
-    // Divided by a before squaring, so that nothing overflows below 1e18 px.
+    // det(T T^T) = |t0 x t1|^2 (Lagrange): positive terms only; a c - b^2 cancels for needles.
+    // Dividing by a before squaring avoids overflow below 1e18 px.
     float eps = frame.knobs.x;
     float a = dot(t0, t0) + eps;
     float l00 = sqrt(a);

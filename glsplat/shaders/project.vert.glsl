@@ -1,5 +1,5 @@
-// Project pass, in sorted order: one record a splat with the footprints of all views, captured by transform feedback.
-// What the views share comes first. Layout twin: record_layout in variant.py. A varying a view: ANGLE captures no arrays.
+// Project pass, in sorted order: one record per splat with its footprints in all views, by transform feedback. Shared
+// values come first. Layout twin: record_layout in variant.py. One varying per view, as ANGLE cannot capture arrays.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "covariance.glsl"
@@ -10,11 +10,11 @@
 #include "light.glsl"
 #endif
 
-in uint order;  // the index of the splat; far to near
+in uint order;  // index of the splat, far to near
 out vec3 rgb0;
 out float alpha0;
 out vec2 centre0;
-out vec3 cholesky0;  // zero where this view does not draw the splat: a quad without area
+out vec3 cholesky0;  // zero, a quad without area, if this view culls the splat
 out float z0;        // of the mean, in metres
 #if VIEWS > 1
 out vec3 rgb1;
@@ -24,7 +24,7 @@ out vec3 cholesky1;
 out float z1;
 #endif
 
-// What view v sees of a splat.
+// Return the values of a splat in view v.
 void see(Splat splat, int index, int v, out vec3 rgb, out float alpha, out vec2 centre, out vec3 cholesky, out float z) {
     Footprint foot;
     bool drawn = project(splat.mean, splat.shape, splat.opacity, v, foot) == VISIBLE;

@@ -1,5 +1,5 @@
-// Buffers of the radix sort (twin: renderer/gpu_sort.py). Shared memory only: subgroup operations are missing on some
-// drivers and differ in width on others. 4 bits a pass, stable, no atomics that could reorder: same bytes on repeat.
+// Buffers of the radix sort (twin: renderer/gpu_sort.py): 4 bits per pass, stable, and deterministic, as no atomic
+// decides an order. It uses shared memory, because drivers lack subgroup operations or differ in their width.
 layout(std430, binding = 0) buffer Keys { uint keys[]; };
 layout(std430, binding = 1) buffer Order { uint order[]; };
 layout(std430, binding = 2) buffer Scratch { uint scratch[]; };  // keys, then order, of the odd passes
@@ -11,7 +11,7 @@ uniform uint shift;
 uniform bool odd;  // this pass reads the scratch and writes the keys
 
 const uint THREADS = 64u;
-const uint RUN = 16u;  // consecutive elements a thread, so that a thread keeps their order
+const uint RUN = 16u;  // consecutive elements per thread, which keeps their order
 const uint BLOCK = THREADS * RUN;
 
 uint load_key(uint i) { return odd ? scratch[i] : keys[i]; }

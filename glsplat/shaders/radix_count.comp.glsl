@@ -1,4 +1,4 @@
-// How often each digit occurs in a block.
+// Counts the digits of each block.
 layout(local_size_x = 64) in;
 #include "radix.glsl"
 

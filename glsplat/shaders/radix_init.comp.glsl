@@ -1,23 +1,23 @@
-// Keys to "far first", indices from the back (of equal keys the lower index is the nearer, drawn later), and counts.
-// Sums up what the splats cost: key.vert.glsl left pairs (tiles, cost) in the scratch space.
+// Inverts the keys to "far first", writes indices in reverse (at equal keys the lower index is nearer, drawn later) and
+// counts. Sums the costs of the splats: key.vert.glsl left pairs (bounds, cost) in the scratch buffer.
 layout(local_size_x = 256) in;
 #include "radix.glsl"
 
 layout(std430, binding = 4) buffer Draw {
     uint vertices, instances, first, base;  // of an indirect draw
     uint culled[8];                         // by the codes of project.glsl
-    uint blocks_low, blocks_high;           // of 4x4 pixels, over all splats
+    uint blocks_low, blocks_high;           // 4x4 pixels each, over all splats
 };
 uniform uint views;
-uniform uint corners;  // of a splat in a view, where they are all vertices of one instance; else 0
+uniform uint corners;  // vertices per splat and view, if the draw is one instance; else 0
 
-shared uint blocks;  // of this group: 512 splats of at most 2^23, two views of 8192^2
+shared uint blocks;  // sum of this group: fits 32 bits, as 512 splats have at most 2^23 (two views of 8192^2)
 
 void main() {
     if (gl_LocalInvocationIndex == 0u) blocks = 0u;
     barrier();
     uint i = gl_GlobalInvocationID.x;
-    // the pair (i, mirror) is handled by one invocation: each key is read before it is overwritten
+    // one invocation handles the pair (i, mirror), so that each key is read before it is overwritten
     uint mirror = count - 1u - i;
     if (i < count && i <= mirror) {
         uint a = keys[i], b = keys[mirror];
@@ -37,6 +37,6 @@ void main() {
     barrier();
     if (gl_LocalInvocationIndex == 0u) {
         uint before = atomicAdd(blocks_low, blocks);
-        if (before + blocks < before) atomicAdd(blocks_high, 1u);  // 64 bits of two
+        if (before + blocks < before) atomicAdd(blocks_high, 1u);  // carry of a 64-bit sum
     }
 }

@@ -1,4 +1,4 @@
-// Every element to its place: start of its digit and block, plus its rank there.
+// Moves every element to its place: the start of its digit and block, plus its rank there.
 layout(local_size_x = 64) in;
 #include "radix.glsl"
 

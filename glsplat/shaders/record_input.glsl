@@ -1,4 +1,4 @@
-// One record of the project pass, of which a view picks its part. Layout twin: record_layout in variant.py.
+// Reads one view's part of a record of the project pass. Layout twin: record_layout in variant.py.
 struct Record {
     vec2 centre;
     vec3 cholesky;
@@ -7,7 +7,7 @@ struct Record {
 };
 
 #if PULLED
-// by number, from a storage buffer, which OpenGL ES 3.0 has not
+// by index, from a storage buffer; from a texture in OpenGL ES 3.0, which has none
 #if ES
 uniform sampler2D records;  // R32F, rows of 4096 floats
 float number_at(int i) { return texelFetch(records, ivec2(i & 4095, i >> 12), 0).r; }
@@ -39,7 +39,7 @@ Record record_of(int index, int view) {
     return r;
 }
 #else
-// as attributes of the instance: one record serves all views (divisor = VIEWS)
+// as instance attributes: one record serves all views (divisor = VIEWS)
 in vec2 centre0;
 in vec3 cholesky0;
 #if VIEWS > 1

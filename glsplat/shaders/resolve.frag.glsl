@@ -1,12 +1,12 @@
-// Float target to 8 bit, colours as they are (no gamma): the fixed-point target rounds after this clamp.
-// The views lie one below the other: rows [v H, (v + 1) H) of the 8-bit target are layer v.
+// Converts the float target to 8 bit, without gamma: the fixed-point target rounds after this clamp.
+// Views are stacked vertically: rows [v H, (v + 1) H) of the 8-bit target are layer v.
 #if CULL_HIDDEN
 #include "lift.glsl"
-uniform vec3 background;  // of the view that is being resolved
+uniform vec3 background;  // of the resolved view
 #endif
 #include "step.glsl"
 uniform sampler2DArray target;
-uniform ivec3 view;  // the layer, and the column and the row of the 8-bit target at which it begins
+uniform ivec3 view;  // layer, and its first column and row in the 8-bit target
 out vec4 fragment;
 
 void main() {

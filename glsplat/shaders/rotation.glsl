@@ -1,6 +1,5 @@
-// R_i: the nearest rotation to a blended 3x3, continuous through a collapse. Twin: reference.blended_rotations,
-// whose docstring has the reasoning; here the 32nd power is five squarings of a symmetric matrix, kept as its diagonal
-// and its upper triangle.
+// R_i: the nearest rotation to a blended 3x3, continuous through a collapse. Twin: reference.blended_rotations, whose
+// docstring explains it. The 32nd power is five squarings of a symmetric matrix, stored as diagonal and upper triangle.
 struct Symmetric { vec4 diagonal; vec3 w; vec3 o; };  // w: (01, 02, 03), o: (12, 13, 23)
 
 Symmetric davenport(mat3 m) {  // q^T Q q = trace(R(q)^T m) for unit q = wxyz; m[column][row]
@@ -37,7 +36,7 @@ vec4 dominant_column(Symmetric s) {  // the column with the largest diagonal ent
 vec4 blended_quaternion(mat3 blended, mat3 anchor, float shift) {  // wxyz, w >= 0
     float size = sqrt((dot(blended[0], blended[0]) + dot(blended[1], blended[1]) + dot(blended[2], blended[2])) / 3.0);
     Symmetric power = davenport(blended * (0.5 / max(size, 1.0)));
-    power.diagonal += 0.5 * shift;  // eigenvalues in 0..3 and the largest at least 0.5: its 32nd power needs no scaling
+    power.diagonal += 0.5 * shift;  // eigenvalues 0 to 3, the largest at least 0.5: the 32nd power needs no scaling
     for (int i = 0; i < 5; ++i) power = squared(power);
     vec4 column = dominant_column(power);
     Symmetric start = davenport(anchor);

@@ -1,4 +1,4 @@
-// One triangle that covers the target, an instance a view; resolve.frag.glsl and background.frag.glsl run under it.
+// One triangle that covers the target, an instance per view, for resolve.frag.glsl and background.frag.glsl.
 #if GEOMETRY
 flat out int vertex_layer;
 #else

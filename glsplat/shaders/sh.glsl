@@ -1,6 +1,6 @@
 // Colour of a splat in a direction: 3DGS basis and signs. Twin: reference.evaluate_sh.
-// The coefficients lie in texels of 4 floats (3 at degree 0) in order [coefficient][rgb]; the scene's highest degree
-// decides how many a splat has, SH_DEGREE how many are read.
+// Coefficients are in texels of 4 floats (3 at degree 0) in order [coefficient][rgb]; the scene's highest degree
+// determines how many are stored, SH_DEGREE how many are read.
 #include "arena.glsl"
 uniform sampler2D colours;
 
@@ -39,6 +39,6 @@ vec3 evaluate_sh(int index, vec3 d) {
     colour += 1.445305721320277 * z * (xx - yy) * vec3(sh10.zw, sh11.x);
     colour -= 0.5900435899266435 * x * (xx - 3.0 * yy) * sh11.yzw;
 #endif
-    return clamp(colour + 0.5, 0.0, 1e30);  // no upper bound in the contract; this one keeps infinity out of blending
+    return clamp(colour + 0.5, 0.0, 1e30);  // the contract has no upper bound; this one keeps infinity out of blending
 }
 #endif

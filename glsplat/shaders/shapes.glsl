@@ -1,9 +1,9 @@
-// Expressions: the entries of a splat, blended before it is skinned. Twin: reference.expressed.
-uniform usampler2D entries;  // an entry a texel: int16 x 3 of the mean, int8 x 6 of two axes, number of the shape
+// Expressions: adds the weighted shape entries of a splat before skinning. Twin: reference.expressed.
+uniform usampler2D entries;  // one entry per texel: int16 x 3 of the mean, int8 x 6 of two axes, index of the shape
 uniform sampler2D amounts;   // of shape k at (k, 0): Shapes.amounts
-in uvec2 range;              // first entry of the splat, and the end
+in uvec2 range;              // first entry of the splat, and one past the last
 
-const uint ROW = 1024u;  // entries a row; twin: shape_buffers.py
+const uint ROW = 1024u;  // entries per row; twin: _ENTRIES_PER_ROW in renderer/stage.py
 
 vec2 halves(uint v) { return vec2(int(v << 16) >> 16, int(v) >> 16); }
 
@@ -14,7 +14,7 @@ mat3 expressed(inout vec3 mean, vec4 q, vec3 s) {  // M of the splat
     mat3 axes = quaternion_matrix(q);
     vec3 size = abs(s);
     int thin = size.x <= min(size.y, size.z) ? 0 : (size.y <= size.z ? 1 : 2);
-    // by constant indices alone: softpipe writes the wrong column of a matrix where splats differ in theirs
+    // constant indices only: softpipe writes the wrong column of a matrix if splats differ in the index
     vec3 a = thin == 2 ? axes[0] : (thin == 0 ? axes[1] : axes[2]);
     vec3 b = thin == 2 ? axes[1] : (thin == 0 ? axes[2] : axes[0]);
     vec3 moved = vec3(0.0);

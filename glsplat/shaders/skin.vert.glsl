@@ -1,4 +1,4 @@
-// Skin pass, once a splat of an avatar: mean' = s (sum of its bones), M' = s R_i M, captured by transform feedback.
+// Skin pass, once per splat of an avatar: mean' = s (blended bones) mean, M' = s R_i M, by transform feedback.
 #include "covariance.glsl"
 #include "skin.glsl"
 #include "rotation.glsl"
@@ -6,9 +6,9 @@
 #include "shapes.glsl"
 #endif
 
-uniform float shift;  // of the rotation average's eigenvalues: 1 for rigid bones, 3 where one scales or reflects
-uniform float size;   // s: the scale the item stands in the scene at; its rotation and place are in the bones
-uniform float signed_opacity;  // of the item; below 0 where only some of a scene ask for compensation, and this one does
+uniform float shift;  // eigenvalue shift of the rotation average: 1 for rigid bones, 3 if one scales or reflects
+uniform float size;   // s: the item's scale; its rotation and translation are in the bones
+uniform float signed_opacity;  // negative if some items request opacity compensation, and this one does
 
 in vec4 mean_opacity;
 in vec4 quat;
@@ -37,7 +37,7 @@ void main() {
 #endif
     mat3 shape = size * (linear * rest);
 #if TURNED
-    vec3 rodrigues = turned.yzw / (1.0 + turned.x);  // no bad case for w >= 0
+    vec3 rodrigues = turned.yzw / (1.0 + turned.x);  // defined for w >= 0
 #else
     vec3 rodrigues = vec3(0.0);
 #endif

@@ -1,4 +1,4 @@
-"""Every binding of every program, once: texture units by the sampler's name, and the uniform block's slot."""
+"""Bindings of all programs: texture units by sampler name, and the slot of the uniform block."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNITS = {
     "entries": 0,  # shapes of an avatar (shapes.glsl)
     "amounts": 1,
     "skin_texture": 5,  # of a mesh
-    "records": 0,  # of a pulled draw under es300 (record_input.glsl)
+    "records": 0,  # records that es300 fetches by index (record_input.glsl)
     "target": 0,  # float layers (resolve.frag.glsl, present.frag.glsl, eyes.frag.glsl)
     "step_texture": 1,  # of a step (resolve.frag.glsl)
     "depth_sum": 1,  # beside the float layers (eyes.frag.glsl)
@@ -36,8 +36,8 @@ UNITS = {
 
 
 def bind_slots(program: moderngl.Program) -> moderngl.Program:
-    """Point a program's samplers and its Frame block at their slots (what no function reads is optimised away)."""
-    import moderngl  # here: the units are read without OpenGL, too
+    """Bind a program's samplers and its Frame block to their slots; the compiler may have removed unused ones."""
+    import moderngl  # here: UNITS are also read without OpenGL
 
     block = program.get("Frame", None)
     if isinstance(block, moderngl.UniformBlock):

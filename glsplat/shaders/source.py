@@ -1,8 +1,8 @@
-"""GLSL chunks and programs as text: flattened, checked against the variant, and errors traced to their chunk.
+"""GLSL chunks and programs as text: flatten them, check their flags, and map compiler errors to chunks.
 
-A chunk ``noun.glsl`` holds functions and no main(); a program ``name.stage.glsl`` includes chunks with
-``#include "noun.glsl"`` (each once). Every flag is defined to a number, so ``#if FLAG`` and never ``#ifdef``: a
-misspelt flag is an error here, where GLSL would take it for 0. No OpenGL.
+A chunk ``noun.glsl`` has functions and no main(); a program ``name.stage.glsl`` includes chunks with
+``#include "noun.glsl"`` (each once). Every flag is defined as a number, so shaders write ``#if FLAG``, never
+``#ifdef``: a misspelt flag is an error here, where GLSL would read it as 0. This module calls no OpenGL.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LOG_LINE = re.compile(r"^(?:(?:ERROR|WARNING): )?\d+[:(](\d+)\)?(?:\(\d+\))?\s*
 
 VERSION = "#version 330 core"
 STORAGE_VERSION = "#version 430 core"
-"""Of texts with storage buffers: compute shaders, and what reads PULLED."""
+"""Version of texts with storage buffers: compute shaders, and shaders that read PULLED."""
 ES_HEAD = (
     "#version 300 es\n"
     "precision highp float;\n"
@@ -33,7 +33,7 @@ ES_HEAD = (
     "precision highp sampler2DArray;\n"
     "precision highp usampler2D;"
 )
-"""Of texts for the target es300: fragment shaders there have no precision of their own."""
+"""Head of texts for the target es300, whose fragment shaders have no default precision."""
 
 LAYER_EXTENSIONS = (
     "#extension GL_ARB_shader_viewport_layer_array : enable\n"
@@ -43,14 +43,14 @@ LAYER_EXTENSIONS = (
 
 
 class Source:
-    """Flattened text of one stage and, for each of its lines, the chunk and line it came from."""
+    """Flattened text of one stage, and the chunk and line number of each of its lines."""
 
     def __init__(self, text: str, origin: list[tuple[str, int]]) -> None:
         self.text = text
         self.origin = origin
 
     def annotate(self, log: str) -> str:
-        """A compiler log whose positions name chunk and line instead of the flattened text."""
+        """Return a compiler log whose positions name chunk and line instead of the flattened text."""
 
         def where(match: re.Match[str]) -> str:
             line = int(match.group(1)) - 1
@@ -69,7 +69,7 @@ def _read(name: str) -> tuple[str, ...]:
 
 
 def flatten(name: str, defines: Mapping[str, int], version: str = VERSION, overrides: Mapping[str, str] = {}) -> Source:
-    """Text of program stage ``name`` with its chunks, after ``version`` and one #define a flag.
+    """Return the text of program stage ``name`` with its chunks, after ``version`` and a #define for each flag.
 
     ``overrides`` replaces the text of chunks. Raises ShaderError for an unknown chunk or an undefined flag.
     """
@@ -98,7 +98,7 @@ def flatten(name: str, defines: Mapping[str, int], version: str = VERSION, overr
             origin.append((chunk, number))
 
     add(name, ())
-    # only the flags this text reads: programs that differ in others are the same text, and compiled once
+    # define only the flags that this text reads: variants that differ in others share one program
     used = set(_NAME.findall("\n".join(lines)))
     if defines.get("ES"):
         head = ES_HEAD.splitlines()

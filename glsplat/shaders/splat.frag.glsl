@@ -13,13 +13,13 @@ flat in float splat_z;
 #endif
 layout(location = 0) out vec4 fragment;
 #if DEPTH
-layout(location = 1) out vec4 depth;  // weight times z; its alpha only blends
+layout(location = 1) out vec4 depth;  // weight times z; alpha is for blending only
 #endif
 
 void main() {
     float distance2 = dot(splat_offset, splat_offset);
     float alpha = min(0.99, splat_colour.a * exp(-0.5 * distance2));
-    // blending zero leaves the pixel as it is, bit for bit; a discard costs llvmpipe 4 % of the frame
+    // blending zero keeps the pixel bit-identical; a discard costs llvmpipe 4 % of the frame
     alpha = alpha < 1.0 / 255.0 ? 0.0 : alpha;
 #if CUT
     alpha = distance2 > frame.knobs.y * frame.knobs.y ? 0.0 : alpha;

@@ -1,5 +1,5 @@
-// Draw pass: a corner of the quad (or triangle) of a record in a view, which are an instance, or PULLED by gl_VertexID
-// alone. gl_Layer routes it to the view's layer of the target.
+// Draw pass: a corner of a record's quad (or triangle) in a view, selected by instance, or under PULLED by gl_VertexID.
+// gl_Layer routes it to the view's layer of the target.
 #include "frame.glsl"
 #include "extent.glsl"
 #include "record_input.glsl"
@@ -42,7 +42,7 @@ void main() {
     Record record = record_of(instance / VIEWS, view);
 #endif
 #if TRIANGLE
-    // around the unit circle: 1.3 times the quad's area, but half the primitives, which is what a CPU pays for
+    // around the unit circle: 1.3 times the quad's area, but half the primitives, which dominate on a CPU
     vec2 corner = number == 0 ? vec2(0.0, 2.0) : vec2(number == 1 ? -1.7320508 : 1.7320508, -1.0);
 #else
     vec2 corner = vec2(number & 1, number >> 1) * 2.0 - 1.0;
@@ -50,7 +50,7 @@ void main() {
     vec2 offset = corner * extent_of(record.colour.a);
     vec3 l = record.cholesky;
     vec2 pixel = record.centre + vec2(l.x * offset.x, l.y * offset.x + l.z * offset.y);
-    // row 0 of the image is row 0 of the texture, so nothing is flipped later
+    // row 0 of the image is row 0 of the texture: no flip is needed later
     gl_Position = vec4(pixel * frame.size.zw - 1.0, 0.0, 1.0);
 #if GEOMETRY
     vertex_colour = record.colour;

@@ -1,10 +1,10 @@
-// A splat as the key and project passes see it: at rest as it was loaded, or POSED by the pass of its item.
+// Fetches a splat for the key and project passes: at rest as loaded, or POSED by the skin or place pass.
 #include "arena.glsl"
 uniform sampler2D splats;
 
 struct Splat {
-    vec3 mean;      // about the scene's origin
-    float opacity;  // under ANTIALIAS 2 negative where the splat asks for opacity compensation
+    vec3 mean;      // relative to the scene's origin
+    float opacity;  // under ANTIALIAS 2 negative if the splat requests opacity compensation
     mat3 shape;     // M, Sigma = M M^T
     vec3 turn;      // modified Rodrigues parameters of R_i
 };
@@ -26,7 +26,7 @@ Splat splat_of(int index) {
 #endif
 }
 
-// A view direction in the frame in which the splat's SH was made (paper: R_i^T d under skinning).
+// Return a view direction in the canonical frame of the splat's SH (paper: R_i^T d under skinning).
 vec3 canonical_direction(vec3 d, vec3 turn) {
 #if TURNED
     float s = dot(turn, turn);

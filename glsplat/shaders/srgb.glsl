@@ -1,4 +1,4 @@
-// The sRGB curve (IEC 61966-2-1), both ways. Twins: to_linear and to_srgb of pictures.py.
+// The sRGB curve (IEC 61966-2-1) and its inverse. Twins: to_linear and to_srgb of pictures.py.
 vec3 linear_of(vec3 srgb) {
     return mix(pow((srgb + 0.055) / 1.055, vec3(2.4)), srgb / 12.92, lessThanEqual(srgb, vec3(0.04045)));
 }

@@ -1,4 +1,4 @@
-// What a step of somebody else's does to a pixel before it is rounded (renderer/resolve.py): nothing, where there is none.
+// Default of the caller's post-processing step, applied to a pixel before rounding (renderer/resolve.py): no change.
 vec4 stepped(vec4 colour, ivec2 pixel) {
     return colour;
 }

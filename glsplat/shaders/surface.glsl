@@ -1,4 +1,4 @@
-// A vertex of a textured mesh under one camera: skinned from the same bone texture as the splats.
+// A vertex of a textured mesh in one view, skinned by the same bone texture as splats.
 #include "frame.glsl"
 #include "skin.glsl"
 

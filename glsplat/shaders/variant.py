@@ -1,4 +1,4 @@
-"""Variants: what a program is compiled for. Frozen values, decided in one function each; the program-cache key."""
+"""Variants: the compile-time options of programs, as frozen values, which are also keys of the program cache."""
 
 from __future__ import annotations
 
@@ -22,38 +22,38 @@ __all__ = [
 ]
 
 MAX_VIEWS = 2
-"""Views one pass draws: one, or a stereo pair. Longer lists of cameras run pass after pass."""
+"""Views of one pass: one, or a stereo pair. Longer lists of cameras take several passes."""
 
 COLOUR_TEXELS = (1, 3, 7, 12)
-"""Texels a splat of SH data on the GPU, by degree: of three floats at degree 0, else of four (degree 2 is padded)."""
+"""Texels of SH data per splat, by degree: of three floats at degree 0, else of four (degree 2 is padded)."""
 
 ROW_BITS = {"330": 10, "es300": 9}
-"""Splats a row of the arena's textures, as a power of two, by target: where a texture is 8192 wide, as SwiftShader's,
-1024 splats of SH degree 3 do not fit."""
+"""Log2 of the splats in a row of the arena's textures, by target: 1024 splats of SH degree 3 do not fit into a texture
+that is 8192 wide, as SwiftShader's is."""
 
 TARGETS = tuple(ROW_BITS)
-"""What a program is assembled for: desktop OpenGL (GLSL 3.30 core), or WebGL2 (GLSL ES 3.00)."""
+"""Targets of a program: desktop OpenGL (GLSL 3.30 core), or WebGL2 (GLSL ES 3.00)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """The frame's passes. Every field becomes a #define with a number; what is 0 is not compiled, nothing bound."""
+    """Options of the passes of a frame. Every field becomes a #define; code of a field that is 0 is not compiled."""
 
-    sh_degree: int = 0  # evaluated, 0..3; 0 evaluates no basis and keeps one colour for all views
-    stored_degree: int = 0  # of the scene's colours on the GPU: at least sh_degree
-    posed: int = 0  # the splats were posed or placed by the passes of their items
-    turned: int = 0  # posed splats carry R_i (SH that turns with them)
+    sh_degree: int = 0  # degree that is evaluated, 0 to 3; 0 keeps one colour for all views
+    stored_degree: int = 0  # degree of the scene's colours on the GPU: at least sh_degree
+    posed: int = 0  # the skin or place passes of the items wrote the splats
+    turned: int = 0  # posed splats carry R_i, which rotates their SH
     views: int = 1  # layers drawn at once; 1 has no layer code
-    antialias: int = 0  # opacity compensation, one opacity a view; 2: of the splats that ask for it
-    geometry: int = 0  # layers routed by a geometry shader where the vertex shader cannot
+    antialias: int = 0  # opacity compensation, one opacity per view; 2: only of splats that request it
+    geometry: int = 0  # a geometry shader routes layers where the vertex shader cannot
     triangle: int = 0  # a splat is one triangle around its ellipse instead of a quad
-    pulled: int = 0  # the draw reads records from a storage buffer by gl_VertexID instead of attributes an instance
-    cull_hidden: int = 0  # the key pass looks at visibility cones
+    pulled: int = 0  # the draw reads records from a storage buffer by gl_VertexID instead of instance attributes
+    cull_hidden: int = 0  # the key pass culls by visibility cones
     cut: int = 0  # splats end at max_sigma although alpha is still above 1/255 there
-    depth: int = 0  # a second target takes weight times camera z
-    occluded: int = 0  # meshes at pixel centres, and splats are tested against their z
-    sampled: int = 0  # samples a pixel of meshes; without occluded there is nothing else, and coverage is their alpha
-    lit: int = 0  # light falls on surfaces (light.glsl)
+    depth: int = 0  # a second target accumulates weight times camera z
+    occluded: int = 0  # meshes hide splats by their z at pixel centres
+    sampled: int = 0  # mesh samples per pixel; without occluded there are no splats, and coverage is alpha
+    lit: int = 0  # surfaces are lit (light.glsl)
     numbered: int = 0  # an attribute numbers the splats where the driver's gl_VertexID does not
     target: str = "330"  # or "es300": one draw a view, records pulled from a texture
 
@@ -75,9 +75,9 @@ class Variant:
             raise ShaderError("variant: es300 has no geometry shaders")
 
     def defines(self) -> dict[str, int]:
-        """Name -> number for the preprocessor, plus the facts that follow from the fields."""
+        """Return the #defines by name: the fields, and numbers that follow from them."""
         values = _numbers(self)
-        del values["STORED_DEGREE"]  # shaders know it as:
+        del values["STORED_DEGREE"]  # shaders use COLOUR_TEXELS instead
         values["COLOUR_TEXELS"] = COLOUR_TEXELS[self.stored_degree]
         values["ROW_BITS"] = ROW_BITS[self.target]
         values["SHARED_RGB"] = int(self.sh_degree == 0)
@@ -86,12 +86,12 @@ class Variant:
 
     @property
     def record_floats(self) -> int:
-        """Floats of one projected record: what the views share, then what differs, view by view."""
+        """Return the number of floats in one projected record."""
         return sum(floats for _, floats in record_layout(self))
 
 
 def record_layout(variant: Variant) -> list[tuple[str, int]]:
-    """(captured varying of project.vert.glsl, which is the attribute of record_input.glsl; floats) of a record."""
+    """Return (name, floats) of a record's parts: varyings of project.vert.glsl, attributes of record_input.glsl."""
 
     def spread(name: str, floats: int, views: Iterable[int] = range(variant.views)) -> list[tuple[str, int]]:
         return [(f"{name}{view}", floats) for view in views]
@@ -104,12 +104,12 @@ def record_layout(variant: Variant) -> list[tuple[str, int]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SkinVariant:
-    """The pass that poses one avatar (or one mesh)."""
+    """Options of the skin pass of one avatar."""
 
-    influences: int = 4  # joints a splat: 1, 2, 4, 8
-    raw: int = 0  # by the blended matrix as it is instead of its nearest rotation
-    turned: int = 0  # R_i is handed on (SH that turns with the splat)
-    shaped: int = 0  # an expression moves the splats first (shapes.glsl)
+    influences: int = 4  # joints per splat: 1, 2, 4, 8
+    raw: int = 0  # use the blended matrix instead of its nearest rotation
+    turned: int = 0  # write R_i, which rotates the splat's SH
+    shaped: int = 0  # apply an expression first (shapes.glsl)
     target: str = "330"
 
     def __post_init__(self) -> None:
@@ -118,35 +118,35 @@ class SkinVariant:
         _check_target(self.target)
 
     def defines(self) -> dict[str, int]:
-        """Name -> number for the preprocessor."""
+        """Return the #defines by name."""
         return _numbers(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshVariant:
-    """What draws a textured mesh, one view at a time."""
+    """Options of the mesh pass, which draws a textured mesh in one view."""
 
-    influences: int = 4  # joints a vertex
-    logarithmic: int = 0  # depth of the meshes of a scene by log z: any range, but one depth a pixel and triangle
-    shaded: int = 0  # light a vertex
+    influences: int = 4  # joints per vertex
+    logarithmic: int = 0  # depth by log z: any range, but one depth per pixel and triangle
+    shaded: int = 0  # a light factor per vertex
 
     def defines(self) -> dict[str, int]:
-        """Name -> number for the preprocessor."""
+        """Return the #defines by name."""
         return _numbers(self) | {"VIEWS": 1}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResolveVariant:
-    """The pass that makes 8-bit pictures, one view at a time."""
+    """Options of the resolve pass, which makes the 8-bit picture of one view."""
 
-    cull_hidden: int = 0  # what was left out is made up for
+    cull_hidden: int = 0  # compensate opacity for culled splats (lift.glsl)
     target: str = "330"
 
     def __post_init__(self) -> None:
         _check_target(self.target)
 
     def defines(self) -> dict[str, int]:
-        """Name -> number for the preprocessor."""
+        """Return the #defines by name."""
         return _numbers(self) | {"VIEWS": 1, "GEOMETRY": 0}
 
 
@@ -155,9 +155,9 @@ def variant_for(
     config: RenderConfig,
     *,
     stored_degree: int = 0,  # of the scene
-    sh_degree: int = 3,  # asked for by the cameras
+    sh_degree: int = 3,  # of the cameras
     posed: bool = False,
-    antialias: frozenset[bool] = frozenset({False}),  # what the scene's items ask for
+    antialias: frozenset[bool] = frozenset({False}),  # flags of the scene's items
     geometry: bool = False,
     triangle: bool = False,
     pulled: bool = False,
@@ -165,10 +165,10 @@ def variant_for(
     occluded: bool = False,
     sampled: int = 0,  # samples
     numbered: bool = False,
-    cones: bool = False,  # some of the splats are culled by them
-    lit: bool = False,  # there is light, and some of the splats know their surface
+    cones: bool = False,  # some splats have visibility cones
+    lit: bool = False,  # the scene has light, and some splats have a surface
 ) -> Variant:
-    """What a scene needs under a config, and nothing more."""
+    """Return the smallest variant that draws a scene under ``config``."""
     degree = min(stored_degree, sh_degree, config.sh_degree)
     asked = antialias if config.antialias is None else frozenset({config.antialias})
     return Variant(
@@ -178,7 +178,7 @@ def variant_for(
         turned=int(posed and degree > 0),
         views=views,
         antialias=2 if len(asked) > 1 else int(True in asked),
-        geometry=int(geometry),  # for one view too: it orders the vertices, and a pair has to equal its singles
+        geometry=int(geometry),  # also for one view: it orders the vertices, and a pair has to equal its single renders
         triangle=int(triangle),
         pulled=int(pulled),
         cull_hidden=int(cones),

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from tests.api.current_context import GL, asked, nothing_current

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig, with_fields
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer

@@ -10,7 +10,7 @@ from apps.progress import Progress, each
 
 def test_a_terminal_is_shown_share_and_label(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setattr(progress, "_EVERY_S", 0.0)
+    monkeypatch.setattr(progress, "_REDRAW_PERIOD_S", 0.0)
     with Progress(4, "frames") as line:
         line.update()
         line.write("a remark")

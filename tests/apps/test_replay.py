@@ -262,8 +262,8 @@ def test_links_are_checked():
 def test_a_lost_packet_comes_a_round_trip_later():
     """One in ten of 5,000, and of those one in ten twice; without loss none."""
     chance = Random(4)
-    late = np.array([Link(40, 10, 10).held_back(1448, chance) for _ in range(5000)])
+    late = np.array([Link(40, 10, 10).loss_delay(1448, chance) for _ in range(5000)])
     assert set(np.round(late / 0.04).tolist()) <= {0, 1, 2, 3, 4, 5}
     assert abs(np.mean(late >= 0.04) - 0.1) < 0.02 and abs(np.mean(late >= 0.08) - 0.01) < 0.006
-    assert np.mean([Link(40, 10, 10).held_back(4096, chance) > 0 for _ in range(2000)]) > 0.2  # three packets
-    assert not any(Link(40, 10).held_back(10**6, chance) for _ in range(20))
+    assert np.mean([Link(40, 10, 10).loss_delay(4096, chance) > 0 for _ in range(2000)]) > 0.2  # three packets
+    assert not any(Link(40, 10).loss_delay(10**6, chance) for _ in range(20))

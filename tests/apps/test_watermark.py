@@ -14,6 +14,7 @@ import pytest
 from apps import cli
 from apps.clip import Clip
 from apps.serve import command as serve
+from apps.serve import keys
 from apps.serve.keys import watermark_of
 from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.keys import text_of
@@ -99,3 +100,11 @@ def test_serve_goes_on_unmarked_where_nothing_can_be_kept(tmp_path, monkeypatch,
     assert line.startswith("pictures are not marked: ") and line.endswith("or set watermark to off")
     with pytest.raises(GlsplatError, match="cannot be made"):
         watermark_of(serving("watermark=on"))
+
+
+def test_serve_goes_on_unmarked_without_the_extra(state, monkeypatch, caplog):
+    monkeypatch.setattr(keys, "has_extra", lambda name: False)
+    with caplog.at_level(logging.WARNING):
+        assert watermark_of(serving()) is None
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert line.startswith("pictures are not marked: ") and "glsplat.extras.watermark" in line

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer

@@ -21,9 +21,9 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.data import person
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.avatar_poses import SCORE_POSES, score_pose
 from glsplat.extras.evaluate.avatar_score import score
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.meshes import RiggedMesh
 from tools.data.persons import PEOPLE, furnished

@@ -11,10 +11,10 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.authoring.reconstruct.video import VideoResult, from_pictures
 from glsplat.extras.evaluate.avatar_poses import SCORE_POSES, score_pose
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.turntable import Turntable, turntable
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer

@@ -21,8 +21,8 @@ from pathlib import Path
 from textwrap import fill
 
 from apps.demo import running_server
-from glsplat.extras.evaluate.machine import machine
 from glsplat.io.files import replace_file
+from glsplat.io.provenance import machine
 from tests.conftest import SHARED_DATA
 from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
 

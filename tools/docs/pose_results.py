@@ -16,12 +16,12 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.authoring.photo.capture import check_capture
 from glsplat.extras.authoring.raster import visible_faces
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import l1, psnr
 from glsplat.extras.evaluate.metrics.structure import ssim

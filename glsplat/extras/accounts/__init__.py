@@ -1,1 +1,3 @@
 """Accounts: who may use a server, and what for."""
+
+REQUIRES = ()

@@ -2,4 +2,6 @@
 
 from glsplat.optional import require_package
 
+REQUIRES = ("formats", "rigs")
+
 require_package("making avatars", "scipy", "authoring")

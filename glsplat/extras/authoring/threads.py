@@ -14,7 +14,7 @@ from typing import Any, Generic, Self, TypeVar, overload
 import numpy as np
 import scipy
 
-from glsplat.io.machine import cores
+from glsplat.io.cores import cores
 
 __all__ = ["abreast", "aside", "found_once", "one_blas_thread", "one_heap"]
 

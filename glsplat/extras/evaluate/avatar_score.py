@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.avatar_poses import score_pose
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.metrics.pixels import Box, decibel, psnr
 from glsplat.extras.evaluate.metrics.structure import ssim
 from glsplat.meshes import RiggedMesh

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.io.machine import cores
+from glsplat.io.cores import cores
 from glsplat.net.codec.encoded import Box, Encoded
 from glsplat.net.codec.straight import straightened
 from glsplat.optional import require_package

@@ -1,1 +1,3 @@
 """Splat files of other programs: SOG, SPZ, KSPLAT, .splat, compressed PLY; meshes in OBJ."""
+
+REQUIRES = ()

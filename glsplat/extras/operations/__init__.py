@@ -1,1 +1,3 @@
 """Running a server for others: status page, metrics, previews, history, certificates, QR codes."""
+
+REQUIRES = ()

@@ -13,7 +13,7 @@ from glsplat.extras.operations.qr import QrCodes
 from glsplat.extras.operations.status import STATUS_POLICY, page_html
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.guard.access import is_loopback
-from glsplat.net.guard.machine import machine_names, reachable_at
+from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.options import ServerConfig
 from glsplat.net.rights import user_of
 

@@ -1,4 +1,3 @@
-"""Rigs of others: what their joints are called, which of the 55 joints of SMPL-X they are, and how they are driven.
+"""Rigs of others: what their joints are called, which of the 55 joints of SMPL-X they are, and how they are driven."""
 
-Imports extras/formats for textures of meshes.
-"""
+REQUIRES = ("formats",)

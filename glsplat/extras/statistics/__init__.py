@@ -2,4 +2,6 @@
 
 from glsplat.optional import require_package
 
+REQUIRES = ()
+
 require_package("a statistical test", "scipy", "study")

@@ -1,1 +1,3 @@
 """Avatars that clients have made of their photographs, where the server allows it (docs/protocol.md, section 9)."""
+
+REQUIRES = ()

@@ -17,9 +17,9 @@ from glsplat.net.guard.access import SUBPROTOCOL, Access, certificate_names, is_
 from glsplat.net.guard.addresses import Addresses
 from glsplat.net.guard.connection import GuardedConnection
 from glsplat.net.guard.forwarded import FORWARDED, TrustedProxies
+from glsplat.net.guard.host_info import machine_names
 from glsplat.net.guard.limits import ClientQuota, Limits, address_key
 from glsplat.net.guard.listener import Listener
-from glsplat.net.guard.machine import machine_names
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.notices import Notices
 from glsplat.net.rights import USER, Rights

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
-from glsplat.io.machine import cores
+from glsplat.io.cores import cores
 from glsplat.net.backend import Rendered
 from glsplat.net.codec.encode import Encoder
 from glsplat.net.codec.encoded import Encoded

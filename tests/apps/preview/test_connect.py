@@ -13,8 +13,8 @@ import pytest
 
 from apps.output import side_by_side
 from apps.preview.cameras import Options
-from apps.preview.connect import Watched, read_tracked
-from apps.preview.feed import Feed, Wish
+from apps.preview.connect import StreamedPictures, read_tracked
+from apps.preview.feed import Feed, ViewRequest
 from apps.preview.viewer import Viewer
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
@@ -75,11 +75,11 @@ def feeding(url: str, **options) -> Iterator[Feed]:
         feed.close()
 
 
-def at(x: float, size: int = 32) -> Wish:
+def at(x: float, size: int = 32) -> ViewRequest:
     view = camera(size)
     viewmat = view.viewmat.copy()
     viewmat[0, 3] = -x
-    return Wish([replace(view, viewmat=viewmat)])
+    return ViewRequest([replace(view, viewmat=viewmat)])
 
 
 def until(condition: Callable[[], object], seconds: float = 60.0) -> bool:
@@ -104,16 +104,16 @@ def test_the_newest_wish_is_answered_and_a_quiet_feed_asks_for_nothing() -> None
         with feeding(url, quality=100, token=token) as feed:
             feed.wake = lambda: woken.append(1)
             for x in (0.5, 0.7, 0.9, 1.1):
-                feed.ask(at(x))
-            feed.settle()
+                feed.request(at(x))
+            feed.wait_ready()
             assert shade(feed) == pytest.approx(110, abs=1) and until(lambda: woken)
             assert len(backend.requests) <= 4 and feed.take() is None and feed.notice == ""
             count = len(backend.requests)
-            feed.ask(at(1.3))
-            feed.settle()
+            feed.request(at(1.3))
+            feed.wait_ready()
             assert shade(feed) == pytest.approx(130, abs=1) and len(backend.requests) == count + 1
-            feed.ask(at(0.5, 150))  # too large for the server: it is drawn smaller
-            feed.settle()
+            feed.request(at(0.5, 150))  # too large for the server: it is drawn smaller
+            feed.wait_ready()
             picture = feed.take()
             assert picture is not None and picture.images.shape == (1, 38, 38, 4) and feed.notice == ""
 
@@ -131,8 +131,8 @@ def test_in_a_room_it_comes_back_as_the_same_person() -> None:
         return made[0].feature(Rooms)._rooms["lab"]._guests["Ann"].person
 
     with serving(make) as url, feeding(f"{url}?room=lab&name=Ann") as feed:
-        feed.ask(at(0.5))
-        feed.settle()
+        feed.request(at(0.5))
+        feed.wait_ready()
         first = person()
         connection = feed._client._connection
         assert connection is not None
@@ -154,7 +154,7 @@ def watching(context: Context, limb_server: str) -> Iterator[Callable[..., Viewe
     def make(scene: Avatar, size: tuple[int, int], options: Options = VIEW, url: str = limb_server) -> Viewer:
         feed = Feed(url, quality=95)
         feed.start()
-        made.append((Viewer(scene, context, size, options, "server", Watched(feed, context.ctx)), feed))
+        made.append((Viewer(scene, context, size, options, "server", StreamedPictures(feed, context.ctx)), feed))
         return made[-1][0]
 
     with context.ctx:
@@ -180,17 +180,17 @@ def test_the_viewer_shows_what_the_server_draws(
     viewer.player.select(1)
     viewer.player.turn((0, 0, 1), 40)
     viewer.press("2")
-    viewer.settle()
+    viewer.wait_ready()
     shown = viewer.capture()
     expected, rest = (headless(context, avatar, viewer.cameras(), pose) for pose in (viewer.pose(), None))
     assert psnr(shown[:, :192], side_by_side(expected)) > 32  # JPEG, colours at half resolution
     assert psnr(shown[:, :192], side_by_side(rest)) < 25 and not shown[:, 192:].any()
     viewer.press("1")
-    viewer.settle()
+    viewer.wait_ready()
     viewer.capture()
     viewer.resize(97, 65)  # the old picture is scaled until the new one comes
     scaled = viewer.capture()
-    viewer.settle()
+    viewer.wait_ready()
     exact, expected = viewer.capture(), side_by_side(headless(context, avatar, viewer.cameras(), viewer.pose()))
     assert scaled.shape == exact.shape == (65, 97, 3)
     assert psnr(exact, expected) > 30 and 15 < psnr(scaled, expected) < psnr(exact, expected)
@@ -207,16 +207,16 @@ def test_the_window_is_redrawn_for_new_pictures_only(
     texture = context.ctx.texture((96, 64), 4)
     screen = context.ctx.framebuffer([texture])
     try:
-        viewer.settle()
+        viewer.wait_ready()
         assert viewer.refresh(screen) and not viewer.dirty
         assert not viewer.refresh(screen)  # the same view: neither asked for nor drawn
         viewer.drag("left")
         viewer.move(20, 10)
         asked: list[tuple[Feed, object]] = []
         with monkeypatch.context() as held:  # what is asked for goes no further, or its picture might be here at once
-            held.setattr(Feed, "ask", lambda *wish: asked.append(wish))
+            held.setattr(Feed, "request", lambda *wish: asked.append(wish))
             assert not viewer.refresh(screen) and not viewer.dirty  # the old picture stays until the new one comes
-        Feed.ask(*asked.pop())
+        Feed.request(*asked.pop())
         assert not asked
         assert until(lambda: (viewer.advance(0.0), viewer.dirty)[1])
         assert viewer.refresh(screen) and not viewer.refresh(screen)
@@ -238,18 +238,18 @@ def test_a_recording_goes_as_tracking(context: Context) -> None:
     motion, backend = read_tracked(None), Grey()
     assert len(motion) > 72 and all("head" in sample for sample in motion.samples)
     with serving(lambda: server_of(backend, ServerConfig(port=0))) as url, feeding(url) as feed, context.ctx:
-        viewer = Viewer(default_avatar(), context, (32, 32), VIEW, "server", Watched(feed, context.ctx))
+        viewer = Viewer(default_avatar(), context, (32, 32), VIEW, "server", StreamedPictures(feed, context.ctx))
         try:
             assert viewer.player is not None
             viewer.player.play(motion)
             with pytest.raises(GlsplatError, match="no tracking solver"):  # this server has none
-                viewer.settle()
+                viewer.wait_ready()
             assert "no tracking solver" in feed.notice
             viewer.press("left")
             assert "no joint can be turned" in viewer.overlay.lines(list)[-1][0]
             viewer.player.hold(None)
             drawn = len(backend.requests)
-            viewer.settle()
+            viewer.wait_ready()
             assert feed.notice == "" and len(backend.requests) > drawn
         finally:
             viewer.release()

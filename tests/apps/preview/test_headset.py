@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from apps.args import open_scene
-from apps.preview import command, headset
+from apps.preview import command, headset, headset_options
 from apps.preview.feed import Feed
 from apps.preview.headset_feed import FeedShow
 from glsplat.errors import ContextError
+from glsplat.extras.openxr import placing
 from glsplat.extras.openxr.cameras import camera_of
 from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
 from glsplat.extras.openxr.session import Session
@@ -36,6 +37,10 @@ from tests.extras.openxr.fake import HEAD, FakeRuntime
 pytestmark = pytest.mark.gl
 
 
+def test_the_views_of_the_option_are_those_of_the_extra() -> None:
+    assert headset_options.VIEWS == placing.VIEWS
+
+
 def worn(*words: str, frames: int = 4, **made: Any) -> FakeRuntime:
     """The command on a fake headset; the runtime afterwards."""
     found: list[FakeRuntime] = []
@@ -45,7 +50,7 @@ def worn(*words: str, frames: int = 4, **made: Any) -> FakeRuntime:
         return found[-1]
 
     args = parsed(command, "--xr", *words)
-    headset.check(args)
+    headset_options.check(args)
     assert headset.run(args, open_scene(args), frames, connect) == 0  # type: ignore[arg-type]
     return found[-1]
 

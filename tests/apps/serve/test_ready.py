@@ -79,6 +79,12 @@ def test_a_file_gets_neither_token_nor_code():
     assert TOKEN in text and "\u2580" in text
 
 
+def test_without_the_extra_there_is_no_code(monkeypatch):
+    monkeypatch.setattr(ready, "plugin", lambda name: None)
+    text = said(Place("127.0.0.1", 8000))
+    assert "(a QR code needs glsplat.extras.operations, which is not installed)" in text
+
+
 def test_a_terminal_that_cannot_show_the_code(monkeypatch):
     text = said(Place("127.0.0.1", 8000), Terminal(encoding="latin-1"))
     assert "(no QR code: it needs UTF-8, this terminal has latin-1)" in text

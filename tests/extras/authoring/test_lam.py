@@ -176,7 +176,7 @@ def test_hostile_morph_targets(packed, change, words):
 
 def test_shared_offsets_stay_bounded(packed, monkeypatch):
     """Targets may name one accessor many times: what comes of it is bounded, not only what is read."""
-    monkeypatch.setattr(morphs, "_ROWS", 100)
+    monkeypatch.setattr(morphs, "_MAX_ROWS", 100)
 
     def shared(document):
         document["meshes"][0]["primitives"][0]["targets"] *= 100

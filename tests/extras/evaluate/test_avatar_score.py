@@ -11,8 +11,8 @@ import pytest
 import apps.cli as cli
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.avatar_score import DISTANCE, FILL, camera_around, compare, score
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.renderer import Renderer
 

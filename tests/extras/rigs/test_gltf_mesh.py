@@ -15,7 +15,7 @@ import trimesh
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import participants_folder
 from glsplat.errors import FormatError
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from apps.farming import on_ray
+from apps.ray_tasks import on_ray
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.workers.cluster import RayCluster
 from glsplat.extras.workers.pool import WorkerPool

@@ -20,6 +20,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import LazyAvatars
 from glsplat.net.served_scene import ServedScene, TrackingOptions, server_of
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.worker.thread import ThreadWorker
 from tests.net.conftest import FakeBackend
 
 
@@ -71,7 +72,7 @@ async def test_a_fault_in_loading_ends_the_wait(caplog):
 def test_each_person_is_offered_but_the_one_who_is_shown_anyway():
     async def main(scene, policy):
         server = assemble(ServedScene(file=SceneFile.of(scene)), ServerConfig(port=0), people=PEOPLE, consent=policy)
-        server.drawer._backend = FakeBackend()
+        server.drawer.worker = ThreadWorker(FakeBackend())
         async with started(server):
             await asyncio.wait_for(server.all_offered.wait(), 120)
             return await session(server)

@@ -101,7 +101,7 @@ async def test_the_status_page_shows_the_address_it_was_asked_by():
 
 @pytest.mark.parametrize(("listens", "name"), [("0.0.0.0", "192.168.7.9"), ("127.0.0.1", "")])
 async def test_a_code_never_leads_a_phone_to_itself(monkeypatch, listens, name):
-    monkeypatch.setattr("glsplat.net.guard.machine.machine_addresses", lambda: ("192.168.7.9", "2001:db8::7"))
+    monkeypatch.setattr("glsplat.net.guard.host_info.machine_addresses", lambda: ("192.168.7.9", "2001:db8::7"))
     config = ServerConfig(port=0, access=Access(host=listens, insecure=True))
     async with serving(config=config) as server, aiohttp.ClientSession() as http:
         async with http.get(f"http://localhost:{server.port}/") as response:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
 from glsplat.extras.authoring.posed import PosedSplats, drawable, placed, posed_splats
 from glsplat.extras.authoring.raster import mesh_picture
 from glsplat.extras.authoring.refine import random_pose
 from glsplat.extras.authoring.visibility import EYES, GAZE_LIDS, HEAD
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import Context, create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose

@@ -15,7 +15,7 @@ from glsplat.extras.authoring.optimize import kernels
 from glsplat.extras.authoring.optimize.agreed import Shares, shared
 from glsplat.extras.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
 from glsplat.extras.authoring.posed import PosedSplats
-from glsplat.io.machine import cores
+from glsplat.io.cores import cores
 
 __all__ = ["Gradients", "Rasterizer"]
 

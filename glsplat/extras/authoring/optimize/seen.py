@@ -18,7 +18,7 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.optimize.compiled import available
 from glsplat.extras.authoring.posed import PosedSplats
 from glsplat.extras.authoring.threads import abreast
-from glsplat.io.machine import cores
+from glsplat.io.cores import cores
 
 if TYPE_CHECKING:
     from glsplat.extras.authoring.optimize.agreed import Shares

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.comparison.parts import labelled_mesh, labels_of, regions
 from glsplat.extras.evaluate.comparison.performance import Performance
 from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
 from glsplat.gl.context import create_context
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer

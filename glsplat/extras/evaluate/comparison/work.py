@@ -27,8 +27,8 @@ from glsplat.extras.evaluate.comparison.product import Product, key_of, product
 from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.comparison.sheet import Sheet
 from glsplat.extras.evaluate.comparison.stage import Stage
-from glsplat.extras.evaluate.machine import commit
 from glsplat.io.files import replace_file
+from glsplat.io.provenance import commit
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 

@@ -34,7 +34,7 @@ def faced() -> Avatar:
     return with_face(bare(), face(), len(bare().splats) + FACE_SPLATS)
 
 
-def posed(**expression: float) -> reference.SkinnedSplats:
+def posed(**expression: float) -> reference.Posed:
     made = faced()
     weights = made.shapes.weights(expression)
     bones = Pose(STILL).bones(made.skeleton)

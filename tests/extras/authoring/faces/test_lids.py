@@ -51,11 +51,11 @@ def lidded() -> Avatar:
     return with_lids(painted(), face().mesh, eyes(), range(0))
 
 
-def shut(much: float) -> reference.SkinnedSplats:
+def shut(much: float) -> reference.Posed:
     return winking(lidded(), much)
 
 
-def winking(made: Avatar, much: float) -> reference.SkinnedSplats:
+def winking(made: Avatar, much: float) -> reference.Posed:
     weights = made.shapes.weights({"eyeBlinkLeft": much, "eyeBlinkRight": much})
     bones = Pose(STILL).bones(made.skeleton)
     return reference.skin(made.splats, made.skin, bones, shapes=made.shapes, expression=weights)

@@ -1,4 +1,4 @@
-"""Independent pieces of work on a Ray cluster: ``--ray`` of the commands that have some (docs/scaling.md)."""
+"""Run independent tasks on a Ray cluster: the option ``--ray`` (docs/scaling.md)."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from glsplat.errors import GlsplatError
 
 __all__ = ["add_ray", "on_ray"]
 
-# a piece is a core, as where a machine works alone: sums differ in their last bits with the number of threads
+# one core per task, as on a single machine: the last bits of sums depend on the number of threads
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 
 
 def add_ray(parser: argparse.ArgumentParser, what: str) -> None:
-    """--ray, for ``what`` (a plural)."""
+    """Add --ray, which distributes ``what`` (a plural)."""
     parser.add_argument(
         "--ray",
         nargs="?",
         const="",
         metavar="ADDRESS",
-        help=f"share {what} out over a Ray cluster, whose machines see the same folders (default: RAY_ADDRESS, one on "
+        help=f"distribute {what} over a Ray cluster with a shared file system (default: RAY_ADDRESS, one on "
         "this machine, or a new one; docs/scaling.md)",
     )
 
 
 def on_ray(work: Callable[[Any], Any], pieces: Sequence[Any], address: str) -> Iterator[tuple[int, Any]]:
-    """The place of each piece and what ``work`` makes of it, as they are done; an Exception where its process ended.
+    """Yield the index of each piece and the result of ``work``, as they finish; an exception if its process died.
 
-    Each has a process of its own, as ``work`` may change that for good. Raises what ``work`` raises, and GlsplatError
-    without Ray. What is left when the caller stops is ended.
+    Each piece has its own process, whose state ``work`` may change. Raises the exceptions of ``work``, and GlsplatError
+    without Ray. Unfinished pieces are cancelled when the caller stops.
     """
-    from glsplat.extras.workers.cluster import require_ray  # slow to import, and most commands are not shared out
+    from glsplat.extras.workers.cluster import require_ray  # here: slow to import
 
     require_ray()
     import ray

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
 from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.extras.evaluate.mesh_truth import MeshTruth
+from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.formats.person import read_person
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh

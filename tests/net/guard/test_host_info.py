@@ -8,8 +8,8 @@ import struct
 
 import pytest
 
-from glsplat.net.guard import machine
-from glsplat.net.guard.machine import machine_addresses, reachable_at
+from glsplat.net.guard import host_info
+from glsplat.net.guard.host_info import machine_addresses, reachable_at
 
 IF_INET6 = """\
 00000000000000000000000000000001 01 80 10 80       lo
@@ -37,14 +37,14 @@ def test_each_interface_has_its_address(monkeypatch):
         return name[:16] + struct.pack("<HH", socket.AF_INET, 0) + address + bytes(232)
 
     monkeypatch.setattr(fcntl, "ioctl", ioctl)
-    monkeypatch.setattr(machine.socket, "if_nameindex", lambda: [(1, "lo"), (2, "eth0"), (3, "eth1")])
-    assert machine._interfaces() == ["192.0.2.9", "198.51.100.254"]
+    monkeypatch.setattr(host_info.socket, "if_nameindex", lambda: [(1, "lo"), (2, "eth0"), (3, "eth1")])
+    assert host_info._interfaces() == ["192.0.2.9", "198.51.100.254"]
 
 
 def test_temporary_addresses_are_left_out(tmp_path, monkeypatch):
     (tmp_path / "if_inet6").write_text(IF_INET6)
-    monkeypatch.setattr(machine, "Path", lambda name: tmp_path / "if_inet6")
-    assert machine._lasting() == ["fd00::a", "2001:db8::3"]
+    monkeypatch.setattr(host_info, "Path", lambda name: tmp_path / "if_inet6")
+    assert host_info._lasting() == ["fd00::a", "2001:db8::3"]
 
 
 @pytest.mark.parametrize(
@@ -57,9 +57,9 @@ def test_temporary_addresses_are_left_out(tmp_path, monkeypatch):
     ],
 )
 def test_where_a_server_is_reached(monkeypatch, host, expected):
-    monkeypatch.setattr(machine, "_outward", lambda family: "192.0.2.7")
-    monkeypatch.setattr(machine, "_interfaces", lambda: ["10.0.0.1", "192.0.2.7"])
-    monkeypatch.setattr(machine, "_lasting", lambda: ["fd00::a"])
+    monkeypatch.setattr(host_info, "_outward", lambda family: "192.0.2.7")
+    monkeypatch.setattr(host_info, "_interfaces", lambda: ["10.0.0.1", "192.0.2.7"])
+    monkeypatch.setattr(host_info, "_lasting", lambda: ["fd00::a"])
     assert reachable_at(host) == expected
 
 
@@ -68,7 +68,7 @@ def test_without_a_network_there_is_none(monkeypatch):
         def connect(self, address):
             raise OSError(101, "Network is unreachable")
 
-    monkeypatch.setattr(machine.socket, "socket", Unreachable)
-    monkeypatch.setattr(machine, "_interfaces", list)
-    monkeypatch.setattr(machine, "_lasting", list)
+    monkeypatch.setattr(host_info.socket, "socket", Unreachable)
+    monkeypatch.setattr(host_info, "_interfaces", list)
+    monkeypatch.setattr(host_info, "_lasting", list)
     assert machine_addresses() == ()
