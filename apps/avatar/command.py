@@ -15,7 +15,7 @@ EXAMPLE = "glsplat avatar make person.npz -o me.glb --splats 40000"
 
 
 class _Action(NamedTuple):
-    """What one action is called by."""
+    """Help text, module and functions of an action."""
 
     help: str
     module: str
@@ -25,7 +25,7 @@ class _Action(NamedTuple):
 
 _ACTIONS = {
     "make": _Action("a rigged, textured person (.npz, .glb, .vrm) to a Gaussian avatar", "making", "add_make", "make"),
-    "cones": _Action("find out which splats are hidden from where, for --cull-hidden", "making", "add_cones", "cones"),
+    "cones": _Action("compute visibility cones of splats, for --cull-hidden", "making", "add_cones", "cones"),
     "levels": _Action("add coarser levels of detail to a file, merged from it", "detail"),
     "reduce": _Action("an avatar with fewer splats, fitted to its own pictures", "reduce"),
     "import": _Action(
@@ -42,7 +42,7 @@ _ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The subcommands; what each needs is imported when it is chosen, for some take a second."""
+    """Add the subcommands. The module of an action is imported when it is chosen, as some take a second."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=CommandParser)
     for name, action in _ACTIONS.items():
         commands.add_parser(name, help=action.help).later = partial(_fill, action)

@@ -1,4 +1,4 @@
-"""``glsplat avatar consent``: sign into an avatar's file that somebody agreed to be shown; what inspect says."""
+"""``glsplat avatar consent``: sign a consent record into an avatar's file; describe records for ``inspect``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PURPOSE = "to be shown and driven as an avatar"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="avatar (.glb) to write the record into")
     parser.add_argument("--sign", type=Path, metavar="KEY", help="private key that signs (of --new-key)")
     parser.add_argument("--subject", help="who is shown")
@@ -87,7 +87,7 @@ def _given(told: dict[str, Any]) -> str:
 
 
 def _day(text: str) -> date:
-    """argparse type: a date."""
+    """Parse a date (argparse type)."""
     try:
         if re.fullmatch(r"\d{4}-\d{2}-\d{2}", text):
             return date.fromisoformat(text)
@@ -97,7 +97,7 @@ def _day(text: str) -> date:
 
 
 def report(found: OnFile, now: float | None = None) -> dict[str, Any]:
-    """What a file says of consent as JSON values; ``valid`` at ``now`` (seconds since 1970), by whomever signed."""
+    """Return the consent record of a file as JSON values, ``valid`` at ``now`` (seconds since 1970), of any signer."""
     consent = found.consent
     if consent is None:
         return {"valid": found.nobody, "nobody": found.nobody, "fault": found.fault}
@@ -119,12 +119,12 @@ def report(found: OnFile, now: float | None = None) -> dict[str, Any]:
 
 
 def briefly(told: dict[str, Any]) -> str:
-    """``report`` in few words."""
+    """Return a short text of ``report``."""
     return "shows nobody" if told["nobody"] else str(told["fault"]) or "consent valid"
 
 
 def said(told: dict[str, Any]) -> str:
-    """``report`` in words."""
+    """Return the text of ``report``."""
     if told["nobody"]:
         return "not needed: it comes with glsplat and shows nobody"
     if "subject" not in told:

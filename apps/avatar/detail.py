@@ -1,4 +1,4 @@
-"""``glsplat avatar levels``: coarser levels of detail for a file that has none."""
+"""``glsplat avatar levels``: add coarser levels of detail to a file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("scene", type=Path, help="avatar or static splats, in any format")
     parser.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(rigs=True)})")
     parser.add_argument(
@@ -50,8 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "0: merged alone, as are levels of static scenes",
     )
     parser.add_argument("--seed", type=natural, default=0, help="same seed, same bytes (default 0)")
-    parser.add_argument("--force", action="store_true", help="make levels anew where the file has some")
-    parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+    parser.add_argument("--force", action="store_true", help="replace existing levels")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""``glsplat avatar guide``: one picture that says how to take the photograph an avatar is made from."""
+"""``glsplat avatar guide``: draw a picture that explains how to take the photograph for an avatar."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ _SCALE = 2  # figures are drawn larger and averaged
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("-o", "--out", default="guide.png", help="picture to write (.png; default %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw it and write it."""
+    """Draw and write the picture."""
     output_kind("--out", args.out, (".png",), "a picture (.png)")
     drawn = cv2.cvtColor(draw_guide(), cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".png", drawn)
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def draw_guide() -> Picture:
-    """RGB uint8 [H, W, 3]."""
+    """Return the picture, RGB uint8 [H, W, 3]."""
     sheet = np.full((_SIZE[1], _SIZE[0], 3), _PAPER, np.uint8)
     avatar = default_avatar()
     with Renderer(avatar, size=(600 * _SCALE, 860 * _SCALE)) as renderer:
@@ -90,7 +90,7 @@ def draw_guide() -> Picture:
 
 
 def _large(sheet: Picture) -> None:
-    """What is drawn over the good figure, and the words below it."""
+    """Draw the marks over the good figure, and the text below it."""
     cv2.rectangle(sheet, (40, 100), (640, 960), _GOOD, 4)
     _arrow(sheet, (54, 202), (54, 861), _INK)
     _text(sheet, "75 to 90 %", (68, 640), 0.62, _INK, 1)
@@ -108,7 +108,7 @@ def _large(sheet: Picture) -> None:
 
 
 def _setting(sheet: Picture, side: Picture) -> None:
-    """Camera, person and distances, seen from the side."""
+    """Draw camera, person and distances, seen from the side."""
     left, top, right, floor = 680, 100, 1564, 640
     sheet[top:floor, left:right] = _WALL
     sheet[floor - 40 : floor, left:right] = _FLOOR
@@ -138,7 +138,7 @@ def _figure(
     centre: float = 0.93,
     wall: float = 0.2,
 ) -> Picture:
-    """The person before a wall; the picture is ``height`` metres high about ``centre``, the floor ends ``wall`` up."""
+    """Return a person before a wall; the picture is ``height`` m high about ``centre``, the floor ends at ``wall``."""
     width, rows = size[0] * _SCALE, size[1] * _SCALE
     distance = height / 2 / np.tan(np.radians(_FOV) / 2)
     view = look_at(eye=(0, centre, distance), target=(0, centre, 0))
@@ -163,7 +163,7 @@ def _text(
 
 
 def _arrow(sheet: Picture, start: tuple[int, int], end: tuple[int, int], ink: tuple[int, int, int]) -> None:
-    """A dimension line with two heads."""
+    """Draw a dimension line with two heads."""
     tip = 14 / max(np.hypot(end[0] - start[0], end[1] - start[1]), 1)
     for a, b in ((start, end), (end, start)):
         cv2.arrowedLine(sheet, a, b, ink, 2, cv2.LINE_AA, tipLength=float(tip))

@@ -1,4 +1,4 @@
-"""``glsplat avatar make``, ``cones``, ``import``, ``export``, ``motions``: from files of people and splats to files."""
+"""``glsplat avatar make``, ``cones``, ``import``, ``export``, ``motions``: convert files of people and splats."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ __all__ = [
 ]
 
 _COARSEST = 5000
-"""Splats below which no level is made unless it is asked for."""
+"""Least number of splats of a default level."""
 
 
 def add_make(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument(
         "person", type=Path, help="rigged, textured mesh: person archive (.npz), .glb, .gltf, .vrm, or .obj with --body"
     )
@@ -85,13 +85,13 @@ def add_make(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"splats of coarser levels of detail (default: --splats halved down to {_COARSEST}); none: none",
     )
-    parser.add_argument("--no-surface", action="store_true", help="say nothing of normals: --light never changes it")
-    parser.add_argument("--no-cones", action="store_true", help="make no visibility cones (--cull-hidden needs them)")
+    parser.add_argument("--no-surface", action="store_true", help="store no surface: --light has no effect")
+    parser.add_argument("--no-cones", action="store_true", help="store no visibility cones (--cull-hidden needs them)")
     _add_out(parser)
 
 
 def add_cones(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("scene", type=Path, help="avatar or static splats")
     parser.add_argument("-o", "--out", type=Path, required=True, help=f"file to write ({suffixes(rigs=True)})")
     parser.add_argument(
@@ -103,7 +103,7 @@ def add_cones(parser: argparse.ArgumentParser) -> None:
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument(
         "dump",
         type=Path,
@@ -126,7 +126,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 
 
 def add_export(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("avatar", nargs="?", type=Path, help="avatar (.glb); default: the embedded one")
     parser.add_argument("--pose", help="pose or motion file, or the name of an embedded motion (default: zero pose)")
     parser.add_argument("--at", type=float, default=0.0, help="seconds into a motion (default 0)")
@@ -136,14 +136,14 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 
 
 def add_motions(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
 
 
 def _add_out(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
     add_notes(parser)
-    parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def make(args: argparse.Namespace) -> int:
@@ -161,8 +161,8 @@ def make(args: argparse.Namespace) -> int:
         mesh = read_obj_person(args.person, read_body(args.body))
     if args.steps and not available():
         print(f"glsplat avatar make: {MISSING}", file=sys.stderr)
-    told: list[str] = []
-    _say(args.person, doubts(mesh, scale=args.extra_scale), told)  # before the minutes, so that they can be saved
+    reported: list[str] = []
+    _report(args.person, doubts(mesh, scale=args.extra_scale), reported)  # before the long computation
     with progress_bar() as show:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
@@ -174,21 +174,21 @@ def make(args: argparse.Namespace) -> int:
             avatar = with_surface(avatar, mesh)
         if not args.no_cones:
             avatar = worth_cones(with_cones(avatar, progress=show))
-    _say(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), told)
+    _report(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), reported)
     return write(avatar, args, began)
 
 
-def _say(path: Path, lines: Iterable[str], told: list[str]) -> None:
-    """What was not ``told`` yet."""
+def _report(path: Path, lines: Iterable[str], reported: list[str]) -> None:
+    """Print the lines that are not in ``reported`` on stderr, and add them to it."""
     with naming(path):
         for line in lines:
-            if line not in told:
+            if line not in reported:
                 print(f"glsplat avatar: {path}: {line}", file=sys.stderr)
-                told.append(line)
+                reported.append(line)
 
 
 def cones(args: argparse.Namespace) -> int:
-    """Find the cones of a file."""
+    """Compute the visibility cones of a file."""
     check_name(args.out)
     if not 0 < args.psnr <= 100:
         raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
@@ -203,7 +203,7 @@ def cones(args: argparse.Namespace) -> int:
 
 
 def take(args: argparse.Namespace) -> int:
-    """Import what another program made."""
+    """Import an avatar of another program."""
     check_name(args.out)
     began = time.perf_counter()
     if args.dump.suffix.lower() == ".zip" or is_lam_zip(args.dump):
@@ -262,16 +262,16 @@ def export(args: argparse.Namespace) -> int:
 
 
 def _is_single_pose(path: str) -> bool:
-    """True for a pose object, which may hold translations; motions, frames of a video and all else are motions."""
+    """Return whether a file is a pose object, not a motion or frames of a video."""
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8")) if path.lower().endswith(".json") else None
     except (OSError, ValueError, RecursionError):
-        return False  # the motion reader says what is wrong
+        return False  # the motion reader raises the error
     return isinstance(data, dict) and not {"frames", "focal"} & data.keys()
 
 
 def motions(args: argparse.Namespace) -> int:
-    """Write the motions that come with glsplat."""
+    """Write the embedded motions."""
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -285,7 +285,7 @@ def motions(args: argparse.Namespace) -> int:
 
 
 def counts_of(asked: Sequence[str] | None, splats: int) -> tuple[int, ...]:
-    """Splats of the levels below ``splats``: halves for None, none for ``none``. Raises UsageError."""
+    """Return the splat counts of the coarser levels: halves by default, () for ``none``. Raises UsageError."""
     if asked is None:
         halves = [splats >> k for k in range(1, 32)]
         return tuple(half for half in halves if half >= _COARSEST)

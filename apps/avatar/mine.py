@@ -1,4 +1,4 @@
-"""``--mine``: who makes an avatar of their own photograph says so once, and nothing else has to be signed."""
+"""``--mine``: sign the consent to an avatar of one's own photograph."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from glsplat.net.guard.state_dir import state_folder
 
 __all__ = ["sign_mine"]
 
-_LASTS = timedelta(days=365)
+_VALIDITY = timedelta(days=365)
 _SUBJECT, _SAID = "the person of the photograph", "whoever made it on this computer"
 _PURPOSE = "to be shown and driven as an avatar; whoever made it said: this is me, or this person agreed"
 
 
 def sign_mine(path: Path) -> None:
-    """Sign the avatar at ``path`` with the key that servers of this user sign with (``consent-key``), for a year.
+    """Sign the avatar at ``path`` for a year, with the key of this user's servers (``consent-key``).
 
-    The splats are not handed out by it. Raises GlsplatError naming the file.
+    The record does not allow handing out splats. Raises GlsplatError, which names the file.
     """
     key = kept_key(state_folder())
     today = datetime.now(UTC).date()
@@ -33,8 +33,8 @@ def sign_mine(path: Path) -> None:
         given_by=_SAID,
         purpose=_PURPOSE,
         start=today,
-        until=today + _LASTS,
+        until=today + _VALIDITY,
         drivers=[ANYBODY],
     )
     replace_file(path, [signed])
-    print(f"{path}: signed as yours until {today + _LASTS}; show it: glsplat serve {path}", file=sys.stderr)
+    print(f"{path}: signed as yours until {today + _VALIDITY}; show it: glsplat serve {path}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The rigged person that ``avatar make`` and others start from, and what is unusual about it and its avatar."""
+"""Read the rigged person that ``avatar make`` and others start from, and report what is unusual about it."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from ..usage import UsageError
 
 __all__ = ["add_rig", "doubts", "is_gltf", "read_any_person"]
 
-_SIZES = 0.3, 3.0  # metres; people are not smaller or taller, and few things are that somebody makes splats of
-_FEW = 0.9  # of the splats that were asked for
-_BARE = 0.03  # of the height; a part whose vertices are all farther than that from a splat has none
+_SIZE_RANGE_M = 0.3, 3.0  # of people and most objects
+_MIN_SHARE = 0.9  # of the requested splats
+_BARE_DISTANCE = 0.03  # of the height; a part whose vertices are all farther from any splat has no splats
 
 
 def add_rig(command: argparse.ArgumentParser) -> None:
-    """--rig-map, --extra-scale, --up."""
+    """Add --rig-map, --extra-scale and --up."""
     command.add_argument(
         "--rig-map", type=Path, metavar="JSON", help="of a glTF or VRM: joints by SMPL-X's names, where ours are wrong"
     )
@@ -44,7 +44,7 @@ def add_rig(command: argparse.ArgumentParser) -> None:
 
 
 def read_any_person(path: Path, args: argparse.Namespace | None = None) -> RiggedMesh:
-    """A rigged mesh by content; ``args`` as ``add_rig`` made them."""
+    """Return the rigged mesh of a file, read by content; ``args`` has the options of ``add_rig``."""
     rig_map = getattr(args, "rig_map", None)
     scale = float(getattr(args, "extra_scale", 1.0))
     up = str(getattr(args, "up", "y"))
@@ -73,7 +73,7 @@ def is_gltf(path: Path) -> bool:
 
 
 def _turned(mesh: RiggedMesh, turn: NDArray[np.float64]) -> RiggedMesh:
-    """The same, by a rotation [3, 3] about the origin."""
+    """Return the mesh rotated by ``turn`` [3, 3] about the origin."""
     if np.array_equal(turn, np.eye(3)):
         return mesh
     whole = np.eye(4)
@@ -85,9 +85,9 @@ def _turned(mesh: RiggedMesh, turn: NDArray[np.float64]) -> RiggedMesh:
 
 
 def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, scale: float = 1.0) -> Iterator[str]:
-    """What a user should look at, a line each. Raises FormatError for what nobody would see.
+    """Yield a line about each unusual property. Raises FormatError for an invisibly small mesh.
 
-    ``asked`` splats of ``avatar``, and the ``scale`` by which the mesh was read.
+    ``asked`` is the requested number of splats of ``avatar``, ``scale`` the factor by which the mesh was read.
     """
     vertices = mesh.posed(Pose.zero(len(mesh.skeleton)))[np.unique(mesh.faces)]
     height = float(np.ptp(vertices[:, 1]))
@@ -100,19 +100,19 @@ def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, scale
         help_ = f"{named}; a --rig-map may help" if named else why
         yield f"cannot be driven by motions or a headset: {help_}"
     size = height if drives else float(np.ptp(vertices, axis=0).max())
-    if not _SIZES[0] <= size <= _SIZES[1]:
+    if not _SIZE_RANGE_M[0] <= size <= _SIZE_RANGE_M[1]:
         tall, better = ("tall", 1.7) if drives else ("from end to end", 1.0)
         yield f"{size:.3g} m {tall}; --extra-scale {better / size * scale:.2g} would make it {better:g} m"
     for line in mesh.meta.get("left_out", ()):
         yield f"{line}"
     if avatar is None:
         return
-    if len(avatar.splats) < _FEW * asked:
+    if len(avatar.splats) < _MIN_SHARE * asked:
         yield f"{len(avatar.splats)} splats where {asked} were asked for"
-    from scipy.spatial import cKDTree  # here: other commands read persons without it
+    from scipy.spatial import cKDTree  # here: other commands do not need scipy
 
     near = cKDTree(avatar.splats.means)
     for part in mesh.parts:
         corners = mesh.vertices[np.unique(part.faces)]
-        if len(corners) and near.query(corners)[0].min() > _BARE * max(height, 1e-9):
+        if len(corners) and near.query(corners)[0].min() > _BARE_DISTANCE * max(height, 1e-9):
             yield f'part "{part.name}" has no splats: nothing of it is seen'

@@ -1,4 +1,4 @@
-"""``glsplat avatar photo``: from photographs of a person to an avatar or a mesh, or only the check of them."""
+"""``glsplat avatar photo``: make an avatar or a mesh of photographs of a person, or only check them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _DEFAULT = Options()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument(
         "front",
         type=Path,
@@ -100,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the avatar, or one a picture; with --check 0 for pictures that will do and 1 for others."""
+    """Make an avatar, or one per picture. With --check return 0 for suitable pictures, else 1."""
     if args.mine and args.check:
         raise UsageError("--mine signs an avatar, --check makes none: leave one of them out")
     if args.front.is_dir():
@@ -202,7 +202,7 @@ def _shots(args: argparse.Namespace, show: Progress) -> dict[str, CheckedPhoto]:
 
 
 def _report(shots: Mapping[str, CheckedPhoto], args: argparse.Namespace) -> int:
-    """The check alone: a line for everything found, and 1 if a picture is refused."""
+    """Print the findings of --check; return 1 if a picture is refused."""
     good = not any(shot.capture.refused for shot in shots.values())
     _sheet(args, shots)
     if args.json:
@@ -219,7 +219,7 @@ def _report(shots: Mapping[str, CheckedPhoto], args: argparse.Namespace) -> int:
 
 
 def _notes(shots: Mapping[str, CheckedPhoto], guessed: bool = False) -> None:
-    """What the files tell, and with ``guessed`` what the avatar was guessed from."""
+    """Return the metadata of the files, and with ``guessed`` the sources of guessed parts."""
     for shot in shots.values():
         for finding in shot.capture.findings if guessed else ():
             print(f"{shot.name}: {finding.text}")
@@ -243,7 +243,7 @@ def _pictures(shots: Mapping[str, CheckedPhoto]) -> list[dict[str, Any]]:
 
 
 def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
-    """For --json, beside what all commands say."""
+    """Return the command's own facts for --json."""
     meta = done.mesh.meta if isinstance(done, MeshReconstruction) else done.avatar.meta
     facts: dict[str, Any] = {"made_by": done.made_by, "unseen": meta.get("unseen")}
     facts["pictures"] = _pictures(done.shots)
@@ -260,7 +260,7 @@ def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
 def _sheet(
     args: argparse.Namespace, shots: Mapping[str, CheckedPhoto], done: Reconstruction | MeshReconstruction | None = None
 ) -> None:
-    """Draw what there is, where it was asked for."""
+    """Write the sheet of --sheet, if given."""
     if args.debug is not None:
         from . import photo_sheet
 

@@ -1,4 +1,4 @@
-"""``glsplat avatar photo DIR``: an avatar of each picture in a folder, here or on a Ray cluster."""
+"""``glsplat avatar photo DIR``: make an avatar of each picture in a folder, locally or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ Made = tuple[int, str, str]
 
 
 def run(args: argparse.Namespace, one: Callable[[argparse.Namespace], int]) -> int:
-    """An avatar NAME.glb in --out of each NAME.jpg or .png; 1 where one failed.
+    """Make an avatar NAME.glb in --out of each NAME.jpg or .png; return 1 if one failed.
 
-    ``one`` makes one. Raises UsageError for options about one person, FormatError for a folder without pictures.
+    ``one`` makes one avatar. Raises UsageError for options of one person, FormatError for no pictures.
     """
     for name in _ONE_PERSON:
         if getattr(args, name) is not None:
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace, one: Callable[[argparse.Namespace], int]) -> i
 
 
 def _of(args: argparse.Namespace, picture: Path) -> argparse.Namespace:
-    """What ``glsplat avatar photo`` is told of one picture."""
+    """Return the arguments of ``glsplat avatar photo`` for one picture."""
     own = copy(args)
     own.front = picture
     own.out = None if args.out is None else args.out / f"{picture.stem}.glb"
@@ -73,7 +73,7 @@ def _of(args: argparse.Namespace, picture: Path) -> argparse.Namespace:
 
 
 def _signed(path: Path) -> str:
-    """Why it could not be, or ""."""
+    """Sign the avatar; return the error, or "" on success."""
     try:
         sign_mine(path)
     except GlsplatError as error:

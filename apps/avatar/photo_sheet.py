@@ -1,4 +1,4 @@
-"""One picture of how an avatar came out of photographs: outline, landmarks, fitted body, what was seen, the result."""
+"""Sheet of an avatar from photographs: outline, landmarks, fitted body, visible surface, result."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _FINGERS = [[0, *range(first, first + 4)] for first in (1, 5, 9, 13, 17)]
 def draw(
     shots: Mapping[str, CheckedPhoto], avatar: Avatar | RiggedMesh | None = None, made: FittedBody | None = None
 ) -> Image:
-    """RGB uint8 [H, W, 3]: a row for each picture, then what was seen and the result where there are such."""
+    """Return RGB uint8 [H, W, 3]: a row per picture, then the visible surface and the result, if there are any."""
     rows = []
     for index, shot in enumerate(shots.values()):
         cells = [_outline(shot), _landmarks(shot)]
@@ -69,7 +69,7 @@ def draw(
 
 
 class _Frame:
-    """The part of a picture about the person, as one cell shows it."""
+    """Crop of a picture around the person, shown in one cell."""
 
     def __init__(self, shot: CheckedPhoto) -> None:
         picture, mask = shot.photo.picture, shot.capture.mask
@@ -88,7 +88,7 @@ class _Frame:
         return np.asarray(cv2.warpAffine(picture, matrix, _CELL, borderValue=(40, 40, 40)), np.uint8)
 
     def points(self, points: F64) -> F64:
-        """[N, 2] pixels of the picture to pixels of the cell."""
+        """Return pixels [N, 2] of the picture as pixels of the cell."""
         return np.asarray(points[:, :2] * self.scale + self.shift)
 
 
@@ -131,7 +131,7 @@ def _landmarks(shot: CheckedPhoto) -> Image:
 
 
 def _details(shot: CheckedPhoto) -> Image:
-    """The face above, both hands below, as the networks cut them out of the picture."""
+    """Return the face above both hands, as cropped for the networks."""
     person = shot.capture.person
     assert person is not None
     cell = np.full((*_CELL[::-1], 3), 40, np.uint8)
@@ -151,7 +151,7 @@ def _details(shot: CheckedPhoto) -> Image:
 
 
 def _cut(shot: CheckedPhoto, points: F64, side: int, ink: tuple[int, int, int] | None = None) -> Image:
-    """A square about the points with the points in it; with ``ink`` as a hand."""
+    """Return a square crop around the points, with the points drawn; with ``ink`` as a hand."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     size = max(1.3 * float((high - low).max()), 4.0)
     scale, middle = side / size, (low + high) / 2
@@ -173,7 +173,7 @@ def _hand(shown: Image, points: F64, ink: tuple[int, int, int]) -> None:
 
 
 def _titled(shown: Image, text: str) -> Image:
-    """With words in its upper left corner, readable on anything."""
+    """Return the picture with text in its upper left corner, readable on any background."""
     shown = np.ascontiguousarray(shown)
     shown[: 26 if len(shown) > 300 else 22] //= 3
     return label(shown, text)
@@ -201,7 +201,7 @@ def _fitted(shot: CheckedPhoto, view: FittedView) -> Image:
 
 
 def _shades(vertices: F64, faces: NDArray[np.int32]) -> F64:
-    """[F] from 0.35 to 1: how much a face of the body looks at the camera; camera axes."""
+    """Return shades [F], 0.35 to 1, of triangles by their angle to the camera; camera axes."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1)
@@ -209,7 +209,7 @@ def _shades(vertices: F64, faces: NDArray[np.int32]) -> F64:
 
 
 def _painted(pixels: F64, depth: F64, faces: NDArray[np.int32], colours: F64) -> Image:
-    """Faces in flat colours [F, 3], the near ones over the far ones; black where there are none."""
+    """Return triangles painted in flat colours [F, 3], far to near, on black."""
     drawn = np.zeros((*_CELL[::-1], 3), np.uint8)
     corners = np.rint(pixels[faces] * 16).astype(np.int32)
     for face in np.argsort(-depth[faces].mean(axis=1), kind="stable"):
@@ -218,7 +218,7 @@ def _painted(pixels: F64, depth: F64, faces: NDArray[np.int32], colours: F64) ->
 
 
 def _seen(avatar: Avatar | RiggedMesh, made: FittedBody, sides: Sequence[str]) -> Avatar | RiggedMesh:
-    """The avatar in the colours of the pictures that show its surface, light and dark as it is itself."""
+    """Return the avatar tinted by the picture that shows each part of its surface, with its own brightness."""
     colours = np.tile(np.array(_GUESSED, np.float64), (len(made.mesh.vertices), 1)) / 255
     for side, view in reversed(list(zip(sides, made.fit.views, strict=True))):  # the front has the last word
         colours[_visible(view, open_body().faces)] = np.array(_SEEN[side]) / 255
@@ -233,7 +233,7 @@ def _seen(avatar: Avatar | RiggedMesh, made: FittedBody, sides: Sequence[str]) -
 
 
 def _tinted(part: MeshPart, colours: F64) -> MeshPart:
-    """With the colours [V, 3] of its vertices over its texture."""
+    """Return the mesh with vertex colours [V, 3] blended over its texture."""
     texture = part.texture.copy()
     texels = texels_of(part.uv, texture.shape[1], texture.shape[0])
     tint = SurfacePoints(part.faces[texels.face].astype(np.intp), texels.weights).at(colours)
@@ -243,7 +243,7 @@ def _tinted(part: MeshPart, colours: F64) -> MeshPart:
 
 
 def _visible(view: FittedView, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """[V] whether a picture shows the vertex, and not from the edge."""
+    """Return a mask [V] of the vertices that a picture shows, except at grazing angles."""
     low, high = view.pixels.min(axis=0), view.pixels.max(axis=0)
     scale = 1000 / max(float((high - low).max()), 1e-6)
     pixels = (view.pixels - low) * scale + 2

@@ -1,4 +1,4 @@
-"""``glsplat avatar reduce``: an avatar of fewer splats that looks like one of many."""
+"""``glsplat avatar reduce``: fit an avatar of fewer splats to the pictures of another."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
-    parser.add_argument("avatar", type=Path, help="avatar (.glb), from wherever")
+    """Add the options of the command."""
+    parser.add_argument("avatar", type=Path, help="avatar (.glb) of any source")
     parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
     parser.add_argument("--splats", type=natural, required=True, help="number of Gaussians")
     parser.add_argument(
         "--steps", type=natural, default=FittedConfig().steps, help="of the fit (default %(default)d); 0: merged only"
     )
     parser.add_argument("--seed", type=natural, default=0, help="same seed, same bytes (default 0)")
-    parser.add_argument("--json", action="store_true", help="print what was made as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     add_notes(parser)
 
 

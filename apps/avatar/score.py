@@ -1,4 +1,4 @@
-"""``glsplat avatar score``: an avatar against the textured mesh it was made from, in poses the fit has not seen."""
+"""``glsplat avatar score``: compare an avatar with the mesh it was made from, in poses outside the fit."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ __all__ = ["add_arguments", "report"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of the subcommand."""
+    """Add the options of the command."""
     parser.add_argument("avatar", type=Path, nargs="?", help="avatar (.glb); default: the embedded avatar")
     parser.add_argument("--mesh", type=Path, required=True, help="the rigged, textured mesh it shows (.npz, .glb)")
     parser.add_argument("--poses", type=int, default=len(SCORE_POSES), help=f"poses (default {len(SCORE_POSES)})")
-    parser.add_argument("--views", type=int, default=4, help="views a pose, evenly around (default 4)")
+    parser.add_argument("--views", type=int, default=4, help="views per pose, evenly around (default 4)")
     parser.add_argument("--size", type=int, default=512, help="pixels, square (default 512)")
     parser.add_argument(
         "--antialias",
         action=argparse.BooleanOptionalAction,
-        help="draw the avatar with opacity compensation (default: what the file asks for)",
+        help="draw the avatar with opacity compensation (default: as the file says)",
     )
     add_detail(parser, lean=False)
     parser.add_argument("--grey", type=float, default=0.0, help="background, 0 black (default) to 1 white")
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Load both and report."""
+    """Load avatar and mesh, and report."""
     scene = default_avatar() if args.avatar is None else load_splats(embedded_file(args.avatar))
     if not isinstance(scene, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton to pose; give an avatar (.glb with a skin)")
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
-    """Score, print, write the sheet; 0 on success."""
+    """Print the scores and write the sheet; 0 on success."""
     if not 1 <= args.poses <= len(SCORE_POSES):
         raise UsageError(f"--poses needs 1 to {len(SCORE_POSES)}, not {args.poses}")
     if not 1 <= args.views <= 360:
@@ -140,7 +140,7 @@ def _summary(values: NDArray[np.float64], digits: int = 2) -> dict[str, float]:
 
 
 def _write_sheet(path: Path, scores: list[AvatarScore], views: int) -> None:
-    """A row a pose, for each view the avatar, the mesh and four times their difference, at half size."""
+    """Write a row per pose: for each view the avatar, the mesh and four times their difference, at half size."""
     rows = []
     for first in range(0, len(scores), views):
         row = []

@@ -1,4 +1,4 @@
-"""``glsplat avatar video``: from a video of somebody who turns, or pictures from all around, to a mesh or an avatar."""
+"""``glsplat avatar video``: make a mesh or an avatar of a video of a turning person, or of pictures from around."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DEFAULT = Options()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument(
         "frames_from",
         metavar="VIDEO|PICTURE",
@@ -111,7 +111,7 @@ def _options(args: argparse.Namespace, show: Progress) -> Options:
 
 
 def _facts(made: VideoResult) -> dict[str, Any]:
-    """For --json, beside what all commands say."""
+    """Return the command's own facts for --json."""
     return {
         "unseen": round(made.unseen, 4),
         "frames": [

@@ -1,4 +1,4 @@
-"""What the commands that make avatars share: notes kept in the file, the progress bar, the file, what is said."""
+"""Shared parts of the commands that make avatars: metadata options, the progress bar, and output."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ _NOTES = {
 
 
 def add_notes(command: argparse.ArgumentParser) -> None:
-    """--source, --licence, --consent."""
+    """Add --source, --licence and --consent."""
     for key, what in _NOTES.items():
         command.add_argument(f"--{key}", help=f"{what}, kept in the file")
 
 
 def notes_of(args: argparse.Namespace) -> dict[str, str]:
-    """What those options say."""
+    """Return the metadata of the options of ``add_notes``."""
     return {key: getattr(args, key) for key in _NOTES if getattr(args, key)}
 
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A bar for (stage, share done); none where nobody watches."""
+    """Yield a function ``show(stage, share done)`` that draws a progress line on a terminal."""
     with Progress(1.0) as bar:
 
         def show(stage: str, done: float) -> None:
@@ -54,7 +54,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 
 def check_name(out: Path) -> None:
-    """Refuse what could not be written before the work starts. Raises UsageError, FormatError for the place."""
+    """Raise UsageError or FormatError, before the work starts, for an output that cannot be written."""
     if not any(out.suffix.lower() in known.suffixes for known in all_formats().values() if known.rigs):
         raise UsageError(f"{out}: an avatar is written as {suffixes(rigs=True)}; change the name")
     if not out.parent.is_dir():
@@ -68,7 +68,7 @@ def check_name(out: Path) -> None:
 def write(
     avatar: Avatar, args: argparse.Namespace, began: float, more: Mapping[str, Any] | None = None, words: str = ""
 ) -> int:
-    """Write the avatar to --out with the user's notes, and say so; ``more`` facts for --json, ``words`` for people."""
+    """Write the avatar to --out with its metadata and print a summary; ``more`` for --json, ``words`` for text."""
     meta: dict[str, Any] = dict(avatar.meta)
     smplx = avatar.skeleton.names == JOINT_NAMES
     meta.setdefault("body_model", "SMPL-X joints (55)" if smplx else f"{len(avatar.skeleton)} joints")
@@ -93,7 +93,7 @@ def write(
 def write_mesh(
     mesh: RiggedMesh, args: argparse.Namespace, began: float, more: Mapping[str, Any] | None = None, words: str = ""
 ) -> int:
-    """As ``write``, a textured mesh."""
+    """Write a textured mesh to --out as ``write`` does."""
     save_gltf_mesh(replace(mesh, meta=dict(mesh.meta) | notes_of(args)), args.out)
     texture = max((part.texture for part in mesh.parts), key=lambda texture: texture.size)
     facts = {

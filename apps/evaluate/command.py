@@ -1,4 +1,4 @@
-"""``glsplat evaluate``: methods of making avatars, compared over participants; the tables of the paper."""
+"""``glsplat evaluate``: compare methods of making avatars over participants; the tables of the paper."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _LIMITS = "/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_by
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument(
         "--participants",
         type=Path,
@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare, write, print table 1; 1 where something failed."""
+    """Compare, write the results and print table 1; return 1 if something failed."""
     named = [method_of(word) for word in _words(args.methods, "--methods")]
     methods = dict(named)
     if len(methods) < len(named):
@@ -131,7 +131,7 @@ def _run(
 
 
 def _results(tasks: Sequence[Task], jobs: int, ray: str | None) -> list[Result]:
-    """Of all tasks: what lies in the folder, and the rest made now, in processes here or on a Ray cluster."""
+    """Return the results of all tasks: those in the folder, and the rest computed in processes or on a Ray cluster."""
     kept = [result for task in tasks for result in finished(task)]
     done = {(result.participant, result.method) for result in kept}
     left = []
@@ -224,12 +224,12 @@ def _jobs(args: argparse.Namespace) -> int:
 
 
 def _memory() -> float:
-    """Bytes that processes may take: what is free of the machine, at most what the container has; else no bound."""
+    """Return the bytes that processes may use: free memory, at most the container's limit; else infinity."""
     return min(_said("/proc/meminfo", "MemAvailable:") * 1024, *(_said(limit) for limit in _LIMITS))
 
 
 def _said(file: str, name: str = "") -> float:
-    """The number that the system's file has behind ``name``; infinity where there is none."""
+    """Return the number after ``name`` in a system file; infinity if there is none."""
     try:
         lines = Path(file).read_text(encoding="ascii").splitlines()
         return next(float(line.removeprefix(name).split()[0]) for line in lines if line.startswith(name))

@@ -1,4 +1,4 @@
-"""evaluation.html: one file that opens without a network, with every table and contact sheet of a comparison."""
+"""evaluation.html: a self-contained page with every table and contact sheet of a comparison."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ROLES = {
 
 
 def page(found: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """The whole document; ``pictures`` are PNG and JPEG by file name."""
+    """Return the document; ``pictures`` are PNG and JPEG by file name."""
     parts = ["<h1>Avatars compared</h1>", *_facts(found)]
     for control in CONTROLS:
         rows = [row for row in found["table1"] if row["control"] == control]
@@ -200,7 +200,7 @@ def _sheets(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) ->
 
 
 def spread_text(spread: Mapping[str, Any] | None, name: str) -> str:
-    """Mean and deviation as tables have them."""
+    """Return mean and standard deviation as text of a table."""
     if spread is None:
         return "-"
     digits = 2 if name.endswith("psnr") else 4

@@ -31,7 +31,7 @@ def outcome(
     options: Mapping[str, Any],
     timing: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Everything that the page shows. Numbers of table 1 depend on nothing but files, protocol and options."""
+    """Return all data of the page. Table 1 depends only on files, protocol and options."""
     good = [result for result in results if not result.failed]
     return {
         **machine(),
@@ -53,7 +53,7 @@ def outcome(
 
 
 def plots(results: Sequence[Result], methods: Sequence[str], seed: int) -> dict[str, bytes]:
-    """PNG by file name: every measure by method, and L1 by side, pose and body part; a set for each control."""
+    """Return PNG plots by file name: every measure by method, L1 by side, pose and body part; a set per control."""
     from .plots import groups_plot, methods_plot  # here: matplotlib takes a second
 
     drawn = {}
@@ -69,7 +69,7 @@ def plots(results: Sequence[Result], methods: Sequence[str], seed: int) -> dict[
 
 
 def table_lines(found: Mapping[str, Any]) -> list[str]:
-    """Table 1 as lines of text."""
+    """Return table 1 as lines of text."""
     lines = []
     for control in CONTROLS:
         by = "head and hands" if control == "tracking" else "the true pose"

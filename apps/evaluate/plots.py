@@ -1,4 +1,4 @@
-"""The pictures of ``glsplat evaluate``: PNG bytes of figures by method, participant and what they are figures of."""
+"""Plots of ``glsplat evaluate`` as PNG: measures by method and participant."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _GROUP = 0.8  # width of the bars of a group, of the distance between two groups
 
 
 def methods_plot(panels: Mapping[str, Values], seed: int = 0) -> bytes:
-    """A panel a measure, by its label: a point a participant, whose points a line joins over the methods.
+    """Return a panel per measure, by its label: a point per participant, joined by a line over the methods.
 
-    The box is the middle half with the median; the diamond is the mean with its 95 % bootstrap interval.
+    The box has the quartiles and the median; the diamond is the mean with its 95 % bootstrap interval.
     """
     figure, axes = _panels(len(panels), 4.4)
     for place, (label, values) in zip(axes, panels.items(), strict=False):
@@ -32,7 +32,7 @@ def methods_plot(panels: Mapping[str, Values], seed: int = 0) -> bytes:
 
 
 def groups_plot(panels: Mapping[str, Mapping[str, Values]], label: str, seed: int = 0) -> bytes:
-    """Bars of one measure, whose label is ``label``: a panel for each way of grouping, such as by side or body part.
+    """Return bars of the measure ``label``: a panel per grouping, such as by side or body part.
 
     A group's bars are the methods' means over participants, with their 95 % bootstrap intervals.
     """
@@ -63,7 +63,7 @@ def groups_plot(panels: Mapping[str, Mapping[str, Values]], label: str, seed: in
 
 
 def _strips(axes: Axes, values: Values, seed: int) -> None:
-    """One panel of ``methods_plot``."""
+    """Draw a panel of ``methods_plot``."""
     rows = summarise(values, seed)
     people = list(dict.fromkeys(name for own in values.values() for name in own))
     aside = dict(zip(people, _SPREAD * (np.arange(len(people)) / max(len(people) - 1, 1) - 0.5), strict=True))
@@ -102,7 +102,7 @@ def _strips(axes: Axes, values: Values, seed: int) -> None:
 
 
 def _panels(count: int, height: float, columns: int = _COLUMNS) -> tuple[Figure, list[Axes]]:
-    """A figure 16 inches wide with so many panels, and none for the rest of the last line."""
+    """Return a figure 16 inches wide with so many panels, the rest of the last line empty."""
     across = max(1, min(columns, count))
     lines = max(1, -(-count // across))
     figure = Figure(figsize=(16, height * lines), layout="constrained")

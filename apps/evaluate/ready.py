@@ -1,4 +1,4 @@
-"""What a comparison needs before its work starts: packages, networks' files."""
+"""Check the requirements of a comparison: packages, and files of networks."""
 
 from __future__ import annotations
 

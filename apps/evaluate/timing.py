@@ -1,4 +1,4 @@
-"""What the compared avatars cost at run time: table 2 and the latency table of the paper, of one participant."""
+"""Run-time cost of the compared avatars: table 2 and the latency table of the paper, of one participant."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FRAMES = 30, 4  # measured; in a quick run
 def timed(
     results: Sequence[Result], people: Sequence[Participant], protocol: Protocol, folder: Path, quick: bool
 ) -> dict[str, Any]:
-    """Costs and latencies of the first participant of whom most methods made an avatar; {} where none did."""
+    """Return costs and latencies of the first participant with avatars of most methods; {} without any."""
     files = {one.name: _files(results, one, folder) for one in people}
     chosen = max(people, key=lambda one: len(files[one.name]))
     if not files[chosen.name]:
@@ -64,14 +64,14 @@ def timed(
 
 
 def _files(results: Sequence[Result], one: Participant, folder: Path) -> dict[str, Path]:
-    """Method -> the file of that participant's avatar."""
+    """Return the file of the participant's avatar by method."""
     good = [result.method for result in results if result.participant == one.name and not result.failed]
     files = {method: folder / "avatars" / method / f"{one.name}.glb" for method in good}
     return {method: file for method, file in files.items() if file.is_file()}
 
 
 def _likeness(one: Participant, figures: Mapping[str, Rigged], protocol: Protocol) -> dict[str, float]:
-    """Method -> mean LPIPS over the tasks, from the front, by the true pose, at the protocol's size."""
+    """Return the mean LPIPS over the tasks by method: from the front, in the true pose, at the protocol's size."""
     performance = perform(one.mesh, protocol.tasks)
     network = Lpips("alex")
     found: dict[str, list[float]] = {method: [] for method in figures}

@@ -1,4 +1,4 @@
-"""``glsplat report``: error against run time, what batching gains, what is left out, and whether hard cases hold."""
+"""``glsplat report``: error against run time, gains of batching and culling, and stability in hard cases."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _REQUEST = 1000 / 72  # milliseconds between requests of the latency section
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command line."""
+    """Add the options of the command."""
     parser.add_argument(
         "scenes",
         nargs="*",
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, write, and say what does not hold: 1 if a stability case failed."""
+    """Measure, write the report and print failures; return 1 if a stability case failed."""
     frames = (8 if args.quick else 30) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
     if not 3 <= frames <= 10000:
@@ -125,7 +125,7 @@ def measured(
     grid: Grid | None = None,
     device: str | None = None,
 ) -> dict[str, Any]:
-    """All sections of the report as one JSON object; plots are not made yet."""
+    """Return all sections of the report as one JSON object, without plots."""
     base, cases, grid = base_config(context), [*frame_cases(), *skin_cases(), *tracking_cases()], grid or grid_of(quick)
     settings = [settings_of(subject, base, quick, context.compute, context.vertex_storage) for subject in subjects]
     compared = [error_frames(subject, frames, quick) for subject in subjects]
@@ -219,7 +219,7 @@ def _pairs(subjects: Sequence[Subject], settings: Sequence[list[Setting]]) -> li
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
-    """Plots, report.json and report.html, each complete or as it was; returns their paths, the page last."""
+    """Write plots, report.json and report.html atomically; return their paths, the page last."""
     from .plots import batching_plot, error_plot, growth_plot, hidden_plot, knob_plot, left_out_plot
 
     pictures: dict[str, bytes] = {"batching.png": batching_plot(result["batching"])}
@@ -242,7 +242,7 @@ def write(result: dict[str, Any], folder: Path) -> list[Path]:
 
 
 def finite(value: Any) -> Any:
-    """The same JSON value with None for what JSON cannot say (NaN, infinity)."""
+    """Return the JSON value with None for NaN and infinity."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

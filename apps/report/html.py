@@ -1,4 +1,4 @@
-"""report.html: one file that opens without a network, with every table and picture of a report."""
+"""report.html: a self-contained page with every table and picture of a report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOADED = (
 
 
 def verdict(row: Mapping[str, Any]) -> str:
-    """One row of ``agreement`` in words."""
+    """Return the text of a row of ``agreement``."""
     apart = abs(row["report_ms"]["median"] - row["bench_ms"]["median"])
     return (
         f"{'agree' if row['agree'] else 'differ'} ({apart:.2f} ms apart, {row['allowed_ms']:.2f} are within the spread)"
@@ -32,7 +32,7 @@ def verdict(row: Mapping[str, Any]) -> str:
 
 
 def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """The whole document; ``pictures`` are PNG by file name, as they are written beside it."""
+    """Return the document; ``pictures`` are PNG by file name, also written beside it."""
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
     rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 6"

@@ -1,6 +1,6 @@
-"""Latency: the paper's breakdown of the streaming pipeline beside the same stages of a real server and client here.
+"""Latency: the paper's breakdown of the streaming pipeline beside the stages of a local server and client.
 
-``measure(quick, progress)`` starts a server in a process of its own, streams the embedded recording of head and hands
+``measure(quick, progress)`` starts a server in its own process, streams the embedded recording of head and hands
 through it at 72 requests a second, and returns JSON-able values; ``rows(result)`` makes the table of them.
 """
 
@@ -47,7 +47,7 @@ _WARM = 3  # pictures before: targets of the size, caches
 
 
 def frames(quick: bool) -> int:
-    """Calls of ``progress(1)`` that a measurement makes."""
+    """Return the number of calls of ``progress(1)`` in a measurement."""
     return round(_SECONDS[not quick] * _FPS) * (1 if quick else len(_SIZES))
 
 
@@ -75,7 +75,7 @@ def measure(
 
 
 def rows(result: dict[str, Any]) -> list[list[str]]:
-    """The table: first HEAD with a median and a p95 column a size, then a row a stage; times in ms with one decimal."""
+    """Return the table: HEAD with a median and a p95 column per size, then a row per stage; ms with one decimal."""
     head = [*HEAD]
     for run in result["runs"]:
         name = "2 x {}x{}".format(*run["size"])

@@ -1,4 +1,4 @@
-"""The report's pictures: PNG bytes of what ``glsplat report`` measured."""
+"""Plots of ``glsplat report`` as PNG."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FLOOR = 1e-7  # where a logarithmic axis begins
 
 
 def error_plot(scene: dict[str, Any]) -> bytes:
-    """PSNR, maximum error and FLIP against ms a frame, one colour a knob, the Pareto front in PSNR as a line."""
+    """Plot PSNR, maximum error and FLIP against ms per frame, a colour per setting, with the Pareto front in PSNR."""
     figure = Figure(figsize=(16, 5.2), layout="constrained")
     rows = [row for row in scene["settings"] if row["truth"] == "shared"]
     knobs = list(dict.fromkeys(row["knob"] for row in rows))
@@ -59,7 +59,7 @@ def error_plot(scene: dict[str, Any]) -> bytes:
 
 
 def knob_plot(scene: dict[str, Any]) -> bytes:
-    """A panel a knob: its settings, named, PSNR against ms, on common axes."""
+    """Plot a panel per setting: its named values, PSNR against ms, on common axes."""
     knobs = [k for k in dict.fromkeys(row["knob"] for row in scene["settings"]) if k != "default"]
     columns = 4
     lines = -(-len(knobs) // columns)
@@ -89,7 +89,7 @@ def knob_plot(scene: dict[str, Any]) -> bytes:
 
 
 def _limits(rows: Sequence[dict[str, Any]]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """(left, right) and (bottom, top) that show all points, with room for names on the right."""
+    """Return (left, right) and (bottom, top) that show all points, with room for names on the right."""
     ms, psnr = [row["ms"]["median"] for row in rows], [row["psnr"] for row in rows]
     span = max(max(ms) - min(ms), 1e-3)
     bottom, top = min(psnr) - 6, min(PSNR_CAP + 10, max(psnr) + 12)
@@ -115,7 +115,7 @@ def _name(axes: Axes, points: list[tuple[float, float, str]], limits: tuple[tupl
 
 
 def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
-    """Ours beside the paper's, and what each stage saves."""
+    """Plot our gain of batching beside the paper's, and the gain of each stage."""
     figure = Figure(figsize=(14, 4.8), layout="constrained")
     times, gains = figure.subplots(1, 2)
     names = [f"{row['size']}²" for row in rows]
@@ -147,7 +147,7 @@ def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
 
 
 def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
-    """How much slower a frame is with each feature compiled in but unused."""
+    """Plot the slowdown of a frame by each feature that is compiled in but unused."""
     figure = Figure(figsize=(10, 0.45 * len(rows) + 1.6), layout="constrained")
     axes = figure.subplots()
     drawn = axes.barh([row["feature"] for row in rows], [row["cost"] for row in rows], color="C0")
@@ -160,7 +160,7 @@ def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
 
 
 def growth_plot(growth: dict[str, Any]) -> bytes:
-    """Time against splats (and stages), pixels and views, memory against splats, with the lines through them."""
+    """Plot time against splats (and stages), pixels and views, and memory against splats, with fitted lines."""
     figure = Figure(figsize=(15, 9), layout="constrained")
     (splats, memory), (pixels, views) = figure.subplots(2, 2)
     fits, side = growth["fits"], growth["size"]
@@ -201,7 +201,7 @@ def growth_plot(growth: dict[str, Any]) -> bytes:
 
 
 def hidden_plot(row: dict[str, Any], picture: NDArray[np.float32]) -> bytes:
-    """The worst picture without hidden splats, complete, and their difference."""
+    """Plot the worst picture without hidden splats, with them, and the difference."""
     left, complete = np.split(picture[..., :3].clip(0, 1), 2, axis=1)
     figure = Figure(figsize=(15, 5.4), layout="constrained")
     images = (left, complete, (4 * np.abs(left - complete)).clip(0, 1))
@@ -217,7 +217,7 @@ def hidden_plot(row: dict[str, Any], picture: NDArray[np.float32]) -> bytes:
 def _measured(
     axes: Axes, rows: Sequence[dict[str, Any]], key: str, line: dict[str, float] | None, factor: float, words: str
 ) -> None:
-    """Medians with a line to the 95th percentile, and the straight line through them."""
+    """Plot medians with a line to the 95th percentile, and the fitted straight line."""
     x = [row[key] for row in rows]
     medians = [row["ms"]["median"] for row in rows]
     up = [max(0.0, row["ms"]["p95"] - row["ms"]["median"]) for row in rows]

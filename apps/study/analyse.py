@@ -1,4 +1,4 @@
-"""``glsplat study analyse``: from a tidy table to F tests, contrasts, a text, boxplots and a script for R."""
+"""``glsplat study analyse``: analyse a tidy table: F tests, contrasts, a text, boxplots and a script for R."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EXAMPLE = "glsplat study analyse export/scores.csv -o results/"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options."""
+    """Add the options of the command."""
     parser.add_argument("table", metavar="TABLE.csv", help="a row a participant and condition; as export writes it")
     parser.add_argument(
         "-o",
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Analyse and write, or print."""
+    """Analyse, and write or print the results."""
     path = Path(args.table)
     folder = _folder(args.output) if args.output else None
     book = read_codebook(path.with_suffix(".json"))
@@ -128,7 +128,7 @@ def _factors(given: str | None, book: Codebook | None, path: Path) -> dict[str, 
 
 
 def _measures(path: Path, given: list[str] | None, factors: list[str]) -> tuple[list[str | None], bool]:
-    """Those that were asked for, else all that were asked in conditions; and whether a column tells them apart."""
+    """Return the requested measures, else all of the conditions, and whether a column has the measure."""
     found: dict[str, None] = {}
     outside: set[str] = set()
     for _, row in read_rows(path):
@@ -153,7 +153,7 @@ def _measures(path: Path, given: list[str] | None, factors: list[str]) -> tuple[
 def _scales(
     path: Path, items: str | None, book: Codebook | None, analyses: Sequence[Analysis]
 ) -> Iterator[tuple[str, Reliability]]:
-    """Reliability of each response whose items are known."""
+    """Return the reliability of each response with known items."""
     if items:
         yield analyses[0].table.response, reliability(wide_items(path, _listed(items)))
         return

@@ -1,4 +1,4 @@
-"""Boxplots of a study's answers with every answer as a point: a panel a response, PNG bytes."""
+"""Boxplots of a study's answers as PNG: a panel per response, a point per answer."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _SPREAD = 0.22  # half the width of the strip of points, of the distance between
 
 
 def boxplots(analyses: Sequence[Analysis]) -> bytes:
-    """Boxes are the middle half with the median, whiskers reach 1.5 times as far; the diamond is the mean.
+    """Return boxplots: quartiles and median, whiskers up to 1.5 interquartile ranges; the diamond is the mean.
 
-    Points are answers; one participant's stand at the same place of each box. Colours are the last factor's levels.
+    Points are answers, those of a participant at the same offset in each box. Colours are the last factor's levels.
     """
     columns = min(_COLUMNS, len(analyses))
     rows = -(-len(analyses) // columns)
@@ -60,6 +60,6 @@ def _panel(axes: Axes, analysis: Analysis) -> None:
 
 
 def _literal(text: str) -> str:
-    """A dollar begins no formula, and a long line leaves room for the boxes."""
+    """Return the text with dollars escaped and long lines shortened."""
     lines = (line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "..." for line in text.split("\n"))
     return "\n".join(lines).replace("$", r"\$")

@@ -1,4 +1,4 @@
-"""``glsplat study``: a user study from its design to tidy tables; new, check, plan, run, export, delete."""
+"""``glsplat study``: run a user study from its design to tidy tables; new, check, plan, run, export, delete."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MOST_SHOWN = 20  # lines of one kind
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The subcommands."""
+    """Add the subcommands."""
     commands = parser.add_subparsers(dest="task", required=True, metavar="TASK", parser_class=CommandParser)
 
     command = commands.add_parser("new", help="a folder with the paper's study and the instruments, to begin from")
@@ -109,7 +109,7 @@ def new(args: argparse.Namespace) -> int:
 
 
 def check(args: argparse.Namespace) -> int:
-    """Say what the design is and what it lacks; 1 where it cannot be run."""
+    """Print the design and its faults; return 1 if it cannot be run."""
     study = read_study(args.study)
     asked = sum(len(study.questionnaires[name].items) for name in study.each)
     minutes = len(study.conditions) * sum(t.seconds + t.countdown + t.reading * (not t.ready) for t in study.tasks) / 60

@@ -1,4 +1,4 @@
-"""``glsplat study power``: how often the planned study would find effects of a size, by simulation."""
+"""``glsplat study power``: simulate the power of a planned study for effects of a given size."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXAMPLE = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options."""
+    """Add the options of the command."""
     parser.add_argument("--study", metavar="STUDY.toml", help="take factors and participants from a study's file")
     parser.add_argument(
         "--within",
@@ -98,7 +98,7 @@ def _numbers(count: int, row: Power) -> dict[str, Any]:
 
 
 def _design(args: argparse.Namespace) -> tuple[dict[str, Sequence[str]], set[str], int]:
-    """Factors, which of them are between, and participants where a file says so."""
+    """Return the factors, the between-subject ones, and the participants if a file has them."""
     factors: dict[str, Sequence[str]] = {}
     between: set[str] = set()
     participants = 0

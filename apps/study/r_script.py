@@ -1,4 +1,4 @@
-"""The same analysis as a script for R, with ARTool, emmeans and psych: for whoever doubts ours."""
+"""The analysis as a script for R, with ARTool, emmeans and psych, as an independent check."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["r_script"]
 def r_script(
     table: str, analyses: Sequence[Analysis], *, participant: str, response: str, long: bool, items: Sequence[str] = ()
 ) -> str:
-    """The text of the script. ``table``: the CSV file; ``long``: responses are told apart by a column "measure".
+    """Return the script. ``table`` is the CSV file; ``long``: a column "measure" has the response.
 
     ``items``: columns of the table for Cronbach's alpha.
     """
@@ -66,7 +66,7 @@ def _measure(analysis: Analysis, participant: str, response: str, long: bool) ->
 
 
 def _contrasts(names: list[str], chosen: tuple[int, ...], inside: list[str], kind: str) -> list[str]:
-    """ART-C written out: the factors of the effect become one, also in the error strata."""
+    """Return ART-C in full: the factors of the effect become one, also in the error strata."""
     own = [names[i] for i in chosen]
     if len(own) == 1:
         return [f'print(art.con(m, "{own[0]}", adjust = "holm"))']
@@ -93,7 +93,7 @@ def _error(kind: str, strata: list[str], person: bool = False) -> str:
 
 
 def _symbol(name: str, place: int) -> str:
-    """A factor's name where R takes it as it is, and nothing else here is called so."""
+    """Return a factor's name as a symbol of R; ``factorN`` if it is invalid or taken."""
     plain = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name)
     taken = {"answer", "person", "both", "measure", "d", "m", "whole", "if", "else", "for", "in", "next", "break"}
     taken |= {"repeat", "while", "function", "TRUE", "FALSE", "NULL", "NA", "NaN", "Inf", "T", "F"}
@@ -101,7 +101,7 @@ def _symbol(name: str, place: int) -> str:
 
 
 def _text(text: str) -> str:
-    """As a string of R."""
+    """Return text as a string literal of R."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\r", "\\r")
     return f'"{escaped}"'
 

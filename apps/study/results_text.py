@@ -1,4 +1,4 @@
-"""The words of an analysis: a paragraph for a paper's results section, and tables with every number, in Markdown."""
+"""Text of an analysis in Markdown: a paragraph for a results section, and tables with all numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["results_text"]
 
 
 def results_text(analyses: Sequence[Analysis], scales: Mapping[str, Reliability] | None = None) -> str:
-    """Markdown: a chapter a response. ``scales``: reliability by the name of the response."""
+    """Return Markdown with a chapter per response; ``scales`` is the reliability by response."""
     chapters = [_chapter(analysis, (scales or {}).get(analysis.table.response)) for analysis in analyses]
     if len(analyses) > 1:
         chapters.append(
@@ -132,7 +132,7 @@ def _tests(analysis: Analysis) -> str:
 
 
 def _spread(row: EffectRow) -> str:
-    """What is left of it where ties are spread."""
+    """Return the text about the effect after spreading ties."""
     if row.p_spread is None or row.f_spread is None or math.isnan(row.f_spread):
         return ""
     said = f"; with ties spread, F = {row.f_spread:.2f}, {_p(row.p_spread)}"
@@ -236,7 +236,7 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Names come from a file: nothing of them breaks a line or a column."""
+    """Return a name of a file as a table cell, without line breaks and column separators."""
     return " ".join(text.replace("|", "\\|").replace("<", "&lt;").split())
 
 
@@ -263,7 +263,7 @@ def _df(value: float) -> str:
 
 
 def _share(value: float) -> str:
-    """Without the zero before the point, as numbers that cannot exceed 1 are written."""
+    """Return a number of at most 1 without its leading zero."""
     if math.isnan(value):
         return "unknown"
     text = f"{value:.2f}"

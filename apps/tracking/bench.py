@@ -1,4 +1,4 @@
-"""``glsplat tracking bench``: scores on whole motions against baselines, and the table of docs/tracking.md."""
+"""``glsplat tracking bench``: score solvers on whole motions against baselines; the table of docs/tracking.md."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BEGIN, END = "<!-- scores: begin -->", "<!-- scores: end -->"
 
 
 def add_bench(commands: Any) -> None:
-    """The subcommand's options."""
+    """Add the options of the subcommand."""
     command = commands.add_parser("bench", help="score motions against baselines; writes the table")
     command.add_argument("motions", nargs="*", metavar="MOTION", help="motion files or names (default: the embedded)")
     command.add_argument("--rates", default="30,72,90", help="samples a second, separated by commas")
@@ -52,7 +52,7 @@ def add_bench(commands: Any) -> None:
 
 
 def bench(args: argparse.Namespace) -> int:
-    """Score everything, print the table."""
+    """Score all solvers and print the table."""
     try:
         rates = [float(rate) for rate in args.rates.split(",")]
     except ValueError:
@@ -91,9 +91,10 @@ def table(
     groups: re.Pattern[str] | None = None,
     files: Mapping[str, str] | None = None,
 ) -> str:
-    """Markdown: the clips at each rate, unless it is to be brief, the means of groups and of all, weighted by frames.
+    """Return Markdown: clips at each rate (unless brief), means of groups and of all, weighted by frames.
 
-    Below it, where the learned solver is much worse than the naive baseline, and what draws that (``files``: of clips).
+    Below are the clips with the learned solver much worse than the naive baseline, and commands that draw them
+    (``files`` of clips).
     """
     head = (
         "| clip | Hz | solver | MPJPE cm | said | 95 % | upper | lower | root | hands | fingers | MPJRE deg "
@@ -119,7 +120,7 @@ def table(
 
 
 def _mean(rows: list[Row], name: str) -> Row:
-    """Of rows of one rate and solver."""
+    """Return the mean of rows of one rate and solver, weighted by frames."""
     windows = tuple([part for row in rows for part in row.windows])
     said = float(np.average([row.said for row in rows], weights=[row.score.frames for row in rows]))
     spent = float(np.median([row.milliseconds for row in rows]))
@@ -129,7 +130,7 @@ def _mean(rows: list[Row], name: str) -> Row:
 
 
 def _faults(rows: list[Row], files: Mapping[str, str]) -> list[str]:
-    """Ten seconds that the learned solver has FAULT worse than the naive one, a line each."""
+    """Return a line for each ten seconds with the learned solver worse than the naive one by FAULT."""
     naive = {(row.clip, row.rate): row.windows for row in rows if row.solver == "naive"}
     out = []
     for row in rows:
@@ -158,7 +159,7 @@ def _line(row: Row) -> str:
 
 
 def insert(path: Path, text: str) -> None:
-    """Replace what stands between the marks of a document."""
+    """Replace the text between the marks of a document."""
     try:
         document = path.read_text(encoding="utf-8")
     except OSError as error:

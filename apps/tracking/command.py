@@ -1,4 +1,4 @@
-"""``glsplat tracking``: head and hands to a full-body pose; derive, calibrate, solve, score, show, bench, train."""
+"""``glsplat tracking``: full-body poses of head and hands; derive, calibrate, solve, score, show, bench, train."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The subcommands."""
+    """Add the subcommands."""
     commands = parser.add_subparsers(dest="task", required=True, metavar="TASK")
 
     command = commands.add_parser("from-motion", help="derive head and hand tracking from a full-body motion")
@@ -95,13 +95,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the chosen task."""
+    """Run the chosen task."""
     work: Callable[[argparse.Namespace], int] = args.work
     return work(args)
 
 
 def from_motion(args: argparse.Namespace) -> int:
-    """A recording (and the truth) from a motion."""
+    """Derive a recording (and the true poses) from a motion."""
     if not 0 <= args.dropout <= 0.9:
         raise UsageError(f"--dropout needs 0 to 0.9, not {args.dropout:g}")
     _different(args.output, args.truth)
@@ -128,7 +128,7 @@ def from_motion(args: argparse.Namespace) -> int:
 
 
 def truth_lines(truth: TrueMotion) -> Iterator[dict[str, Any]]:
-    """The lines ``read_poses`` reads, for a true motion."""
+    """Yield the lines of a true motion for ``read_poses``."""
     for i, t in enumerate(truth.times):
         pose = Pose(truth.rotations[i], truth.trans[i])
         yield {
@@ -141,7 +141,7 @@ def truth_lines(truth: TrueMotion) -> Iterator[dict[str, Any]]:
 
 
 def run_calibrate(args: argparse.Namespace) -> int:
-    """A calibration file from a recording, or from a height."""
+    """Write a calibration of a recording, or of a height."""
     if args.find_size and (args.recording is None or args.height is not None):
         raise UsageError("--find-size takes a recording, and no --height")
     skeleton = skeleton_of(args.avatar)
@@ -165,7 +165,7 @@ def run_calibrate(args: argparse.Namespace) -> int:
 
 
 def solve(args: argparse.Namespace) -> int:
-    """Poses of a recording."""
+    """Solve the poses of a recording."""
     skeleton = skeleton_of(args.avatar)
     tracker = tracker_of(args, skeleton)
     _different(args.output, args.recording)
@@ -177,7 +177,7 @@ def solve(args: argparse.Namespace) -> int:
 
 
 def solved(tracker: Tracker, sample: Sample) -> dict[str, Any]:
-    """One line of ``solve``: time, pose keys, joints in the world, reach error (m), flags."""
+    """Return a line of ``solve``: time, pose keys, joints in the world, reach error (m), flags."""
     pose = tracker.update(sample)
     line = {"t": sample.t, **pose.to_smplx(), "joints": tracker.joints(pose).tolist()}
     line["reach_error"] = None if tracker.reach_error == (None, None) else list(tracker.reach_error)
@@ -188,13 +188,13 @@ def solved(tracker: Tracker, sample: Sample) -> dict[str, Any]:
 
 
 def _different(output: str, other: str | None) -> None:
-    """Refuse to write over the file that is read, or both outputs into one."""
+    """Raise UsageError if an output is the input file, or both outputs are the same file."""
     if other is not None and Path(output).resolve() == Path(other).resolve():
         raise UsageError(f"{output}: the two files need different names")
 
 
 def run_score(args: argparse.Namespace) -> int:
-    """Scores of one file against another."""
+    """Print the scores of one file against another."""
     sole = Body.of(skeleton_of(args.avatar)).sole
     poses, truth = read_poses(args.poses), read_poses(args.truth)
     if len(poses.times) != len(truth.times):
@@ -213,7 +213,7 @@ def run_score(args: argparse.Namespace) -> int:
 
 
 def score_text(result: TrackingScore) -> str:
-    """The numbers with their units, one a line."""
+    """Return the numbers with their units, one per line."""
     rows = (
         (
             "MPJPE",

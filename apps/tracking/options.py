@@ -1,4 +1,4 @@
-"""What the tasks of ``glsplat tracking`` share on their command lines: a skeleton, a recording, how to solve it."""
+"""Options that the tasks of ``glsplat tracking`` share: the skeleton, the recording, the solver."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ __all__ = ["add_recording", "add_skeleton", "samples_of", "skeleton_of", "tracke
 
 
 def add_skeleton(parser: argparse.ArgumentParser) -> None:
-    """--avatar: whose skeleton."""
+    """Add --avatar, which selects the skeleton."""
     parser.add_argument(
         "--avatar", metavar="FILE", help="avatar (.glb), rigged mesh, or body (.npz with joints); default: embedded"
     )
 
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
-    """A recording, and how to solve it."""
+    """Add the recording and the options of solving it."""
     parser.add_argument("recording", nargs="?", metavar="RECORDING", help="samples (.jsonl); default: the embedded one")
     parser.add_argument("--calibration", metavar="JSON", help="from `glsplat tracking calibrate`")
     parser.add_argument("--height", type=float, help="the user's stature in metres, instead of a calibration")
@@ -43,7 +43,7 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
 
 
 def skeleton_of(name: str | None) -> Skeleton:
-    """The skeleton of an avatar file, of a body's .npz, or of the embedded avatar. PoseError: it cannot be tracked."""
+    """Return the skeleton of an avatar, a body's .npz, or the embedded avatar. Raises PoseError."""
     if name is None:
         return default_avatar().skeleton
     skeleton = read_skeleton(name) if name.endswith(".npz") else load_avatar(name, "--avatar").skeleton
@@ -51,7 +51,7 @@ def skeleton_of(name: str | None) -> Skeleton:
 
 
 def pattern_of(text: str, option: str) -> re.Pattern[str]:
-    """A regular expression; UsageError for one that is none."""
+    """Return the compiled regular expression. Raises UsageError if it is invalid."""
     try:
         return re.compile(text)
     except re.error as error:
@@ -59,7 +59,7 @@ def pattern_of(text: str, option: str) -> re.Pattern[str]:
 
 
 def samples_of(name: str | None) -> list[Sample]:
-    """The samples of a recording; the embedded one by default."""
+    """Return the samples of a recording, by default the embedded one."""
     samples = embedded_recording() if name is None else list(replay(name))
     if not samples:
         raise FormatError(f"{name}: expected tracking samples, one JSON object a line, found none")
@@ -67,7 +67,7 @@ def samples_of(name: str | None) -> list[Sample]:
 
 
 def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
-    """The tracker that ``add_recording``'s options ask for."""
+    """Return the tracker of the options of ``add_recording``."""
     calibration = Calibration()
     if args.calibration and args.height is not None:
         raise UsageError("--calibration and --height both tell the user's size; give one of them")

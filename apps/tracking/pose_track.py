@@ -29,7 +29,7 @@ class PoseTrack:
 
     @property
     def rate(self) -> float:
-        """Samples a second (median)."""
+        """Samples per second (median)."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
 
 

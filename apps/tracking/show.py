@@ -1,4 +1,4 @@
-"""``glsplat tracking show``: the solved avatar from the side, with targets and joints drawn over it."""
+"""``glsplat tracking show``: draw the solved avatar from the side, with targets and joints."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TILES = 10  # moments on a contact sheet
 
 
 def add_show(commands: Any) -> None:
-    """The subcommand's options."""
+    """Add the options of the subcommand."""
     command = commands.add_parser("show", help="pictures of the solved avatar with targets and joints over it")
     add_recording(command)
     command.add_argument(
@@ -112,7 +112,7 @@ def show(args: argparse.Namespace) -> int:
 
 
 def _until(samples: list[Sample], first: float, seconds: float | None) -> tuple[list[Sample], int]:
-    """The samples up to the end of what is drawn, and the first that is; those before it are solved all the same."""
+    """Return the samples up to the last drawn one, and the index of the first drawn one; all are solved."""
     since = [sample.t - samples[0].t for sample in samples]
     part = next((i for i, t in enumerate(since) if t >= first - 1e-6), len(samples))
     end = next((i for i, t in enumerate(since) if seconds is not None and t > first + seconds), len(samples))
@@ -122,7 +122,7 @@ def _until(samples: list[Sample], first: float, seconds: float | None) -> tuple[
 
 
 def _chosen(samples: list[Sample], fps: float, count: int | None) -> set[int]:
-    """Indices of the samples that become pictures: ``count`` evenly, or one each 1/fps seconds."""
+    """Return the indices of the drawn samples: ``count`` evenly spaced, or one per 1/fps seconds."""
     if count is not None:
         return {round(i * (len(samples) - 1) / max(count - 1, 1)) for i in range(count)}
     chosen, due = set(), -np.inf
@@ -134,7 +134,7 @@ def _chosen(samples: list[Sample], fps: float, count: int | None) -> set[int]:
 
 
 class Painter:
-    """Camera at the side of the avatar, the renderer where there is one, lines over it."""
+    """Draws the avatar from the side, if there is one, with lines over it."""
 
     def __init__(
         self, args: argparse.Namespace, tracker: Tracker, others: list[tuple[NDArray[np.float64], Colour]]
@@ -158,7 +158,7 @@ class Painter:
         return load_avatar(name, "--avatar")
 
     def drawing(self) -> Painter:
-        """Use as ``with painter.drawing() as draw``."""
+        """Return the context manager of ``picture``: ``with painter.drawing() as draw``."""
         return self
 
     def __enter__(self) -> Callable[[int, Sample, Pose], Image]:
@@ -173,7 +173,7 @@ class Painter:
             self.renderer.release()
 
     def picture(self, index: int, sample: Sample, pose: Pose) -> Image:
-        """[H, W, 3] one moment."""
+        """Return the picture [H, W, 3] of a moment."""
         tracker = self.tracker
         joints = tracker.skeleton.forward(pose.rotations, pose.trans)[:, :3, 3]
         middle = np.array([joints[0, 0], 0.52 * tracker.body.eye_height, joints[0, 2]])

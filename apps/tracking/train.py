@@ -1,4 +1,4 @@
-"""``glsplat tracking train``: the network of the learned solver, from motion files."""
+"""``glsplat tracking train``: train the network of the learned solver on motion files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ KINDS = (".bvh", ".amc", ".json", ".npz", ".glb", ".gltf", ".vrma")
 
 
 def add_train(commands: Any) -> None:
-    """The subcommand's options."""
+    """Add the options of the subcommand."""
     command = commands.add_parser("train", help="make the learned solver's network from motion files")
     command.add_argument("motions", nargs="+", metavar="MOTION", help="motion files, or folders of them")
     command.add_argument("-o", "--output", required=True, metavar="MODEL.npz", help="the network")
@@ -54,7 +54,7 @@ def add_train(commands: Any) -> None:
 
 
 def train(args: argparse.Namespace) -> int:
-    """Read, fit, write, say."""
+    """Read the motions, train, write the network, print a summary."""
     if not (1 <= args.steps <= 10**6 and 1 <= args.units <= 1024):
         raise UsageError("--steps needs 1 to 1,000,000, --units 1 to 1024")
     groups = pattern_of(args.groups, "--groups")
@@ -127,7 +127,7 @@ def _part(text: str | None) -> tuple[int, int] | None:
 
 
 def _left_out(groups: list[str], held: tuple[int, int] | None) -> set[str]:
-    """Every N-th group of an order that is drawn once and for all."""
+    """Return every N-th group of a fixed random order."""
     if held is None:
         return set()
     order = np.random.default_rng(5).permutation(len(groups))

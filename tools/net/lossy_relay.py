@@ -20,7 +20,7 @@ from itertools import count
 from random import Random
 from typing import Any
 
-from apps.replay.link import _QUEUE, Link, _Relay, link
+from apps.replay.link import _QUEUE_BYTES, Link, _Relay, link
 
 __all__ = ["DatagramRelay", "relay", "roomy"]
 
@@ -49,7 +49,7 @@ class _Pipe:
     def put(self, nbytes: int, deliver: Callable[[], None]) -> None:
         now = time.perf_counter()
         if self._link.rate < 1e5:
-            if (max(self._free, now) - now) * self._link.rate * 1e6 / 8 > _QUEUE:
+            if (max(self._free, now) - now) * self._link.rate * 1e6 / 8 > _QUEUE_BYTES:
                 return
             self._free = max(self._free, now) + (nbytes + _HEADERS) * 8e-6 / self._link.rate
         if self._chance.random() * 100 < self._link.loss:
