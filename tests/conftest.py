@@ -16,8 +16,8 @@ if TYPE_CHECKING:  # a folder whose tests need neither OpenGL nor NumPy starts w
     import numpy as np
 
     from glsplat.avatar import Avatar
-    from glsplat.extras.evaluate.probe import Probe
     from glsplat.gl.context import Context
+    from glsplat.renderer.probe import Probe
     from glsplat.splats import Splats
 
 SHARED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
@@ -128,7 +128,7 @@ def gl(context: Context) -> Iterator[Context]:
 def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     """Makes renderers on the shared context and releases them after the test."""
     from glsplat.config import RenderConfig, with_fields
-    from glsplat.extras.evaluate.probe import Probe
+    from glsplat.renderer.probe import Probe
 
     made: list[Probe] = []
 

@@ -23,7 +23,6 @@ sys.meta_path.insert(0, Refusing())
 
 # the extra that a command names where there is none; the others print their help, and look for extras later
 NEEDED = {
-    "serve": "consent",
     "page": "browser",
     "bench": "evaluate",
     "users": "accounts",
@@ -119,9 +118,10 @@ def test_the_core_runs_alone(program: str, tmp_path: Path) -> None:
     [
         ("render --speech hello.wav -o out.mp4", "render: --speech needs glsplat.extras.speech"),
         ("preview --xr", "preview: --xr needs glsplat.extras.openxr"),
+        ("serve", "serve needs glsplat.extras.consent"),
         ("users list users.json", "users needs glsplat.extras.accounts"),
     ],
-    ids=["speech", "xr", "users"],
+    ids=["speech", "xr", "serve", "users"],
 )
 def test_an_option_without_its_extra_is_refused_in_one_line(words: str, line: str) -> None:
     program = "from apps.cli import main\nsys.exit(main(sys.argv[1:]))\n"

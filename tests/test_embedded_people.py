@@ -147,6 +147,7 @@ def test_another_name_is_refused_in_one_line() -> None:
         load_avatar("dora", "--avatar")
 
 
+@pytest.mark.extra(name="consent")
 def test_commands_take_names_and_files_go_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = os.getcwd()
     os.chdir(tmp_path)

@@ -25,7 +25,6 @@ from glsplat.scene import Rigged
 from ..args import detail_of, load_avatar, open_scene
 from ..logs import start_logging
 from ..usage import UsageError
-from .agreed import policy_of, signing
 from .keys import Keys, keys_of, watermark_of
 from .options import ServeOptions, add_options, parsed
 from .ready import Place, announce, open_page
@@ -184,6 +183,7 @@ def _face_listener(args: ServeOptions) -> FaceListener | None:
 
 def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Running | None) -> Server:
     """Read all files that the options name, and return the server. Raises GlsplatError naming the one that fails."""
+    from .agreed import policy_of, signing  # here: it needs extras/consent
     from .wiring import assemble
 
     workers = uploads = None

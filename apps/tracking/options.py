@@ -7,7 +7,6 @@ import re
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.extras.formats.person import read_skeleton
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.recording import embedded_recording, replay
@@ -46,7 +45,12 @@ def skeleton_of(name: str | None) -> Skeleton:
     """Return the skeleton of an avatar, a body's .npz, or the embedded avatar. Raises PoseError."""
     if name is None:
         return default_avatar().skeleton
-    skeleton = read_skeleton(name) if name.endswith(".npz") else load_avatar(name, "--avatar").skeleton
+    if name.endswith(".npz"):
+        from glsplat.extras.formats.person import read_skeleton  # here: other files are read without it
+
+        skeleton = read_skeleton(name)
+    else:
+        skeleton = load_avatar(name, "--avatar").skeleton
     return tracked(skeleton, name)
 
 

@@ -26,7 +26,7 @@ from glsplat import (
     Splats,
 )
 from glsplat.config import DebugConfig
-from glsplat.extras.evaluate.probe import Probe
+from glsplat.renderer.probe import Probe
 
 pytestmark = [pytest.mark.gl, pytest.mark.timeout(60)]
 

@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.errors import ContextError, GlsplatError, PoseError
-from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
+from glsplat.renderer.probe import Probe
 from glsplat.renderer.read_back import read_floats
 from tests import needs
 from tests.api.current_context import asked, nothing_current

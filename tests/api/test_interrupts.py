@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 import glsplat
 from glsplat.camera import Camera, look_at
-from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import create_context
 from glsplat.renderer import Renderer
 from glsplat.renderer.arena import Arena
+from glsplat.renderer.probe import Probe
 from tests.api.current_context import asked, nothing_current
 from tests.api.variants import KINDS, SIZE, VIEWS, Kind, bent, splats
 from tests.scenes import limb

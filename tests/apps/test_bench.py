@@ -17,6 +17,7 @@ from tests.scenes import cloud, limb
 pytestmark = pytest.mark.gl
 
 
+@pytest.mark.extra(name="evaluate")
 def test_bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(cloud(1024), tmp_path / "a.ply")
     assert main(["bench", str(tmp_path / "a.ply"), "--sizes", "32x24", "--frames", "3", "--json"]) == 0
@@ -29,6 +30,7 @@ def test_bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert row["gpu_draw_ms"]["median"] >= 0
 
 
+@pytest.mark.extra(name="evaluate")
 def test_bench_of_an_avatar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     avatar = limb(200, joints=2)
     motion = tmp_path / "m.json"
@@ -51,6 +53,7 @@ def leveled_file(folder: Path) -> str:
     return str(folder / "a.glb")
 
 
+@pytest.mark.extra(name="evaluate")
 def test_what_a_frame_time_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["bench", leveled_file(tmp_path), "--sizes", "64", "--frames", "4"]
     assert main([*words, "--budget", "10000", "--json"]) == 0
@@ -68,6 +71,7 @@ def test_what_a_frame_time_costs(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "--budget tries all levels" in capsys.readouterr().err
 
 
+@pytest.mark.extra(name="evaluate")
 def test_where_the_time_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["bench", leveled_file(tmp_path), "--sizes", "64", "32", "--frames", "3", "--profile"]
     assert main([*words, "--json"]) == 0

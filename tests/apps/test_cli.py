@@ -19,6 +19,7 @@ from tests.apps.cli import parsed
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.extra(name="authoring")
 def test_what_it_says_next_is_understood(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Alone it prints three command lines, each of which its command takes."""
     assert cli.main([]) == 0

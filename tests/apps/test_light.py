@@ -49,6 +49,7 @@ def test_a_preset_a_file_and_a_scene_file_light_alike(avatar: Path, tmp_path: Pa
     assert (picture(tmp_path, tmp_path / "scene.json", "--light", "none") == plain).all()
 
 
+@pytest.mark.extra(name="consent")
 def test_inspect_says_what_light_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for shaded, said in ((True, "as photographed"), (False, "albedo"), (None, "never lit")):
         save(limb(20) if shaded is None else surfaced(limb(20), shaded=shaded), tmp_path / "a.glb")

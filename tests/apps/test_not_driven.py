@@ -52,6 +52,7 @@ def mixamo(every: int = 400) -> Avatar:
     return Avatar(person.splats.take(pick), Skeleton(names, person.skeleton.parents, rest), person.skin.take(pick))
 
 
+@pytest.mark.extra(name="evaluate")
 @pytest.mark.gl
 def test_bench_measures_what_stands_and_says_so(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "five.glb", "--sizes", "16", "--frames", "3", "--json"]) == 0
@@ -67,6 +68,7 @@ def test_bench_measures_what_stands_and_says_so(files: Path, capsys: pytest.Capt
         assert f"driven       {text}" in capsys.readouterr().out
 
 
+@pytest.mark.extra(name="authoring")
 def test_an_avatar_of_another_rig_is_put_onto_smplx(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(mixamo(), files / "soldier.glb")
     assert main(["render", "soldier.glb", "--motion", "walk", "--frame", "3", "-o", "out.png"]) != 0
@@ -91,6 +93,7 @@ def test_an_avatar_of_another_rig_is_put_onto_smplx(files: Path, capsys: pytest.
     assert main(["tracking", "calibrate", "--height", "1.7", "--avatar", "me.glb", "-o", "c.json"]) == 0
 
 
+@pytest.mark.extra(name="authoring")
 def test_import_with_a_map_and_without_sense(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     avatar = mixamo()
     names = [name if "UpLeg" not in name else f"b{k}" for k, name in enumerate(avatar.skeleton.names)]
@@ -121,6 +124,7 @@ def test_replay_prints_no_figures_of_what_stands_still(capsys: pytest.CaptureFix
             assert out == "" and text in err and err.count("\n") == 1
 
 
+@pytest.mark.extra(name="consent")
 @pytest.mark.parametrize("name", ["five.glb", "cloud.ply"])
 def test_a_server_says_it_before_it_listens(
     files: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, name: str

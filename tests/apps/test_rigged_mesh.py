@@ -20,6 +20,8 @@ from glsplat.formats import load_scene, save
 from tests.scene.people import boxes, save_person
 from tests.scenes import cloud
 
+pytestmark = pytest.mark.extra(name="formats")
+
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
 
 

@@ -127,6 +127,7 @@ def test_file_round_trip_and_errors(tmp_path: Path, skeleton: Skeleton) -> None:
         Calibration.load(tmp_path / "missing.json")
 
 
+@pytest.mark.extra(name="rigs")
 def test_other_rigs_are_refused(skeleton: Skeleton) -> None:
     with pytest.raises(PoseError, match="no joint for head, left_hip"):
         Body.of(Skeleton.from_joints(("a", "b"), [-1, 0], [[0, 0, 0], [0, 1, 0]]))
@@ -208,7 +209,7 @@ def test_a_tracker_finds_it_and_forgets_it_for_the_next_user(skeleton: Skeleton,
     assert tracker.calibration.scale == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("solver", ["learned", "analytic"])
+@pytest.mark.parametrize("solver", [pytest.param("learned", marks=pytest.mark.extra(name="learned")), "analytic"])
 def test_who_is_taller_does_not_begin_on_tiptoe(skeleton: Skeleton, stage: Stage, solver: SolverName) -> None:
     tracker = Tracker(skeleton, Calibration(automatic=True), solver=solver)
     height = 1.04 * stage.body.eye_height  # that the avatar reaches on its toes alone
@@ -253,6 +254,7 @@ def test_a_size_is_found_in_a_recording_of_who_does_not_stand_still(skeleton: Sk
     assert nobody.scale == 1.0 and nobody.eye_height is None
 
 
+@pytest.mark.extra(name="learned")
 @pytest.mark.parametrize("size", [1.0, 0.9])
 def test_a_hand_raised_beside_a_still_head_moves_no_foot(
     skeleton: Skeleton, stage: Stage, track: Track, size: float

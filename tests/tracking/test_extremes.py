@@ -12,6 +12,7 @@ from glsplat.tracking.solve.body import ANKLES, ELBOWS, FEET, HEAD, SHOULDERS, W
 from tests.tracking.moves import DT, Run, Stage, Track, hand_turn, head_turn, seconds
 
 NAN = math.nan
+LEARNED = pytest.mark.extra(name="learned")
 
 
 def settled(result: Run, last: int = 15) -> bool:
@@ -177,7 +178,7 @@ def test_everything_lost_holds_the_body(stage: Stage, track: Track) -> None:
     assert settled(result)
 
 
-@pytest.mark.parametrize(("solver", "off"), [("analytic", 1e-6), ("learned", 0.01)])
+@pytest.mark.parametrize(("solver", "off"), [("analytic", 1e-6), pytest.param("learned", 0.01, marks=LEARNED)])
 def test_nothing_ever_tracked_stands_at_the_origin(stage: Stage, track: Track, solver: str, off: float) -> None:
     result = track([Sample(t) for t in seconds(0.5)], solver=solver)
     assert abs(result.joints[-1, 0, 0]) < off and result.joints[-1, list(ANKLES), 1].max() < 0.15
@@ -233,7 +234,7 @@ def test_ten_seconds_without_samples_start_anew(stage: Stage, track: Track) -> N
     np.testing.assert_allclose(result.joints[:, list(FEET), 0].mean(1), 0.3 * np.arange(5), atol=0.1)
 
 
-@pytest.mark.parametrize(("solver", "off"), [("analytic", 0.03), ("learned", 0.04)])
+@pytest.mark.parametrize(("solver", "off"), [("analytic", 0.03), pytest.param("learned", 0.04, marks=LEARNED)])
 def test_nan_and_infinity_are_a_lost_device(stage: Stage, track: Track, solver: str, off: float) -> None:
     good = [stage.sample(t) for t in seconds(1)]
     bad = []
@@ -285,7 +286,7 @@ def test_noise_of_every_kind_at_once(stage: Stage, track: Track, rng: np.random.
     track(samples)
 
 
-@pytest.mark.parametrize("solver", ["analytic", "learned"])
+@pytest.mark.parametrize("solver", ["analytic", pytest.param("learned", marks=LEARNED)])
 def test_the_same_samples_give_the_same_bytes(
     stage: Stage, track: Track, rng: np.random.Generator, solver: str
 ) -> None:

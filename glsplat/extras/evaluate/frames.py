@@ -12,11 +12,11 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig, with_fields
-from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.renderer import Renderer
+from glsplat.renderer.probe import Probe
 from glsplat.scene import Content, Scene, SceneLike, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.views import orbited, view_of, viewing_point

@@ -76,6 +76,7 @@ def test_the_file_of_the_docs_is_read(tmp_path: Path) -> None:
     assert found.max_clients == 20 and found.users and found.tls_cert
 
 
+@pytest.mark.extra(name="learned")
 def test_what_a_file_cannot_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "server.toml"
     for text, message in (

@@ -48,6 +48,7 @@ def said(place, out=None, show_qr=False):
     return out.text()
 
 
+@pytest.mark.extra(name="operations")
 def test_on_this_machine():
     text = said(Place("127.0.0.1", 8000))
     assert "  page        http://localhost:8000/vr\n" in text and "  WebSocket   ws://localhost:8000/ws\n" in text
@@ -71,6 +72,7 @@ def test_addresses(monkeypatch):
     assert Place("0.0.0.0", 1, SECURE).names == ("box.local",)
 
 
+@pytest.mark.extra(name="operations")
 def test_a_file_gets_neither_token_nor_code():
     """Standard output may be a journal that others read."""
     text = said(Place("0.0.0.0", 8000, SECURE), Terminal(person=False))
@@ -85,6 +87,7 @@ def test_without_the_extra_there_is_no_code(monkeypatch):
     assert "(a QR code needs glsplat.extras.operations, which is not installed)" in text
 
 
+@pytest.mark.extra(name="operations")
 def test_a_terminal_that_cannot_show_the_code(monkeypatch):
     text = said(Place("127.0.0.1", 8000), Terminal(encoding="latin-1"))
     assert "(no QR code: it needs UTF-8, this terminal has latin-1)" in text

@@ -51,6 +51,7 @@ def test_what_stands_in_a_room(tmp_path: Path) -> None:
     assert len(open_scene(args).scene) == 1  # the avatar that people wear
 
 
+@pytest.mark.extra(name="rooms")
 def test_a_crowd_is_one_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     backend = FakeBackend()
     offered = [AvatarInfo(name="ann", skeleton=RIG, solver=lambda height, span: Solver(), parts=frozenset(["head"]))]

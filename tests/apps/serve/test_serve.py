@@ -68,6 +68,7 @@ def start(*words):
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.extra(name="consent")
 @pytest.mark.gl
 def test_a_server_process_draws_and_ends_with_zero(capsys):
     process = start("--port", 0, "--size", 64, "--json")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -42,6 +43,7 @@ def test_tracking_becomes_a_pose_in_the_avatars_space():
         np.testing.assert_array_equal(mine.viewmat[:3, :3], theirs.viewmat[:3, :3])
 
 
+@pytest.mark.extra(name="speech")
 def test_eyes_that_no_sensor_sees_look_around_where_the_server_says_so():
     """The rest of the body is that of a server which does not."""
     skeleton, decoder = default_avatar().skeleton, Decoder()

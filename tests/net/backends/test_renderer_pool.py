@@ -215,6 +215,7 @@ async def test_a_reply_has_the_box_in_the_room_of_its_client() -> None:
     assert high[1] == pytest.approx(1.2, abs=0.1) and low[0] < 1.0 < high[0] and low[2] < 2.3  # about the head
 
 
+@pytest.mark.extra(name="browser")
 @pytest.mark.gl
 async def test_each_is_tracked_by_its_own_skeleton_and_measures() -> None:
     small = default_avatar().skeleton

@@ -137,6 +137,7 @@ NONE = [[], ["127.0.0.1"] * 2, ["127.0.0.1", "evil.example"], "", "a b", "127.0.
 NONE += ["127.0.0.1:99999", "xn--a.localhost"]
 
 
+@pytest.mark.extra(name="operations")
 async def test_the_host_header_is_checked_on_every_route(serve):
     access = Access(hosts=("render.example", "*.lab.example"))
     async with serve(config=ServerConfig(port=0, access=access, limits=Limits(visits_burst=1e9))) as server:

@@ -55,6 +55,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.extra(name="rooms")
 @pytest.mark.parametrize("kind", REFUSED)
 async def test_a_refusal_ends_its_connection(serve: Serve, kind: str) -> None:
     """None of them is a keep-alive connection that nobody counts."""
@@ -139,6 +140,7 @@ async def test_idle_connections_with_something_unsent_can_be_closed(serve: Serve
             peer.close()
 
 
+@pytest.mark.extra(name="operations")
 async def test_requests_that_take_long_leave_room_for_others(serve: Serve) -> None:
     """One address may keep no more than half of the places busy: here with a picture that is not drawn."""
     backend = FakeBackend()

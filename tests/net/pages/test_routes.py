@@ -66,6 +66,7 @@ def test_every_file_of_the_page_is_served_without_a_token(serve):
         assert policy["script-src"] == policy["connect-src"] == policy["worker-src"] == "'self'"
 
 
+@pytest.mark.extra(name="operations")
 async def test_no_other_site_shows_or_measures_what_is_answered(serve, cameras):
     async with serve() as server, Client(server.url) as client, aiohttp.ClientSession() as http:
         await client.render(cameras)
@@ -154,6 +155,7 @@ def test_a_page_of_many_files_costs_a_few_visits(serve):
     assert [a[0] for a in answers] == [200] * 9 + [429]
 
 
+@pytest.mark.extra(name="browser")
 async def test_what_the_server_offers(serve):
     offered = [
         AvatarInfo(name="ann", solver=lambda height, span: None, height=1.71234567, parts=frozenset({"head"})),

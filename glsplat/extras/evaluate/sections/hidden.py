@@ -19,11 +19,11 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.difference import Difference
 from glsplat.extras.evaluate.frames import FOV, WARM_UP, Series
-from glsplat.extras.evaluate.probe import Probe
 from glsplat.extras.evaluate.sections.measure import Tick, frame_cost
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.gl.context import Context
+from glsplat.renderer.probe import Probe
 from glsplat.skinning.pose import Pose
 from glsplat.views import view_of, viewing_point
 

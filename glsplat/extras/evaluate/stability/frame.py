@@ -14,8 +14,8 @@ from glsplat.camera import Camera, look_at, pinhole, sorting_camera, stereo_came
 from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.difference import Difference
-from glsplat.extras.evaluate.probe import Probe
 from glsplat.gl.context import Context
+from glsplat.renderer.probe import Probe
 from glsplat.splats import SH_C0, Splats
 
 __all__ = ["Case", "Outcome", "camera", "cloud", "frame_cases", "judge", "picture_case", "refused", "renderer"]

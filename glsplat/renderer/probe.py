@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import own
 from glsplat.camera import Camera, passes_of
 from glsplat.errors import GlsplatError
-from glsplat.renderer import Renderer
+from glsplat.renderer.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
 
