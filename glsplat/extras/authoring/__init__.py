@@ -2,6 +2,8 @@
 
 from glsplat.optional import require_package
 
+__all__ = ["mesh_truth"]
+
 REQUIRES = ("formats", "rigs")
 
 require_package("making avatars", "scipy", "authoring")
