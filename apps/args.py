@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "add_detail",
+    "add_driver",
     "add_light",
     "add_scene",
     "add_solver",
@@ -221,6 +222,15 @@ def motion_of(name: str, skeleton: Skeleton, option: str = "--motion") -> Motion
         if line:
             print(f"{option} {name}: {line}", file=sys.stderr)
     return motion
+
+
+def add_driver(parser: argparse.ArgumentParser) -> None:
+    """Add --float-target, --sorter and --device."""
+    parser.add_argument(
+        "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
+    )
+    parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
+    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
 
 
 def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:

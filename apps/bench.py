@@ -21,7 +21,7 @@ from glsplat.scene import Content, SceneLike, is_rigged
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
 
-from .args import add_detail, add_scene, detail_of, motion_of, open_scene, positive, single, size
+from .args import add_detail, add_driver, add_scene, detail_of, motion_of, open_scene, positive, single, size
 from .progress import Progress
 from .usage import UsageError
 
@@ -41,10 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, default=30, help="measured frames per setting (default 30)")
     parser.add_argument("--motion", help=f"motion of an avatar (default {_MOTION}, if it can be driven)")
     parser.add_argument("--static", action="store_true", help="measure an avatar in its zero pose only")
-    parser.add_argument(
-        "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
-    )
-    parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
     add_detail(parser, lean=False)
     more = parser.add_mutually_exclusive_group()
     more.add_argument("--profile", action="store_true", help="instead: CPU and GPU time of each stage")
@@ -54,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         help="instead: search levels of detail, culling and sizes for that frame time, with the loss of each in dB",
     )
-    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
+    add_driver(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from glsplat.config import LEAN, RenderConfig
 from glsplat.data import default_avatar
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import GlsplatError
 from glsplat.io.files import replace_file
 from glsplat.net.client import Client
 
@@ -25,7 +25,7 @@ from .progress import Progress
 from .replay.command import load_drive, save_clip, save_sheet
 from .replay.stage_table import frame_text, table_markdown, table_text
 from .replay.streaming import Drive, Result, observer, stream
-from .usage import UsageError
+from .usage import UsageError, make_folder
 
 HELP = (
     "Start a server, stream recorded head and hands through it at two sizes (tracking to pose to both eyes to JPEG), "
@@ -59,10 +59,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0.1 <= args.seconds <= 600 or not 1 <= args.fps <= 240:
         raise UsageError("--seconds needs 0.1 to 600 and --fps 1 to 240")
     drive, _ = load_drive(args.motion, args.avatar, args.tracking)
-    try:
-        args.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    make_folder(args.output)
     with running_server(args.avatar, RenderConfig(**detail_of(args))) as url:
         results = asyncio.run(_measure(args, url, drive))
     sheet, clip = args.output / "contact_sheet.png", args.output / "clip.mp4"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import PAPER_FOV, PAPER_IPD, Camera
 from glsplat.config import DebugConfig, RenderConfig
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import GlsplatError
 from glsplat.formats.camera_file import read_cameras
 from glsplat.formats.motion_files import KINDS
 from glsplat.formats.scene_file import SceneFile
@@ -29,6 +29,7 @@ from glsplat.views import orbited, view_of, viewing_point
 
 from .args import (
     add_detail,
+    add_driver,
     add_light,
     add_scene,
     colour,
@@ -46,7 +47,7 @@ from .args import (
 from .clip import CLIPS, Clip
 from .output import frame_report, joined_views, save_depth, save_npy, save_png, side_by_side
 from .progress import each
-from .usage import UsageError, output_kind
+from .usage import UsageError, make_folder, output_kind
 
 if TYPE_CHECKING:
     from glsplat.extras.speech.sound import Sound
@@ -100,9 +101,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--turntable", type=int, metavar="N", help="N views around the scene, as a clip or pictures")
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second of a clip (default 30)")
-    parser.add_argument(
-        "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
-    )
     parser.add_argument("--sh-degree", type=int, choices=range(4), default=3, help="evaluate at most this degree")
     parser.add_argument(
         "--antialias",
@@ -114,8 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layers", choices=("auto", "vertex", "geometry"), default="auto", help="shader that writes gl_Layer"
     )
-    parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
-    parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
+    add_driver(parser)
     parser.add_argument("--json", action="store_true", help="print driver, variant, counts and stage times")
 
 
@@ -324,10 +321,7 @@ def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], c
         if not args.json:
             print(clip.summary)
         return
-    try:
-        path.mkdir(exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"{args.output}: the folder cannot be made ({error.strerror})") from None
+    make_folder(path)
     for number, picture in enumerate(frames):
         save_png(path / f"{number:05d}.png", picture)
 

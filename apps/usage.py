@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from glsplat.errors import FormatError, GlsplatError
 
-__all__ = ["CommandParser", "UsageError", "output_kind"]
+__all__ = ["CommandParser", "UsageError", "make_folder", "output_kind"]
 
 
 class UsageError(GlsplatError):
@@ -61,3 +61,11 @@ def output_kind(option: str, name: str, endings: tuple[str, ...], what: str, fol
     if not path.parent.is_dir():
         raise FormatError(f"{name}: there is no folder {path.parent}; create it first")
     return "" if is_folder else ending
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and its parents, if they are missing. Raises FormatError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"{folder}: cannot make the folder ({error.strerror})") from None

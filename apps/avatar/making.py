@@ -15,7 +15,7 @@ from pathlib import Path
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar, embedded_file
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import FormatError
 from glsplat.extras.authoring.cones import ConeConfig, with_cones, worth_cones
 from glsplat.extras.authoring.detail.make import with_levels
 from glsplat.extras.authoring.faces.shapes import with_shapes
@@ -40,7 +40,7 @@ from glsplat.splats import Level
 
 from ..args import add_up, motion_of
 from ..convert import add_quiet, save_with_report
-from ..usage import UsageError
+from ..usage import UsageError, make_folder
 from .person import add_rig, doubts, is_gltf, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
@@ -272,10 +272,7 @@ def _is_single_pose(path: str) -> bool:
 
 def motions(args: argparse.Namespace) -> int:
     """Write the embedded motions."""
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise GlsplatError(f"{args.out}: cannot make the folder ({error.strerror})") from None
+    make_folder(args.out)
     for name in embedded_motions():
         file = args.out / f"{name}.json"
         replace_file(file, [resources.files("glsplat.data").joinpath(file.name).read_bytes()])

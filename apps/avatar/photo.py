@@ -28,7 +28,7 @@ from glsplat.extras.authoring.threads import aside, one_heap
 from ..args import natural, positive
 from ..output import save_png
 from ..ray_tasks import add_ray
-from ..usage import UsageError
+from ..usage import UsageError, make_folder
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
 __all__ = ["add_arguments", "run"]
@@ -270,7 +270,4 @@ def _sheet(
 
 
 def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"{folder}: cannot make the folder ({error.strerror})") from None
+    make_folder(folder)

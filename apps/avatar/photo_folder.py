@@ -13,7 +13,7 @@ from pathlib import Path
 from glsplat.errors import FormatError, GlsplatError
 
 from ..ray_tasks import on_ray
-from ..usage import UsageError
+from ..usage import UsageError, make_folder
 from .mine import sign_mine
 
 __all__ = ["run"]
@@ -43,10 +43,7 @@ def run(args: argparse.Namespace, one: Callable[[argparse.Namespace], int]) -> i
     if not args.check:
         if args.out is None:
             raise UsageError("missing: -o/--out, a folder")
-        try:
-            args.out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FormatError(f"{args.out}: cannot make the folder ({error.strerror})") from None
+        make_folder(args.out)
     pieces = [(one, _of(args, path)) for path in pictures]
     failed = 0
     for count, (place, made) in enumerate(_all(pieces, args.ray), 1):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.data import default_avatar, participants_folder
-from glsplat.errors import FormatError, GlsplatError
+from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.comparison.method import OWN, MadeElsewhere, method_of
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
 from glsplat.extras.evaluate.comparison.performance import TASKS
@@ -27,7 +27,7 @@ from glsplat.io.files import locked, replace_file
 from ..args import motion_of
 from ..progress import Progress
 from ..ray_tasks import add_ray, on_ray
-from ..usage import UsageError
+from ..usage import UsageError, make_folder
 from .html import page
 from .outcome import outcome, plots, table_lines
 from .ready import check_ready
@@ -96,10 +96,7 @@ def run(args: argparse.Namespace) -> int:
     people = _people(args)
     jobs = _jobs(args)
     check_ready(tuple(methods), protocol)
-    try:
-        args.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    make_folder(args.output)
     with locked(args.output / "lock"):  # of two runs in one folder, each would read what the other half wrote
         return _run(args, methods, people, protocol, jobs)
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar, splats_of
-from glsplat.errors import FormatError
 from glsplat.extras.evaluate.difference import require_extra
 from glsplat.extras.evaluate.frames import WARM_UP
 from glsplat.extras.evaluate.knobs import Setting, base_config, error_frames, settings_of
@@ -35,7 +34,7 @@ from glsplat.io.provenance import machine
 from glsplat.skinning.driven import why_not_driven
 
 from ..progress import Progress
-from ..usage import UsageError
+from ..usage import UsageError, make_folder
 from . import latency as report_latency
 from .html import LOADED, page, verdict
 
@@ -91,10 +90,7 @@ def run(args: argparse.Namespace) -> int:
     for subject in subjects:
         if subject.moving and isinstance(subject.scene, Avatar) and (why := why_not_driven(subject.scene.skeleton)):
             print(f"glsplat report: {subject.name}: no motion can drive this avatar: {why}", file=sys.stderr)
-    try:
-        args.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"{args.output}: cannot make the folder ({error.strerror})") from None
+    make_folder(args.output)
     context = create_context(args.device)
     try:
         result = measured(context, subjects, frames, args.quick, BATCHING_SIZES, grid_of(args.quick), args.device)

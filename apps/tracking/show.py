@@ -89,7 +89,7 @@ def show(args: argparse.Namespace) -> int:
     painter = Painter(args, tracker, others)
     bar = each(enumerate(samples), "samples", total=len(samples))
     pictures: list[Image] = []
-    with painter.drawing() as draw:
+    with painter as draw:
         if kind in CLIPS:
             with Clip(target, args.fps) as clip:
                 for index, sample in bar:
@@ -156,10 +156,6 @@ class Painter:
                 if "part_names" not in array_names(file):
                     return None  # a body without textures
         return load_avatar(name, "--avatar")
-
-    def drawing(self) -> Painter:
-        """Return the context manager of ``picture``: ``with painter.drawing() as draw``."""
-        return self
 
     def __enter__(self) -> Callable[[int, Sample, Pose], Image]:
         if self.avatar is not None:
