@@ -20,6 +20,7 @@ from glsplat.net.options import ServerConfig
 from glsplat.net.served_scene import ServedScene, TrackingOptions
 from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
+from glsplat.optional import has_extra
 from glsplat.scene import Rigged
 
 from ..args import detail_of, load_avatar, open_scene
@@ -215,7 +216,7 @@ def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Ru
         tracking=TrackingOptions(
             calibration=calibration,
             solver=args.solver,
-            idle=not args.no_idle,
+            idle=not args.no_idle and has_extra("speech"),
             face=None if face is None else face.feed,
         ),
     )

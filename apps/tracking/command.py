@@ -30,20 +30,25 @@ from glsplat.tracking.tracker import Tracker
 
 from ..args import motion_of, natural, not_negative, positive
 from ..progress import each
-from ..usage import UsageError
+from ..usage import CommandParser, UsageError
 from .bench import add_bench
 from .options import add_recording, add_skeleton, samples_of, skeleton_of, tracker_of
 from .pose_track import read_poses
 from .show import add_show
-from .train import add_train
 
 HELP = "Head and hand tracking to a full-body pose: derive it from motions, calibrate, solve, score, show, bench."
 EXAMPLE = "glsplat tracking from-motion walk -o rec.jsonl --truth truth.jsonl --rate 72"
 
 
+def _add_train(command: argparse.ArgumentParser) -> None:
+    from .train import add_arguments  # here: it needs extras/training
+
+    add_arguments(command)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommands."""
-    commands = parser.add_subparsers(dest="task", required=True, metavar="TASK")
+    commands = parser.add_subparsers(dest="task", required=True, metavar="TASK", parser_class=CommandParser)
 
     command = commands.add_parser("from-motion", help="derive head and hand tracking from a full-body motion")
     command.add_argument("motion", help="BVH, AMC, AMASS .npz, JSON, or the name of an embedded motion")
@@ -91,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     add_show(commands)
     add_bench(commands)
-    add_train(commands)
+    commands.add_parser("train", help="make the learned solver's network from motion files").later = _add_train
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,7 +7,6 @@ import json
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,15 +22,14 @@ from ..progress import Progress, each
 from ..usage import UsageError
 from .options import add_skeleton, pattern_of, skeleton_of
 
-__all__ = ["add_train"]
+__all__ = ["add_arguments"]
 
 DEFAULT = TrainingConfig()
 KINDS = (".bvh", ".amc", ".json", ".npz", ".glb", ".gltf", ".vrma")
 
 
-def add_train(commands: Any) -> None:
+def add_arguments(command: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    command = commands.add_parser("train", help="make the learned solver's network from motion files")
     command.add_argument("motions", nargs="+", metavar="MOTION", help="motion files, or folders of them")
     command.add_argument("-o", "--output", required=True, metavar="MODEL.npz", help="the network")
     command.add_argument("--steps", type=int, default=DEFAULT.steps, help=f"of the fit (default {DEFAULT.steps})")

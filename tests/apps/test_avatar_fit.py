@@ -102,6 +102,7 @@ def test_what_is_missing_is_said_before_an_avatar_is_made(
     assert asked == [7, 7]
 
 
+@pytest.mark.extra(name="consent")
 def test_levels_of_avatars_are_fitted_and_those_of_scenes_merged(
     many: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

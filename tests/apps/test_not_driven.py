@@ -52,6 +52,7 @@ def mixamo(every: int = 400) -> Avatar:
     return Avatar(person.splats.take(pick), Skeleton(names, person.skeleton.parents, rest), person.skin.take(pick))
 
 
+@pytest.mark.extra(name="consent")
 @pytest.mark.extra(name="evaluate")
 @pytest.mark.gl
 def test_bench_measures_what_stands_and_says_so(files: Path, capsys: pytest.CaptureFixture[str]) -> None:

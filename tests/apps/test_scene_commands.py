@@ -68,6 +68,8 @@ def test_the_scene_file_says_the_background(world: Path, tmp_path: Path) -> None
         assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == colour
 
 
+@pytest.mark.extra(name="consent")
+@pytest.mark.extra(name="evaluate")
 def test_bench_and_inspect(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = json.loads(ok(capsys, "bench", world, "--sizes", "32x32", "--frames", "3", "--json"))
     assert report["settings"][0]["kind"] == "static" and report["settings"][0]["splats"] == 400
