@@ -100,11 +100,10 @@ def test_what_is_shown_is_what_was_coded(open_page: OpenPage, serve: Any, coded:
     for before, one in pairwise(coded):  # a key frame begins a video, or was asked for
         assert not one["key"] or one["asked"] or one["size"] != before["size"]
     steer(page, side=256)
-    entered = len(coded)
     enter(page)
     page.until("watch.uploads.slice(-12).filter(({eye}) => eye === 1).length >= 3")
     assert matching(page, 2)
-    assert max(one["size"][0] for one in coded[entered:]) >= 2 * 256  # a busy machine gets smaller ones later
+    assert coded[-1]["size"][0] >= 2 * 256
     assert page.stats()["bitmaps"] <= 4
 
 
