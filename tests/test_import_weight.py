@@ -19,13 +19,13 @@ ANY = 1000  # modules of glsplat: not bounded
 
 ROWS = [  # statement, libraries, modules of glsplat at most
     ("import glsplat", "", 1),
-    ("import glsplat.tracking.sample", "", 8),  # the names of expressions among them
-    ("import glsplat.net.messages", "", 30),
-    ("from glsplat import Avatar, Splats", "", 20),  # their pictures in notebooks import the renderer when shown
+    ("import glsplat.tracking.sample", "", 6),  # the names of expressions among them
+    ("import glsplat.net.messages", "", 20),
+    ("from glsplat import Avatar, Splats", "", 16),  # their pictures in notebooks import the renderer when shown
     ("from glsplat import default_avatar; default_avatar()", "", ANY),
     ("from glsplat import Renderer", "moderngl", ANY),
-    ("from glsplat.net.client import Client", "aiohttp simplejpeg", 38),
-    ("import apps.serve.command", "aiohttp simplejpeg", 130),  # extras only where an option asks for them
+    ("from glsplat.net.client import Client", "aiohttp simplejpeg", 36),
+    ("import apps.serve.command", "aiohttp simplejpeg", 120),  # extras only where an option asks for them
     ("import apps.render", "moderngl cv2", ANY),  # cv2 writes PNG and clips
 ]
 EXTRAS = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import Any
 
 from glsplat.errors import GlsplatError
@@ -12,9 +12,13 @@ __all__ = ["Catalogue"]
 
 
 class Catalogue:
-    """The offered avatars by name. The first is the default, and is never removed."""
+    """The offered avatars by name. The first is the default, and is never removed.
 
-    def __init__(self, offered: Sequence[AvatarInfo]) -> None:
+    ``later`` returns more avatars, which take long to load: the server adds them once clients can connect.
+    """
+
+    def __init__(self, offered: Sequence[AvatarInfo], later: Callable[[], Iterable[AvatarInfo]] = tuple) -> None:
+        self._later = later
         self._offered = {one.name: one for one in offered}
         if not offered or len(self._offered) < len(offered):
             raise GlsplatError("a server offers one thing or several of different names: clients choose by name")
@@ -26,6 +30,10 @@ class Catalogue:
 
     def __getitem__(self, name: str) -> AvatarInfo:
         return self._offered[name]
+
+    def later(self) -> Iterator[AvatarInfo]:
+        """Yield the avatars to add after the start; each is loaded when it is its turn."""
+        return (one for one in self._later() if one.name not in self._offered)
 
     def add(self, one: AvatarInfo) -> None:
         """Offer another avatar."""

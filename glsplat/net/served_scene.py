@@ -191,7 +191,7 @@ def server_of(
     drawer = ThreadWorker(backend) if isinstance(backend, Backend) else backend
     if isinstance(drawer, Worker):
         drawer = RenderLoop(drawer, clock, config.fps, PictureEncoder(config.video))
-    return Server(Catalogue(offered), drawer, config, (*standard_features(config), *features), later)
+    return Server(Catalogue(offered, later), drawer, config, (*standard_features(config), *features))
 
 
 def standard_features(config: ServerConfig) -> list[Feature]:

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from aiohttp import web
 
 from glsplat.errors import ProtocolError
-from glsplat.net.backend import AvatarInfo
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.conversation import Conversation, cut_off, make_socket
@@ -55,8 +54,7 @@ DRAIN_GIVE_UP_S = 2.0  # a stopping server does not wait for a picture that take
 class Server:
     """Streams the avatars of ``catalogue`` as ``drawer`` draws them.
 
-    ``features`` add addresses and options, and observe clients. ``later`` returns more avatars to offer once clients
-    can connect; it runs in a thread. On SIGHUP a pool of workers restarts them one by one.
+    ``features`` add addresses and options, and observe clients. On SIGHUP a pool of workers restarts them one by one.
     """
 
     def __init__(
@@ -65,7 +63,6 @@ class Server:
         drawer: Drawer,
         config: ServerConfig | None = None,
         features: Sequence[Feature] = (),
-        later: Callable[[], Iterable[AvatarInfo]] = tuple,
     ) -> None:
         self.config: ServerConfig = config or ServerConfig()
         self.catalogue: Catalogue = catalogue
@@ -89,7 +86,6 @@ class Server:
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._responder = next(filter(None, (feature.pose_responder(self) for feature in self.features)), None)
         self._running: list[Feature] = []  # features that have started
-        self._later = later
         self._adder: asyncio.Task[None] | None = None
         self._conversations: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
@@ -278,8 +274,8 @@ class Server:
     async def _add_later(self) -> None:
         if self.fitting is not None:
             await asyncio.wait([self.fitting])
-        more = (one for one in self._later() if one.name not in self.catalogue.names)
         try:
+            more = self.catalogue.later()
             while (one := await asyncio.to_thread(next, more, None)) is not None:
                 self.catalogue.add(one)
             for feature in self.features:
