@@ -212,7 +212,10 @@ class Scene:
 
     @property
     def transform(self) -> NDArray[np.float64]:
-        """World from scene [4, 4], applied after each item's own transform; read-only: assign a new one."""
+        """World from scene [4, 4], applied after each item's own transform; read-only: assign a new one.
+
+        The renderer moves the cameras by it and not the items, so that nothing is skinned again.
+        """
         return self._transform
 
     @transform.setter

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,10 +19,13 @@ __all__ = ["box_of", "orbited", "view_of", "viewing_point"]
 
 def viewing_point(scene: SceneLike, fov: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (eye, target), seen from the front (+z), that show 98 % of the points of each visible item."""
-    boxes = [box for item in Scene.of(scene) if item.visible and (box := box_of(item)) is not None]
+    scene = Scene.of(scene)
+    boxes = [box for item in scene if item.visible and (box := box_of(item)) is not None]
     if not boxes:
         return np.array([0.0, 0.0, 1.0]), np.zeros(3)
-    low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
+    corners = np.array([corner for box in boxes for corner in product(*box.T)])
+    corners = corners @ scene.transform[:3, :3].T + scene.transform[:3, 3]
+    low, high = corners.min(axis=0), corners.max(axis=0)
     centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
     distance = half * 1.25 / np.tan(np.radians(fov) / 2) + float(high[2] - low[2]) / 2
     return centre + np.array([0, 0, distance]), centre

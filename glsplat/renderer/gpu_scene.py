@@ -104,12 +104,16 @@ class GpuScene:
             "work": sum(arena.pipelines.nbytes for arena in self._arenas),
         }
 
-    def update(self, views: Sequence[Camera], pose: Pose | None, selector: Selector, timer: StageTimer) -> FrameStats:
-        """Follow the scene: items that came, went or moved, and levels of detail. Return what is known before drawing.
+    def update(
+        self, views: Sequence[Camera], pose: Pose | None, selector: Selector, timer: StageTimer
+    ) -> tuple[list[Camera], FrameStats]:
+        """Follow the scene: items that came, went or moved, and levels of detail.
 
-        ``pose`` is for the one avatar of a scene, if there is one. Items in none of the views' layers are not shown.
+        Return the views in the scene's own space, and what is known before drawing. ``pose`` is for the one avatar of a
+        scene, if there is one. Items in none of the views' layers are not shown.
         """
         self._look(views[0].layers)
+        views = [view if self._unplaced else view.in_space(self._transform) for view in views]
         if pose is not None:
             if not isinstance(pose, Pose):
                 raise PoseError(
@@ -133,7 +137,17 @@ class GpuScene:
             timer.mark("skin")
         skipped = sum(item.skipped for item in arena.shown_items)
         shown, posed = tuple(level for _, level in parts), arena.runs - before
-        return FrameStats(self.splats, 0, skipped, sorted=False, posed=posed, levels=shown, coarsest=self._coarsest)
+        stats = FrameStats(self.splats, 0, skipped, sorted=False, posed=posed, levels=shown, coarsest=self._coarsest)
+        return views, stats
+
+    @property
+    def size(self) -> float:
+        """Metres of the cameras' world a metre of the scene."""
+        return 1.0 if self._unplaced else float(np.cbrt(np.linalg.det(self._transform[:3, :3])))
+
+    @property
+    def _unplaced(self) -> bool:
+        return np.array_equal(self._transform, np.eye(4))
 
     def mesh_pass(
         self, views: Sequence[Camera], ordinal: int, dtype: str, timer: StageTimer, depth: bool = False
@@ -209,8 +223,10 @@ class GpuScene:
             one.release()
 
     def _look(self, layers: int) -> None:
-        """Note the scene's items and light, once a frame, as other threads may change them meanwhile."""
+        """Note the scene's items, place and light, once a frame, as other threads may change them meanwhile."""
         items, self.light, self._transform = self.scene.items, self.scene.light, self.scene.transform
+        if self.light is not None and not self._unplaced:
+            self.light = self.light.turned(self._transform[:3, :3].T / self.size)
         self._present = frozenset(items)
         visible = [item for item in items if item.visible]
         self._hidden = frozenset(item for item in visible if not item.layers & layers)  # in none of the views' layers
@@ -332,7 +348,7 @@ class GpuScene:
             self._meshes.pop(gone).release()
 
     def _placement(self, item: Item, pose: Pose | None) -> Placement:
-        transform = self._transform @ item.transform
+        transform = item.transform
         linear = transform[:3, :3]
         size = 1.0 if np.array_equal(transform, np.eye(4)) else float(np.cbrt(np.linalg.det(linear)))
         bones = weights = None

@@ -177,7 +177,7 @@ class Renderer:
         """
         depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(views)
         with self._entered("render"):
-            self._update(cameras, pose)
+            cameras = self._update(cameras, pose)
             images, depths = self._pictures(cameras, out, depth)
         return (images, depths) if depth else images
 
@@ -190,7 +190,7 @@ class Renderer:
         """
         cameras, costed = self._views(views), 1 + flag(itemised, "itemised", GlsplatError)
         with self._entered("prepare"):
-            self._update(cameras, pose)
+            cameras = self._update(cameras, pose)
             self._prepared = prepared = Prepared(self, cameras)
             for ordinal, indices in enumerate(self._passes(cameras)):
                 batch = [cameras[i] for i in indices]
@@ -202,19 +202,21 @@ class Renderer:
         """Draw one view or a pair; return the float target on the GPU, layer 0 the left eye, row 0 at the top.
 
         For windows and headsets. The layers hold the pictures of ``render()``, with ``depth`` also its sums
-        (``Target.depth``). The target belongs to the renderer and is overwritten by the next call. If hidden splats
-        were left out, the caller has to compensate for them (``Target.lift``, lift.glsl).
+        (``Target.depth``, in units of ``Target.depth_unit``). The target belongs to the renderer and is overwritten by
+        the next call. If hidden splats were left out, the caller has to compensate for them (``Target.lift``,
+        lift.glsl).
         """
         depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(views)
         if len(cameras) > 2:
             raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
         with self._entered("draw"):
-            self._update(cameras, pose)
+            cameras = self._update(cameras, pose)
             for layers, batch, _, target in self._drawn(cameras, depth):
                 if len(batch) < len(cameras):  # eyes that do not share an order: copied one by one into a pair
                     pair = self._targets.float_target(self.size, len(cameras), depth)
                     pair.copy_layer(self.context.ctx, layers.start, target)
                     target = pair
+            target.depth_unit = self._scene.size
             target.lift = tuple(camera.background for camera in cameras) if self.variant.cull_hidden else None
             self.timer.stop()
             return target
@@ -278,11 +280,12 @@ class Renderer:
         """Return the viewmat [4, 4] whose z orders the splats of a pass."""
         return sorting_camera(cameras)
 
-    def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> None:
-        """Begin a frame: upload, pose and place what changed in the scene."""
+    def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> list[Camera]:
+        """Begin a frame: upload, pose and place what changed. Return the cameras in the scene's own space."""
         self.timer.start()
         selector = instance(self.selector, Selector, "selector", GlsplatError)
-        self.stats = self._scene.update(cameras, pose, selector, self.timer)
+        placed, self.stats = self._scene.update(cameras, pose, selector, self.timer)
+        return placed
 
     def _pictures(
         self, cameras: Sequence[Camera], out: Images | None, depth: bool = False, slices: Slices | None = None
@@ -299,7 +302,7 @@ class Renderer:
                 pipeline.resolve(target, byte_target, batch, timer, step, texture)  # 5
             pipeline.read(target, byte_target, batch, out[layers], timer)  # 6
             if depth:
-                depths[layers] = read_depth(target)
+                depths[layers] = read_depth(target) * np.float32(self._scene.size)
                 timer.mark("read")
         timer.stop()
         return out, depths

@@ -40,6 +40,7 @@ class Target:
     ) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
         self.numpy_dtype: np.dtype[Any] = np.dtype(_NUMPY[dtype])
+        self.depth_unit: float = 1.0  # metres of the cameras' world a unit of ``depth``
         # background of each layer, where hidden splats were left out (lift.glsl)
         self.lift: tuple[tuple[float, float, float], ...] | None = None
         with ExitStack() as stack:  # releases what was made if a later allocation fails

@@ -13,7 +13,7 @@ uniform vec3 first_background, second_background;
 #endif
 #if DEPTH
 uniform sampler2DArray depth_sum;
-uniform vec2 depth_range;  // near and far in metres
+uniform vec3 depth_range;  // near and far in metres, metres a unit of the sum
 #endif
 #if ROOM
 uniform mat3 glass_from_pixel[2];  // metres on the mirror's plane, homogeneous; z > 0 where the eye looks at it
@@ -57,7 +57,7 @@ void main() {
     ivec3 texel = ivec3(at.x, rows - 1 - at.y, view);
     vec4 colour = texelFetch(target, texel, 0);
 #if DEPTH
-    float z = texelFetch(depth_sum, texel, 0).r / colour.a;
+    float z = texelFetch(depth_sum, texel, 0).r * depth_range.z / colour.a;
     float deep = (1.0 - depth_range.x / z) * depth_range.y / (depth_range.y - depth_range.x);
     gl_FragDepth = colour.a > 0.0 ? clamp(deep, 0.0, 1.0) : 1.0;
 #endif

@@ -11,6 +11,7 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
+from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -18,6 +19,9 @@ from glsplat.renderer.levels import Selector
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
+from glsplat.views import viewing_point
+from tests.compare import Difference
+from tests.light.lit import random_light
 from tests.scene.test_levels import leveled, leveled_limb, seen_from
 from tests.scene.test_mesh_samples import limb_mesh
 from tests.scene.worlds import random_pose, upright
@@ -57,23 +61,55 @@ def test_what_is_left_out_is_as_if_it_were_not_there(renderer_of: Make, context:
     assert renderer._staged is not None and renderer._staged.arenas == made
 
 
+TURN = similarity((0.1, -0.2, 0.1), rotation=(0.1, 0.3, 0.2, 0.9), scale=1.3)
+
+
 @pytest.mark.gl
-def test_a_scene_that_is_placed_is_its_items_placed(renderer_of: Make) -> None:
-    turn = similarity((0.1, -0.2, 0.1), rotation=(0.1, 0.3, 0.2, 0.9), scale=1.3)
+def test_a_placed_scene_is_seen_by_moved_cameras(renderer_of: Make) -> None:
+    """To the bit, and as its items placed one by one; nothing is skinned again. Depth is in the cameras' metres."""
     own = [None, similarity((0.2, 0, 0), scale=0.5), similarity((0, 0.3, 0))]
     contents = [limb(200, degree=1), cloud(500, 2), upright(0.1, 0.5, (200, 30, 30))]
-    scene = Scene([Item(one, transform=place) for one, place in zip(contents, own, strict=True)])
-    still, placed = renderer_of(scene), renderer_of(scene)
+    still_scene = Scene([Item(one, transform=place) for one, place in zip(contents, own, strict=True)])
+    scene = Scene(still_scene.items)
+    still, placed = renderer_of(still_scene), renderer_of(scene)
     before = placed.render([camera()])
-    scene.transform = turn
-    each = Scene(Item(item.content, transform=turn @ item.transform) for item in scene)
-    image = placed.render([camera()])
-    assert np.array_equal(image, renderer_of(each).render([camera()])) and not np.array_equal(image, before)
+    scene.transform = TURN
+    image, depth = placed.render([camera()], depth=True)
+    assert placed.stats.posed == 0 and not np.array_equal(image, before)
+    moved, moved_depth = still.render([camera().in_space(TURN)], depth=True)
+    assert np.array_equal(image, moved) and np.allclose(depth, 1.3 * moved_depth)
+    each = Scene(Item(item.content, transform=TURN @ item.transform) for item in scene)
+    expected, expected_depth = renderer_of(each).render([camera()], depth=True)
+    assert Difference.of(image, expected).psnr >= 70
+    covered = expected[..., 3] > 0.5
+    assert covered.sum() > 200 and np.abs(depth - expected_depth)[covered].max() < 1e-3
     scene.transform = np.eye(4)
-    assert np.array_equal(placed.render([camera()]), still.render([camera()]))
+    assert np.array_equal(placed.render([camera()]), before)
     with pytest.raises(GlsplatError, match="one scale for all axes"):
         scene.transform = np.diag([1, 2, 1, 1])
     assert np.array_equal(scene.transform, np.eye(4))
+
+
+@pytest.mark.gl
+def test_light_stays_in_the_world_where_a_scene_turns(renderer_of: Make) -> None:
+    person, light = default_avatar(), random_light(3)
+    view = Camera(look_at((0.2, 1.0, 2.8), (0.1, 0.8, 0)), pinhole(64, 64), 64, 64)
+    place = similarity((0.1, 0, 0), rotation=(0, 0.5, 0, 0.85), scale=0.9)
+    image = renderer_of(Scene([Item(person)], light=light, transform=place)).render([view])
+    expected = renderer_of(Scene([Item(person, transform=place)], light=light)).render([view])
+    unturned = renderer_of(Scene([Item(person, transform=place)], light=light.turned(place[:3, :3] / 0.9))).render(
+        [view]
+    )
+    assert Difference.of(image, expected).psnr >= 60 > 45 > Difference.of(image, unturned).psnr
+
+
+def test_a_viewing_point_follows_the_scenes_place() -> None:
+    scene = Scene([Item(cloud(300))])
+    eye, target = viewing_point(scene, 65)
+    scene.transform = similarity((5, 1, -2), scale=3)
+    placed_eye, placed_target = viewing_point(scene, 65)
+    assert np.allclose(placed_target, 3 * target + (5, 1, -2))
+    assert np.allclose(placed_eye - placed_target, 3 * (eye - target))
 
 
 @pytest.mark.gl

@@ -85,6 +85,7 @@ class MeshTruth(Renderer):
             image[:] = cv2.resize(large[0], (width, height), interpolation=cv2.INTER_AREA)  # the mean, by whole factors
         return out if self._output == "float32" else np.rint(255 * np.clip(out, 0, 1)).astype(np.uint8)
 
-    def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> None:
-        super()._update(cameras, pose)
+    def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> list[Camera]:
+        placed = super()._update(cameras, pose)
         self._scene.shade(self._item, self._factors)
+        return placed

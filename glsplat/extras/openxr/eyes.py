@@ -163,7 +163,7 @@ class EyePass:
         if target.lift is not None:
             values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
         if depth is not None:
-            values["depth_range"] = depth.near, depth.far
+            values["depth_range"] = depth.near, depth.far, target.depth_unit
         if around is not None:
             values |= {
                 "glass_from_pixel": _columns(around.glass_from_pixel),

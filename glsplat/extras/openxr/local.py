@@ -68,7 +68,8 @@ class LocalShow:
         self._advance, self._finish = advance, context.ctx.finish if timed else None
         self._background = (0.0, 0.0, 0.0) if transparent else background or file.background
         self._source = file.avatar
-        self._scene = file.scene
+        self._place = file.scene.transform
+        self._scene = Scene(file.scene, light=file.scene.light, transform=self._place)
         self._tracker: Tracker | None = None
         self._idle = IdleFace()
         if self._source is not None and is_rigged(self._source.content):
@@ -148,7 +149,7 @@ class LocalShow:
         if self._tracker is not None and self._source is not None and moment is not None:
             self._source.pose = self._tracker.update(self._idle.fill(moment.sample))
             known = self._tracker.calibration
-            self._scene.transform = similarity((0.0, known.floor, 0.0), scale=known.scale)
+            self._scene.transform = similarity((0.0, known.floor, 0.0), scale=known.scale) @ self._place
         if moment is not None:
             self._show(moment.place)
         views = sighted(runtime.views(timing.display_time))
