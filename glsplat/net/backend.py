@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
@@ -44,7 +44,7 @@ class RenderJob:
 
     cameras: tuple[Camera, ...]  # one or two, left first
     pose: Pose | None = None  # None: the rest pose
-    place: NDArray[np.float64] | None = None  # [4, 4] user's space from scene; None: they are the same
+    to_user: NDArray[np.float64] | None = None  # [4, 4] user's space from scene; None: they are the same
     frame_id: int | None = None  # of its request
     options: PictureOptions = DEFAULT_OPTIONS
     avatar: str = ""  # name of an offered one; "": the first one, or the scene
@@ -126,7 +126,7 @@ class Solved:
     floor: float = 0.0  # y of the user's floor in metres; 0 in the avatar's space
 
     @property
-    def place(self) -> NDArray[np.float64]:
+    def to_user(self) -> NDArray[np.float64]:
         """[4, 4] user's space from avatar's. Raises PoseError for an impossible scale or floor."""
         try:
             return similarity((0.0, self.floor, 0.0), scale=self.scale)
@@ -135,9 +135,7 @@ class Solved:
 
     def seen(self, camera: Camera) -> Camera:
         """Return a camera of the user's space in the avatar's."""
-        viewmat = camera.viewmat.copy()
-        viewmat[:3, 3] = -viewmat[:3, :3] @ ((camera.position - (0, self.floor, 0)) / self.scale)
-        return replace(camera, viewmat=viewmat, near=camera.near / self.scale, far=camera.far / self.scale)
+        return camera.in_space(self.to_user)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -324,16 +324,16 @@ class RenderLoop:
     def _job(self, taken: Taken, solved: Solved | None) -> RenderJob:
         """Return the job of a picture: the avatar at its pose, or all people of the room."""
         client, request = taken.client, taken.request
-        pose, place, cameras, room = request.pose, None, taken.cameras, None
+        pose, to_user, cameras, room = request.pose, None, taken.cameras, None
         if client.member is not None:
             pose = None
             cameras, room = client.member.look(request, cameras, solved, taken.arrived, self._clock())
         elif solved is not None:
-            pose, place = solved.pose, solved.place
+            pose, to_user = solved.pose, solved.to_user
         return RenderJob(
             cameras=cameras,
             pose=pose,
-            place=place,
+            to_user=to_user,
             frame_id=request.frame_id,
             options=taken.options,
             avatar=client.shown.name,

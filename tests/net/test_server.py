@@ -160,7 +160,7 @@ async def test_tracking_goes_through_the_sessions_own_solver(serve, fake_backend
     assert first.tracking == Sample.from_json(tracking, first.t / 1e3) and second.t > first.t
     assert reply.info["tracking"] == ["left_lost"] and "ik" in reply.info["times"]
     drawn = backend.drawn[0]
-    assert drawn.pose is not None and np.allclose(drawn.place, similarity((0, -0.5, 0), scale=1.25))
+    assert drawn.pose is not None and np.allclose(drawn.to_user, similarity((0, -0.5, 0), scale=1.25))
     np.testing.assert_allclose(drawn.cameras[0].position, [-0.0275, 1.6, 0], atol=1e-12)
 
 

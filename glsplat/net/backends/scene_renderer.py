@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.errors import GlsplatError
+from glsplat.errors import GlsplatError, PoseError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import others_share
@@ -40,8 +40,9 @@ _PLACE_SIGMAS = 2.0  # standard deviations of a splat that count for the box of 
 
 _MAX_VIEWERS = 64  # whose levels of detail are remembered
 
-_ROOM, _HEADS = 1, 2
-"""Layers: of everything, and of all heads for pictures that hide none. Each other layer belongs to one person."""
+_PEOPLE, _HEADS = 1 << 64, 1 << 65
+"""Layers of people, above those of the scene's own items: of everything, and of heads for pictures that hide none. Each
+higher layer is of the headless pictures of one person."""
 
 _FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
 
@@ -78,7 +79,7 @@ class _Shown:
             if item not in self.whole:
                 layers = own
             else:
-                layers = _ROOM if item in self.headless else ~(_ROOM | own)
+                layers = _PEOPLE if item in self.headless else (-1 << 65) & ~own
             item.layers = layers if visible else 0
 
 
@@ -100,6 +101,7 @@ class SceneRenderer:
         self._place_bounds = lru_cache(2)(partial(FigureBounds, sigmas=_PLACE_SIGMAS))
         items = (item for item in file.scene if item is not self._driven)
         self.scene: Scene = Scene(items, light=file.scene.light)
+        self._view = RoomView("", 0, 0, ())  # of the job that ``follow`` was given
         if self._driven is not None:
             self._replace(0, _shown(self._driven.name, self._driven_figure(""), split=False))
         self.renderer: Renderer = make(self.scene)
@@ -118,11 +120,12 @@ class SceneRenderer:
         that is the viewer's own avatar, or where it has no head to hide.
         """
         self._file.pose_at(seconds)
-        self.scene.transform = np.eye(4) if job.place is None else job.place
+        place = self._file.scene.transform
+        self.scene.transform = place if job.to_user is None else job.to_user @ place
         self.scene.light = job.options.light or self._file.scene.light
-        view = self._view(job)
-        if _hides_head(job) and not view.people:
-            raise GlsplatError("parts can be left out of one avatar, this scene has none or several")
+        self._view = view = self._view_of(job)
+        if job.room is None and _hides_head(job) and not view.people:
+            raise PoseError("parts can be left out of one avatar, this scene has none or several")
         new = {one.key: self._enter(one, job, view) for one in view.people if self._is_missing(one.key, job, view)}
         here = {one.key for one in view.people}
         for gone in self._people.keys() - here:
@@ -139,7 +142,7 @@ class SceneRenderer:
         Other people who add too much to it (``others_share``) are drawn at their coarsest level of detail, then left
         out. So only the scene and the viewer's own avatar can cost more than ``max_cost``.
         """
-        view, views, renderer = self._view(job), self.views(job), self.renderer
+        view, views, renderer = self._view, self.views(job), self.renderer
         others = [shown for key, shown in self._people.items() if shown is not None and key != view.viewer]
         if not (others and job.others):
             return renderer.prepare(views, None if view.people else job.pose)
@@ -152,28 +155,28 @@ class SceneRenderer:
                 break
             prepared = renderer.prepare(views, itemised=True)
             costs = {one: sum(prepared.items.get(item, 0) for item in one.items) for one in each}
-            room = min(share, max_cost - (prepared.cost - sum(costs.values())))
-            if room < 0 or (sum(costs.values()) <= room and all(costs[one] <= each[one] for one in each)):
+            allowance = min(share, max_cost - (prepared.cost - sum(costs.values())))
+            if allowance < 0 or (sum(costs.values()) <= allowance and all(costs[one] <= each[one] for one in each)):
                 break
-            reduce(costs, each, room)
+            reduce(costs, each, allowance)
             prepared = renderer.prepare(views)
         renderer.stats = replace(renderer.stats, posed=posed)
         return prepared
 
     def views(self, job: RenderJob) -> list[Camera]:
         """Return the cameras of a job after ``follow``, with the layers that its viewer sees."""
-        view = self._view(job)
+        view = self._view
         keys = [one.key for one in view.people]
         hidden = _hides_head(job) and view.viewer in keys
-        layers = _ROOM | (_own(keys.index(view.viewer)) if hidden else _HEADS)
-        return [replace(camera, layers=layers) for camera in job.cameras]
+        people = _PEOPLE | (_own(keys.index(view.viewer)) if hidden else _HEADS)
+        return [replace(camera, layers=camera.layers | people) for camera in job.cameras]
 
     def labels(self, job: RenderJob) -> list[Label]:
         """Return the labels of all people, also of those who were too costly to draw.
 
         In a room the viewer's own label is included only where their own head is shown.
         """
-        view = self._view(job)
+        view = self._view
         own = view.viewer if job.room is not None and _hides_head(job) else None
         return [
             _label_of(one, shown, self.scene.transform @ one.transform)
@@ -184,7 +187,7 @@ class SceneRenderer:
 
     def places(self, job: RenderJob) -> dict[str, list[float]]:
         """Return ``Rendered.places`` of a client's one avatar, if the job requests it."""
-        view = self._view(job)
+        view = self._view
         if job.room is not None or not (job.options.box and view.people):
             return {}
         (one,), shown = view.people, self._people[view.viewer]
@@ -200,7 +203,7 @@ class SceneRenderer:
         """Release the renderer."""
         self.renderer.release()
 
-    def _view(self, job: RenderJob) -> RoomView:
+    def _view_of(self, job: RenderJob) -> RoomView:
         """Return the people in the picture: for a client alone its one avatar, posed by the job or the scene."""
         if job.room is not None:
             return job.room
@@ -228,9 +231,12 @@ class SceneRenderer:
         own = one.key == view.viewer
         try:
             figure = self._figure_of(one.avatar)
-            # most people of a room hide their own heads: make their items once
-            split = (own and _hides_head(job)) or (job.room is not None and "head" in figure.skeleton.names)
-            return _shown(one.name, figure, split)
+            if own and _hides_head(job):
+                return _shown(one.name, figure, split=True)
+            try:  # most people of a room hide their own heads: make their items once
+                return _shown(one.name, figure, split=job.room is not None)
+            except PoseError:  # there is no head, or nothing else
+                return _shown(one.name, figure, split=False)
         except (GlsplatError, OSError, KeyError) as error:
             if own:
                 raise
@@ -273,7 +279,7 @@ def _hides_head(job: RenderJob) -> bool:
 
 def _own(place: int) -> int:
     """Return the layer of the headless pictures from the eyes of the person at that index."""
-    return 4 << place
+    return 1 << (66 + place)
 
 
 def _items(shown: _Shown | None) -> tuple[Item, ...]:
@@ -318,9 +324,9 @@ def _feet(skeleton: Skeleton, pose: Pose, transform: NDArray[np.float64]) -> NDA
     return turned + bones[:, :, 3] + transform[:3, 3]
 
 
-def _coarser(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
-    """Draw people at their coarsest level of detail if they cost more than a fair share of ``room``."""
-    left = most = room
+def _coarser(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], allowance: float) -> None:
+    """Draw people at their coarsest level of detail if they cost more than a fair share of ``allowance``."""
+    left = most = allowance
     for number, cost in enumerate(sorted(costs.values())):  # costlier people share the rest of cheaper ones
         most = left / (len(costs) - number)
         left -= min(cost, most)
@@ -330,11 +336,11 @@ def _coarser(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: fl
                 item.finest = len(item.content.levels)  # type: ignore[union-attr]  # meshes have no cost
 
 
-def _left_out(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], room: float) -> None:
-    """Leave out people above their own limit, then the most costly ones, until the others fit into ``room``."""
+def _left_out(costs: Mapping[_Shown, int], each: Mapping[_Shown, float], allowance: float) -> None:
+    """Leave out people above their own limit, then the most costly ones, until the others fit into ``allowance``."""
     total = sum(costs.values())
     for one, cost in sorted(costs.items(), key=lambda pair: -pair[1]):
-        if total > room or cost > each[one]:
+        if total > allowance or cost > each[one]:
             total -= cost
             for item in one.items:
                 item.layers = 0

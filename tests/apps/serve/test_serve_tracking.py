@@ -36,7 +36,7 @@ def test_tracking_becomes_a_pose_in_the_avatars_space():
     np.testing.assert_array_equal(solved.pose.rotations, expected.rotations)
     np.testing.assert_array_equal(solved.pose.trans, expected.trans)
     assert "left_lost" in solved.notes
-    np.testing.assert_allclose(solved.place @ (0, 1, 0, 1), (0, 1.35, 0, 1))
+    np.testing.assert_allclose(solved.to_user @ (0, 1, 0, 1), (0, 1.35, 0, 1))
     for theirs in requests[19].cameras:
         mine = solved.seen(theirs)
         np.testing.assert_allclose(mine.position, (theirs.position - (0, 0.1, 0)) / 1.25)

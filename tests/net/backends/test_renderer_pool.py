@@ -12,10 +12,12 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, head_matrix, look_at, pinhole, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
-from glsplat.errors import GlsplatError, ProtocolError
+from glsplat.errors import GlsplatError, PoseError, ProtocolError
+from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import Rendered, RenderJob, Solved
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import MAX_RENDERERS
+from glsplat.net.backends.scene_renderer import SceneRenderer
 from glsplat.net.client import Client
 from glsplat.net.messages import PictureOptions
 from glsplat.net.served_scene import TrackingOptions, gl_server
@@ -165,7 +167,7 @@ def test_a_placed_scene_is_what_moved_eyes_see(scale: float, floor: float) -> No
     with opened(RendererBackend(scene, SIZE)) as backend:
         own = backend.render(RenderJob(cameras=tuple(PAIR), pose=BENT, options=asked))
         expected = own.images.copy()
-        placed = backend.render(RenderJob(cameras=tuple(eyes), pose=BENT, place=solved.place, options=asked))
+        placed = backend.render(RenderJob(cameras=tuple(eyes), pose=BENT, to_user=solved.to_user, options=asked))
         assert Difference.of(placed.images / 255, expected / 255).psnr >= 55
     for eye, camera in zip(eyes, PAIR, strict=True):
         np.testing.assert_allclose(solved.seen(eye).viewmat, camera.viewmat, atol=1e-9)
@@ -174,6 +176,40 @@ def test_a_placed_scene_is_what_moved_eyes_see(scale: float, floor: float) -> No
         np.testing.assert_allclose(np.reshape(placed.places[name], (-1, 3)), moved, rtol=1e-6, atol=1e-6 * scale)
     for mine, theirs in zip(placed.depth, own.depth, strict=True):
         np.testing.assert_allclose(mine.metres(), theirs.metres() * scale, rtol=0.02)
+
+
+@pytest.mark.gl
+def test_a_scene_keeps_its_own_place_and_a_new_scale_skins_nothing_again() -> None:
+    own = similarity((0.2, 0, 0.1), rotation=(0, 0.3, 0, 0.95), scale=1.2)
+    scene = Scene([Item(limb(200).splats), Item(PERSON)], transform=own)
+    with opened(RendererBackend(scene, SIZE)) as backend:
+        found = backend.render(request(pose=BENT)).images
+        with Renderer(scene, size=SIZE, views=2, config=RenderConfig(output="uint8")) as renderer:
+            assert (found == renderer.render(PAIR, BENT)).all()
+        for scale in (0.9, 0.91, 0.92):
+            placed = backend.render(request(pose=BENT, to_user=similarity(scale=scale)))
+            assert placed.posed == 0
+        assert (placed.images != found).any()
+
+
+@pytest.mark.gl
+def test_the_layers_of_a_scenes_own_items_are_the_cameras_alone() -> None:
+    """Whether a head is hidden or not; people are above all of them."""
+    marks = [Item(limb(200).splats, transform=similarity((0.3 * i - 0.3, 1, 0)), layers=1 << i) for i in range(3)]
+    scene = Scene([*marks, Item(PERSON)])
+    with opened(RendererBackend(scene, SIZE)) as backend:
+        for layers in (1, 2, 4, 6):
+            cameras = [replace(camera, layers=layers) for camera in PAIR]
+            for hide in ((), ("head",)):
+                found = backend.render(request(cameras, hide=hide)).images
+                person = PERSON.without("head") if hide else PERSON
+                with Renderer(Scene([*marks, Item(person, layers=-1)]), size=SIZE, views=2) as renderer:
+                    assert Difference.of(found / 255, renderer.render(cameras) / 255).psnr >= 60
+
+
+def test_a_hidden_head_without_an_avatar_is_refused_before_anything_is_drawn() -> None:
+    with pytest.raises(PoseError, match="this scene has none or several"):
+        SceneRenderer(SceneFile.of(limb(50).splats), lambda scene: None).follow(request(hide=("head",)), 0.0)  # type: ignore[arg-type, return-value]
 
 
 @pytest.mark.gl

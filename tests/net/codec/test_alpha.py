@@ -105,7 +105,7 @@ async def test_the_eyes_of_a_reply_are_those_asked_for_and_those_drawn(serve, fa
             np.testing.assert_allclose(np.reshape(eye["viewmat"], (4, 4)), camera.viewmat)
             assert (eye["near"], eye["far"]) == (0.5, 20.0)
     assert "drawn" not in posed.info
-    place = backend.drawn[0].place
+    place = backend.drawn[0].to_user
     np.testing.assert_allclose(place, similarity((0, 0.1, 0), scale=1.25))
     for eye, camera, drawn in zip(tracked.info["drawn"], PAIR, backend.drawn[0].cameras, strict=True):
         np.testing.assert_allclose(drawn.viewmat, camera.viewmat)
