@@ -48,6 +48,7 @@ __all__ = [
     "detail_of",
     "driven",
     "expression",
+    "light_name",
     "light_of",
     "load_avatar",
     "motion_of",
@@ -79,6 +80,7 @@ def add_light(parser: argparse.ArgumentParser) -> None:
     """Add --light."""
     parser.add_argument(
         "--light",
+        type=light_name,
         metavar="NAME|FILE",
         help=f"light on avatars with a surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; "
         "none: as photographed (default: the scene file's light, else none)",
@@ -115,6 +117,16 @@ def light_of(text: str) -> Light:
         except (ValueError, RecursionError) as error:
             raise FormatError(f"a light is JSON, but {error}") from None
         return Light.from_json(data)
+
+
+def light_name(text: str) -> str:
+    """Return a light's name after checking that it can be read; "none" for no light (argparse type)."""
+    if text != "none":
+        try:
+            light_of(text)
+        except FormatError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def add_up(parser: argparse.ArgumentParser, what: str = "the file's axis that points up") -> None:
@@ -174,7 +186,10 @@ def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Rigge
     file = embedded_file(path)
     if not file.exists():
         raise UsageError(f"{option} {path}: no such file, nor an embedded person ({_PEOPLE})")
-    content = load(file, strict=strict)
+    try:
+        content = load(file, strict=strict)
+    except FormatError as error:
+        raise FormatError(f"{option} {error}") from None
     if isinstance(content, Scene):
         raise UsageError(f"{option} {path}: expected one avatar, found a scene file")
     if not is_rigged(content):

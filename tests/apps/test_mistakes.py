@@ -56,7 +56,7 @@ MISTAKES = {
         render ../in/limb.glb --pose a --motion b -o x.png : not both
         render ../in/limb.glb --pose no.json -o x.png : cannot read the pose
         render ../in/cloud.ply --pose p.json -o x.png : no skeleton
-        render ../in/cloud.ply --device nothing -o x.png : no EGL device 'nothing'; there are 0:
+        render ../in/cloud.ply --device nothing -o x.png : give an index or a part of a name: 0 =
         render ../in/cloud.ply --eye 1,1,1 --target 1,1,1 -o x.png : the same point
         render ../in/cloud.ply --eye -1,2 -o a.png : a point is x,y,z, for example 0,1,3, not '-1,2'
         render ../in/cloud.ply --cameras c.json --stereo -o x.png : --cameras or --stereo
@@ -202,16 +202,16 @@ MISTAKES = {
     "serve": """
         serve nowhere.glb                   : glsplat serve: nowhere.glb: no such file
         serve exact=true level=1            : --exact and --level contradict each other
-        serve fps=0                         : server.toml: fps: needs 1 to 240 pictures a second, not 0
+        serve fps=0                         : server.toml: fps: needs a number from 1 to 240 pictures a second, not 0
         serve --host 0.0.0.0                : tls-cert, tls-key and token-file
         serve --size 4096                   : raise max-size
-        serve fov=180                       : fov: needs 1 to 170 degrees
+        serve fov=180                       : fov: needs a number from 1 to 170 degrees
         serve tls-cert=a.pem                : TLS needs both tls-cert and tls-key
         serve tls-cert=a.pem tls-key=b.pem  : a.pem: expected a PEM file for TLS
         serve --self-signed tls-cert=a.pem tls-key=b.pem : --self-signed makes a certificate
         serve token-file=nowhere            : nowhere: cannot read the token
         serve bitrate=8 fixed=true          : leave one out
-        serve bitrate=0                     : 0.1 to 100000
+        serve bitrate=0                     : 0.1 to 100000 Mbit/s
         serve webtransport=true fixed=true  : fixed sends the same to all: leave one out
         serve --room lab --room lab:3       : two rooms
         serve --room lab:20                 : 20 people need max-clients = 20
@@ -219,10 +219,10 @@ MISTAKES = {
         serve --avatar ../in/limb.glb --avatar ../in/limb.glb : there is a "limb" already
         serve ../in/limb.glb                : "limb": no consent on file; sign one
         serve --workers ray:65              : --workers needs
-        serve ray-address=gpu1:6379         : ray-address is for --workers ray
+        serve ray-address=gpu1:6379         : ray-address is for workers: give workers, too
         serve --allow-upload . cull-hidden=true : cull-hidden needs avatars with cones
-        serve participant=1                 : are for a study
-        serve --fps 45                      : fps is no flag: write it into the file of --config
+        serve participant=1                 : participant is for study: give study, too
+        serve --fps 45                      : --fps: no such flag, fps goes into the file of --config
         serve study=../in/study.toml        : its participant's number
         serve study=../in/study.toml participant=7 : 1 to 6
         serve study=../in/study.toml participant=1 x.glb : leave out SCENE
