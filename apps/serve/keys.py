@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
-from glsplat.net.guard.access import is_loopback, read_token
+from glsplat.net.guard.access import is_loopback, read_token, server_tls
 from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
 from glsplat.optional import has_extra, missing, require_package
@@ -53,6 +53,9 @@ def keys_of(args: ServeOptions) -> Keys:
         token = None if token_file is None else read_token(token_file)
     if not args.self_signed:
         tls = None if args.tls_cert is None or args.tls_key is None else (args.tls_cert, args.tls_key)
+        if tls is not None:
+            with naming_option(args, "tls-cert"):
+                server_tls(*tls)  # the server reads it once it starts
         return Keys(tls, token, token_file, accounts=accounts)
 
     require_package("--self-signed", "cryptography", "server", "give tls-cert and tls-key")

@@ -115,6 +115,7 @@ def test_the_file_of_the_docs_is_read(tmp_path: Path) -> None:
         ("users = 'nowhere'", "users: nowhere: "),
         ("trust = 'nowhere'", "trust: nowhere: "),
         ("calibration = 'nowhere'", "calibration: nowhere: "),
+        ("tls-cert = 'nowhere'\ntls-key = 'key'", "tls-cert: nowhere: expected a PEM file"),
         ("token-file = 'nowhere'", "token-file: nowhere: "),
         ("watermark = 'nowhere'", "watermark: nowhere: "),
         ("room = 'lab=nowhere.glb'", "room: nowhere.glb: "),
