@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,12 +37,14 @@ if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
 __all__ = [
+    "Number",
     "add_detail",
     "add_driver",
     "add_light",
     "add_scene",
     "add_solver",
     "add_up",
+    "as_toml",
     "colour",
     "degrees",
     "detail_level",
@@ -60,6 +63,7 @@ __all__ = [
     "single",
     "size",
     "tracked",
+    "whole",
 ]
 
 
@@ -260,7 +264,7 @@ def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
     )
     parser.add_argument(
         "--lod-bias",
-        type=float,
+        type=Number(-8, 8),
         metavar="B",
         help="bias of --level auto: 1 chooses levels for twice the pixels, -1 for half (default 0)",
     )
@@ -293,13 +297,53 @@ def detail_of(args: Any) -> dict[str, Any]:
     level = defaults.get("level", 0) if args.level is None else args.level
     if args.lod_bias is not None and level != "auto":
         raise UsageError("--lod-bias goes with --level auto")
-    if args.lod_bias is not None and not -8 <= args.lod_bias <= 8:
-        raise UsageError(f"--lod-bias needs -8 to 8, not {args.lod_bias:g}")
     return defaults | {
         "level": level,
         "lod_bias": args.lod_bias or 0.0,
         "cull_hidden": True if args.cull_hidden else defaults.get("cull_hidden", False),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A parser of finite numbers from ``low`` to ``high``, both included; whole ones for ``kind`` int."""
+
+    low: float
+    high: float = sys.float_info.max
+    unit: str = ""
+    kind: type[float] | type[int] = float
+
+    def __call__(self, text: str) -> float:
+        """Parse a word of the command line. Raises ArgumentTypeError."""
+        try:
+            value = self.kind(text)
+        except ValueError:
+            raise self.error(text) from None
+        return self.checked(value)
+
+    def checked(self, value: object) -> float:
+        """Return a value of the file, or a parsed one. Raises ArgumentTypeError."""
+        if not isinstance(value, (int, self.kind)) or isinstance(value, bool) or not self.low <= value <= self.high:
+            raise self.error(value)
+        return self.kind(value)
+
+    def error(self, got: object) -> argparse.ArgumentTypeError:
+        """Return the error for a value that is no such number."""
+        span = f"of at least {self.low:g}" if self.high == sys.float_info.max else f"from {self.low:g} to {self.high:g}"
+        whole = "whole " if self.kind is int else ""
+        unit = self.unit and f" {self.unit}"
+        return argparse.ArgumentTypeError(f"needs a {whole}number {span}{unit}, not {as_toml(got)}")
+
+
+def whole(low: int, high: float = sys.float_info.max, unit: str = "") -> Number:
+    """Return a parser of whole numbers from ``low`` to ``high``, both included (argparse type)."""
+    return Number(low, high, unit, int)
+
+
+def as_toml(value: object) -> str:
+    """Return a value about as a TOML file has it, for messages."""
+    shown = str(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False, default=str)
+    return shown if len(shown) <= 60 else f"{shown[:57]}..."
 
 
 def detail_level(text: str) -> int | str:

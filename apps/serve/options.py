@@ -6,7 +6,6 @@ import argparse
 import difflib
 import json
 import re
-import sys
 import textwrap
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,7 +24,7 @@ from glsplat.net.options import MAX_WINDOW, NAME
 from glsplat.optional import has_extra, missing
 from glsplat.tracking.solvers import SOLVERS, SolverName
 
-from ..args import detail_level, light_name, size
+from ..args import Number, as_toml, detail_level, light_name, size, whole
 from ..logs import FORMATS
 from ..usage import CommandParser, UsageError
 
@@ -69,44 +68,10 @@ def room_choice(text: str) -> RoomChoice:
     return RoomChoice(name, seats, scene or None)
 
 
-@dataclass(frozen=True, slots=True)
-class _Number:
-    """A parser of finite numbers from ``low`` to ``high``, both included; whole ones for ``kind`` int."""
-
-    low: float
-    high: float = sys.float_info.max
-    unit: str = ""
-    kind: type[float] | type[int] = float
-
-    def __call__(self, text: str) -> float:
-        try:
-            value = self.kind(text)
-        except ValueError:
-            raise self.error(text) from None
-        return self.checked(value)
-
-    def checked(self, value: object) -> float:
-        """Return a value of the file, or a parsed one. Raises ArgumentTypeError."""
-        if not isinstance(value, (int, self.kind)) or isinstance(value, bool) or not self.low <= value <= self.high:
-            raise self.error(value)
-        return self.kind(value)
-
-    def error(self, got: object) -> argparse.ArgumentTypeError:
-        """Return the error for a value that is no such number."""
-        span = f"of at least {self.low:g}" if self.high == sys.float_info.max else f"from {self.low:g} to {self.high:g}"
-        whole = "whole " if self.kind is int else ""
-        unit = self.unit and f" {self.unit}"
-        return argparse.ArgumentTypeError(f"needs a {whole}number {span}{unit}, not {_toml(got)}")
-
-
-def _whole(low: int, high: int) -> _Number:
-    return _Number(low, high, kind=int)
-
-
 def _one_of(names: Sequence[str]) -> Callable[[str], str]:
     def parse(text: str) -> str:
         if text not in names:
-            raise argparse.ArgumentTypeError(f"needs one of {', '.join(names)}, not {_toml(text)}")
+            raise argparse.ArgumentTypeError(f"needs one of {', '.join(names)}, not {as_toml(text)}")
         return text
 
     return parse
@@ -166,7 +131,7 @@ class ServeOptions:
         "repeated", room_choice, flag="ROOM", sample="lab:4",
     )  # fmt: skip
     host: str = _option("127.0.0.1", "address to listen on; 127.0.0.1 is this machine alone", flag="HOST")
-    port: int = _option(8000, "port; 0: any free one", _whole(0, 65535), flag="PORT")
+    port: int = _option(8000, "port; 0: any free one", whole(0, 65535), flag="PORT")
     size: tuple[int, int] | None = _option(
         None, "WxH, pixels of an eye where requests name none, and what the page begins with (default: the largest of "
         "1024, 768 and 512 that is drawn 15 times a second here, found at the start)", size,
@@ -206,10 +171,10 @@ class ServeOptions:
         None, f"light the avatars that know their surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; none: "
         "as they were photographed (default: as a scene file says, else none)", light_name, sample="day",
     )  # fmt: skip
-    max_size: int = _option(2048, "pixels of the largest side that a request may have", _whole(1, 8192))
-    quality: int = _option(80, "JPEG quality, 1 to 100, where requests name none", _whole(1, 100))
-    ipd: float = _option(PAPER_IPD, "metres between the eyes, for requests with heads", _Number(0, 0.2, "m"))
-    fov: float = _option(PAPER_FOV, "vertical degrees, for requests with heads", _Number(1, 170, "degrees"))
+    max_size: int = _option(2048, "pixels of the largest side that a request may have", whole(1, 8192))
+    quality: int = _option(80, "JPEG quality, 1 to 100, where requests name none", whole(1, 100))
+    ipd: float = _option(PAPER_IPD, "metres between the eyes, for requests with heads", Number(0, 0.2, "m"))
+    fov: float = _option(PAPER_FOV, "vertical degrees, for requests with heads", Number(1, 170, "degrees"))
     mirror: bool = _option(False, "show the mirror image (clients may choose by /ws?mirror=)")
     level: int | str | None = _option(
         None, "level of detail: 0 the finest, higher numbers coarser, auto: by the pixels covered (default auto)",
@@ -217,7 +182,7 @@ class ServeOptions:
     )  # fmt: skip
     lod_bias: float | None = _option(
         None, "of level auto, in halvings of the shown detail: 1 for finer levels, -1 for coarser ones (default 0)",
-        _Number(-8, 8), sample=0.5,
+        Number(-8, 8), sample=0.5,
     )  # fmt: skip
     cull_hidden: bool = _option(
         False, "leave out splats that visibility cones call hidden (default: where the picture barely changes)"
@@ -225,12 +190,12 @@ class ServeOptions:
     exact: bool = _option(False, "draw every splat of the finest level, to its end")
     max_cost: float | None = _option(
         None, "pixels that a picture may cover, splat by splat and eye by eye; dearer ones are refused, and clients "
-        "that repeat them are dropped (default 5e8, with exact 1e9)", _Number(1, unit="pixels"), sample=5e8,
+        "that repeat them are dropped (default 5e8, with exact 1e9)", Number(1, unit="pixels"), sample=5e8,
     )  # fmt: skip
     max_time: float = _option(
         MAX_PICTURE_S,
         "seconds that a picture may take; one that takes longer is abandoned, a second one ends its client",
-        _Number(0.1, 600, "s"),
+        Number(0.1, 600, "s"),
     )  # fmt: skip
     device: str | None = _option(
         None, "EGL device: index or part of its name (also GLSPLAT_DEVICE); with workers several: a,b", sample="0",
@@ -239,11 +204,11 @@ class ServeOptions:
     # ---------------------------------------------------------------------------------------------------------- links
     fps: float | None = _option(
         None, "pictures a second to hold for each client: coarser levels of detail first, then smaller pictures, as "
-        "replies say (default: as many as are requested)", _Number(1, 240, "pictures a second"), sample=45,
+        "replies say (default: as many as are requested)", Number(1, 240, "pictures a second"), sample=45,
     )  # fmt: skip
     bitrate: float | None = _option(
         None, "Mbit/s at most for each client that reports arrivals (default: as much as its link takes)",
-        _Number(0.1, 1e5, "Mbit/s"), sample=20,
+        Number(0.1, 1e5, "Mbit/s"), sample=20,
     )  # fmt: skip
     fixed: bool = _option(False, "do not fit size and quality to the links of clients that report arrivals")
     video: bool = _option(
@@ -253,14 +218,14 @@ class ServeOptions:
         False, "send pictures over links of 8 ms and more by datagrams to clients that accept them, as the page in "
         "Chromium; listens to UDP at the same port number; needs glsplat[webtransport]",
     )  # fmt: skip
-    window: int = _option(2, "pictures under way for a client", _whole(1, MAX_WINDOW))
+    window: int = _option(2, "pictures under way for a client", whole(1, MAX_WINDOW))
     # -------------------------------------------------------------------------------------------------------- clients
-    max_clients: int = _option(8, "clients at once", _whole(1, 256))
+    max_clients: int = _option(8, "clients at once", whole(1, 256))
     max_per_address: int | None = _option(
         None, "clients of one address (default: half of max-clients; on loopback without trusted-proxy all)",
-        _whole(1, 256), sample=4,
+        whole(1, 256), sample=4,
     )  # fmt: skip
-    max_waiting: int = _option(64, "connections that are not yet clients", _whole(2, 4096))
+    max_waiting: int = _option(64, "connections that are not yet clients", whole(2, 4096))
     private: bool = _option(False, "show nobody who the clients are and what they see")
     # ------------------------------------------------------------------------------------------------------- tracking
     calibration: Path | None = _option(
@@ -272,7 +237,7 @@ class ServeOptions:
     )
     face_osc: int | None = _option(
         None, "UDP port on 127.0.0.1 that takes the wearer's face from VRCFaceTracking (it sends to 9000)",
-        _whole(0, 65535), sample=9000, extra="speech",
+        whole(0, 65535), sample=9000, extra="speech",
     )  # fmt: skip
     # ---------------------------------------------------------------------------------------------------------- study
     study: Path | None = _option(
@@ -280,7 +245,7 @@ class ServeOptions:
         Path, sample="study.toml", extra="study",
     )  # fmt: skip
     participant: int | None = _option(
-        None, "number of the study's participant, from 1", _whole(1, 10**6), sample=7, needs="study"
+        None, "number of the study's participant, from 1", whole(1, 10**6), sample=7, needs="study"
     )
     study_data: Path | None = _option(
         None, "folder of the study's plan and data (default: data beside the study)", Path, sample="data", needs="study"
@@ -309,8 +274,8 @@ class ServeOptions:
         "X-Forwarded-For or Forwarded headers name", proxy_network, sample="127.0.0.1",
     )  # fmt: skip
     # -------------------------------------------------------------------------------------------------------- workers
-    worker_cpus: float = _option(1.0, "CPUs of an actor", _Number(0, 1024), needs="workers")
-    worker_gpus: float = _option(0.0, "GPUs of an actor, such as 0.25", _Number(0, 1024), needs="workers")
+    worker_cpus: float = _option(1.0, "CPUs of an actor", Number(0, 1024), needs="workers")
+    worker_gpus: float = _option(0.0, "GPUs of an actor, such as 0.25", Number(0, 1024), needs="workers")
     ray_address: str | None = _option(
         None, "address of the cluster (default: RAY_ADDRESS, one on this machine, or a new one)", sample="auto",
         needs="workers",
@@ -350,7 +315,7 @@ def check_given(args: ServeOptions) -> None:
         if needs is not None and getattr(args, needs) is None:
             raise UsageError(f"{args.label(name)} is for {needs}: give {needs}, too, or leave it out")
         if extra is not None and value != one.metadata["off"] and not has_extra(extra):
-            shown = f"{args.label(name)} = {_toml(value)}" if name in args.filed else args.label(name)
+            shown = f"{args.label(name)} = {as_toml(value)}" if name in args.filed else args.label(name)
             raise GlsplatError(missing(extra, shown))
 
 
@@ -473,20 +438,14 @@ def _value(one: Field[Any], value: Any) -> Any:
     parse, several = one.metadata["parse"], one.default == ()
     if one.default is False:
         if not isinstance(value, bool):
-            raise argparse.ArgumentTypeError(f"needs true or false, not {_toml(value)}")
+            raise argparse.ArgumentTypeError(f"needs true or false, not {as_toml(value)}")
         return value
-    if isinstance(parse, _Number):
+    if isinstance(parse, Number):
         return parse.checked(value)
     kinds = (str, int) if one.metadata["number"] else (str,)
     values = value if several and isinstance(value, list) else [value]
     if any(type(part) not in kinds for part in values):
         more = " or a list of texts" if several else " or a whole number" if int in kinds else ""
-        raise argparse.ArgumentTypeError(f"needs a text{more}, not {_toml(value)}")
+        raise argparse.ArgumentTypeError(f"needs a text{more}, not {as_toml(value)}")
     found = tuple(parse(str(part)) for part in values)
     return found if several else found[0]
-
-
-def _toml(value: object) -> str:
-    """Return a value about as a TOML file has it, for messages."""
-    shown = str(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False, default=str)
-    return shown if len(shown) <= 60 else f"{shown[:57]}..."
