@@ -9,11 +9,11 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from aioquic.asyncio.server import QuicServer
 from aioquic.h3.connection import H3_ALPN
-from aioquic.quic.configuration import SMALLEST_MAX_DATAGRAM_SIZE, QuicConfiguration
+from aioquic.quic.configuration import QuicConfiguration
 from cryptography.hazmat.primitives import hashes
 
+from glsplat.extras.far_links.datagrams.aioquic_internals import SMALLEST_MAX_DATAGRAM_SIZE, ConnectionServer
 from glsplat.extras.far_links.datagrams.congestion import NAME
 from glsplat.extras.far_links.datagrams.offers import LASTS, Offers
 from glsplat.extras.far_links.datagrams.path import DatagramPath
@@ -122,7 +122,7 @@ class DatagramListener:
         self._made = now
 
 
-class _Guarded(QuicServer):
+class _Guarded(ConnectionServer):
     """aioquic's server behind a look at who is expected: others cost it that look, and are not answered."""
 
     def __init__(
@@ -132,13 +132,13 @@ class _Guarded(QuicServer):
         admit: Callable[[str, str], PathUser | None],
         failed: Callable[[Exception], None],
     ) -> None:
-        super().__init__(configuration=configuration, create_protocol=self._path, retry=True)
+        super().__init__(configuration, self._path)
         self._offers, self._admit, self._failed = offers, admit, failed
         self._address = ""  # of the datagram in hand
 
     def received(self, data: bytes, addr: Any) -> bool:
         """A UDP datagram, whether of a connection that there is; another may open one where somebody is expected."""
-        path = self._protocols.get(_destination(data))
+        path = self.connection(_destination(data))
         if path is None:
             if len(data) < SMALLEST_MAX_DATAGRAM_SIZE or not data[0] & _LONG:  # no Initial packet (RFC 9000, 14.1)
                 return False
@@ -155,14 +155,14 @@ class _Guarded(QuicServer):
 
     def paths(self) -> set[DatagramPath]:
         """All connections."""
-        return {path for path in self._protocols.values() if isinstance(path, DatagramPath)}
+        return {path for path in self.connections() if isinstance(path, DatagramPath)}
 
     def end(self) -> None:
         """Close all."""
         for path in self.paths():
             path.end()
-            path.forget_timers()
-        self._protocols.clear()
+            path.cancel_timer()
+        self.forget_connections()
 
     def _path(self, quic: Any, stream_handler: Any = None) -> DatagramPath:
         address = self._address

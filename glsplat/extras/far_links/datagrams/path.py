@@ -1,8 +1,4 @@
-"""One client's pictures by datagrams: a QUIC connection with one WebTransport session, tied to a client by its secret.
-
-aioquic's private parts that are used (``_quic``, ``_datagrams_pending``, ``_loss``) are those of 1.7; pyproject.toml
-holds it there.
-"""
+"""Pictures by datagrams: a QUIC connection with one WebTransport session, tied to a client by a secret."""
 
 from __future__ import annotations
 
@@ -12,12 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from aioquic.asyncio.protocol import QuicConnectionProtocol
 from aioquic.h3.connection import H3Connection
 from aioquic.h3.events import DatagramReceived, DataReceived, H3Event, HeadersReceived
 from aioquic.quic.events import ConnectionTerminated, QuicEvent, StreamDataReceived
 
-from glsplat.extras.far_links.datagrams.congestion import PicturePacer, PictureWindow
+from glsplat.extras.far_links.datagrams.aioquic_internals import ConnectionProtocol
+from glsplat.extras.far_links.datagrams.congestion import PictureWindow
 from glsplat.extras.far_links.datagrams.packets import (
     HEAD,
     LARGEST,
@@ -60,7 +56,7 @@ class _UnderWay:
     settled: float = 0.0  # when it was known of each packet whether it arrived
 
 
-class DatagramPath(QuicConnectionProtocol):
+class DatagramPath(ConnectionProtocol):
     """``admit`` gives the user of a secret that a client named, or None. ``clock`` is the server's."""
 
     def __init__(self, quic: Any, stream_handler: Any = None, *, admit: Callable[[str], PathUser | None]) -> None:
@@ -69,16 +65,14 @@ class DatagramPath(QuicConnectionProtocol):
         self._http: H3Connection | None = None
         self._user: PathUser | None = None
         self._session: int | None = None
-        window = quic._loss._cc
-        assert isinstance(window, PictureWindow)
-        self._window = window
-        quic._loss._pacer = PicturePacer(max_datagram_size=quic.configuration.max_datagram_size)
+        assert isinstance(self.congestion_control, PictureWindow)
+        self._window = self.congestion_control
         self._under_way: dict[int, _UnderWay] = {}  # by frame_id, oldest first
         self._lost_in_a_row = 0
         self._awaited: dict[int, tuple[bytes, float]] = {}  # by frame_id: what QUIC alone says is there
         self._silences = 0  # in a row
-        self._check: asyncio.TimerHandle | None = self._loop.call_later(_HANDSHAKE, self._too_late)
-        self._received = Bucket.full(_PACKETS, _BURST, self._loop.time())
+        self._check: asyncio.TimerHandle | None = self.loop.call_later(_HANDSHAKE, self._too_late)
+        self._received = Bucket.full(_PACKETS, _BURST, self.loop.time())
         self._requests = Assembler(
             REQUEST, MAX_MESSAGE_BYTES, parity=0
         )  # to restore one takes longer than to draw for it
@@ -111,13 +105,13 @@ class DatagramPath(QuicConnectionProtocol):
         message = nonce + picture
         pieces, groups = groups_of(len(message))
         parity = parity_for(-(-pieces // groups), self.loss)
-        if self._quic._datagrams_pending:
-            self._quic._datagrams_pending.clear()
+        if self.has_unsent:
+            self.drop_unsent()
             for one in self._under_way.values():
                 if one.last < 0:
                     one.last, one.parity = self._window.newest, -1  # lost, unless its client says otherwise
         self._window.allow(rate, round(len(message) * self.overhead(len(message))))
-        now = self._loop.time()
+        now = self.loop.time()
         self._under_way[frame_id] = _UnderWay(nonce, now, self._window.newest + 1, parity)
         for packet in packets_of(frame_id, message, parity):
             self._http.send_datagram(self._session, packet)
@@ -141,16 +135,11 @@ class DatagramPath(QuicConnectionProtocol):
         self.close()
         self._forget()
 
-    def forget_timers(self) -> None:
-        """Nothing is sent any more, not even what QUIC would say to a closed connection."""
-        if self._timer is not None:
-            self._timer.cancel()
-
     # ----------------------------------------------------------------------------------------------- of the connection
 
     def datagram_received(self, data: bytes | str, addr: Any) -> None:
         """A UDP datagram of this connection. A client that sends more than it has a reason to is cut off."""
-        now = self._loop.time()
+        now = self.loop.time()
         if self._ended:
             super().datagram_received(data, addr)
         elif self._received.take(now):
@@ -167,8 +156,8 @@ class DatagramPath(QuicConnectionProtocol):
         super().transmit()
         sent = self._window.newest - before
         if sent > 0:
-            self._received.charge(self._loop.time(), -sent)
-        if not self._quic._datagrams_pending:
+            self._received.charge(self.loop.time(), -sent)
+        if not self.has_unsent:
             for one in self._under_way.values():
                 if one.last < 0:
                     one.last = self._window.newest
@@ -187,7 +176,7 @@ class DatagramPath(QuicConnectionProtocol):
                 self.end()
                 return
         if self._http is None:
-            self._http = H3Connection(self._quic, enable_webtransport=True)
+            self._http = H3Connection(self.quic, enable_webtransport=True)
         for heard in self._http.handle_event(event):
             self._heard(heard)
 
@@ -270,11 +259,11 @@ class DatagramPath(QuicConnectionProtocol):
     def _look_later(self) -> None:
         def look() -> None:
             self._check = None
-            self._look(self._loop.time())
+            self._look(self.loop.time())
             if (self._under_way or self._awaited) and not self._ended:
                 self._look_later()
 
-        self._check = self._loop.call_later(_GRACE, look)
+        self._check = self.loop.call_later(_GRACE, look)
 
     def _too_late(self) -> None:
         self._check = None
