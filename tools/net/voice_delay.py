@@ -15,22 +15,16 @@ Printed are the whole delay, in ms and in periods of a picture, and its parts. A
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from glsplat.extras.speech.sound import Sound, wav_bytes
-from tests import needs
-from tests.browser.conftest import _FLAGS
 from tests.extras.speech.sounds import vowels
+from tools.docs.chromium import launched, serving
 
 MAX_DELAY_MS = 700.0  # from a sound to a request with an open jaw; later: the sound was missed
 
@@ -107,18 +101,6 @@ WATCH = """
 """
 
 
-@contextmanager
-def serving(options: Sequence[str]) -> Iterator[str]:
-    """Yield the address of the page of a server in a process of its own."""
-    words = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", *options]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
-        try:
-            assert server.stdout is not None
-            yield json.loads(server.stdout.readline())["page"]
-        finally:
-            server.terminate()
-
-
 def watched(address: str, here: bool, seconds: float, size: int) -> dict[str, Any]:
     """Return the events of the page (``WATCH``), and its figures."""
     from playwright.sync_api import sync_playwright
@@ -128,10 +110,13 @@ def watched(address: str, here: bool, seconds: float, size: int) -> dict[str, An
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         file = Path(folder) / "said.wav"
         file.write_bytes(wav_bytes(Sound(said, rate)))
-        flags = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
-        flags += [f"--use-file-for-fake-audio-capture={file}", "--autoplay-policy=no-user-gesture-required"]
-        flags += [flag for flag in _FLAGS if not flag.startswith("--js-flags")]
-        browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=flags)
+        browser = launched(
+            play,
+            "--use-fake-device-for-media-stream",
+            "--use-fake-ui-for-media-stream",
+            f"--use-file-for-fake-audio-capture={file}",
+            "--autoplay-policy=no-user-gesture-required",
+        )
         context = browser.new_context(viewport={"width": size, "height": size}, bypass_csp=True)
         context.add_init_script(WATCH)
         drawn = "here" if here else "server"
