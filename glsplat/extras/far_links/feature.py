@@ -12,5 +12,5 @@ __all__ = ["features"]
 
 
 def features(config: ServerConfig) -> list[Feature]:
-    """Return WebTransport where ``config`` has it. Raises GlsplatError where aioquic is not installed."""
+    """Return WebTransport where ``config`` has it. Raises GlsplatError without a suitable aioquic."""
     return [Datagrams(time.perf_counter)] if config.webtransport else []

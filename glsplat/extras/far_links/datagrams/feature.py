@@ -18,7 +18,10 @@ __all__ = ["Datagrams"]
 
 
 class Datagrams(Feature):
-    """Listens to UDP at the number of the server's TCP port. Raises GlsplatError where aioquic is not installed."""
+    """Listens to UDP at the number of the server's TCP port.
+
+    Raises GlsplatError if aioquic is not installed, or is a version whose internals differ.
+    """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         require_package("WebTransport", "aioquic", "webtransport", "leave it out")
