@@ -408,13 +408,13 @@ class RenderLoop:
         return Refused(request, "render", "the picture could not be drawn", ends)  # no details: they may name files
 
     def _lost_while_drawing(self, taken: Taken, error: ContextLostError, others: bool) -> tuple[Taken | None, str]:
-        """Return the picture to draw again, if any, and why its connection ends, or "".
+        """Return the picture to redraw or None, and the reason to disconnect or "".
 
-        It ends a client whose pictures crash workers, before it crashes one after the other.
+        Clients whose pictures repeatedly crash workers are disconnected.
         """
         address, now = taken.client.address, self._clock()
         taken, ends, again = replace(taken, losses=taken.losses + 1), "", self._owner is not None
-        blames = getattr(error, "blames", True)  # of a lost context
+        blames = error.blames or self._owner is None  # a single worker: every loss stops all clients
         if blames or taken.losses > 1 or self._faults.suspects(address, now):
             if others:
                 taken, again = self._without_others(taken, error), True

@@ -86,7 +86,7 @@ class Order:
 
 
 class WorkerLostError(ContextLostError):
-    """A worker has ended or does not answer. ``blames``: its picture is likely to be at fault."""
+    """A worker has ended or does not answer."""
 
     def __init__(self, message: str, blames: bool = False) -> None:
         super().__init__(message)
