@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import socket
 from collections import OrderedDict
 from collections.abc import Callable
@@ -11,11 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
-from glsplat.errors import BudgetError, ContextError
+from glsplat.errors import BudgetError, ContextError, GlsplatError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.worker.connection import WorkerConnection
 from glsplat.net.worker.slots import Slots
-from glsplat.net.worker.wire import Order, WorkerLostError
+from glsplat.net.worker.wire import MAX_ANSWER_BYTES, Order, WorkerLostError
 
 __all__ = ["RemoteWorker", "WorkerLauncher"]
 
@@ -85,6 +86,8 @@ class RemoteWorker:
         shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
         if slots is not None:
             slot = await slots.take(shape)
+        elif pixels and math.prod(shape) > MAX_ANSWER_BYTES:  # the answer would end the connection
+            raise GlsplatError(f"{shape[2]}x{shape[1]} pixels are more than a worker can send")
         try:
             if self._cancelled:
                 raise BudgetError("nobody waits for the picture any more", "abandoned")

@@ -66,6 +66,13 @@ async def test_pixels_of_a_worker_that_encodes():
             assert [jpeg[:2] for jpeg in encoded.pictures] == [b"\xff\xd8"] * 2
 
 
+async def test_pixels_too_many_for_a_message_fail_one_picture():
+    async with working(RemoteWorker(ProcessLauncher(Boxed))) as worker:
+        with pytest.raises(GlsplatError, match="8193x8192 pixels are more than a worker can send"):
+            await worker.draw(request(size=(8193, 8192)), pixels=True)
+        assert (await worker.draw(request(), pixels=True)).images.any()
+
+
 async def test_pictures_stay_until_they_are_done_with():
     async with working(process_worker(Boxed, 64)) as worker:
         held = [await worker.draw(request(grey=grey)) for grey in (10, 20, 30)]
