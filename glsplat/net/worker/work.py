@@ -78,6 +78,10 @@ class _Worker:
         try:
             backend = self._make()
             driver = backend.open()
+            if self._slots is None:
+                from glsplat.net.worker.encoding import PictureEncoder  # loaded late: not every worker encodes
+
+                self._encoder = PictureEncoder()
         except Exception as error:
             self._send(pack(Kind.REFUSED, 0, failure_of(error)))
             return
@@ -130,18 +134,15 @@ class _Worker:
             if rendered.done is not None:
                 rendered.done()
             return
-        if self._encoder is None:
-            from glsplat.net.worker.encoding import PictureEncoder  # loaded late: not every worker encodes
-
-            self._encoder = PictureEncoder()
+        assert self._encoder is not None  # every order to a worker with slots names one
         self._encoder.submit(rendered, job.options).add_done_callback(partial(self._encoded, number))
 
     def _encoded(self, number: int, encoded: Future[Encoded]) -> None:
-        error = encoded.exception()
-        if error is None:
-            self._send(pack(Kind.ENCODED, number, encoded.result()))
-        else:
-            self._send(pack(Kind.FAILED, number, failure_of(error)))
+        try:
+            message = pack(Kind.ENCODED, number, encoded.result())
+        except Exception as error:
+            message = pack(Kind.FAILED, number, failure_of(error))
+        self._send(message)
 
     def _send(self, message: bytes) -> None:
         with suppress(OSError), self._sending:  # the reading thread notices the end

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import time
+from dataclasses import replace
 from functools import partial
 
 import aiohttp
@@ -19,6 +20,7 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.worker import connection, slots
+from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.process import ProcessLauncher, process_worker
 from glsplat.net.worker.remote import RemoteWorker
 from tests.net.running import working
@@ -178,3 +180,20 @@ async def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
             with pytest.raises(ProtocolError, match="could not be drawn"):
                 await client.receive()
             assert status == 200
+
+
+class FaultyEncoder(Boxed):
+    """Its worker's encoder returns a number that no message can hold."""
+
+    def open(self):
+        encode = PictureEncoder._jpegs
+        PictureEncoder._jpegs = lambda *given: replace(encode(*given), ms=np.float32(1))
+        return super().open()
+
+
+async def test_jpegs_that_cannot_be_packed_fail_one_picture():
+    async with working(RemoteWorker(ProcessLauncher(FaultyEncoder))) as worker:
+        for _ in range(2):
+            rendered = await worker.draw(request())
+            with pytest.raises(RuntimeError, match="float32"):
+                await asyncio.wait_for(rendered.encoded, HANG)
