@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from glsplat.net.codec.encoded import Encoded
     from glsplat.net.worker.encoding import PictureEncoder
 
-__all__ = ["GREETING_S", "work", "work_in_process"]
+__all__ = ["GREETING_S", "greet_server", "work", "work_in_process"]
 
 GREETING_S = 10.0  # limit of the handshake
 
@@ -39,26 +39,30 @@ def work_in_process(
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # sent to the whole process group; the server ends its workers
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    with suppress(EOFError, OSError):
-        work(connection, secret, make, slots=None if memory is None else SlotWriter(*memory))
+    slots = None if memory is None else SlotWriter(*memory)  # the server unlinks the file after the handshake
+    try:
+        key = greet_server(connection, secret)
+    except (EOFError, OSError):  # the server has left
+        return
+    work(connection, key, make, slots)
 
 
-def work(
-    connection: socket.socket,
-    secret: bytes,
-    make: Callable[[], Backend],
-    known: Callable[[], object] = lambda: None,
-    slots: SlotWriter | None = None,
-) -> None:
-    """Draw for the server at the other end with the backend of ``make()``, on this thread, until it orders the end.
+def greet_server(connection: socket.socket, secret: bytes) -> bytes:
+    """Return the connection's key once the server has proved that it knows the secret.
 
-    ``known`` is called once the server has proved that it knows the secret; before that, GlsplatError, EOFError or
-    OSError may be raised. The process ends when the server leaves: nothing else stops a picture that is being drawn.
+    Raises GlsplatError where it does not know it, EOFError, OSError.
     """
     connection.settimeout(GREETING_S)
     key = greet(connection, secret, worker=True)
     connection.settimeout(None)
-    known()
+    return key
+
+
+def work(connection: socket.socket, key: bytes, make: Callable[[], Backend], slots: SlotWriter | None = None) -> None:
+    """Draw for the server at the other end with the backend of ``make()``, on this thread, until it orders the end.
+
+    The process ends when the server leaves: nothing else stops a picture that is being drawn.
+    """
     _Worker(connection, key, make, slots).run()
 
 

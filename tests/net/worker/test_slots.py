@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import socket
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 
 import numpy as np
@@ -21,6 +23,8 @@ from glsplat.net.worker import slots
 from glsplat.net.worker.process import process_worker
 from glsplat.net.worker.slot_writer import SlotWriter
 from glsplat.net.worker.slots import Slots
+from glsplat.net.worker.wire import greet
+from glsplat.net.worker.work import work_in_process
 from glsplat.renderer import Renderer
 from tests.net.running import working
 from tests.net.worker.fakes import Boxed
@@ -78,6 +82,20 @@ async def test_memory_that_is_full_at_the_start(full, tmp_path_factory, monkeypa
     made = Slots(SIDE * SIDE)
     assert made.folder == other and os.listdir(slots.SHM) == []
     made.close()
+
+
+def test_a_worker_without_its_slots_fails(tmp_path, monkeypatch):
+    """It does not end as if the server had left."""
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    ours, theirs = socket.socketpair()
+    with ours, theirs, ThreadPoolExecutor() as threads:
+        greeting = threads.submit(greet, ours, b"s" * 32, worker=False)
+        try:
+            with pytest.raises(FileNotFoundError):
+                work_in_process(theirs, b"s" * 32, Boxed, (str(tmp_path / "slots"), 4096))
+        finally:
+            theirs.close()
+        assert greeting.exception() is not None
 
 
 async def test_pictures_of_another_number_than_asked_for_take_no_slot():
