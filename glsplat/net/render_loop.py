@@ -128,14 +128,14 @@ class RenderLoop:
         try:
             self.driver = await self.worker.open(self._worker_lost)
             self.living = True
-        except BaseException:
+        except GlsplatError:
             self._gone = True
-            if self._owner is None:
-                await self._close()
             raise
         finally:
-            if self.living or self._owner is not None:
+            if self.living or (self._gone and self._owner is not None):
                 self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
+            else:
+                await self._close()
 
     async def ended(self) -> None:
         """Wait until the render loop gives up. Raises ContextError: the worker cannot be restarted."""

@@ -90,9 +90,13 @@ class WorkerPool:
         """Start all workers at once; those that fail are tried again. Raises GlsplatError if none can be started."""
         self._over = asyncio.get_running_loop().create_future()
         self._over.add_done_callback(lambda over: over.cancelled() or over.exception())  # perhaps nobody awaits it
-        results = await asyncio.gather(
-            *(render_loop.start() for render_loop in self._render_loops), return_exceptions=True
-        )
+        try:
+            results = await asyncio.gather(
+                *(render_loop.start() for render_loop in self._render_loops), return_exceptions=True
+            )
+        except BaseException:  # cancelled: all loops have returned
+            await self.stop()
+            raise
         errors = [error for error in results if isinstance(error, BaseException)]
         if len(errors) == len(results) or any(not isinstance(error, GlsplatError) for error in errors):
             await self.stop()

@@ -19,6 +19,7 @@ from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.worker.process import ProcessLauncher
 from tests.extras.workers.fakes import GUARD, camera, held, pool, until, until_more, watching
 from tests.extras.workers.sleeper import Sleeper
 from tests.net.guard.test_fault_tracker import visitor
@@ -172,6 +173,30 @@ async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
         with pytest.raises(ContextError, match="no worker lives, and none can be started: no EGL device here"):
             await asyncio.wait_for(server.drawer.ended(), 2 * GUARD)
         assert alive == [False, True] and not server.drawer.healthy
+
+
+class Slow(ProcessLauncher):
+    """Never done with its start."""
+
+    starts = 0
+
+    async def start(self):
+        self.starts += 1
+        await asyncio.Event().wait()
+
+
+async def test_a_start_that_is_cancelled_ends_all_workers():
+    slow, closed = Slow(Sleeper), []
+    workers = WorkerPool([ProcessLauncher(Sleeper), slow], close=lambda: closed.append(1))
+    starting = asyncio.create_task(workers.start())
+    assert await until(lambda: slow.starts and workers.workers()[0]["alive"])
+    (pid,) = [int(one["driver"].split()[1]) for one in workers.workers() if one["alive"]]
+    starting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await starting
+    await asyncio.sleep(0.05)  # the first attempt to restart a worker needs no pause
+    assert not psutil.pid_exists(pid) and slow.starts == 1 and closed == [1]
+    assert [task.get_name() for task in asyncio.all_tasks() if "render loop" in task.get_name()] == []
 
 
 def test_nothing_is_left_behind(serve):
