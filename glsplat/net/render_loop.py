@@ -21,6 +21,7 @@ from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatEr
 from glsplat.gl.software import is_software
 from glsplat.net.backend import RenderJob, Solved
 from glsplat.net.client_stream import Answer, ClientStream, Drawn, Outgoing, Redraw, Refused, Taken
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.pace.adaptive_quality import AdaptiveQuality
@@ -201,38 +202,48 @@ class RenderLoop:
 
     async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
         """Return the packed reply once its picture is drawn and encoded, and mark it as being sent."""
-        while (taken := await _lost_picture(answer)) is not None:
-            answer = await client.redraw(taken)
-        session = client.session
-        if isinstance(answer, Refused):
-            request = answer.request
-            return Outgoing(request, error=session.failed(request, answer.code, answer.message), ends=answer.ends)
-        assert isinstance(answer, Drawn)
-        request = answer.taken.request
-        try:
-            encoded = await answer.encoded
-        except Exception:
-            log.exception("frame %s of client %d could not be encoded", request.frame_id, client.number)
-            return Outgoing(request, error=session.failed(request, "encode", "the picture could not be encoded"))
+        session, found = client.session, await self._encoded(client, answer)
+        if isinstance(found, Refused):
+            request = found.request
+            return Outgoing(request, error=session.failed(request, found.code, found.message), ends=found.ends)
+        drawn, encoded = found
+        request = drawn.taken.request
         if encoded.video is not None:  # coding takes as long as drawing, on the same cores
             self._turns.charge(client.address, client, encoded.ms / 1e3, self._clock())
         client.picture_sent(encoded)
-        total = (self._clock() - answer.taken.arrived) * 1e3
-        times = {**answer.times, "encode": encoded.ms, "total": total}
+        total = (self._clock() - drawn.taken.arrived) * 1e3
+        times = {**drawn.times, "encode": encoded.ms, "total": total}
         self.stages.add(times)
         if request.form == "single-legacy":
             packed = pack_single(request.eyes[0], encoded.pictures[0])
         else:
             assert request.frame_id is not None
             eyes = request.eyes if encoded.video is None else request.eyes[:1]
-            depth = [grid.data for grid in answer.rendered.depth]
-            info = answer.info(encoded, times)
+            depth = [grid.data for grid in drawn.rendered.depth]
+            info = drawn.info(encoded, times)
             if client.datagrams is not None and (offer := client.datagrams.offer()) is not None:
                 info["datagrams"] = offer
             packed = pack_reply(request.frame_id, eyes, encoded.pictures, info, encoded.alphas, depth)
         nbytes = len(packed) if client.datagrams is None else client.datagrams.link_bytes(len(packed))
         session.sending(request, nbytes, self._clock())
         return Outgoing(request, [packed])
+
+    async def _encoded(self, client: ClientStream, answer: Answer) -> tuple[Drawn, Encoded] | Refused:
+        """Return a picture once it is drawn and encoded; it is drawn again where its worker is lost."""
+        while not isinstance(answer, Refused):
+            if isinstance(answer, Redraw):
+                answer = await client.redraw(answer.taken)
+                continue
+            assert isinstance(answer, Drawn)
+            taken = answer.taken
+            try:
+                return answer, await answer.encoded
+            except ContextLostError:
+                answer = Redraw(taken)
+            except Exception:
+                log.exception("frame %s of client %d could not be encoded", taken.request.frame_id, client.number)
+                answer = Refused(taken.request, "encode", "the picture could not be encoded")
+        return answer
 
     # ---------------------------------------------------------------------------------------------------------- turns
 
@@ -461,19 +472,6 @@ class RenderLoop:
         if self._owner is not None:
             self._turns = FairQueue()  # its clients have left: nobody is charged for the time of the loss
             self._owner.opened(self)
-
-
-async def _lost_picture(answer: Answer) -> Taken | None:
-    """Return the picture of an answer whose worker was lost while it drew or encoded; None for others."""
-    if isinstance(answer, Redraw):
-        return answer.taken
-    if isinstance(answer, Drawn):
-        with suppress(Exception):
-            try:
-                await answer.encoded
-            except ContextLostError:
-                return answer.taken
-    return None
 
 
 def _shows_others(job: RenderJob) -> bool:
