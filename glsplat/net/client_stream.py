@@ -134,7 +134,7 @@ class Taken:
     detail: Detail = FULL  # reduced where needed to hold a rate or to fit the link
     smaller: bool = False  # the link requires a smaller size than the rate
     solution: SolutionFuture | None = None  # of its tracking
-    losses: int = 0  # workers that were lost while they drew it
+    losses: int = 0  # workers that were lost while they drew or encoded it
     alone: bool = False  # drawn without the room's other people, because it failed with them
 
     @property

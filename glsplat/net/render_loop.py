@@ -36,6 +36,7 @@ __all__ = ["LoopOwner", "RenderLoop"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _UNHEALTHY_FAILURES = 3  # failed pictures in a row before /healthz reports it
+_MAX_LOSSES = 2  # lost workers after which a picture is not drawn again
 _STUCK_S = 10.0  # time of a picture before /healthz reports it
 _YIELD_FACTOR = 9.0  # of a pause to the picture before it, while others need the processor
 _MAX_YIELD_S = 1.0
@@ -238,11 +239,13 @@ class RenderLoop:
             taken = answer.taken
             try:
                 return answer, await answer.encoded
-            except ContextLostError:
-                answer = Redraw(taken)
-            except Exception:
-                log.exception("frame %s of client %d could not be encoded", taken.request.frame_id, client.number)
-                answer = Refused(taken.request, "encode", "the picture could not be encoded")
+            except Exception as error:
+                taken = replace(taken, losses=taken.losses + 1)
+                if isinstance(error, ContextLostError) and taken.losses < _MAX_LOSSES:
+                    answer = Redraw(taken)
+                else:
+                    log.exception("frame %s of client %d could not be encoded", taken.request.frame_id, client.number)
+                    answer = Refused(taken.request, "encode", "the picture could not be encoded")
         return answer
 
     # ---------------------------------------------------------------------------------------------------------- turns
@@ -431,7 +434,7 @@ class RenderLoop:
                 taken, again = self._without_others(taken, error), True
             elif self._faults.again(address, now):
                 ends = "pictures that the renderer does not survive"
-        return (taken if again and not ends and taken.losses < 2 else None), ends
+        return (taken if again and not ends and taken.losses < _MAX_LOSSES else None), ends
 
     def _over_budget(self, client: ClientStream, request: Request, error: BudgetError) -> str:
         """Return why a picture over its budget ends the connection; "" if it does not."""

@@ -21,7 +21,7 @@ from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.worker.process import ProcessLauncher
 from tests.extras.workers.fakes import GUARD, camera, held, pool, until, until_more, watching
-from tests.extras.workers.sleeper import Sleeper
+from tests.extras.workers.sleeper import FragileEncoder, Sleeper
 from tests.net.guard.test_fault_tracker import visitor
 from tests.net.wire import native
 
@@ -115,6 +115,16 @@ async def test_a_picture_that_kills_does_not_kill_them_all(serve):
     assert answers == ["render", 1008] and status == 429
     assert survived and good == 3
     assert seen[0].errors == [] and seen[0].wrong == []
+
+
+async def test_a_picture_whose_encoding_kills_is_given_up(serve):
+    """It does not go from worker to worker without end."""
+    async with serve(pool(makes=[FragileEncoder] * 2), ServerConfig(port=0)) as server:
+        async with Client(server.url, timeout=GUARD) as client:
+            with pytest.raises(ProtocolError, match="could not be encoded"):
+                await client.render([camera(31)])
+            assert (await client.render([camera(1)])).frame_id == 2
+        assert server.drawer.rebuilds == 2
 
 
 def drawing(server: Server) -> list[int]:
