@@ -209,8 +209,6 @@ class RenderLoop:
             return Outgoing(request, error=session.failed(request, found.code, found.message), ends=found.ends)
         drawn, encoded = found
         request = drawn.taken.request
-        if encoded.video is not None:  # coding takes as long as drawing, on the same cores
-            self._turns.charge(client.address, client, encoded.ms / 1e3, self._clock())
         client.picture_sent(encoded)
         total = (self._clock() - drawn.taken.arrived) * 1e3
         times = {**drawn.times, "encode": encoded.ms, "total": total}
@@ -373,6 +371,8 @@ class RenderLoop:
             if len(rendered.images) == len(taken.request.eyes):
                 submitted = self.encoder.submit(rendered, job.options, video, client.picture_drawn)
                 encoded = asyncio.wrap_future(submitted)
+                if video is not None:
+                    encoded.add_done_callback(partial(self._charge_coding, client))
             elif rendered.done is not None:
                 rendered.done()
         self._adaptive_quality.drawn(client.number, now - start, rendered.coarsest, now, taken.smaller)
@@ -389,6 +389,12 @@ class RenderLoop:
             **{name: ms for name, ms in rendered.timings.items() if name not in ("render", "total")},
         }
         return Drawn(taken, job, rendered, encoded, times, self.driver, solved)
+
+    def _charge_coding(self, client: ClientStream, coding: asyncio.Future[Encoded]) -> None:
+        """Charge a client for a picture of its video, which took as long as drawing; not once it has left this loop."""
+        done = not coding.cancelled() and coding.exception() is None
+        if done and coding.result().video is not None and (client.address, client) in self._turns:
+            self._turns.charge(client.address, client, coding.result().ms / 1e3, self._clock())
 
     # -------------------------------------------------------------------------------------------------------- failures
 
