@@ -164,9 +164,10 @@ class WorkerPool:
             render_loop.living = False
             for client in list(render_loop.clients.values()):
                 self._move(client)
-            while not render_loop.empty:
+            while not (render_loop.empty or render_loop.living):
                 await asyncio.sleep(0.01)
-            render_loop.renew()
+            if not render_loop.living:  # else it was lost and started anew meanwhile
+                render_loop.renew()
             while not render_loop.living:
                 await asyncio.sleep(0.05)
             log.info("%s is started anew", render_loop.worker.name)

@@ -185,6 +185,33 @@ async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
         assert alive == [False, True] and not server.drawer.healthy
 
 
+async def test_a_worker_lost_during_a_rolling_restart(serve, equal):
+    """It has clients again before the restart looks: the restart goes on to the next one."""
+    async with (
+        serve(pool(2), ServerConfig(port=0)) as server,
+        aiohttp.ClientSession() as http,
+        Client(server.url, timeout=GUARD) as drawn,
+    ):
+        async with http.ws_connect(server.url):
+            first, second = server.drawer._render_loops
+            assert await until(lambda: second.clients)
+            await drawn.send([camera(1, 71)])
+            assert await until(lambda: drawing(server))
+            before, restarting, rebuild = pids(server), server.drawer.restart(), first.worker.rebuild
+
+            async def at_once():
+                first.worker.rebuild = rebuild
+                return "sleeper 0"
+
+            first.worker.rebuild = at_once
+            assert await until(lambda: not first.living)
+            os.kill(before[0], signal.SIGKILL)
+            assert await until(lambda: first.clients)
+            await drawn.close()  # its picture is drawn by the second worker, until it is abandoned
+            await asyncio.wait_for(restarting, GUARD)
+            assert pids(server)[0] == 0 and pids(server)[1] not in before
+
+
 class Slow(ProcessLauncher):
     """Never done with its start."""
 
