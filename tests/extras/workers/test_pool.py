@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import sys
 from functools import partial
 
 import aiohttp
 import psutil
 import pytest
 
-from glsplat.errors import ContextError, ProtocolError
+from glsplat.errors import ContextError, GlsplatError, ProtocolError
+from glsplat.extras.workers.options import Workers
 from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net import render_loop as loop_module
 from glsplat.net.backend import AvatarInfo
@@ -210,6 +212,29 @@ async def test_a_worker_lost_during_a_rolling_restart(serve, equal):
             await drawn.close()  # its picture is drawn by the second worker, until it is abandoned
             await asyncio.wait_for(restarting, GUARD)
             assert pids(server)[0] == 0 and pids(server)[1] not in before
+
+
+def test_a_pool_that_cannot_be_made_ends_rays_driver(monkeypatch):
+    closed = []
+
+    class Cluster:
+        def __init__(self, *_):
+            pass
+
+        def room(self):
+            return 1
+
+        def launchers(self, count):
+            return [ProcessLauncher(Sleeper)] * count
+
+        def close(self):
+            closed.append(1)
+
+    monkeypatch.setattr("glsplat.extras.workers.options.RayCluster", Cluster)
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(GlsplatError, match="video"):
+        Workers(count=None, ray=True).pool([Sleeper], None, 5.0, video=True)
+    assert closed == [1]
 
 
 class Slow(ProcessLauncher):
