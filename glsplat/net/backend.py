@@ -66,7 +66,6 @@ class Rendered:
 
     images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one for each camera of the job
     timings: Mapping[str, float] = field(default_factory=dict)  # ms by stage (skin, sort, ...)
-    driver: str = ""
     covered: tuple[int, int, int, int] | None = None  # x, y, width, height of all but the background; None: unknown
     done: Callable[[], None] | None = None
     levels: tuple[int, ...] = ()  # levels of detail that were drawn, one for each item of splats; 0 is the finest

@@ -94,7 +94,7 @@ class WorkerLostError(ContextLostError):
 
 
 class RenderResult(msgspec.Struct, array_like=True, frozen=True):
-    """The fields of Rendered without pixels and driver."""
+    """The fields of Rendered without pixels."""
 
     views: int
     timings: dict[str, float]
