@@ -21,7 +21,7 @@ from glsplat.net.backend import Placing, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.worker import slots
 from glsplat.net.worker.process import process_worker
-from glsplat.net.worker.slot_writer import SlotWriter
+from glsplat.net.worker.slot_writer import slot_writers
 from glsplat.net.worker.slots import Slots
 from glsplat.net.worker.wire import greet
 from glsplat.net.worker.work import work_in_process
@@ -120,7 +120,7 @@ def pair(side: int):
 @pytest.mark.gl
 async def test_a_slot_gets_the_same_picture_without_a_copy():
     backend, slots = RendererBackend(default_avatar(), (96, 96)), Slots(2 * 96 * 96 * 4)
-    writer = SlotWriter(slots.path, slots.nbytes)
+    writers = slot_writers(slots.path, slots.nbytes)
     slots.unlink()
     backend.open()
     try:
@@ -130,13 +130,13 @@ async def test_a_slot_gets_the_same_picture_without_a_copy():
             backend.place = None
             expected = backend.render(request).images
             slot = await slots.take(shape)
-            backend.place = writer.place(slot, shape)
+            backend.place = writers[slot.number].place(shape)
             backend.place.fill(77)
             rendered = backend.render(request)
             assert rendered.images is backend.place
-            writer.put(slot, rendered, shape)
-            np.testing.assert_array_equal(slots.picture(slot, shape), expected)
-            slots.give_back(slot)
+            writers[slot.number].put(rendered, shape)
+            np.testing.assert_array_equal(slot.picture, expected)
+            slot.give_back()
     finally:
         backend.close()
         slots.close()
