@@ -52,6 +52,8 @@ add_arguments = add_options
 def check(args: ServeOptions) -> None:
     """Raise UsageError for options that contradict each other."""
     check_rooms(args)
+    if args.study is None and (args.participant is not None or args.study_data is not None):
+        raise UsageError("participant and study-data are for a study")
     if args.video and args.study is not None:
         raise UsageError("video is not for studies: leave it or the study out")
     for given, fits in ((args.webtransport, "webtransport"), (args.bitrate is not None, "bitrate")):
@@ -63,11 +65,10 @@ def check(args: ServeOptions) -> None:
 
 
 def server_config(args: ServeOptions, keys: Keys | None = None, watermark: WatermarkKey | None = None) -> ServerConfig:
-    """Return the checked configuration, with TLS and token of ``keys``, or of the options without it.
+    """Return the configuration of checked options, with TLS and token of ``keys``, or of the options without it.
 
     Raises GlsplatError naming the option or the file that does not fit.
     """
-    check(args)
     keys = keys_of(args) if keys is None else keys
     access = Access(
         host=args.host,
@@ -142,8 +143,6 @@ def run(args: ServeOptions) -> int:
 
         study = study_of(args)
         args = study.options
-    elif args.participant is not None or args.study_data is not None:
-        raise UsageError("participant and study-data are for a study")
     logging.getLogger("glsplat.net.session").setLevel(logging.INFO)  # a clip is traced by these lines
     keys, face = keys_of(args), _face_listener(args)
     server = _server(args, keys, face, study)
@@ -162,7 +161,7 @@ def run(args: ServeOptions) -> int:
             announce(place, sys.stdout, args.qr, status=study is None)
             if study is not None:
                 study.announce(place, sys.stdout)
-            if args.size is None and args.workers is None:
+            if server.config.fit:
                 tasks.append(asyncio.ensure_future(_announce_size(server)))
         if args.open:
             open_page(place)

@@ -19,7 +19,7 @@ from glsplat.net.catalogue import Catalogue
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.messages import PARTS
-from glsplat.net.options import NAME, ServerConfig
+from glsplat.net.options import DEFAULT_SEATS, NAME, ServerConfig
 from glsplat.net.pages.routes import Pages
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.server import Server
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from glsplat.tracking.calibration import Calibration
 
 __all__ = [
-    "DEFAULT_SEATS",
     "ServedScene",
     "TrackingOptions",
     "checked_avatar",
@@ -50,8 +49,6 @@ __all__ = [
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _MAX_NAME_CHARS = 64  # characters
-DEFAULT_SEATS = 8
-"""Seats of a room that configures none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
