@@ -126,7 +126,7 @@ class RenderLoop:
     async def start(self) -> None:
         """Open the worker. Raises GlsplatError; a loop that has an owner keeps trying in the background."""
         self._loop = asyncio.get_running_loop()
-        self.encoder.on_room.append(self._wake_up)
+        self.encoder.on_capacity.append(self._wake_up)
         try:
             self.driver = await self.worker.open(self._worker_lost)
             self.living = True

@@ -281,7 +281,7 @@ class Server:
             for feature in self.features:
                 await feature.avatars_added()
         except Exception:  # the avatars offered so far remain
-            log.exception("not everybody can be offered")
+            log.exception("some avatars could not be loaded")
         finally:
             self.all_offered.set()
 
