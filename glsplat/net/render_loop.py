@@ -81,6 +81,7 @@ class RenderLoop:
         owner: LoopOwner | None = None,
     ) -> None:
         self.worker: Worker = worker
+        self.clock: Callable[[], float] = clock
         self.driver: str = ""
         self.clients: dict[int, ClientStream] = {}  # by number
         self.living: bool = False  # accepts clients
@@ -91,7 +92,7 @@ class RenderLoop:
         self.stages: StageTimes = StageTimes() if owner is None else owner.stages
         self.encoder: PictureEncoder = (encoder or PictureEncoder()) if owner is None else owner.encoder
         self._faults = FaultTracker() if owner is None else owner.faults
-        self._clock, self._owner = clock, owner
+        self._owner = owner
         self._adaptive_quality = AdaptiveQuality(rate)
         self._drawing: ClientStream | None = None
         self._drawing_since: float | None = None
@@ -106,7 +107,7 @@ class RenderLoop:
     @property
     def drawing_for(self) -> float:
         """Seconds that the present picture has taken so far; 0: none is drawn."""
-        return 0.0 if self._drawing_since is None else self._clock() - self._drawing_since
+        return 0.0 if self._drawing_since is None else self.clock() - self._drawing_since
 
     @property
     def healthy(self) -> bool:
@@ -210,7 +211,7 @@ class RenderLoop:
         drawn, encoded = found
         request = drawn.taken.request
         client.picture_sent(encoded)
-        total = (self._clock() - drawn.taken.arrived) * 1e3
+        total = (self.clock() - drawn.taken.arrived) * 1e3
         times = {**drawn.times, "encode": encoded.ms, "total": total}
         self.stages.add(times)
         if request.form == "single-legacy":
@@ -224,7 +225,7 @@ class RenderLoop:
                 info["datagrams"] = offer
             packed = pack_reply(request.frame_id, eyes, encoded.pictures, info, encoded.alphas, depth)
         nbytes = len(packed) if client.datagrams is None else client.datagrams.link_bytes(len(packed))
-        session.sending(request, nbytes, self._clock())
+        session.sending(request, nbytes, self.clock())
         return Outgoing(request, [packed])
 
     async def _encoded(self, client: ClientStream, answer: Answer) -> tuple[Drawn, Encoded] | Refused:
@@ -252,7 +253,7 @@ class RenderLoop:
         while True:
             if self._gone:
                 await self._revive()
-            start = self._clock()
+            start = self.clock()
             rests: list[float] = []  # seconds until links take another picture
             client = self._turns.next(partial(self._ready, start, rests), start)
             if client is None:
@@ -267,7 +268,7 @@ class RenderLoop:
                 await self._answer_next(client)
             finally:
                 self._drawing = self._drawing_since = None
-            now = self._clock()
+            now = self.clock()
             own = None if client.member is None else client.member.fair_cost(now - start)
             self._turns.charge(client.address, client, now - start, now, own)
             if (then := self._leaving.pop(client.number, None)) is not None:
@@ -304,7 +305,7 @@ class RenderLoop:
             redraw[1].set_result(answer)
 
     def _take(self, client: ClientStream) -> Taken:
-        now = self._clock()
+        now = self.clock()
         request, waited, solution = client.take(now)
         taken = Taken(client, request, now - waited, request.cameras, client.notice(), solution=solution)
         if request.form != "native" or not client.number:  # older clients know one size; 0 is the server itself
@@ -330,7 +331,7 @@ class RenderLoop:
             if not (others and _others_may_be_at_fault(error)):
                 return self._failed(taken, error, others)
             taken = self._without_others(taken, error)
-        self._drawing_since = self._clock()
+        self._drawing_since = self.clock()
         return await self._answer(taken)
 
     def _job(self, taken: Taken, solved: Solved | None) -> RenderJob:
@@ -339,7 +340,7 @@ class RenderLoop:
         pose, to_user, cameras, room = request.pose, None, taken.cameras, None
         if client.member is not None:
             pose = None
-            cameras, room = client.member.look(request, cameras, solved, taken.arrived, self._clock())
+            cameras, room = client.member.look(request, cameras, solved, taken.arrived, self.clock())
         elif solved is not None:
             pose, to_user = solved.pose, solved.to_user
         return RenderJob(
@@ -355,17 +356,17 @@ class RenderLoop:
             label=client.label,
             notice=taken.notice,
             mark=client.session.mark,
-            others=0.0 if taken.alone else self._faults.others(client.address, self._clock()),
+            others=0.0 if taken.alone else self._faults.others(client.address, self.clock()),
         )
 
     async def _draw(self, taken: Taken, job: RenderJob, solved: Solved | None, times: dict[str, float]) -> Drawn:
         """Draw a picture and start its encoding. Raises the worker's errors."""
-        client, start = taken.client, self._clock()
+        client, start = taken.client, self.clock()
         if (client.address, client) not in self._turns:
             raise BudgetError("nobody waits for the picture any more", "abandoned")
         video = client.video if job.options.video is not None else None
         rendered = await self.worker.draw(job, pixels=video is not None or bool(client.observers))
-        now = self._clock()
+        now = self.clock()
         encoded = rendered.encoded
         if encoded is None:
             if len(rendered.images) == len(taken.request.eyes):
@@ -394,7 +395,7 @@ class RenderLoop:
         """Charge a client for a picture of its video, which took as long as drawing; not once it has left this loop."""
         done = not coding.cancelled() and coding.exception() is None
         if done and coding.result().video is not None and (client.address, client) in self._turns:
-            self._turns.charge(client.address, client, coding.result().ms / 1e3, self._clock())
+            self._turns.charge(client.address, client, coding.result().ms / 1e3, self.clock())
 
     # -------------------------------------------------------------------------------------------------------- failures
 
@@ -402,7 +403,7 @@ class RenderLoop:
         """Return the picture without the room's other people, and suspect them for a while."""
         number, client = taken.request.frame_id, taken.client
         log.warning("frame %s of client %d is drawn without the others: %s", number, client.number, error)
-        self._faults.suspect_others(client.address, self._clock(), slow=isinstance(error, BudgetError))
+        self._faults.suspect_others(client.address, self.clock(), slow=isinstance(error, BudgetError))
         return replace(taken, alone=True)
 
     def _failed(self, taken: Taken, error: Exception, others: bool) -> Redraw | Refused:
@@ -411,7 +412,7 @@ class RenderLoop:
         if isinstance(error, PoseError):
             return Refused(request, "bad_pose", str(error))
         if isinstance(error, BudgetError):
-            self._adaptive_quality.refused(client.number, self._clock())
+            self._adaptive_quality.refused(client.number, self.clock())
             return Refused(request, error.code, str(error), self._over_budget(client, request, error))
         if isinstance(error, FormatError) and self._owner is not None and self._owner.elsewhere(self, client):
             again = taken
@@ -432,7 +433,7 @@ class RenderLoop:
 
         Clients whose pictures repeatedly crash workers are disconnected.
         """
-        address, now = taken.client.address, self._clock()
+        address, now = taken.client.address, self.clock()
         taken, ends, again = replace(taken, losses=taken.losses + 1), "", self._owner is not None
         blames = error.blames or self._owner is None  # a single worker: every loss stops all clients
         if blames or taken.losses > 1 or self._faults.suspects(address, now):
@@ -446,9 +447,9 @@ class RenderLoop:
         """Return why a picture over its budget ends the connection; "" if it does not."""
         if error.code == "too_slow":
             log.warning("frame %s of client %d took too long; it is abandoned", request.frame_id, client.number)
-            return "pictures that take too long" if self._faults.again(client.address, self._clock()) else ""
+            return "pictures that take too long" if self._faults.again(client.address, self.clock()) else ""
         if error.code == "too_costly":
-            return "too many pictures that cost too much" if client.session.overspent(self._clock()) else ""
+            return "too many pictures that cost too much" if client.session.overspent(self.clock()) else ""
         return ""
 
     def _worker_lost(self) -> None:

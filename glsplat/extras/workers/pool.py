@@ -51,11 +51,12 @@ class WorkerPool:
     ) -> None:
         if not launchers:
             raise GlsplatError("a pool needs a worker at least")
+        self.clock: Callable[[], float] = clock
         self.stages: StageTimes = StageTimes()
         self.faults: FaultTracker = FaultTracker()
         self.encoder: PictureEncoder = PictureEncoder(video)
         self.should_yield: Callable[[], bool] = lambda: False  # ignored: workers have processors of their own
-        self._clock, self._patience, self._close = clock, patience, close
+        self._patience, self._close = patience, close
         self._workers = [
             RemoteWorker(launcher, seconds, partial(self._is_alone, index)) for index, launcher in enumerate(launchers)
         ]
@@ -176,7 +177,7 @@ class WorkerPool:
 
     def lost(self, render_loop: RenderLoop) -> None:
         """Move the clients of a loop whose worker is lost."""
-        self._last_lost = self._clock()
+        self._last_lost = self.clock()
         for client in list(render_loop.clients.values()):
             self._move(client)
         render_loop.clients.clear()
@@ -191,13 +192,13 @@ class WorkerPool:
     def failed(self, render_loop: RenderLoop, error: GlsplatError) -> None:
         """Give up where no worker lives and none can be started."""
         hopeless = all(not other.living and other.attempts >= _TRIES for other in self._render_loops)
-        if hopeless and self._clock() - self._last_lost >= self._patience and not self._over.done():
+        if hopeless and self.clock() - self._last_lost >= self._patience and not self._over.done():
             self._over.set_exception(ContextError(f"no worker lives, and none can be started: {error}"))
 
     def elsewhere(self, render_loop: RenderLoop, client: ClientStream) -> bool:
         """Move a client, and all that have to stay with it, to a worker that may be able to load its avatar."""
         avatar = client.shown.name
-        self._refused[render_loop, avatar] = self._clock() + _REFUSED_S
+        self._refused[render_loop, avatar] = self.clock() + _REFUSED_S
         if all(self._refuses(other, avatar) for other in self._render_loops if other.living):
             return False
         for other in list(render_loop.clients.values()):
@@ -213,7 +214,7 @@ class WorkerPool:
 
     def _refuses(self, render_loop: RenderLoop, avatar: str) -> bool:
         """Return whether a worker could not load an avatar a moment ago."""
-        return self._refused.get((render_loop, avatar), 0.0) > self._clock()
+        return self._refused.get((render_loop, avatar), 0.0) > self.clock()
 
     def _state(self, render_loop: RenderLoop) -> PlacedWorker:
         clients = (PlacedClient(one.number, one.place_key, one.cost) for one in render_loop.clients.values())
@@ -223,7 +224,7 @@ class WorkerPool:
     def _place(self, client: ClientStream) -> None:
         """Give a client to the worker that suits it; it waits where there is none."""
         living = [render_loop for render_loop in self._render_loops if render_loop.living]
-        suspect = self.faults.suspects(client.address, self._clock())
+        suspect = self.faults.suspects(client.address, self.clock())
         if suspect and len(living) < min(2, len(self._render_loops)):
             living = []  # the last one is for clients whose pictures are survived
         able = [one for one in living if not self._refuses(one, client.shown.name)] or living
