@@ -74,8 +74,9 @@ class Server:
             limits = feature.limits(limits)
         refusal = next(filter(None, (feature.refusal for feature in self.features)), "")
         rights = Rights(self.config.access.accounts, self.config.consent, self.config.private, refusal)
-        self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, self.clock, rights)
-        self.gate.is_trusted = lambda request: any(feature.is_trusted(request) for feature in self.features)
+        self.gate: Gate = Gate(
+            self.config.access, limits, self.config.max_clients, self.clock, rights, self._is_trusted
+        )
         self.internal_client: InternalClient = InternalClient(drawer, self.config.wire, self.config.session, self.clock)
         self.fitted: Fitted | None = None  # size of pictures, found soon after the start if configured
         self.fitting: asyncio.Task[None] | None = None  # finds ``fitted``
@@ -262,6 +263,9 @@ class Server:
         wire = self.config.wire
         return wire if self.fitted is None else replace(wire, size=(self.fitted.side, self.fitted.side))
 
+    def _is_trusted(self, request: web.Request) -> bool:
+        return any(feature.is_trusted(request) for feature in self.features)
+
     def is_healthy(self) -> bool:
         """Return whether pictures are drawn, and new clients may come."""
         return self.drawer.healthy and not self._draining
@@ -331,9 +335,13 @@ class Server:
             solver = feature.solver(solver)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
-        session = Session(Decoder(requested.wire, one.skeleton, one.parts), requested.session, self.clock())
-        session.refusal = partial(rights.refusal, user, requested.avatar)
-        session.sends_poses = self._responder is not None
+        session = Session(
+            Decoder(requested.wire, one.skeleton, one.parts),
+            requested.session,
+            self.clock(),
+            refusal=partial(rights.refusal, user, requested.avatar),
+            sends_poses=self._responder is not None,
+        )
         share = self._work.open(self.clock(), address)
         client = ClientStream(
             number,
