@@ -197,6 +197,18 @@ class RenderLoop:
             self._turns.remove(client.address, client)
             then()
 
+    def reserve(self, client: ClientStream) -> None:
+        """Count a client that moves here once another loop has drawn its present picture."""
+        self.clients[client.number] = client
+
+    def cancel_reservation(self, client: ClientStream) -> None:
+        """Stop counting a client that was not added."""
+        self.clients.pop(client.number, None)
+
+    def drain(self) -> None:
+        """Accept no clients until the worker is restarted."""
+        self.living = False
+
     def renew(self) -> None:
         """End the worker in order, and restart it."""
         self.living, self._gone = False, True
@@ -461,6 +473,7 @@ class RenderLoop:
         log.warning("%s is lost; starting a new one", self.worker.name)
         if self._owner is not None:
             self._owner.lost(self)
+            self.clients.clear()  # and the reservations
         self._wake.set()
 
     async def _revive(self) -> None:

@@ -162,7 +162,7 @@ class WorkerPool:
         for render_loop in self._render_loops:
             if not render_loop.living:  # it is just being started anew
                 continue
-            render_loop.living = False
+            render_loop.drain()
             for client in list(render_loop.clients.values()):
                 self._move(client)
             while not (render_loop.empty or render_loop.living):
@@ -180,7 +180,6 @@ class WorkerPool:
         self._last_lost = self.clock()
         for client in list(render_loop.clients.values()):
             self._move(client)
-        render_loop.clients.clear()
 
     def opened(self, render_loop: RenderLoop) -> None:
         """Place the clients that wait, then balance."""
@@ -242,11 +241,11 @@ class WorkerPool:
             return
         self._clients[client.number] = client, None
         if to is not None:
-            to.clients[client.number] = client  # counts there from now on
+            to.reserve(client)
 
         def arrive() -> None:
             if to is not None:
-                to.clients.pop(client.number, None)
+                to.cancel_reservation(client)
             if client.number not in self._clients:
                 return
             if to is not None and to.living:
