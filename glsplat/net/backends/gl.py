@@ -136,8 +136,7 @@ class RendererBackend:
         return Rendered(
             images,
             timings,
-            renderer.driver,
-            union(stats.covered, written),
+            covered=union(stats.covered, written),
             levels=stats.levels,
             coarsest=stats.coarsest,
             posed=stats.posed,
