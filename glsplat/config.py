@@ -29,14 +29,10 @@ Output = Literal["float32", "uint8"]
 def _choose(config: Any, name: str, *choices: str | int | None) -> None:
     """Normalise a field to the equal choice of the same type. Raises GlsplatError if there is none."""
     value = getattr(config, name)
-    if isinstance(value, (bool, np.bool_)):
-        plain: object = bool(value)
-    elif isinstance(value, Integral):
-        plain = int(value)
-    else:
-        plain = str(value) if isinstance(value, str) else value
+    kinds = ((bool, np.bool_), bool), (Integral, int), (str, str)  # also of numpy's scalars and of enums
+    kind = next((plain for given, plain in kinds if isinstance(value, given)), type(value))
     for choice in choices:
-        if type(choice) is type(plain) and choice == plain:
+        if type(choice) is kind and choice == value:
             object.__setattr__(config, name, choice)
             return
     raise GlsplatError(f"{name} needs one of {', '.join(map(str, choices))}, not {value!r:.60}")
@@ -125,14 +121,12 @@ class RenderConfig:
         _choose(self, "sh_degree", 0, 1, 2, 3)
         _choose(self, "antialias", None, False, True)
         _choose(self, "cull_hidden", False, True, "auto")
-        if not (isinstance(self.level, str) and self.level == "auto"):
-            object.__setattr__(self, "level", count(self.level, "level", GlsplatError))
-            if not 0 <= int(self.level) <= MAX_LEVELS:
-                raise GlsplatError(f"level needs 0 to {MAX_LEVELS} or auto, not {self.level}")
+        _choose(self, "level", "auto", *range(MAX_LEVELS + 1))
         _limit(self, "lod_bias", -MAX_BIAS, MAX_BIAS)
-        _limit(self, "max_sigma", 0, 3.33)
-        if self.max_sigma == 0:
-            raise GlsplatError("max_sigma needs a value above 0 and at most 3.33, not 0")
+        sigma = number(self.max_sigma, "max_sigma", GlsplatError)
+        if not 0 < sigma <= 3.33:
+            raise GlsplatError(f"max_sigma needs a number above 0, at most 3.33, not {sigma:g}")
+        object.__setattr__(self, "max_sigma", sigma)
         instance(self.debug, DebugConfig, "debug", GlsplatError)
 
     def __repr__(self) -> str:
@@ -146,8 +140,9 @@ def with_fields(config: RenderConfig, **values: Any) -> RenderConfig:
     >>> with_fields(glsplat.RenderConfig(), target="16f", sort_bits=16)
     RenderConfig(target='16f', debug=DebugConfig(sort_bits=16))
     """
-    debug = {name: values.pop(name) for name in list(values) if hasattr(config.debug, name)}
-    return replace(config, **values, debug=replace(config.debug, **debug)) if debug else replace(config, **values)
+    debug = instance(values.pop("debug", config.debug), DebugConfig, "debug", GlsplatError)
+    of_debug = {name: values.pop(name) for name in list(values) if hasattr(debug, name)}
+    return replace(config, **values, debug=replace(debug, **of_debug))
 
 
 LEAN = RenderConfig(cull_hidden="auto", level="auto", max_sigma=2.5)
