@@ -233,9 +233,12 @@ def test_refusals(mesh_renderer: Make, context: Context) -> None:
     for changes, message in wrong:
         with pytest.raises(GlsplatError, match=message):
             MeshTruth(mesh, size=(8, 8), context=context, **changes)
-    for size, error in (((0, 5), GlsplatError), ((5, context.max_size), ContextError)):
+    for size, error in (((0, 5), GlsplatError), (5, GlsplatError), ((5, context.max_size), ContextError)):
         with pytest.raises(error, match="size needs"):
-            MeshTruth(mesh, size=size, context=context)
+            MeshTruth(mesh, size=size, context=context)  # type: ignore[arg-type]
+    with pytest.raises(GlsplatError, match="MeshTruth needs a RiggedMesh, not Splats"):
+        MeshTruth(Splats.create([[0, 0, 0]], [[1, 0, 0, 0]], [[1] * 3], [1], rgb=[[1, 0, 0]]), context=context)  # type: ignore[arg-type]
+    assert renderer.size == (96, 96) and not isinstance(renderer, Renderer)  # it draws no other scene
     renderer.release()
     renderer.release()
 
