@@ -117,7 +117,7 @@ class SceneRenderer:
         """Update the scene, its people and its light for a job; ``seconds`` is the time of the scene's motions.
 
         People whose avatar cannot be loaded or posed are left out of the others' pictures. Raises GlsplatError where
-        that is the viewer's own avatar, or where it has no head to hide.
+        that is the viewer's own avatar, or where it has no head to hide, or nothing else.
         """
         self._file.pose_at(seconds)
         place = self._file.scene.transform
