@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -17,19 +16,24 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.lru_cache import LruCache, Sized
+from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement, SkinPass, near_eye
 from glsplat.renderer.stage import NEAR_M, ROW, ItemBuffers, numbers_of, rows_of, upload_rows, write_rows
+from glsplat.shaders import Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 
-__all__ = ["Arena", "Part"]
+__all__ = ["Arena", "Part", "PipelineKey"]
 
 _MAX_PIPELINES = 8
 _MAX_PIPELINE_BYTES = 256 * 2**20  # of those that are not in use
 
 Part = tuple[int, int]
 """Number of a visible item, and its level of detail."""
+
+PipelineKey = tuple[Variant, tuple[int, int], int]
+"""Variant, size in pixels, and number of the pass in its call."""
 
 
 class Arena:
@@ -52,8 +56,7 @@ class Arena:
         self.runs = 0  # of the skin pass so far
         self.origin = np.zeros(3)  # world position of the scene's zero
         self.shown: tuple[int, ...] = tuple(range(len(items)))
-        # by variant, size and place in the call; loosely typed, as a Pipeline borrows its arena
-        self.pipelines: LruCache[Any, Any] = LruCache(_MAX_PIPELINES, _MAX_PIPELINE_BYTES)
+        self.pipelines: LruCache[PipelineKey, Sized] = LruCache(_MAX_PIPELINES, _MAX_PIPELINE_BYTES)
         self._signs = [-1.0 if signed and item.splats.antialias else 1.0 for item in items]
         self._written: list[Placement | None] = [None] * len(items)
         rows = [rows_of(item.count) for item in items]
@@ -79,14 +82,13 @@ class Arena:
                 self.colours = upload_rows(ctx, np.empty((0, 1), np.float32), texels, components, stack, height)
                 for item, first in zip(items, self.first, strict=False):
                     write_rows(self.colours, int(first), item.colours(degree), texels, components)
-            self.cones = _own(stack, ctx.buffer(self._packed_cones(culled))) if any(culled) else None
-            self.numbers = None if context.vertex_ids else _own(stack, numbers_of(ctx, self.count))
+            self.cones = owned(stack, ctx.buffer(self._packed_cones(culled))) if any(culled) else None
+            self.numbers = None if context.vertex_ids else owned(stack, numbers_of(ctx, self.count))
             self.splats: moderngl.Texture
             self._skin: SkinPass | None = None
             if posed:
-                self.splats = _own(stack, ctx.texture((ROW * 4, max(1, height)), 4, dtype="f4"))
-                self.splats.filter = (moderngl.NEAREST, moderngl.NEAREST)
-                self._skin = _own(stack, SkinPass(context, max(rows, default=1)))
+                self.splats = data_texture(stack, ctx, (ROW * 4, max(1, height)), 4)
+                self._skin = owned(stack, SkinPass(context, max(rows, default=1)))
             else:
                 (item,) = items
                 assert item.rest is not None
@@ -189,17 +191,17 @@ class Arena:
                 for item, first in zip(self.items, self.first, strict=False):
                     write_rows(made, int(first), item.surfaces(), 2, 4)
                 stack.pop_all()
-            self._surfaces = _own(self._owned, made)
+            self._surfaces = owned(self._owned, made)
         self._surfaces.use(UNITS["surfaces"])
 
-    def written(self, index: int = 0) -> bool:
-        """Return whether the range of an item holds its last placement."""
-        return self._written[index] is not None
+    @property
+    def written(self) -> bool:
+        """Whether the range of the first item holds its last placement."""
+        return self._written[0] is not None
 
-    def read(self, index: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Read back world means [N, 3] and shapes [N, 3, 3] of a posed item."""
-        first, item = int(self.first[index]), self.items[index]
-        rows = np.frombuffer(self.splats.read(), np.float32).reshape(-1, 16)[first * ROW :][: item.count]
+    def read(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Read back world means [N, 3] and shapes [N, 3, 3] of the first item, which is posed."""
+        rows = np.frombuffer(self.splats.read(), np.float32).reshape(-1, 16)[: self.items[0].count]
         shapes = np.stack([rows[:, 4 + 4 * i : 7 + 4 * i] for i in range(3)], axis=-1)
         return rows[:, :3] + self.origin, shapes
 
@@ -234,11 +236,3 @@ class Arena:
             if mine and item.splats.cones is not None:
                 out[first * ROW : first * ROW + item.count] = item.splats.cones
         return out
-
-
-T = TypeVar("T", moderngl.Texture, moderngl.Buffer, SkinPass)
-
-
-def _own(stack: ExitStack, item: T) -> T:
-    stack.callback(item.release)
-    return item

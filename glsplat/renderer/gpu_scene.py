@@ -193,9 +193,8 @@ class GpuScene:
             lit=self.light is not None and arena.surfaced,
         )
         key = variant, (views[0].width, views[0].height), min(ordinal, PASSES - 1)
-        made: Pipeline = arena.pipelines.get(
-            key, lambda: Pipeline(self._context, self._programs, variant, arena, self._config)
-        )
+        made = arena.pipelines.get(key, lambda: Pipeline(self._context, self._programs, variant, arena, self._config))
+        assert isinstance(made, Pipeline)
         return made
 
     def shade(self, item: Item, factors: NDArray[np.float32] | None) -> None:

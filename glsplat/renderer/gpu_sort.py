@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 
 from glsplat.errors import ContextError
+from glsplat.renderer.owned import owned
 from glsplat.renderer.sort import CULL_REASONS
 from glsplat.shaders import Programs
 
@@ -43,11 +44,9 @@ class GpuSorter:
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK_KEYS))
         with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
-            stack.callback(self._histogram.release)
+            self._histogram = owned(stack, ctx.buffer(reserve=16 * self._groups * 4))
             # indirect draw (4 uints), counts by cull code (8), cost (2), 2 to spare
-            self.indirect: moderngl.Buffer = ctx.buffer(reserve=64)
-            stack.callback(self.indirect.release)
+            self.indirect: moderngl.Buffer = owned(stack, ctx.buffer(reserve=64))
             self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
             self._owned = stack.pop_all()
 

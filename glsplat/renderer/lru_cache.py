@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 from typing import Generic, Protocol, TypeVar
 
-__all__ = ["LruCache"]
+from glsplat.renderer.owned import Owner
+
+__all__ = ["LruCache", "Sized"]
 
 
-class _Owner(Protocol):
+class Sized(Owner, Protocol):
+    """An owner of GL objects that take ``nbytes`` on the GPU."""
+
     @property
-    def nbytes(self) -> int: ...
-
-    def release(self) -> None: ...
+    def nbytes(self) -> int:
+        """GPU bytes."""
 
 
 K = TypeVar("K", bound=Hashable)
-V = TypeVar("V", bound=_Owner)
+V = TypeVar("V", bound=Sized)
 
 
 class LruCache(Generic[K, V]):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
@@ -55,17 +56,11 @@ class MeshBuffers:
         self._shade: moderngl.Buffer | None = None
         self.shaded = False
         with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self._vertices: moderngl.Buffer = ctx.buffer(np.concatenate(vertices))
-            stack.callback(self._vertices.release)
-            self._faces: moderngl.Buffer = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
-            stack.callback(self._faces.release)
-            self._textures: list[moderngl.Texture] = []
-            for part in mesh.parts:
-                self._textures.append(_texture(ctx, part, min(anisotropy, ctx.max_anisotropy)))
-                stack.callback(self._textures[-1].release)
-            self._bones: moderngl.Texture = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
-            stack.callback(self._bones.release)
-            self._bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self._vertices: moderngl.Buffer = owned(stack, ctx.buffer(np.concatenate(vertices)))
+            self._faces: moderngl.Buffer = owned(stack, ctx.buffer(np.concatenate(triangles).astype(np.uint32)))
+            most = min(anisotropy, ctx.max_anisotropy)
+            self._textures = [owned(stack, _texture(ctx, part, most)) for part in mesh.parts]
+            self._bones = data_texture(stack, ctx, (3, len(mesh.skeleton)), 4)
             self._owned = stack.pop_all()
 
     @property
@@ -89,8 +84,7 @@ class MeshBuffers:
         if factors is not None:
             values = np.ascontiguousarray(factors[self._indices])
             if self._shade is None:
-                self._shade = self._ctx.buffer(reserve=values.nbytes, dynamic=True)
-                self._owned.callback(self._shade.release)
+                self._shade = owned(self._owned, self._ctx.buffer(reserve=values.nbytes, dynamic=True))
             self._shade.write(values)
 
     def depths(self, camera: Camera, origin: NDArray[np.float64]) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -20,6 +20,7 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.mesh_buffers import INFLUENCES, MeshBuffers, fitted
+from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement, near_eye
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
@@ -54,8 +55,7 @@ class MeshPass:
         self._frames: list[FrameBlock] = []
         with ExitStack() as stack:  # releases what was made if a later allocation fails
             for _ in range(views):
-                self._frames.append(FrameBlock(ctx, 1))
-                stack.callback(self._frames[-1].release)
+                self._frames.append(owned(stack, FrameBlock(ctx, 1)))
                 if kind.centres:
                     self._centres.append(_Centres(ctx, size, dtype, stack))
             if kind.samples > 1:
@@ -120,12 +120,12 @@ class _Centres:
     """Colour and camera z at the pixel centres of one view."""
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int], dtype: str, stack: ExitStack) -> None:
-        self.colour = _texture(ctx, size, 4, dtype, stack)
-        self.z = _texture(ctx, size, 1, "f4", stack)
-        depth = _own(stack, ctx.depth_renderbuffer(size))
+        self.colour = data_texture(stack, ctx, size, 4, dtype=dtype)
+        self.z = data_texture(stack, ctx, size, 1)
+        depth = owned(stack, ctx.depth_renderbuffer(size))
         # two framebuffers: clear() gives every colour attachment the same value
-        self._both = _own(stack, ctx.framebuffer([self.colour, self.z], depth))
-        self._far = _own(stack, ctx.framebuffer([self.z]))
+        self._both = owned(stack, ctx.framebuffer([self.colour, self.z], depth))
+        self._far = owned(stack, ctx.framebuffer([self.z]))
         self.nbytes: int = size[0] * size[1] * (_BYTES[dtype] + 4 + 4)
 
     def begin(self) -> None:
@@ -142,14 +142,14 @@ class _Samples:
         self, ctx: moderngl.Context, size: tuple[int, int], views: int, kind: MeshPassKind, stack: ExitStack
     ) -> None:
         formats = [(4, _SAMPLE_DTYPE)] + ([(1, "f4")] if kind.depth and not kind.centres else [])
-        drawn = [_own(stack, ctx.renderbuffer(size, n, samples=kind.samples, dtype=dtype)) for n, dtype in formats]
-        depth = _own(stack, ctx.depth_renderbuffer(size, samples=kind.samples))
-        self._drawn = _own(stack, ctx.framebuffer(drawn, depth))
+        drawn = [owned(stack, ctx.renderbuffer(size, n, samples=kind.samples, dtype=dtype)) for n, dtype in formats]
+        depth = owned(stack, ctx.depth_renderbuffer(size, samples=kind.samples))
+        self._drawn = owned(stack, ctx.framebuffer(drawn, depth))
         self.averaged: list[list[moderngl.Texture]] = []
         self._into: list[moderngl.Framebuffer] = []
         for _ in range(views):
-            self.averaged.append([_texture(ctx, size, n, dtype, stack) for n, dtype in formats])
-            self._into.append(_own(stack, ctx.framebuffer(self.averaged[-1])))
+            self.averaged.append([data_texture(stack, ctx, size, n, dtype=dtype) for n, dtype in formats])
+            self._into.append(owned(stack, ctx.framebuffer(self.averaged[-1])))
         pixel = sum(_BYTES[dtype] * n // 4 for n, dtype in formats)
         self.nbytes: int = size[0] * size[1] * (pixel * views + (pixel + 4) * kind.samples)
 
@@ -166,16 +166,3 @@ class _Samples:
 _NO_SPLATS = RenderConfig()  # the frame block has room for what only splats need
 _BYTES = {"f1": 4, "f2": 8, "f4": 16}  # of four components
 _ENDINGS = ("", "_2")  # of the samplers of each view (mesh_layer.glsl)
-
-
-def _own(stack: ExitStack, item: Any) -> Any:
-    stack.callback(item.release)
-    return item
-
-
-def _texture(
-    ctx: moderngl.Context, size: tuple[int, int], components: int, dtype: str, stack: ExitStack
-) -> moderngl.Texture:
-    texture: moderngl.Texture = _own(stack, ctx.texture(size, components, dtype=dtype))
-    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-    return texture

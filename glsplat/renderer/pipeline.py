@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -22,6 +22,7 @@ from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.gpu_sort import GpuSorter
 from glsplat.renderer.key import BLOCK_PIXELS, KeyPass
 from glsplat.renderer.mesh_pass import MeshPass
+from glsplat.renderer.owned import owned
 from glsplat.renderer.project import ProjectPass
 from glsplat.renderer.read_back import read_bytes, read_floats
 from glsplat.renderer.resolve import ResolvePass, ResolveStep
@@ -32,13 +33,6 @@ from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
 __all__ = ["Pipeline", "view_state"]
-
-
-class _Owner(Protocol):
-    def release(self) -> None: ...
-
-
-P = TypeVar("P", bound=_Owner)
 
 
 class Pipeline:
@@ -68,25 +62,20 @@ class Pipeline:
         self.item_costs: tuple[int, ...] = ()  # the same of each shown item
         self._costs: NDArray[np.uint32] | None = None  # blocks of each shown splat, if the host sorts
         with ExitStack() as stack:  # releases what was made if a later pass cannot be
-
-            def own(item: P) -> P:
-                stack.callback(item.release)
-                return item
-
-            self._frame = own(FrameBlock(ctx, variant.views))
-            self._project = own(ProjectPass(context, programs, variant, count))
+            self._frame = owned(stack, FrameBlock(ctx, variant.views))
+            self._project = owned(stack, ProjectPass(context, programs, variant, count))
             records, order = self._project.records, self._project.order
             self._keys: moderngl.Buffer | None = None
             if by_gpu and (config.sorter == "gpu" or GpuSorter.fits(ctx, records)):
-                self._keys = own(ctx.buffer(reserve=max(16, count * 4)))
-            self._key = own(KeyPass(ctx, programs, variant, arena, self._keys, records))
+                self._keys = owned(stack, ctx.buffer(reserve=max(16, count * 4)))
+            self._key = owned(stack, KeyPass(ctx, programs, variant, arena, self._keys, records))
             self._sorter: GpuSorter | None = None
             if self._keys is not None:
                 settings = (count, variant.views, config.debug.sort_bits, corners_of(variant), bool(variant.pulled))
-                self._sorter = own(GpuSorter(ctx, programs, self._keys, order, records, *settings))
-            self._draw = own(DrawPass(context, programs, variant, self._project.records))
-            self._background = own(BackgroundPass(ctx, programs, variant))
-            self._resolve = own(ResolvePass(ctx, programs, variant))
+                self._sorter = owned(stack, GpuSorter(ctx, programs, self._keys, order, records, *settings))
+            self._draw = owned(stack, DrawPass(context, programs, variant, self._project.records))
+            self._background = owned(stack, BackgroundPass(ctx, programs, variant))
+            self._resolve = owned(stack, ResolvePass(ctx, programs, variant))
             self._owned = stack.pop_all()
 
     @property

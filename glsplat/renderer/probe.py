@@ -69,7 +69,7 @@ class Probe(Renderer):
         """
         with self._entered("posed"):
             arena = self._scene.arena
-            if not (arena.posed and arena.written()):
+            if not (arena.posed and arena.written):
                 why = "this scene is not skinned or not rendered yet"
                 raise GlsplatError(f"posed() needs an avatar that was rendered; {why}")
             return arena.read()

@@ -11,6 +11,7 @@ import numpy as np
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.owned import owned
 
 __all__ = ["FORMATS", "Box", "ByteTarget", "Target", "TargetPool"]
 
@@ -44,17 +45,15 @@ class Target:
         # background of each layer, where hidden splats were left out (lift.glsl)
         self.lift: tuple[tuple[float, float, float], ...] | None = None
         with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
-            stack.callback(self.texture.release)
-            self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            size = width, height, views
+            self.texture: moderngl.TextureArray = owned(stack, ctx.texture_array(size, 4, dtype=dtype))
             self.depth: moderngl.TextureArray | None = None
             if depth:
-                self.depth = ctx.texture_array((width, height, views), 1, dtype="f4")
-                stack.callback(self.depth.release)
-                self.depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                self.depth = owned(stack, ctx.texture_array(size, 1, dtype="f4"))
             attached = [self.texture] if self.depth is None else [self.texture, self.depth]
-            self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, *attached)
-            stack.callback(self.framebuffer.release)
+            for texture in attached:
+                texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self.framebuffer: moderngl.Framebuffer = owned(stack, _framebuffer(ctx, *attached))
             self._owned = stack.pop_all()
 
     def copy_layer(self, ctx: moderngl.Context, layer: int, single: Target) -> None:
@@ -86,10 +85,8 @@ class ByteTarget:
     def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
         with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self.texture: moderngl.Texture = ctx.texture((width, height * views), 4)
-            stack.callback(self.texture.release)
-            self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, self.texture)
-            stack.callback(self.framebuffer.release)
+            self.texture: moderngl.Texture = owned(stack, ctx.texture((width, height * views), 4))
+            self.framebuffer: moderngl.Framebuffer = owned(stack, _framebuffer(ctx, self.texture))
             self._owned = stack.pop_all()
 
     @property
