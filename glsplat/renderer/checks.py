@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from glsplat.arrays import flag, instance
+from glsplat.arrays import flag
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError, PoseError
@@ -70,7 +70,6 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
     """Return the pose, or the zero pose for None. Raises PoseError if ``what`` has another number of ``joints``."""
     if pose is None:
         return Pose.zero(joints)
-    instance(pose, Pose, "render", PoseError, "make one of your values first")
     if len(pose.rotations) != joints:
         raise PoseError(f"the pose has {len(pose.rotations)} joints, the {what} {joints}")
     return pose

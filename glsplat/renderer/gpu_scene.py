@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import instance
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import CULL_PSNR, RenderConfig
@@ -115,10 +116,7 @@ class GpuScene:
         self._look(views[0].layers)
         views = [view if self._unplaced else view.in_space(self._transform) for view in views]
         if pose is not None:
-            if not isinstance(pose, Pose):
-                raise PoseError(
-                    f"render needs a glsplat.Pose, not {type(pose).__name__}; make one of your values first"
-                )
+            instance(pose, Pose, "render", PoseError, "make one of your values first")
             avatars = sum(is_rigged(item.content) for item in (*self._visible, *self._visible_meshes))
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
@@ -323,7 +321,10 @@ class GpuScene:
         if self._fixed:
             return [self._first_level(item) for item in self._visible]
         items = zip(map(self._levels_of, self._visible), places, strict=True)
-        seen = [(one.number, one.densities, one.density(views, place.to_world, place.bones)) for one, place in items]
+        seen = [
+            (one.number, one.densities, one.density(views, None if at.unmoved else at.transform, at.bones))
+            for one, at in items
+        ]
         levels = selector.choose(seen, self._config.lod_bias)
         self._coarsest = selector.coarsest
         return levels
@@ -347,9 +348,6 @@ class GpuScene:
             self._meshes.pop(gone).release()
 
     def _placement(self, item: Item, pose: Pose | None) -> Placement:
-        transform = item.transform
-        linear = transform[:3, :3]
-        size = 1.0 if np.array_equal(transform, np.eye(4)) else float(np.cbrt(np.linalg.det(linear)))
         bones = weights = None
         if not isinstance(item.content, Splats):
             skeleton = item.content.skeleton
@@ -358,7 +356,7 @@ class GpuScene:
             bones = posed.bones(skeleton)
             if isinstance(item.content, Avatar):
                 weights = item.content.weights(posed)
-        return Placement(linear / size, transform[:3, 3], size, bones, item.opacity, weights)
+        return Placement(item.transform, bones, item.opacity, weights)
 
 
 def _culled(splats: Splats, config: RenderConfig) -> bool:

@@ -6,7 +6,7 @@ movement, whatever the number of views.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import moderngl
 import numpy as np
@@ -29,45 +29,39 @@ _FAR_M = 1000.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """Where an item stands: x -> size * turn x + offset, and the bones of its pose in its own space."""
+    """Transform of an item, x -> size * turn x + offset, and the bones of its pose in its own space."""
 
-    turn: NDArray[np.float64]  # [3, 3] rotation
-    offset: NDArray[np.float64]  # [3] metres
-    size: float
+    transform: NDArray[np.float64]  # [4, 4] scene from item
     bones: NDArray[np.float64] | None = None  # [J, 3, 4] skinning matrices; None: no skeleton
     opacity: float = 1.0  # factor of all opacities
     weights: NDArray[np.float64] | None = None  # [T] of the avatar's shapes; None: all 0
+    unmoved: bool = field(init=False)  # the item stands where it was loaded
+    size: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        unmoved = np.array_equal(self.transform, np.eye(4))
+        object.__setattr__(self, "unmoved", unmoved)
+        object.__setattr__(self, "size", 1.0 if unmoved else float(np.cbrt(np.linalg.det(self.transform[:3, :3]))))
 
     @property
-    def unmoved(self) -> bool:
-        """Whether the item stands where it was loaded."""
-        return self.size == 1 and not self.offset.any() and np.array_equal(self.turn, np.eye(3))
+    def turn(self) -> NDArray[np.float64]:
+        """Rotation [3, 3]."""
+        return self.transform[:3, :3] / self.size
+
+    @property
+    def offset(self) -> NDArray[np.float64]:
+        """Translation [3] in metres."""
+        return self.transform[:3, 3]
 
     @property
     def moved(self) -> bool:
         """Whether splats without a skeleton look different from what was loaded."""
         return self.opacity != 1 or not self.unmoved
 
-    @property
-    def to_world(self) -> NDArray[np.float64] | None:
-        """[4, 4] from the item's space to the world; None if unmoved."""
-        if self.unmoved:
-            return None
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.size * self.turn, self.offset
-        return matrix
-
     def same(self, other: Placement | None) -> bool:
-        """Return whether the other one puts every splat at the same place."""
-        if other is None or (self.size, self.opacity) != (other.size, other.opacity):
-            return False
-        pairs = [(self.turn, other.turn), (self.offset, other.offset)]
-        for mine, theirs in ((self.bones, other.bones), (self.weights, other.weights)):
-            if (mine is None) != (theirs is None):
-                return False
-            if mine is not None and theirs is not None:
-                pairs.append((mine, theirs))
-        return all(np.array_equal(a, b) for a, b in pairs)
+        """Return whether the other placement puts every splat at the same place."""
+        names = ("transform", "bones", "opacity", "weights")
+        return other is not None and all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
 
     def anchor(self, centre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Return the world position [3] near which the item lies: its root joint, or its ``centre`` [3]."""

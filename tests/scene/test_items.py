@@ -366,7 +366,7 @@ def test_what_is_no_pose_is_refused_with_and_without_a_skeleton(renderer_of: Mak
     for thing in (cloud(50), limb_mesh(), Scene()):
         renderer = renderer_of(thing)
         for call in (renderer.render, renderer.draw):
-            with pytest.raises(PoseError, match=r"needs a glsplat\.Pose"):
+            with pytest.raises(PoseError, match="render needs a Pose"):
                 call([camera(SIZE)], pose)
 
 

@@ -16,7 +16,7 @@ from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
-from glsplat.renderer.checks import Views, checked_pose, checked_views
+from glsplat.renderer.checks import Views, checked_views
 from glsplat.scene import Item
 from glsplat.skinning.pose import Pose
 
@@ -74,7 +74,7 @@ class MeshTruth:
         multiplied in linear light. Raises PoseError for a pose that does not fit, GlsplatError for all else.
         """
         cameras = checked_views(views, self.size)
-        self._item.pose = checked_pose(pose, len(self.mesh.skeleton), "mesh")
+        self._item.pose = pose
         factors = None if shade is None else own(shade, np.float32, "shade", GlsplatError)
         if factors is not None and not (factors.shape == self.mesh.vertices.shape and np.isfinite(factors).all()):
             raise GlsplatError(f"shade needs {self.mesh.vertices.shape} finite factors, not {factors.shape}")

@@ -227,7 +227,7 @@ def test_refusals(mesh_renderer: Make, context: Context) -> None:
         renderer.render([])
     with pytest.raises(GlsplatError, match="size 96x96"):
         renderer.render([camera.resized(10, 10)])
-    with pytest.raises(PoseError, match="2 joints, the mesh 1"):
+    with pytest.raises(PoseError, match="2 joints, the item 1"):
         renderer.render([camera], Pose.zero(2))
     wrong = ({"samples": 3}, "one of 1, 4"), ({"supersample": 0}, "1 to 8"), ({"output": "x"}, "float32")
     for changes, message in wrong:
