@@ -156,12 +156,12 @@ class Arena:
         """Whether any splats know the surface they lie on."""
         return any(item.splats.surface is not None for item in self.items)
 
-    def place(self, places: Mapping[Part, Placement], eye: NDArray[np.float64]) -> bool:
+    def show(self, placements: Mapping[Part, Placement], eye: NDArray[np.float64]) -> bool:
         """Show these parts, in the arena's order; pose and place what moved. Return whether anything moved.
 
         ``eye`` [3]: where they are looked at from, in the world.
         """
-        placed = {self.parts.index(part): place for part, place in places.items()}
+        placed = {self.parts.index(part): placement for part, placement in placements.items()}
         self.shown = tuple(placed)
         if not self.posed:
             return False
@@ -170,12 +170,12 @@ class Arena:
         if not np.array_equal(origin, self.origin):
             self._written = [None] * len(self.items)
             self.origin = origin
-        for index, place in placed.items():
-            if not place.same(self._written[index]):
+        for index, placement in placed.items():
+            if not placement.same(self._written[index]):
                 self._written[index] = None  # until it is written: an interrupted write must not count
                 self.version += 1
-                self._write(index, place)
-                self._written[index] = place
+                self._write(index, placement)
+                self._written[index] = placement
         return self.version != before
 
     def use(self) -> None:
@@ -210,17 +210,17 @@ class Arena:
         self.pipelines.release()
         self._owned.close()
 
-    def _write(self, index: int, place: Placement) -> None:
+    def _write(self, index: int, placement: Placement) -> None:
         assert self._skin is not None
-        first, opacity = int(self.first[index]), self._signs[index] * place.opacity
+        first, opacity = int(self.first[index]), self._signs[index] * placement.opacity
         self.runs += 1
         self._skin.run(
-            self.items[index], place, self.splats, first, self.origin, turned=self.degree > 0, opacity=opacity
+            self.items[index], placement, self.splats, first, self.origin, turned=self.degree > 0, opacity=opacity
         )
 
-    def _origin(self, places: Mapping[int, Placement], eye: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _origin(self, placements: Mapping[int, Placement], eye: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return an origin [3] near the items, as float32 coordinates are too coarse far from it."""
-        anchors = np.array([place.anchor(self.items[index].centre) for index, place in places.items()])
+        anchors = np.array([placement.anchor(self.items[index].centre) for index, placement in placements.items()])
         if len(self.items) == 1 == len(anchors):  # nothing else has to move with it
             return anchors[0] if np.abs(anchors[0]).max() > NEAR_M else np.zeros(3)
         middle = np.median(anchors, axis=0) if len(anchors) else np.zeros(3)

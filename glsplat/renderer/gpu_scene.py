@@ -40,7 +40,7 @@ from glsplat.timing import StageTimer
 __all__ = ["GpuScene"]
 
 PASSES = 4
-"""Passes of one call that keep records of their own; later ones share the last place."""
+"""Passes of one call that keep records of their own; later passes share the last ones."""
 
 _MAX_ARENAS = 32  # choices of levels
 _MAX_BYTES = 256 * 2**20
@@ -78,8 +78,8 @@ class GpuScene:
         self._transform = scene.transform
         try:
             self._look(-1)
-            places = [self._placement(item, None) for item in self._visible]
-            self._stage([self._first_level(item) for item in self._visible], places)
+            placements = [self._placement(item, None) for item in self._visible]
+            self._stage([self._first_level(item) for item in self._visible], placements)
         except BaseException:
             self.release()
             raise
@@ -120,18 +120,18 @@ class GpuScene:
             avatars = sum(is_rigged(item.content) for item in (*self._visible, *self._visible_meshes))
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
-        places = [self._placement(item, pose) for item in self._visible]
+        placements = [self._placement(item, pose) for item in self._visible]
         levels = [
             max(level, min(item.finest, self._levels_of(item).coarsest))
-            for item, level in zip(self._visible, self._choose(places, views, selector), strict=True)
+            for item, level in zip(self._visible, self._choose(placements, views, selector), strict=True)
         ]
-        self._stage(levels, places)
+        self._stage(levels, placements)
         self._place_meshes(pose)
-        if self._placed_meshes or any(place.bones is not None for place in places):
+        if self._placed_meshes or any(placement.bones is not None for placement in placements):
             timer.mark("pose")
         parts = [part for part in enumerate(levels) if self._visible[part[0]] not in self._hidden]
         arena, before = self.arena, self.arena.runs
-        if arena.place({part: places[part[0]] for part in parts}, views[0].position):
+        if arena.show({part: placements[part[0]] for part in parts}, views[0].position):
             timer.mark("skin")
         skipped = sum(item.skipped for item in arena.shown_items)
         shown, posed = tuple(level for _, level in parts), arena.runs - before
@@ -230,13 +230,13 @@ class GpuScene:
         self._visible = [item for item in visible if not isinstance(item.content, RiggedMesh)]
         self._visible_meshes = [item for item in visible if isinstance(item.content, RiggedMesh)]
 
-    def _stage(self, levels: Sequence[int], places: Sequence[Placement]) -> None:
+    def _stage(self, levels: Sequence[int], placements: Sequence[Placement]) -> None:
         """Upload new items, and use an arena that holds the visible ones at these levels of detail.
 
         Nothing is released before its replacement is there.
         """
         visible, parts = self._visible, self._arena_parts(levels)
-        posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or places[0].moved
+        posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or placements[0].moved
         arenas_of = (posed, *visible)
         if arenas_of != self._arenas_of or self._arena is None:
             made = self._made(parts, posed)
@@ -315,12 +315,12 @@ class GpuScene:
         """Whether levels do not depend on the view."""
         return self._config.level != "auto" or not any(self._first_level(item) for item in self._visible)
 
-    def _choose(self, places: Sequence[Placement], views: Sequence[Camera], selector: Selector) -> list[int]:
+    def _choose(self, placements: Sequence[Placement], views: Sequence[Camera], selector: Selector) -> list[int]:
         """Return the level of each visible item for these views."""
         self._coarsest = True
         if self._fixed:
             return [self._first_level(item) for item in self._visible]
-        items = zip(map(self._levels_of, self._visible), places, strict=True)
+        items = zip(map(self._levels_of, self._visible), placements, strict=True)
         seen = [
             (one.number, one.densities, one.density(views, None if at.unmoved else at.transform, at.bones))
             for one, at in items
@@ -339,8 +339,8 @@ class GpuScene:
                     self._meshes[item] = MeshBuffers(self._context, item.content, self._config.debug.mesh_anisotropy)
                 placed.append((self._meshes[item], self._placement(item, pose)))
         same = len(placed) == len(self._placed_meshes) and all(
-            mesh is old and place.same(before)
-            for (mesh, place), (old, before) in zip(placed, self._placed_meshes, strict=True)
+            mesh is old and placement.same(before)
+            for (mesh, placement), (old, before) in zip(placed, self._placed_meshes, strict=True)
         )
         self._meshes_version += not same
         self._placed_meshes = placed

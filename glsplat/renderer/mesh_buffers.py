@@ -71,11 +71,11 @@ class MeshBuffers:
         bones = self._bones.width * self._bones.height * 16
         return self._vertices.size + self._faces.size + bones + shade + texels * 4 // 3
 
-    def place(self, place: Placement, origin: NDArray[np.float64]) -> None:
+    def place(self, placement: Placement, origin: NDArray[np.float64]) -> None:
         """Write the bones about ``origin`` [3], in the world."""
-        assert place.bones is not None
-        self._placed = place.size * (place.turn @ place.bones)
-        self._placed[:, :, 3] += place.offset - origin
+        assert placement.bones is not None
+        self._placed = placement.size * (placement.turn @ placement.bones)
+        self._placed[:, :, 3] += placement.offset - origin
         self._bones.write(self._placed.astype(np.float32))
 
     def shade(self, factors: NDArray[np.float32] | None) -> None:
@@ -93,8 +93,8 @@ class MeshBuffers:
         A vertex is a mean of where its joints move it, so it lies within the balls around the posed joints.
         """
         bones = self._placed
-        places = np.einsum("jik,jk->ji", bones[:, :, :3], self._rest) + bones[:, :, 3] + origin
-        depth = places @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+        centres = np.einsum("jik,jk->ji", bones[:, :, :3], self._rest) + bones[:, :, 3] + origin
+        depth = centres @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
         size = self._reach * np.linalg.norm(bones[:, :, :3], ord=2, axis=(1, 2))
         used = self._reach >= 0
         return float((depth - size)[used].min()), float((depth + size)[used].max())

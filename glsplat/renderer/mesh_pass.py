@@ -72,10 +72,10 @@ class MeshPass:
         if state == self._drawn:
             return
         self._drawn = None
-        anchors = np.array([place.anchor() for _, place in items])
+        anchors = np.array([placement.anchor() for _, placement in items])
         origin = near_eye(anchors[0], anchors, cameras[0].position)  # float32 has no bits left far from zero
-        for item, place in items:
-            item.place(place, origin)
+        for item, placement in items:
+            item.place(placement, origin)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         try:
             for view, camera in enumerate(cameras):

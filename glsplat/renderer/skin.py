@@ -59,7 +59,7 @@ class Placement:
         return self.opacity != 1 or not self.unmoved
 
     def same(self, other: Placement | None) -> bool:
-        """Return whether the other placement puts every splat at the same place."""
+        """Return whether the other placement puts every splat at the same position."""
         names = ("transform", "bones", "opacity", "weights")
         return other is not None and all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
 
@@ -91,7 +91,7 @@ class SkinPass:
     def run(
         self,
         item: ItemBuffers,
-        place: Placement,
+        placement: Placement,
         into: moderngl.Texture,
         first_row: int,
         origin: NDArray[np.float64],  # [3] world position of the scene's zero
@@ -100,8 +100,12 @@ class SkinPass:
         opacity: float,  # factor; negative marks splats that ask for opacity compensation
     ) -> None:
         """Write the item's splats, and zeros to the end of their last row."""
-        array = _skinned(item, place, origin, turned) if place.bones is not None else _placed(item, place, origin)
-        array.program["size"], array.program["signed_opacity"] = place.size, opacity
+        array = (
+            _skinned(item, placement, origin, turned)
+            if placement.bones is not None
+            else _placed(item, placement, origin)
+        )
+        array.program["size"], array.program["signed_opacity"] = placement.size, opacity
         self._framebuffer.use()  # without a complete framebuffer transform feedback silently writes nothing
         for start in range(0, max(item.count, 1), _BATCH_ROWS * ROW):
             count = min(_BATCH_ROWS * ROW, item.count - start)
@@ -126,25 +130,27 @@ def near_eye(
     return origin
 
 
-def _placed(item: ItemBuffers, place: Placement, origin: NDArray[np.float64]) -> moderngl.VertexArray:
+def _placed(item: ItemBuffers, placement: Placement, origin: NDArray[np.float64]) -> moderngl.VertexArray:
     array = item.array(item.variant)
-    array.program["turn"] = tuple(place.turn.T.ravel())  # columns
-    array.program["rodrigues"] = tuple(rodrigues_parameters(place.turn))
-    array.program["offset"] = tuple(place.anchor(item.centre) - origin)
+    array.program["turn"] = tuple(placement.turn.T.ravel())  # columns
+    array.program["rodrigues"] = tuple(rodrigues_parameters(placement.turn))
+    array.program["offset"] = tuple(placement.anchor(item.centre) - origin)
     assert item.rest is not None
     item.rest.use(UNITS["splats"])
     return array
 
 
-def _skinned(item: ItemBuffers, place: Placement, origin: NDArray[np.float64], turned: bool) -> moderngl.VertexArray:
-    assert isinstance(item.variant, SkinVariant) and place.bones is not None
-    shapes = item.shapes if place.weights is not None else None
+def _skinned(
+    item: ItemBuffers, placement: Placement, origin: NDArray[np.float64], turned: bool
+) -> moderngl.VertexArray:
+    assert isinstance(item.variant, SkinVariant) and placement.bones is not None
+    shapes = item.shapes if placement.weights is not None else None
     array = item.array(replace(item.variant, turned=int(turned), shaped=int(shapes is not None)))
     shift = array.program.get("shift", None)
     if isinstance(shift, moderngl.Uniform):
-        shift.value = 1.0 if is_rigid(place.bones) else 3.0
-    item.bones.write(place.local_bones(item.centre, origin).astype(np.float32))
+        shift.value = 1.0 if is_rigid(placement.bones) else 3.0
+    item.bones.write(placement.local_bones(item.centre, origin).astype(np.float32))
     item.bones.use(UNITS["bones"])
-    if shapes is not None and place.weights is not None:
-        shapes.use(place.weights)
+    if shapes is not None and placement.weights is not None:
+        shapes.use(placement.weights)
     return array

@@ -19,7 +19,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import Backend, Interruptible, Placing, Rendered
+from glsplat.net.backend import Backend, Interruptible, MemoryTarget, Rendered
 from glsplat.net.worker.slot_writer import SlotWriter
 from glsplat.net.worker.wire import Kind, Order, Reader, RenderResult, failure_of, greet, pack
 
@@ -114,8 +114,8 @@ class _Worker:
             backend.abandoned = lambda: self._abandoned == number
         shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
         try:
-            if isinstance(backend, Placing):
-                backend.place = None if slots is None else slots.place(order.slot or 0, shape)
+            if isinstance(backend, MemoryTarget):
+                backend.out = None if slots is None else slots.place(order.slot or 0, shape)
             rendered = backend.render(job)
             if slots is not None:
                 slots.put(order.slot or 0, rendered, shape)
