@@ -14,7 +14,7 @@ from glsplat.errors import GlsplatError
 __all__ = ["CULL_PSNR", "LEAN", "MAX_BIAS", "MAX_LEVELS", "DebugConfig", "RenderConfig", "with_fields"]
 
 CULL_PSNR = 45.0
-"""PSNR in dB of the worst picture at which ``cull_hidden="auto"`` culls an item's hidden splats."""
+"""Smallest ``Splats.cones_psnr`` in dB at which ``cull_hidden="auto"`` culls an item's hidden splats."""
 
 MAX_LEVELS = 16
 """Maximum number of levels of detail of an item."""
@@ -106,9 +106,9 @@ class RenderConfig:
     output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the unclipped target
     sorter: Literal["auto", "cpu", "gpu"] = "auto"  # gpu needs OpenGL 4.3
     sh_degree: int = 3  # evaluate at most this degree
-    antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: as the splats say
+    antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: by Splats.antialias
     cull_hidden: bool | Literal["auto"] = False  # cull splats seen from outside their visibility cone
-    # (authoring/cones.py); auto: only of items whose worst picture keeps CULL_PSNR
+    # (authoring/cones.py); auto: only of items with a cones_psnr of CULL_PSNR or more
     max_sigma: float = 3.33  # maximum radius of a splat in standard deviations
     level: int | Literal["auto"] = 0  # level of detail: 0 the finest, higher are coarser; auto: by pixels
     lod_bias: float = 0.0  # bias of auto: 1 takes levels sharp enough for twice the pixels, -1 for half

@@ -1,8 +1,8 @@
 """Arena: all visible splats of a scene in one index space. Key, sort, project and draw see only this.
 
 Each item has a range for each of its levels of detail in use; a picture shows some of the ranges. One texture holds
-the geometry (as loaded, three texels a splat, if a single item stands where it was loaded; else posed, four texels),
-one the colours. Ranges begin with a row of ROW splats; the padding at the end of a row has opacity 0.
+the geometry: as loaded (three texels a splat) of a single unmoved item, else posed (four texels). One holds the
+colours. Ranges begin with a row of ROW splats; the padding at the end of a row has opacity 0.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class Arena:
         posed: bool,  # False: a single item without a skeleton, where it was loaded
         degree: int,  # of the colours
         signed: bool = False,  # some items ask for opacity compensation and some do not (variant.antialias 2)
-        culled: Sequence[bool] = (),  # of which items hidden splats are left out, by their cones
+        culled: Sequence[bool] = (),  # [I] whether an item's hidden splats are culled by their cones
     ) -> None:
         ctx = context.ctx
         self.parts, self.items, self.posed, self.degree = tuple(parts), tuple(items), posed, degree
         self.version = 0  # grows with every movement
-        self.runs = 0  # of the skin pass so far
+        self.runs = 0  # of the skin pass
         self.origin = np.zeros(3)  # world position of the scene's zero
         self.shown: tuple[int, ...] = tuple(range(len(items)))
         self.pipelines: LruCache[PipelineKey, Sized] = LruCache(_MAX_PIPELINES, _MAX_PIPELINE_BYTES)
@@ -67,7 +67,9 @@ class Arena:
         largest: dict[int, int] = {}  # rows by the item's number
         for (number, _), size in zip(parts, rows, strict=True):
             largest[number] = max(size, largest.get(number, 0))
-        self.most: int = self.count if alone else sum(largest.values()) * ROW  # indices that a picture shows at most
+        self.most: int = (
+            self.count if alone else sum(largest.values()) * ROW
+        )  # upper bound of the indices in ``ranges``
         texels, components = COLOUR_TEXELS[degree], 4 if degree else 3
         limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(height, ROW * texels) > limit:
@@ -75,7 +77,7 @@ class Arena:
                 f"{self.count} splats of SH degree {degree} need textures larger than the {limit} texels of "
                 f"{ctx.info['GL_RENDERER']}; use fewer splats or a lower sh_degree"
             )
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             if alone:
                 self.colours = upload_rows(ctx, items[0].colours(degree), texels, components, stack)
             else:
@@ -118,7 +120,7 @@ class Arena:
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
-        """First index and number of indices of what is shown, padding included; adjacent ranges are joined."""
+        """First index and number of indices of the shown parts, padding included; adjacent ranges are joined."""
         if len(self.shown) == len(self.items):
             return ((0, self.count),)
         found: list[tuple[int, int]] = []
@@ -143,7 +145,7 @@ class Arena:
 
     @property
     def shown_splats(self) -> int:
-        """Splats of what is shown."""
+        """Splats of the shown parts."""
         return sum(item.count for item in self.shown_items)
 
     @property
@@ -153,13 +155,13 @@ class Arena:
 
     @property
     def surfaced(self) -> bool:
-        """Whether any splats know the surface they lie on."""
+        """Whether any item has a surface for relighting."""
         return any(item.splats.surface is not None for item in self.items)
 
     def show(self, placements: Mapping[Part, Placement], eye: NDArray[np.float64]) -> bool:
-        """Show these parts, in the arena's order; pose and place what moved. Return whether anything moved.
+        """Show these parts, in the arena's order; pose and place items that moved. Return whether any did.
 
-        ``eye`` [3]: where they are looked at from, in the world.
+        ``eye`` [3] is the position of the first view.
         """
         placed = {self.parts.index(part): placement for part, placement in placements.items()}
         self.shown = tuple(placed)
@@ -184,7 +186,7 @@ class Arena:
         self.colours.use(UNITS["colours"])
 
     def use_surfaces(self) -> None:
-        """Bind the surfaces that light falls on (light.glsl); uploaded the first time, so that only light costs it."""
+        """Bind the surfaces (light.glsl). The first call uploads them, so that a scene without light has none."""
         if self._surfaces is None:
             with ExitStack() as stack:
                 made = upload_rows(self._ctx, np.empty((0, 1), np.float32), 2, 4, stack, self._height)

@@ -43,7 +43,7 @@ class GpuSorter:
         self._shifts = range(32 - bits, 32, DIGIT_BITS)
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK_KEYS))
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             self._histogram = owned(stack, ctx.buffer(reserve=16 * self._groups * 4))
             # indirect draw (4 uints), counts by cull code (8), cost (2), 2 to spare
             self.indirect: moderngl.Buffer = owned(stack, ctx.buffer(reserve=64))

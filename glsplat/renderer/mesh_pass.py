@@ -29,20 +29,20 @@ __all__ = ["MeshPass", "MeshPassKind"]
 
 _NO_MESH_Z = 3e38  # camera z where no mesh is: behind every splat
 _LINEAR, _LOGARITHMIC = (MeshVariant(influences=INFLUENCES, logarithmic=n) for n in (0, 1))
-_LINEAR_RANGE = 1000.0  # of far to near, up to which 24 bits of 1 / z are a 17,000th of z or finer
+_LINEAR_RANGE = 1000.0  # far / near up to which 24 bits of 1 / z resolve z to a 17,000th
 _SAMPLE_DTYPE = "f1"  # as textures; floats would be 16 bytes a sample to clear, blend and average
 
 
 class MeshPassKind(NamedTuple):
-    """What a frame needs of its meshes."""
+    """The pictures of its meshes that a frame needs."""
 
-    centres: bool  # colour and z at the pixel centres: what splats are tested against, and all there is of one sample
-    samples: int  # above 1: colour by so many samples a pixel
-    depth: bool  # without centres: z as well, its mean over the pixel times coverage
+    centres: bool  # colour and z at the pixel centres; splats are tested against this z
+    samples: int  # a pixel, for the colour; 1: the centres alone
+    depth: bool  # without centres: also the mean z of a pixel, times coverage
 
 
 class MeshPass:
-    """Owns the targets of one size and number of views; keeps what was drawn while nothing moves."""
+    """Owns the targets of one size and number of views; keeps its pictures while nothing moves."""
 
     def __init__(
         self, context: Context, programs: Programs, size: tuple[int, int], views: int, kind: MeshPassKind, dtype: str
@@ -53,7 +53,7 @@ class MeshPass:
         self._centres: list[_Centres] = []
         self._samples: _Samples | None = None
         self._frames: list[FrameBlock] = []
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             for _ in range(views):
                 self._frames.append(owned(stack, FrameBlock(ctx, 1)))
                 if kind.centres:
@@ -163,6 +163,6 @@ class _Samples:
         ctx.copy_framebuffer(self._into[view], self._drawn)
 
 
-_NO_SPLATS = RenderConfig()  # the frame block has room for what only splats need
+_NO_SPLATS = RenderConfig()  # for the fields of the frame block that meshes do not read
 _BYTES = {"f1": 4, "f2": 8, "f4": 16}  # of four components
 _ENDINGS = ("", "_2")  # of the samplers of each view (mesh_layer.glsl)

@@ -1,4 +1,4 @@
-"""Own GL objects: what was made together is released together, also if a later allocation fails."""
+"""Own GL objects: an ExitStack releases them together, also if an allocation fails half way."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class Pipeline:
     ) -> None:
         automatic = config.sorter == "auto" and context.compute and not context.software
         by_gpu = config.sorter == "gpu" or automatic
-        ctx, count = context.ctx, arena.count if by_gpu else arena.most  # the GPU sorts what is not shown, too
+        ctx, count = context.ctx, arena.count if by_gpu else arena.most  # the GPU sorts hidden parts, too
         if variant.pulled and not fits(ctx, variant, count):
             variant = replace(variant, pulled=0)
         self._arena, self._config, self.variant = arena, config, variant
@@ -54,14 +54,14 @@ class Pipeline:
         self._counted = True
         self._order: NDArray[np.uint32] = np.empty(0, np.uint32)  # indices among the shown ranges, far to near
         self._recorded = self._order  # those of them that have records
-        self._shown: tuple[int, ...] = ()  # parts of the arena that the order is of
+        self._shown: tuple[int, ...] = ()  # parts of the arena that are in the order
         self._order_age = config.debug.sort_period  # moved frames since the sort; at first more than allowed
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
         self.cost: int | None = None  # covered pixels of the current records, if counted
         self.item_costs: tuple[int, ...] = ()  # the same of each shown item
         self._costs: NDArray[np.uint32] | None = None  # blocks of each shown splat, if the host sorts
-        with ExitStack() as stack:  # releases what was made if a later pass cannot be
+        with ExitStack() as stack:  # releases everything if an allocation fails
             self._frame = owned(stack, FrameBlock(ctx, variant.views))
             self._project = owned(stack, ProjectPass(context, programs, variant, count))
             records, order = self._project.records, self._project.order
@@ -94,7 +94,7 @@ class Pipeline:
         views: Sequence[Camera],
         sort_viewmat: NDArray[np.float64],
         timer: StageTimer,
-        costed: int = 0,  # 1: count what drawing costs; 2: also of each item, even if that waits for the GPU
+        costed: int = 0,  # 1: count the cost; 2: also of each item, even if that waits for the GPU
         shared: bool = False,  # other passes of the frame use this pipeline, too: an old order may be theirs
         light: Light | None = None,  # of the scene
     ) -> bool:
@@ -123,7 +123,7 @@ class Pipeline:
             or bool(self._sorter and costed)  # the sorter adds up the costs
         )
         age = 0 if resort else self._order_age + 1
-        # set again when the records are there, so that an interrupted frame leaves nothing to go by
+        # set again when the records exist, so that an interrupted frame is not taken for a complete one
         self._seen, self._order_age = None, self._config.debug.sort_period
         self.cost, self._costs, self.item_costs = None, None, ()
         self._shown = arena.shown
@@ -152,7 +152,7 @@ class Pipeline:
 
     def _sort_on_host(self, view: Camera, timer: StageTimer, resort: bool, costed: bool) -> None:
         ranges = self._arena.ranges
-        self._key.run(ranges)  # also with an old order: keys know the covered box
+        self._key.run(ranges)  # also with an old order: the covered box comes from the keys
         timer.mark("key")
         keys, tiles, costs = self._key.read()
         if costed:
@@ -177,7 +177,7 @@ class Pipeline:
     ) -> None:
         """Do step 4: draw backgrounds (``boxed``: inside the covered box only), then every record.
 
-        Raises what ``slices.between`` raises.
+        Raises the exceptions of ``slices.between``.
         """
         if mesh_pass is not None:
             mesh_pass.use()
@@ -223,7 +223,7 @@ class Pipeline:
         timer.mark("read")
 
     def added(self, stats: FrameStats) -> FrameStats:
-        """Return ``stats`` plus what this pass did."""
+        """Return ``stats`` plus the counts of this pass."""
         return stats.plus(self.drawn, self.culled, self.covered, self.cost or 0)
 
     def _itemised(self, costs: NDArray[np.uint32]) -> tuple[int, ...]:
@@ -234,7 +234,7 @@ class Pipeline:
         return tuple((BLOCK_PIXELS * blocks).tolist())
 
     def _count(self) -> None:
-        """Read back what the GPU sorter counted."""
+        """Read back the counts of the GPU sorter."""
         assert self._sorter is not None
         self._project.count, culled, blocks = self._sorter.counts()
         self.culled = self._without_padding(culled)
@@ -269,5 +269,5 @@ def _in_arena(order: NDArray[np.uint32], ranges: Sequence[tuple[int, int]]) -> N
 
 
 def view_state(camera: Camera) -> tuple[object, ...]:
-    """Return everything of a camera that decides records."""
+    """Return the parts of a camera that records depend on."""
     return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, camera.near, camera.far

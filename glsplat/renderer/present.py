@@ -38,7 +38,7 @@ class Present:
         self._box = (0, 0, 0, 0)
 
     def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
-        """Set what lies over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window, or None."""
+        """Set the text over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window; None removes it."""
         if image is None:
             self._box = (0, 0, 0, 0)
             return

@@ -24,7 +24,7 @@ class ProjectPass:
         program = programs.feedback("project", variant, [name for name, _ in record_layout(variant)])
         self.count: int = 0
         self._orphans = not context.software  # a GPU may still read the last order; software has finished
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             self.order: moderngl.Buffer = owned(stack, ctx.buffer(reserve=max(16, count * 4), dynamic=True))
             size = max(16, count * variant.record_floats * 4)
             self.records: moderngl.Buffer = owned(stack, ctx.buffer(reserve=size))

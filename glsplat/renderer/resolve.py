@@ -20,11 +20,11 @@ from glsplat.shaders.slots import UNITS
 __all__ = ["ResolvePass", "ResolveStep", "StepTextures", "checked_step"]
 
 MAX_TEXTURES = 64
-"""Textures of steps; of 16 KiB each, as many sessions can take turns without any being made anew."""
+"""Textures of steps, 16 KiB each: so many sessions can take turns without uploads."""
 
 
 class ResolveStep(Protocol):
-    """Draws into 8-bit pictures before rounding (``Renderer.step``). A hashable value: equal ones draw alike."""
+    """Draws into 8-bit pictures before rounding (``Renderer.step``). A hashable value: equal steps draw alike."""
 
     @property
     def source(self) -> str:
@@ -34,7 +34,7 @@ class ResolveStep(Protocol):
         """
 
     def tile(self) -> NDArray[np.float32]:
-        """Return what ``step_texture`` holds [H, W], row 0 first; not filtered."""
+        """Return the content [H, W] of ``step_texture``, row 0 first; it is not filtered."""
 
     def __hash__(self) -> int: ...
 
@@ -53,7 +53,7 @@ def checked_step(step: ResolveStep | None, boxed: bool) -> ResolveStep | None:
 
 
 class StepTextures:
-    """Owns a texture for each of the steps used last."""
+    """Owns the textures of recently used steps."""
 
     def __init__(self, context: Context) -> None:
         self._context = context

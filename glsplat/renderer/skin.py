@@ -1,7 +1,7 @@
 """Skin: write an item's splats into the arena, posed and placed, by transform feedback.
 
-skin.vert.glsl blends an avatar's bones; place.vert.glsl moves splats without a skeleton. An item is written once a
-movement, whatever the number of views.
+skin.vert.glsl blends an avatar's bones; place.vert.glsl moves splats without a skeleton. An item is written once
+per movement, for any number of views.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from glsplat.shaders.slots import UNITS
 
 __all__ = ["Placement", "SkinPass", "near_eye"]
 
-_BATCH_ROWS = 64  # written at a time: bounds the scratch buffer to 4 MB
+_BATCH_ROWS = 64  # rows written at a time; limits the scratch buffer to 4 MB
 _POSED_BYTES = 64  # a splat
 
 _FAR_M = 1000.0
-"""Metres from their common origin within which float32 places items finer than anybody sees: 0.06 mm."""
+"""Metres from the common origin up to which float32 positions are exact enough: to 0.06 mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ class Placement:
 
     @property
     def moved(self) -> bool:
-        """Whether splats without a skeleton look different from what was loaded."""
+        """Whether splats without a skeleton differ from the loaded ones."""
         return self.opacity != 1 or not self.unmoved
 
     def same(self, other: Placement | None) -> bool:
@@ -64,7 +64,7 @@ class Placement:
         return other is not None and all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
 
     def anchor(self, centre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """Return the world position [3] near which the item lies: its root joint, or its ``centre`` [3]."""
+        """Return a scene position [3] near the item: its root joint, or its ``centre`` [3]."""
         local = centre if self.bones is None else self.bones[0, :, 3]
         assert local is not None
         return self.size * (self.turn @ local) + self.offset

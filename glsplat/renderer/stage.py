@@ -1,7 +1,7 @@
 """Stage: upload the splats of an item, once for each level of detail that is drawn.
 
-Splats without a skeleton go into a texture that is drawn from as it is while they stand alone and unmoved. The skin
-pass (skin.py) reads all others and writes them posed into the arena.
+Splats without a skeleton go into a texture. A single unmoved item is drawn from it directly; the skin pass (skin.py)
+writes all others posed into the arena.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROW = 1 << ROW_BITS["330"]
 """Splats per row of the arena's textures (arena.glsl)."""
 
 NEAR_M = 16.0
-"""Metres from the origin within which float32 coordinates are kept as they are."""
+"""Metres from the origin up to which float32 coordinates need no offset."""
 
 _ENTRIES_PER_ROW = 1024  # of the texture of shapes (shapes.glsl)
 _SMALLEST = 16  # bytes: OpenGL has no empty buffers
@@ -68,7 +68,7 @@ class ItemBuffers:
         self._arrays: dict[SkinVariant | Variant, moderngl.VertexArray] = {}
         self._buffers: list[moderngl.Buffer] = []
         self._content: list[tuple[object, ...]] = []
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             if skin is None:
                 self.rest = upload_rows(context.ctx, self._static(12), 3, 4, stack)
                 if not context.vertex_ids:
@@ -95,7 +95,7 @@ class ItemBuffers:
         return rest + shapes + sum(buffer.size for buffer in self._buffers)
 
     def array(self, variant: SkinVariant | Variant) -> moderngl.VertexArray:
-        """Return what draws the splats through the program of ``variant``, a form of ``self.variant``."""
+        """Return the vertex array of the splats for the program of ``variant``, a form of ``self.variant``."""
         if variant not in self._arrays:
             skinned = isinstance(variant, SkinVariant)
             program = self._programs.feedback("skin" if skinned else "place", variant, _POSED)

@@ -1,4 +1,4 @@
-"""FrameStats: what one call of render() did, added up over its passes."""
+"""FrameStats: counts of one call of render(), summed over its passes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["FrameStats", "union"]
 
 @dataclass(frozen=True)
 class FrameStats:
-    """What one call of render() did."""
+    """Counts of one call of render(), summed over its passes."""
 
     splats: int  # in the scene, at the levels of detail that were drawn
     drawn: int  # of these, summed over the passes of the call

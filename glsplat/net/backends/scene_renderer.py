@@ -59,7 +59,7 @@ class _Shown:
     headless_figure: Rigged
     label_bounds: FigureBounds
     whole: tuple[Item, ...]
-    headless: tuple[Item, ...]  # what pictures show that hide the person's own head
+    headless: tuple[Item, ...]  # shown in pictures that hide the person's own head
     split: bool  # ``headless`` lacks the head; False: no picture has needed that yet
 
     @property
