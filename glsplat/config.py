@@ -11,7 +11,7 @@ import numpy as np
 from glsplat.arrays import count, instance, number
 from glsplat.errors import GlsplatError
 
-__all__ = ["CULL_PSNR", "LEAN", "MAX_BIAS", "MAX_LEVELS", "DebugConfig", "RenderConfig", "with_fields"]
+__all__ = ["CULL_PSNR", "LEAN", "MAX_BIAS", "MAX_LEVELS", "MAX_SIGMA", "DebugConfig", "RenderConfig", "with_fields"]
 
 CULL_PSNR = 45.0
 """Smallest ``Splats.cones_psnr`` in dB at which ``cull_hidden="auto"`` culls an item's hidden splats."""
@@ -21,6 +21,9 @@ MAX_LEVELS = 16
 
 MAX_BIAS = 8.0
 """Maximum magnitude of lod_bias."""
+
+MAX_SIGMA = 3.33
+"""Radius of an opaque splat in standard deviations: alpha is 1/255 there."""
 
 Target = Literal["auto", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
@@ -109,7 +112,7 @@ class RenderConfig:
     antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: by Splats.antialias
     cull_hidden: bool | Literal["auto"] = False  # cull splats seen from outside their visibility cone
     # (authoring/cones.py); auto: only of items with a cones_psnr of CULL_PSNR or more
-    max_sigma: float = 3.33  # maximum radius of a splat in standard deviations
+    max_sigma: float = MAX_SIGMA  # maximum radius of a splat in standard deviations
     level: int | Literal["auto"] = 0  # level of detail: 0 the finest, higher are coarser; auto: by pixels
     lod_bias: float = 0.0  # bias of auto: 1 takes levels sharp enough for twice the pixels, -1 for half
     debug: DebugConfig = DebugConfig()
@@ -124,8 +127,8 @@ class RenderConfig:
         _choose(self, "level", "auto", *range(MAX_LEVELS + 1))
         _limit(self, "lod_bias", -MAX_BIAS, MAX_BIAS)
         sigma = number(self.max_sigma, "max_sigma", GlsplatError)
-        if not 0 < sigma <= 3.33:
-            raise GlsplatError(f"max_sigma needs a number above 0, at most 3.33, not {sigma:g}")
+        if not 0 < sigma <= MAX_SIGMA:
+            raise GlsplatError(f"max_sigma needs a number above 0, at most {MAX_SIGMA}, not {sigma:g}")
         object.__setattr__(self, "max_sigma", sigma)
         instance(self.debug, DebugConfig, "debug", GlsplatError)
 

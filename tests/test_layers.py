@@ -32,9 +32,9 @@ FLOORS = [
 # Within a room its modules may have an order of their own; modules that are not named come last.
 WITHIN = {
     "renderer": [
-        ["checks", "frame_block", "levels", "owned", "sort", "stats"],
-        ["gpu_sort", "lru_cache", "project", "stage"],
-        ["skin", "targets"],
+        ["checks", "frame_block", "levels", "owned", "stats"],
+        ["lru_cache", "project", "sort", "stage"],
+        ["gpu_sort", "skin", "targets"],
         ["mesh_buffers"],
         ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],
         ["key"],

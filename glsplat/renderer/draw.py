@@ -10,7 +10,8 @@ import moderngl
 
 from glsplat.camera import Camera
 from glsplat.gl.context import Context
-from glsplat.renderer.targets import Box, Target
+from glsplat.renderer.stats import Box
+from glsplat.renderer.targets import Target
 from glsplat.shaders import Programs, Variant, record_layout
 
 __all__ = ["MAX_PULLED", "BackgroundPass", "DrawPass", "Slices", "corners_of", "fits"]
@@ -93,10 +94,6 @@ class DrawPass:
             offset += floats * 4
         self._begin_at(0)
 
-    def run(self, target: Target, count: int, indirect: moderngl.Buffer | None = None) -> None:
-        """Blend ``count`` records in order; ``indirect`` holds the number if only the GPU knows it."""
-        self._run(target, 0, count, indirect)
-
     def run_slices(self, target: Target, ends: Sequence[int], between: Callable[[], None]) -> None:
         """Blend the records in several draws, which end at the record numbers ``ends``.
 
@@ -109,12 +106,13 @@ class DrawPass:
                     self._ctx.finish()
                     between()
                 self._begin_at(begin)
-                self._run(target, begin, end)
+                self.run(target, end, begin)
                 begin = end
         finally:
             self._begin_at(0)
 
-    def _run(self, target: Target, begin: int, end: int, indirect: moderngl.Buffer | None = None) -> None:
+    def run(self, target: Target, end: int, begin: int = 0, indirect: moderngl.Buffer | None = None) -> None:
+        """Blend records ``begin`` to ``end`` in order; ``indirect`` holds their number if only the GPU knows it."""
         target.framebuffer.use()
         if begin == end:
             return

@@ -10,7 +10,7 @@ import numpy as np
 from glsplat.errors import ContextError
 from glsplat.renderer.owned import owned
 from glsplat.renderer.sort import CULL_REASONS
-from glsplat.shaders import Programs
+from glsplat.shaders import Programs, set_uniforms
 
 __all__ = ["GpuSorter"]
 
@@ -84,10 +84,7 @@ class GpuSorter:
 
     def _dispatch(self, name: str, groups: int, **settings: int | bool) -> None:
         program = self._stages[name]
-        for key, value in {"count": self._count, "groups": self._groups, **settings}.items():
-            uniform = program.get(key, None)  # a stage keeps only the uniforms it reads
-            if isinstance(uniform, moderngl.Uniform):
-                uniform.value = value
+        set_uniforms(program, {"count": self._count, "groups": self._groups, **settings})
         program.run(groups)
         self._ctx.memory_barrier()
 

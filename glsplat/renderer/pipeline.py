@@ -27,8 +27,8 @@ from glsplat.renderer.project import ProjectPass
 from glsplat.renderer.read_back import read_bytes, read_floats
 from glsplat.renderer.resolve import ResolvePass, ResolveStep
 from glsplat.renderer.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
-from glsplat.renderer.stats import FrameStats
-from glsplat.renderer.targets import Box, ByteTarget, Target
+from glsplat.renderer.stats import Box, FrameStats
+from glsplat.renderer.targets import ByteTarget, Target
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
@@ -186,7 +186,7 @@ class Pipeline:
         if slices is not None and slices.between is not None and (self.cost or 0) > slices.cost:
             self._draw.run_slices(target, self._slices(slices.cost), slices.between)
         else:
-            self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
+            self._draw.run(target, self._project.count, indirect=self._sorter.indirect if self._sorter else None)
         timer.mark("draw")
 
     def resolve(

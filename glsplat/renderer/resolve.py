@@ -13,8 +13,9 @@ from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.renderer.lru_cache import LruCache
-from glsplat.renderer.targets import Box, ByteTarget, Target
-from glsplat.shaders import Programs, ResolveVariant, Variant
+from glsplat.renderer.stats import Box
+from glsplat.renderer.targets import ByteTarget, Target
+from glsplat.shaders import Programs, ResolveVariant, Variant, set_uniforms
 from glsplat.shaders.slots import UNITS
 
 __all__ = ["ResolvePass", "ResolveStep", "StepTextures", "checked_step"]
@@ -111,11 +112,8 @@ class ResolvePass:
         self._ctx.enable_only(moderngl.NOTHING)
         source.texture.use(UNITS["target"])
         views, rows, _, _ = into.shape
-        background = program.get("background", None)
         for view in range(views):
-            if isinstance(background, moderngl.Uniform):
-                background.value = cameras[view].background
-            program["view"] = view, 0, view * rows
+            set_uniforms(program, {"background": cameras[view].background, "view": (view, 0, view * rows)})
             self._ctx.viewport = (x, view * rows + y, width, height)
             array.render(moderngl.TRIANGLES, vertices=3)
         self._ctx.viewport = (0, 0, into.shape[2], views * rows)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from glsplat.gl.context import Context
 from glsplat.renderer.stage import ROW, ItemBuffers, rows_of
 from glsplat.rotations import is_rigid, rodrigues_parameters
-from glsplat.shaders import SkinVariant
+from glsplat.shaders import SkinVariant, set_uniforms
 from glsplat.shaders.slots import UNITS
 
 __all__ = ["Placement", "SkinPass", "near_eye"]
@@ -146,9 +146,7 @@ def _skinned(
     assert isinstance(item.variant, SkinVariant) and placement.bones is not None
     shapes = item.shapes if placement.weights is not None else None
     array = item.array(replace(item.variant, turned=int(turned), shaped=int(shapes is not None)))
-    shift = array.program.get("shift", None)
-    if isinstance(shift, moderngl.Uniform):
-        shift.value = 1.0 if is_rigid(placement.bones) else 3.0
+    set_uniforms(array.program, {"shift": 1.0 if is_rigid(placement.bones) else 3.0})
     item.bones.write(placement.local_bones(item.centre, origin).astype(np.float32))
     item.bones.use(UNITS["bones"])
     if shapes is not None and placement.weights is not None:

@@ -13,7 +13,7 @@ from glsplat.gl.context import Context
 from glsplat.renderer.lru_cache import LruCache
 from glsplat.renderer.owned import owned
 
-__all__ = ["FORMATS", "Box", "ByteTarget", "Target", "TargetPool"]
+__all__ = ["FORMATS", "ByteTarget", "Target", "TargetPool"]
 
 FORMATS = {"8": "f1", "16f": "f2", "32f": "f4"}
 """RenderConfig.target -> moderngl dtype."""
@@ -23,9 +23,6 @@ MAX_SIZES = 4
 
 MAX_BYTES = 256 * 2**20
 """Bytes of targets of sizes other than the current one."""
-
-Box = tuple[int, int, int, int]
-"""Pixels: x, y, width, height, from the top left corner."""
 
 _NUMPY = {"f1": np.uint8, "f2": np.float16, "f4": np.float32}
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.net.room_view import Label
-from glsplat.renderer.stats import union
+from glsplat.renderer.stats import Box, union
 
 __all__ = ["draw_labels"]
 
@@ -40,7 +40,6 @@ _GAP_PX, _MOVED_OPACITY = 2.0, 0.8  # pixels between two boards, and the opacity
 _BOARD_ALPHA, _INK_GREY = 0.6, 240  # alpha of the board, grey of the letters
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 
-Box = tuple[int, int, int, int]  # x, y, width, height
 F64 = NDArray[np.float64]
 
 
