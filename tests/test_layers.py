@@ -32,7 +32,8 @@ FLOORS = [
 # Within a room its modules may have an order of their own; modules that are not named come last.
 WITHIN = {
     "renderer": [
-        ["checks", "frame_block", "levels", "lru_cache", "project", "sort", "stage", "stats"],
+        ["checks", "frame_block", "levels", "owned", "stats"],
+        ["lru_cache", "project", "sort", "stage"],
         ["gpu_sort", "skin", "targets"],
         ["mesh_buffers"],
         ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],

@@ -29,7 +29,7 @@ __all__ = [
     "AvatarInfo",
     "Backend",
     "Interruptible",
-    "Placing",
+    "MemoryTarget",
     "PoseSolver",
     "RenderJob",
     "Rendered",
@@ -108,10 +108,10 @@ class Interruptible(Protocol):
 
 
 @runtime_checkable
-class Placing(Protocol):
+class MemoryTarget(Protocol):
     """A backend that can draw into given memory, which saves a copy."""
 
-    place: NDArray[np.uint8] | None
+    out: NDArray[np.uint8] | None
     """Set before ``render``: uninitialised, contiguous memory for its images [V, H, W, 4]; None: its own memory."""
 
 

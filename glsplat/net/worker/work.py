@@ -19,7 +19,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import Backend, Interruptible, Placing, Rendered
+from glsplat.net.backend import Backend, Interruptible, MemoryTarget, Rendered
 from glsplat.net.worker.slot_writer import SlotWriter, slot_writers
 from glsplat.net.worker.wire import Kind, Order, Reader, RenderResult, failure_of, greet, pack
 
@@ -122,8 +122,8 @@ class _Worker:
             backend.abandoned = lambda: self._abandoned == number
         shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
         try:
-            if isinstance(backend, Placing):
-                backend.place = None if slot is None else slot.place(shape)
+            if isinstance(backend, MemoryTarget):
+                backend.out = None if slot is None else slot.place(shape)
             rendered = backend.render(job)
             if slot is not None:
                 slot.put(rendered, shape)

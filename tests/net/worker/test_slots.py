@@ -17,7 +17,7 @@ from glsplat.camera import Camera, head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.net.backend import Placing, RenderJob
+from glsplat.net.backend import MemoryTarget, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.worker import slots
 from glsplat.net.worker.process import process_worker
@@ -124,16 +124,16 @@ async def test_a_slot_gets_the_same_picture_without_a_copy():
     slots.unlink()
     backend.open()
     try:
-        assert isinstance(backend, Placing)
+        assert isinstance(backend, MemoryTarget)
         for side in (96, 64, 80):  # what is left of a larger picture must not shine through
             request, shape = RenderJob(frame_id=1, cameras=pair(side)), (2, side, side, 4)
-            backend.place = None
+            backend.out = None
             expected = backend.render(request).images
             slot = await slots.take(shape)
-            backend.place = writers[slot.number].place(shape)
-            backend.place.fill(77)
+            backend.out = writers[slot.number].place(shape)
+            backend.out.fill(77)
             rendered = backend.render(request)
-            assert rendered.images is backend.place
+            assert rendered.images is backend.out
             writers[slot.number].put(rendered, shape)
             np.testing.assert_array_equal(slot.picture, expected)
             slot.give_back()
