@@ -1,4 +1,4 @@
-"""The one table of all that turns sound into a mouth: visemes.json, which the page reads too (``net/web/voice``)."""
+"""The one table of all that turns sound into a mouth: visemes.json, which the page reads too."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 __all__ = ["Framing", "Table", "table", "table_json"]
 
-_FILE = "visemes.json"
+_FILE = "web/voice/visemes.json"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,8 @@ from aiohttp import web
 
 from glsplat.formats.motion_files import embedded_motions
 from glsplat.net.feature import Feature, ServerView
-from glsplat.net.pages.site import File, Site
+from glsplat.net.pages.site import File, Site, page_files
 from glsplat.net.rights import user_of
-from glsplat.optional import plugin
 
 __all__ = ["Pages", "set_headers"]
 
@@ -23,11 +22,6 @@ _DEFAULT_HEADERS = {
 }
 
 _RECORDING = "recording.jsonl"
-_TABLES = {
-    "draw/programs.json": ("browser.web_shaders", "programs_json"),
-    "voice/visemes.json": ("speech.table", "table_json"),
-}
-"""Files of the page that functions of extras make: module and function. Without the extra a file is not served."""
 
 
 class Pages(Feature):
@@ -45,7 +39,7 @@ class Pages(Feature):
             web.get("/session", self._session),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
-            *Site(resources.files("glsplat.net") / "web", _tables()).routes(),
+            *Site(page_files()).routes(),
         ]
 
     async def _healthz(self, request: web.Request) -> web.Response:
@@ -74,11 +68,6 @@ async def set_headers(request: web.Request, response: web.StreamResponse) -> Non
     response.headers.update(_HEADERS)
     for name, value in _DEFAULT_HEADERS.items():
         response.headers.setdefault(name, value)
-
-
-def _tables() -> dict[str, bytes]:
-    modules = {path: (plugin(module), function) for path, (module, function) in _TABLES.items()}
-    return {path: getattr(module, function)() for path, (module, function) in modules.items() if module is not None}
 
 
 @cache

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from math import cos, inf, nan, pi, sin, tan
 from pathlib import Path
 
@@ -18,9 +16,7 @@ from glsplat.extras.openxr.placing import VIEWS, heading, placing, standing
 from glsplat.extras.openxr.room import plane_from_pixel, surroundings
 from glsplat.extras.openxr.runtime import Fov, ViewPose
 from glsplat.rotations import FLIP_X
-from tests import needs
-
-WEB = Path(__file__).resolve().parents[3] / "glsplat" / "net" / "web" / "space"
+from tests.in_node import run_script
 
 
 def random_pose(rng: np.random.Generator) -> tuple[float, ...]:
@@ -117,21 +113,15 @@ def test_planes_are_met_where_rays_meet_them(rng: np.random.Generator) -> None:
 @pytest.mark.check
 def test_the_page_places_views_likewise(rng: np.random.Generator, tmp_path: Path) -> None:
     """placing.js by node: the same views for the same heads."""
-    needs.require("node")
-    shutil.copytree(WEB, tmp_path / "space")
-    (tmp_path / "package.json").write_text('{"type": "module"}')  # older ones take .js for no module without it
     heads = [matrix_of(random_pose(rng)) for _ in range(12)]  # type: ignore[arg-type]
     heads += [matrix_of((0.1, 1.6, 0, sign * sin(pi / 4), 0, 0, cos(pi / 4))) for sign in (1, -1)]
     script = f"""
-        import {{ placing, standing, serverEye, VIEWS }} from '{(tmp_path / "space" / "placing.js").as_uri()}';
+        import {{ placing, standing, serverEye, VIEWS }} from './space/placing.js';
         const eye = {json.dumps(heads[0].T.ravel().tolist())};
         console.log(JSON.stringify([VIEWS, {json.dumps([h.T.ravel().tolist() for h in heads])}.map((head) => [
             standing(head), ...VIEWS.map((view) => [placing(view, head), serverEye(placing(view, head), eye)])])]));
     """
-    done = subprocess.run(
-        ["node", "--input-type=module", "-e", script], capture_output=True, text=True, timeout=60, check=True
-    )
-    names, theirs = json.loads(done.stdout)
+    names, theirs = json.loads(run_script(tmp_path, script))
     assert tuple(names) == VIEWS
     for head, (stood, *views) in zip(heads, theirs, strict=True):
         x, z, sine, cosine = standing(head)

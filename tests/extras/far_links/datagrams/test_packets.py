@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import base64
 import json
-import shutil
-import subprocess
 from pathlib import Path
 from random import Random
 
 import numpy as np
 import pytest
 
-import glsplat
 from glsplat.extras.far_links.datagrams.erasure import parity_of, restored
 from glsplat.extras.far_links.datagrams.packets import HEAD, LARGEST, PIECE, REQUEST, Assembler, groups_of, packets_of
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
-from tests.needs import program, require
+from tests.in_node import run_script
 
-STREAM = Path(glsplat.__file__).parent / "net" / "web" / "stream"
 SIZES = (1, PIECE - 1, PIECE, PIECE + 1, 63_000, 160 * PIECE, 160 * PIECE + 1, 500_000)
 
 
@@ -112,9 +108,6 @@ def test_nearly_all_pictures_are_whole(loss: float, pieces: int) -> None:
 
 @pytest.mark.check
 def test_the_page_puts_together_what_python_sent_and_the_other_way_round(tmp_path: Path) -> None:
-    require("node")
-    shutil.copytree(STREAM, tmp_path / "stream")
-    (tmp_path / "package.json").write_text('{"type": "module"}')
     chance, cases = Random(8), []
     for number, (nbytes, parity) in enumerate([(1, 1), (PIECE, 2), (63_000, 5), (160 * PIECE + 1, 3), (400_000, 9)]):
         message = chance.randbytes(nbytes)
@@ -133,11 +126,8 @@ for (const datagrams of JSON.parse(readFileSync(0, 'utf8'))) {
 const asked = piecesOf(5, 'ä'.repeat(3000)).map((one) => Buffer.from(one).toString('base64'));
 console.log(JSON.stringify([out, asked]));
 """
-    (tmp_path / "run.js").write_text(script)
     given = json.dumps([datagrams for _, datagrams in cases])
-    node = [program("node"), str(tmp_path / "run.js")]
-    done = subprocess.run(node, input=given, stdout=subprocess.PIPE, check=True, text=True)
-    out, asked = json.loads(done.stdout)
+    out, asked = json.loads(run_script(tmp_path, script, given))
     assert [[base64.b64decode(one) for one in found] for found in out] == [[message] for message, _ in cases]
     whole = Assembler(REQUEST, 65_536)
     found = [whole.add(base64.b64decode(one)) for one in asked]
