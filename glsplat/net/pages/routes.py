@@ -22,6 +22,7 @@ _DEFAULT_HEADERS = {
 }
 
 _RECORDING = "recording.jsonl"
+_VOICE = "voice/panel.js"  # of extras/speech
 
 
 class Pages(Feature):
@@ -30,6 +31,7 @@ class Pages(Feature):
     async def start(self, server: ServerView) -> None:
         """Keep the server, whose state the pages show."""
         self._server = server
+        self._site = Site(page_files())
 
     def routes(self) -> list[web.RouteDef]:
         """Return the addresses of every server, without the WebSocket's."""
@@ -39,7 +41,7 @@ class Pages(Feature):
             web.get("/session", self._session),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
-            *Site(page_files()).routes(),
+            *self._site.routes(),
         ]
 
     async def _healthz(self, request: web.Request) -> web.Response:
@@ -50,8 +52,8 @@ class Pages(Feature):
         return web.json_response(self._server.stats(user_of(request)))
 
     async def _session(self, request: web.Request) -> web.Response:
-        embedded = {"motions": embedded_motions(), "recording": True}
-        return web.json_response({"v": 1, **self._server.session(user_of(request)), **embedded})
+        own = {"motions": embedded_motions(), "recording": True, "voice": _VOICE in self._site.files}
+        return web.json_response({"v": 1, **self._server.session(user_of(request)), **own})
 
     async def _motion(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]

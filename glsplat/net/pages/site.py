@@ -17,7 +17,7 @@ from aiohttp import web
 
 from glsplat.optional import plugin
 
-__all__ = ["File", "Site", "page_files", "page_folders", "read_folder"]
+__all__ = ["STATIC_IMPORT", "File", "Site", "page_files", "page_folders", "read_folder"]
 
 _TYPES = {
     "html": "text/html",
@@ -32,7 +32,7 @@ _TYPES = {
     "txt": "text/plain",
 }
 _SCRIPT = re.compile(rb'<script type="module" src="([^"]+)">')
-_IMPORT = re.compile(
+STATIC_IMPORT = re.compile(
     rb"""^(?:import|export|\}) (?:[^'"\n]*? from )?['"](\.[^'"]+)['"]""", re.MULTILINE
 )  # static imports of a module; no import() calls
 _TEXT = ("html", "css", "js", "json", "jsonl", "svg", "txt")
@@ -122,7 +122,7 @@ def preloading(path: str, bodies: Mapping[str, bytes]) -> bytes:
     first = posixpath.normpath(posixpath.join(posixpath.dirname(path), script[1].decode()))
     found = [first]
     for module in found:  # breadth first: the list grows meanwhile
-        for name in _IMPORT.findall(bodies.get(module, b"")):
+        for name in STATIC_IMPORT.findall(bodies.get(module, b"")):
             other = posixpath.normpath(posixpath.join(posixpath.dirname(module), name.decode()))
             if other not in found and other in bodies:
                 found.append(other)

@@ -1,8 +1,6 @@
 // The page of docs/vr.md: makes the parts and ties them together.
 
 import { Page } from './page.js';
-import { PhotoForm } from './photo/form.js';
-import { Upload } from './photo/upload.js';
 import { Settings } from './settings.js';
 import { Dock } from './show/dock.js';
 import { Elsewhere } from './show/elsewhere.js';
@@ -11,15 +9,14 @@ import { Orbit } from './show/orbit.js';
 import { Stage } from './show/stage.js';
 import { Viewer } from './show/viewer.js';
 import { Immersive, support } from './show/xr.js';
+import { SPLATS_CACHE } from './storage.js';
 import { Connection } from './stream/connection.js';
 import { Calibration } from './track/calibration.js';
 import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Living } from './track/living.js';
 import { Recorder } from './track/recorder.js';
-import { addVoice } from './voice/panel.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
-const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
 const SOON = 2000; // ms until a server that still loads avatars is asked again
 const NUMBERS = 500; // ms between two looks at the figures
 const CIRCLE = 1.2; // metres from the middle of a room to who stands in it, at least
@@ -57,11 +54,8 @@ if (asked.has('emulate')) {
 const inWorker = asked.get('decode') !== 'main';
 const stage = new Stage(gl, connection, settings, { inWorker });
 const orbit = new Orbit();
-const voice = addVoice(document.getElementById('controls'));
-stage.speaks = () => Object.keys(voice.weights() ?? {}).length > 0;
 const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
-voice.addEventListener('leap', () => viewer.askNow());
-viewer.onAsked = () => voice.sent();
+viewer.onAsked = () => voice?.sent();
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
   record: () => toggleRecording(),
@@ -71,7 +65,7 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   calibration,
   recorder,
   driven: () => chosenAvatar()?.tracking ?? true,
-  speaks: (sample) => voice.speaks(sample),
+  speaks: (sample) => voice?.speaks(sample) ?? sample,
   measured: () => measured,
   onCalibrated: (result) => {
     measured = result;
@@ -88,27 +82,52 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   },
 });
 
-const upload = new Upload(connection);
-const photo = new PhotoForm(document, upload, {
-  async wear(name) {
-    await askOffer();
-    settings.set('avatar', name);
-  },
-  /** Returns why it could not be deleted, or nothing. */
-  async remove(name) {
-    settings.set('avatar', offer.avatars[0].name); // this page need not be put out
-    const response = await connection.fetch(`avatars/${name}`, { method: 'DELETE' }).catch(() => null);
-    await askOffer();
-    return response?.ok ? '' : ((await response?.text()) ?? 'the server does not answer');
-  },
+// Parts of the page that extras bring, each loaded when the server first offers what it is for.
+let voice = null; // extras/speech
+let photo = null; // extras/uploads
+
+const addHere = once(async () => {
+  stage.addHere((await import('./show/here.js')).Here);
+  wear();
 });
+
+const addVoice = once(async () => {
+  voice = (await import('./voice/panel.js')).addVoice(document.getElementById('controls'), stage);
+  voice.addEventListener('leap', () => viewer.askNow());
+});
+
+const addPhoto = once(async () => {
+  const { addPhoto: add } = await import('./photo/photo.js');
+  photo = await add(document.getElementById('no-photo'), connection, {
+    async wear(name) {
+      await askOffer();
+      settings.set('avatar', name);
+    },
+    /** Returns why it could not be deleted, or nothing. */
+    async remove(name) {
+      settings.set('avatar', offer.avatars[0].name); // this page need not be put out
+      const response = await connection.fetch(`avatars/${name}`, { method: 'DELETE' }).catch(() => null);
+      await askOffer();
+      return response?.ok ? '' : ((await response?.text()) ?? 'the server does not answer');
+    },
+    made: askOffer,
+  });
+  photo.height = settings.get('height');
+  photo.offered(offer.upload, chosenAvatar());
+});
+
+/** Calls `load` at the first call alone; the user is told where it fails. */
+function once(load) {
+  let loading = null;
+  return () => (loading ??= load().catch((error) => complain(`a part of this page did not load: ${error.message}`)));
+}
 
 const dock = new Dock(document, settings, {
   async picture(name) {
     const response = await connection.fetch(`thumbnails/${encodeURIComponent(name)}`);
     return response.status === 200 ? URL.createObjectURL(await response.blob()) : null; // 204: deleted meanwhile
   },
-  add: () => page.show(offer?.upload ? 'photo' : 'no-photo'),
+  add: () => page.show(photo && offer?.upload ? 'photo' : 'no-photo'),
   worn: () => chosenAvatar()?.name,
 });
 const elsewhere = new Elsewhere(document, async () => (await connection.fetch('reach')).json());
@@ -141,6 +160,7 @@ function standAround() {
 
 /** What moves the avatar, and its mouth. Who cannot be moved has none. */
 function speaking(drive) {
+  if (!voice) return drive;
   if (drive.tracking) return { ...drive, tracking: voice.speaks(drive.tracking) };
   const moves = drive.pose || (voice.state === 'on' && (chosenAvatar()?.tracking ?? true));
   return moves ? { ...drive, pose: voice.speaks(drive.pose ?? {}) } : drive;
@@ -149,7 +169,7 @@ function speaking(drive) {
 /** The stage knows whom it shows. */
 function wear() {
   stage.canHide = Boolean(chosenAvatar()?.head);
-  stage.here.offer = chosenAvatar()?.hand_out ?? null;
+  if (stage.here) stage.here.offer = chosenAvatar()?.hand_out ?? null;
   stage.framing.furnished = offer?.rooms?.find(({ name }) => name === settings.get('room'))?.scene ?? true;
   standAround();
 }
@@ -196,12 +216,15 @@ function offered(session) {
   connection.videos = session.video ?? [];
   settings.setDefault('light', !session.light); // who started it with a light means that one
   wear();
-  stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));
-  photo.offered(session.upload, chosenAvatar());
+  const handedOut = session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean);
+  if (stage.here) stage.here.handedOut(handedOut);
+  else if (handedOut.length) addHere().then(() => stage.here?.handedOut(handedOut));
+  else globalThis.caches?.delete(SPLATS_CACHE).catch(() => {}); // what a server handed out earlier
+  if (session.voice) addVoice();
+  if (photo) photo.offered(session.upload, chosenAvatar());
+  else if (session.upload) addPhoto();
   document.getElementById('no-photo').hidden = Boolean(session.upload);
   if (session.loading) setTimeout(askOffer, SOON); // there will be more to choose from
-  const making = sessionStorage.getItem(MAKING);
-  if (making && upload.now.state === 'idle') upload.resume(making);
 }
 
 /** The sides of a square picture for a server's limit: pictures may be 1.5 times as high as a square, or as wide. */
@@ -326,17 +349,12 @@ settings.addEventListener('change', ({ detail: { name } }) => {
   if (name === 'name' && !settings.get('room')) return; // nobody asks for it
   if (['avatar', 'height', 'room', 'name'].includes(name)) {
     wear();
-    photo.wears(chosenAvatar());
-    photo.height = settings.get('height');
+    photo?.wears(chosenAvatar());
+    if (photo) photo.height = settings.get('height');
     orbit.changed();
     stage.clear();
     if (connection.state !== 'off') connection.restart();
   }
-});
-upload.addEventListener('change', () => {
-  if (upload.busy && upload.now.name) sessionStorage.setItem(MAKING, upload.now.name);
-  else sessionStorage.removeItem(MAKING);
-  if (upload.now.state === 'done') askOffer();
 });
 connection.awake = () => !document.hidden || immersive.mode !== ''; // a page in the background asks for nothing
 document.addEventListener('visibilitychange', () => {
@@ -359,14 +377,14 @@ connection.token = sessionStorage.getItem(TOKEN);
 orbit.attach(canvas);
 viewer.covered = () => page.covered();
 viewer.ready = () => viewer.driver !== null; // who moves is not shown standing first
-viewer.rests = () => upload.busy; // who makes an avatar needs the machine, which may be this one
+viewer.rests = () => photo?.busy ?? false; // who makes an avatar needs the machine, which may be this one
 viewer.onDrive = ({ tracking, t }) => {
   if (recorder.recording && tracking) recorder.add(tracking, t);
 };
 support().then((found) => page.xr(found));
 navigator.xr?.addEventListener?.('devicechange', () => support().then((found) => page.xr(found)));
 setInterval(() => {
-  page.drawn(stage.here.stats());
+  page.drawn(stage.renderedBy);
   page.atFace(orbit.close);
   if (stage.figures.shown) dock.load();
   if (settings.get('figures')) page.numbers(numbers(stage.stats(performance.now())));
@@ -379,7 +397,6 @@ window.glsplat = Object.freeze({
   stats: () => ({ session: immersive.mode || 'none', view: settings.get('view'), ...stage.stats(performance.now()) }),
 });
 
-photo.height = settings.get('height');
 begin();
 drive();
 viewer.start();

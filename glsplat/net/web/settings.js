@@ -1,6 +1,5 @@
 // What the user chose: checked against what may be chosen, kept in the browser, announced when it changes.
 
-import { DRAWN_BY } from './draw/choice.js';
 import { PLACES } from './place/looks.js';
 import { browserStorage, keep, readKept } from './storage.js';
 
@@ -30,7 +29,11 @@ function table() {
     name: text('', NAME), // what others see in a room
     size: choice(1024, plain([512, 768, 1024, 1536])), // pixels, both sides of an eye's picture
     quality: number(80, 50, 95), // JPEG quality
-    drawn: choice('auto', DRAWN_BY), // who draws the avatars
+    drawn: choice('auto', [
+      { value: 'auto', label: 'The faster' },
+      { value: 'server', label: 'The server' },
+      { value: 'here', label: 'This device' },
+    ]), // where the avatars are drawn
     driver: choice('motion:idle', [
       { value: 'rest', label: 'Standing still' },
       { value: 'file', label: 'My recording…' },

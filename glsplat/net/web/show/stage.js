@@ -1,20 +1,18 @@
 // What both ways of looking share: ask for a pair, take the newest that came, put it on the screen, keep the figures.
 
-import { onWire, turned } from '../draw/light.js';
 import { lightOf } from '../place/light.js';
 import { LOOKS } from '../place/looks.js';
 import { below, fromBox, fromFeet, fromPlaces } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
+import { onWire, turned } from '../space/light.js';
 import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
-import { Hurry } from '../voice/hurry.js';
-import { Here } from './here.js';
-import { Names } from './names.js';
 import { Painter } from './painter.js';
 
 const FIRST = 3000; // ms that all else waits for the first picture: the place, and drawing on this device
+const BY_SERVER = { by: 'server', reason: 'the server hands out no splats of this avatar' };
 const COMPLAINT = 4000; // ms for which a server's complaint is repeated to the user
 
 export class Stage {
@@ -23,8 +21,10 @@ export class Stage {
   info = {}; // the JSON of the newest reply
   canHide = false; // whether the avatar has a head that can be left out
   light = null; // the server's, which falls where the page asks for none
-  speaks = () => false; // whether the user's mouth moves
-  #hurry = new Hurry();
+  here = null; // draws on this device (show/here.js), where the server hands out avatars
+  sideFor = (side) => side; // of a picture, pixels; smaller while somebody speaks (voice/hurry.js)
+  #gl;
+  #display = 0; // Hz of the headset; 0: not known
   #complaint = { text: '', until: 0 };
   #asked = 0; // when the pair on the screen was asked for
   #seen = true; // whether that pair has been drawn
@@ -37,9 +37,8 @@ export class Stage {
   constructor(gl, connection, settings, { inWorker = true } = {}) {
     this.connection = connection;
     this.settings = settings;
+    this.#gl = gl;
     this.painter = new Painter(gl);
-    this.here = new Here(gl, connection, settings);
-    this.names = new Names();
     this.framing = new Framing();
     this.pictures = new Pictures({
       inWorker,
@@ -48,23 +47,36 @@ export class Stage {
     });
     connection.addEventListener('reply', ({ detail }) => this.#received(detail));
     connection.addEventListener('complaint', ({ detail }) => {
-      if (detail.code === 'no_pose') this.here.refuse(detail.message);
+      if (detail.code === 'no_pose') this.here?.refuse(detail.message);
       else this.complain(detail.message);
     });
     connection.addEventListener('state', () => {
-      if (connection.state !== 'open') this.here.clear();
+      if (connection.state !== 'open') this.here?.clear();
     });
+  }
+
+  /** Draw on this device where that is faster: `Here` of show/here.js. */
+  addHere(Here) {
+    this.here = new Here(this.#gl, this.connection, this.settings);
+    this.display = this.#display;
+  }
+
+  /** Refresh rate of the headset's display, Hz. */
+  set display(hertz) {
+    this.#display = hertz;
+    if (this.here) this.here.choice.display = hertz;
   }
 
   /** A new context after a lost one: everything on the GPU is made anew. */
   restore(gl) {
+    this.#gl = gl;
     this.painter = new Painter(gl);
-    this.here.restore(gl);
+    this.here?.restore(gl);
   }
 
   /** The context is lost: nothing can be drawn until `restore`. */
   lost() {
-    this.here.lost();
+    this.here?.lost();
   }
 
   /**
@@ -77,7 +89,7 @@ export class Stage {
   frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
-    const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
+    const here = !first && this.here?.draws(views, where, this.figures.rate('shown', now), now);
     this.#ask = (drive, now) =>
       here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
     const sent = asks ? this.#ask(drive, now) : 0;
@@ -102,7 +114,7 @@ export class Stage {
       this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
-      const names = this.names.labels(this.here.names(where), views[0].transform, this.painter);
+      const names = this.here.labels(where, views[0].transform, this.painter);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
     } else {
       views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: hung }));
@@ -180,7 +192,7 @@ export class Stage {
   ask(views, where, drive, { alpha, light = null, deep = false, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
-    const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now, this.framing.seen);
+    const side = this.sideFor(this.settings.get('size'), this.info.times, now, this.framing.seen);
     const framed = this.framing.frame(views, where, sample, side, age, now);
     const request = {
       ...drive,
@@ -223,6 +235,11 @@ export class Stage {
     this.figures.show(this.#asked, performance.now());
   }
 
+  /** Where the avatars are drawn, and why: `drawn` of the figures. */
+  get renderedBy() {
+    return this.here?.stats() ?? BY_SERVER;
+  }
+
   /** The figures for `window.glsplat.stats()`. */
   stats(now) {
     const { connection, figures, pictures, painter } = this;
@@ -246,7 +263,7 @@ export class Stage {
       bitmaps: pictures.open,
       textures: painter.textures,
       place: painter.place.counts,
-      drawn: this.here.stats(),
+      drawn: this.renderedBy,
       link: this.link,
       server: Object.fromEntries(
         figures.names().filter((name) => name.startsWith('server ')).map((name) => [name.slice(7), figures.median(name)]),

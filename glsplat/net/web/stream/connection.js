@@ -1,9 +1,7 @@
 // The WebSocket of docs/protocol.md with reconnecting, acknowledging, and the reasons in words when it does not open.
 
-import { parsePoses } from './pose.js';
 import { parseReply } from './reply.js';
 import { openSocket } from './socket.js';
-import { decodable } from './video.js';
 
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
@@ -33,8 +31,9 @@ export class Connection extends EventTarget {
   #failures = 0;
   #asked = new Map(); // by frame_id: what goes with the reply
   #acknowledged = 0; // frame_id received on this connection; another one knows nothing of it
-  videos = []; // codecs that the server has, as /session says
-  #codecs = []; // of video that this browser decodes
+  parsePoses = null; // reads replies in poses; set by show/here.js, which asks for them
+  #videos = []; // codecs that the server has
+  #codecs = null; // those that this browser decodes, once it was asked
   #lost = false; // the video cannot go on from what was decoded
   #undecoded = 0; // key frames that were not
   #arrival = null; // {age, at} of that picture, in ms, until the server has heard of it
@@ -44,7 +43,14 @@ export class Connection extends EventTarget {
   constructor(options) {
     super();
     this.#options = options;
-    decodable().then((codecs) => (this.#codecs = codecs));
+  }
+
+  /** Video codecs that the server has, as /session says. */
+  set videos(names) {
+    this.#videos = names;
+    if (!names.length || this.#codecs) return;
+    this.#codecs = [];
+    import('./video.js').then(({ decodable }) => decodable()).then((codecs) => (this.#codecs = codecs), () => {});
   }
 
   set token(token) {
@@ -102,8 +108,8 @@ export class Connection extends EventTarget {
 
   /** The field that says which video this browser decodes; nothing for a server that has none. */
   #watching() {
-    const codecs = this.#codecs.filter((codec) => this.videos.includes(codec));
-    if (!codecs.length) return {};
+    const codecs = this.#codecs?.filter((codec) => this.#videos.includes(codec));
+    if (!codecs?.length) return {};
     return { video: { codecs, ...(this.#lost && { key: true }) } };
   }
 
@@ -154,7 +160,7 @@ export class Connection extends EventTarget {
     }
     let reply;
     try {
-      reply = isOfPoses(data) ? parsePoses(data) : parseReply(data);
+      reply = isOfPoses(data) ? this.parsePoses(data) : parseReply(data);
     } catch (error) {
       this.dispatchEvent(new CustomEvent('complaint', { detail: { code: 'bad_reply', message: error.message } }));
       return;

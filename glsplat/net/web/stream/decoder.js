@@ -1,7 +1,5 @@
 // Pictures to bitmaps, JPEGs and video, in a worker or (for comparison) on the page's own thread.
 
-import { VideoFrames } from './video.js';
-
 // what the server sent is what the texture gets: no colour management, no alpha of the codec's own
 const OPTIONS = { premultiplyAlpha: 'none', colorSpaceConversion: 'none' };
 
@@ -19,15 +17,15 @@ async function decodeAll(buffer, eyes) {
 }
 
 export class Decoder {
-  #video = null;
+  #video = null; // promise of the stream's decoder
 
   /** {pictures}, none where `skip` says that only the next of a video needs it, or {lost: true}, or {error}. */
   async decode({ buffer, eyes, video, side, skip }) {
     try {
       if (!video) return { pictures: await decodeAll(buffer, eyes) };
-      this.#video ??= new VideoFrames();
+      this.#video ??= import('./video.js').then(({ VideoFrames }) => new VideoFrames());
       const data = new Uint8Array(buffer, ...eyes[0].colour);
-      const pictures = await this.#video.decode(data, video, side, skip ? null : OPTIONS);
+      const pictures = await (await this.#video).decode(data, video, side, skip ? null : OPTIONS);
       return pictures ? { pictures } : { lost: true };
     } catch (error) {
       return { error: error.message };

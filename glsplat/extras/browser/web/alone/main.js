@@ -1,7 +1,7 @@
 // The page that `glsplat page` writes: one avatar, its motions, a headset where there is one, and no server.
 
 import { quaternionOf } from '../draw/bones.js';
-import { turned } from '../draw/light.js';
+import { turned } from '../space/light.js';
 import { Own } from '../draw/own.js';
 import { chunksOf, readAvatar } from '../avatar/avatar.js';
 import { Orbit } from '../show/orbit.js';

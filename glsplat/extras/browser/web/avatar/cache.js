@@ -1,8 +1,8 @@
 // Avatars by the hash of their files: fetched once, kept by the browser, drawn from as soon as the coarsest level is there.
 
+import { SPLATS_CACHE } from '../storage.js';
 import { chunksOf, readAvatar } from './avatar.js';
 
-const CACHE = 'glsplat.splats';
 const MOST = 8; // avatars in memory that nobody stands in
 const PAUSE = 5000; // ms before a file that did not come is asked for again
 
@@ -88,7 +88,7 @@ export class AvatarCache {
 
 /** The browser's store of files; null where it has none for this page (no https) or does not let us. */
 async function store() {
-  return globalThis.caches?.open(CACHE).catch(() => null) ?? null;
+  return globalThis.caches?.open(SPLATS_CACHE).catch(() => null) ?? null;
 }
 
 const keyOf = (sha256) => new URL(`../../splats/${sha256}`, import.meta.url).href;

@@ -6,12 +6,6 @@ const PATIENCE = 3000; // ms, it is back to pictures, and
 const WATCHED = 2000; // ms of pictures, whose rate is known then
 const PAUSE = 60_000; // ms pass until it is tried again, twice as many each time
 
-export const DRAWN_BY = [
-  { value: 'auto', label: 'The faster' },
-  { value: 'server', label: 'The server' },
-  { value: 'here', label: 'This device' },
-];
-
 export class Choice {
   here = false; // this device draws
   reason = 'pictures come first'; // in words, for the panel
@@ -23,7 +17,7 @@ export class Choice {
   #until = 0; // ms, not before
   #pause = PAUSE;
 
-  /** `wish`: a value of DRAWN_BY. */
+  /** `wish`: a value of the setting `drawn`. */
   constructor(wish = 'auto') {
     this.#wish = wish;
   }

@@ -4,13 +4,14 @@
 import { ARKIT } from '../draw/crowd.js';
 import { HERE } from '../draw/bones.js';
 import { Choice } from '../draw/choice.js';
-import { turned } from '../draw/light.js';
+import { turned } from '../space/light.js';
 import { Own } from '../draw/own.js';
 import { AvatarCache } from '../avatar/cache.js';
 import { fromJoints, partsOf } from '../place/shadow.js';
 import { IDENTITY, fromPose, invert, movePoint, multiply } from '../space/matrix.js';
-import { People } from '../stream/pose.js';
+import { People, parsePoses } from '../stream/pose.js';
 import { OwnFace } from '../voice/own-face.js';
+import { Names } from './names.js';
 
 const JAW = ARKIT.indexOf('jawOpen');
 
@@ -25,10 +26,12 @@ export class Here {
   #offer = null; // what the server hands out of the chosen avatar: {sha256, url, ...}, or null
   #handedOut = []; // hashes of all that it hands out
   #refused = ''; // why it does not tell poses
+  #names = new Names();
   #jaw = 0; // how far one's own is open in the last picture
 
   constructor(gl, connection, settings) {
     [this.#gl, this.#connection] = [gl, connection];
+    connection.parsePoses = parsePoses;
     this.cache = new AvatarCache((path) => connection.fetch(path));
     this.choice = new Choice(settings.get('drawn'));
     settings.addEventListener('change', ({ detail: { name, value } }) => {
@@ -114,8 +117,13 @@ export class Here {
     });
   }
 
-  /** [{text, place: over the head, in the room as it is shown}] of everybody else in a room. */
-  names(where) {
+  /** Labels for `painter`: the names of everybody else in a room, over their heads, seen by an eye at `transform`. */
+  labels(where, transform, painter) {
+    return this.#names.labels(this.#others(where), transform, painter);
+  }
+
+  /** [{key, text, place: over the head, in the room as it is shown}] of everybody else in a room. */
+  #others(where) {
     const { room } = this.people;
     if (!room || !this.#own) return [];
     const byKey = new Map(this.#own.people.map((one) => [one.key, one]));

@@ -1,13 +1,16 @@
 // The voice's part of the flat page: a button that asks, a sentence that says what happens, and a mute in sight.
 
+import { Hurry } from './hurry.js';
 import { Voice } from './voice.js';
 
 const SAID = 'Your voice moves the avatar’s mouth. The sound stays in this browser: only how the mouth stands is sent.';
 const STATES = { off: '', asking: 'The browser asks whether it may listen…', on: 'Listening.', muted: 'Muted.', refused: '' };
 
-/** Put it behind `place`, an element. Returns the voice. */
-export function addVoice(place) {
+/** Put it behind `place`, an element. Pictures of `stage` get smaller while the user speaks. Returns the voice. */
+export function addVoice(place, stage) {
   const voice = new Voice();
+  const hurry = new Hurry();
+  stage.sideFor = (side, ...rest) => hurry.side(side, Object.keys(voice.weights() ?? {}).length > 0, ...rest);
   const document = place.ownerDocument;
   const element = (tag, fields) => Object.assign(document.createElement(tag), fields);
   const box = element('section', { id: 'voice' });

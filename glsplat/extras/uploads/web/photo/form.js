@@ -26,6 +26,11 @@ export class PhotoForm {
     this.#show();
   }
 
+  /** Whether an avatar is being made. */
+  get busy() {
+    return this.#upload.busy;
+  }
+
   /** What the server takes; null: nothing. `worn`: the avatar that is shown, as /session tells of it. */
   offered(offer, worn) {
     this.#offer = offer;
