@@ -73,8 +73,12 @@ def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: O
     served = serve(make=lambda config: gl_server(default_avatar(), config))
     page = open_page(None, xr=False)
     page.page.add_init_script("""
-      const look = () => window.glsplat?.stats().shown > 0 ? (window.seen = performance.getEntriesByType('resource')
-        .map(({ name }) => name)) : requestAnimationFrame(look);
+      let before = [];  // at the frame before that of the first picture
+      const look = () => {
+        if (window.glsplat?.stats().shown > 0) return (window.seen = before);
+        before = performance.getEntriesByType('resource').map(({ name }) => name);
+        return requestAnimationFrame(look);
+      };
       requestAnimationFrame(look);""")
     page.page.goto(served.page)
     seen = {name.split("?")[0].removeprefix(served.origin) for name in page.until("window.seen")}

@@ -128,6 +128,7 @@ def opened(browser: Any, address: str, scripts: str, size: int = 900, **values: 
 
 def slow_page(browser: Any, address: str, **values: Any) -> Opened:
     page = opened(browser, address, SLOW, 240, **values)
+    page.until("document.querySelector('#voice-talk')")
     page.page.evaluate("document.querySelector('#voice-talk').click()")
     page.until("document.querySelector('#voice-state').textContent === 'Listening.'")
     return page

@@ -116,10 +116,10 @@ const addPhoto = once(async () => {
   photo.offered(offer.upload, chosenAvatar());
 });
 
-/** Calls `load` at the first call alone; the user is told where it fails. */
+/** Calls `load` once, after the first picture; the user is told where it fails. */
 function once(load) {
   let loading = null;
-  return () => (loading ??= load().catch((error) => complain(`a part of this page did not load: ${error.message}`)));
+  return () => (loading ??= stage.begun.then(load).catch((error) => complain(`a part of this page did not load: ${error.message}`)));
 }
 
 const dock = new Dock(document, settings, {

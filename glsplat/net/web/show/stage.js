@@ -23,6 +23,8 @@ export class Stage {
   light = null; // the server's, which falls where the page asks for none
   here = null; // draws on this device (show/here.js), where the server hands out avatars
   sideFor = (side) => side; // of a picture, pixels; smaller while somebody speaks (voice/hurry.js)
+  begun; // promise: the first picture is there, or does not come soon
+  #begin;
   #gl;
   #display = 0; // Hz of the headset; 0: not known
   #complaint = { text: '', until: 0 };
@@ -38,6 +40,8 @@ export class Stage {
     this.connection = connection;
     this.settings = settings;
     this.#gl = gl;
+    this.begun = new Promise((done) => (this.#begin = done));
+    setTimeout(this.#begin, FIRST);
     this.painter = new Painter(gl);
     this.framing = new Framing();
     this.pictures = new Pictures({
@@ -223,6 +227,7 @@ export class Stage {
     this.pictures.close(newest);
     this.figures.add('upload', performance.now() - started);
     this.shownId = newest.id;
+    this.#begin();
     this.#asked = newest.asked.sent;
     this.#seen = false;
     return true;
