@@ -1,10 +1,7 @@
-"""Pictures in datagrams: the erasure code, losses, made-up packets, and the page's twin in Node."""
+"""Pictures in datagrams: the erasure code, losses, made-up packets."""
 
 from __future__ import annotations
 
-import base64
-import json
-from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -13,7 +10,6 @@ import pytest
 from glsplat.extras.far_links.datagrams.erasure import parity_of, restored
 from glsplat.extras.far_links.datagrams.packets import HEAD, LARGEST, PIECE, REQUEST, Assembler, groups_of, packets_of
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
-from tests.in_node import run_script
 
 SIZES = (1, PIECE - 1, PIECE, PIECE + 1, 63_000, 160 * PIECE, 160 * PIECE + 1, 500_000)
 
@@ -104,34 +100,6 @@ def test_nearly_all_pictures_are_whole(loss: float, pieces: int) -> None:
     assert (lost > parity).mean() < 0.005 or parity == most
     assert 0 <= parity <= most and (parity < most or loss >= 0.03)
     assert parity_for(pieces, loss / 4) <= parity
-
-
-@pytest.mark.check
-def test_the_page_puts_together_what_python_sent_and_the_other_way_round(tmp_path: Path) -> None:
-    chance, cases = Random(8), []
-    for number, (nbytes, parity) in enumerate([(1, 1), (PIECE, 2), (63_000, 5), (160 * PIECE + 1, 3), (400_000, 9)]):
-        message = chance.randbytes(nbytes)
-        left = lossy(packets_of(number, message, parity), nbytes, parity, chance)
-        cases.append((message, [base64.b64encode(one).decode() for one in left]))
-    text = "ä" * 3000
-    script = """
-import { Assembler, piecesOf } from './stream/pieces.js';
-import { readFileSync } from 'node:fs';
-const whole = new Assembler();
-const out = [];
-for (const datagrams of JSON.parse(readFileSync(0, 'utf8'))) {
-  const found = datagrams.map((one) => whole.add(new Uint8Array(Buffer.from(one, 'base64')))).filter(Boolean);
-  out.push(found.map((bytes) => Buffer.from(bytes).toString('base64')));
-}
-const asked = piecesOf(5, 'ä'.repeat(3000)).map((one) => Buffer.from(one).toString('base64'));
-console.log(JSON.stringify([out, asked]));
-"""
-    given = json.dumps([datagrams for _, datagrams in cases])
-    out, asked = json.loads(run_script(tmp_path, script, given))
-    assert [[base64.b64decode(one) for one in found] for found in out] == [[message] for message, _ in cases]
-    whole = Assembler(REQUEST, 65_536)
-    found = [whole.add(base64.b64decode(one)) for one in asked]
-    assert [one for one in found if one] == [(5, text.encode())]
 
 
 @pytest.mark.parametrize(
