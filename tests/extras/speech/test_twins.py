@@ -33,6 +33,8 @@ def sounds() -> list[dict[str, Any]]:
         sound = 0.9 * vowels(seconds, rate, each=seconds / 2)
         sound[: len(sound) // 4] *= 0.01  # quiet first
         sound[len(sound) // 2 : len(sound) // 2 + 20] = 0.999  # clipped
+        sound[-len(sound) // 4 :] = 0  # silence, and noise
+        sound[-len(sound) // 8 :] = np.random.default_rng(rate).normal(0, 0.1, len(sound[-len(sound) // 8 :]))
         data = np.rint(np.clip(sound, -1, 0.9999) * 2**15).astype("<i2")
         out.append({"rate": rate, "piece": piece, "samples": text_of(data.tobytes())})
     return out
