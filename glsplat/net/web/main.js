@@ -51,8 +51,7 @@ if (asked.has('emulate')) {
   const { emulate } = await import('./emulate/emulate.js'); // 260 kB that nobody else loads
   emulate(canvas);
 }
-const inWorker = asked.get('decode') !== 'main';
-const stage = new Stage(gl, connection, settings, { inWorker });
+const stage = new Stage(gl, connection, settings);
 const orbit = new Orbit();
 const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
 viewer.onAsked = () => voice?.sent();

@@ -35,8 +35,7 @@ export class Stage {
   #painted = []; // what the canvas shows
   #ask = () => 0; // as the last frame did
 
-  /** `inWorker` false decodes on the page's thread, to compare. */
-  constructor(gl, connection, settings, { inWorker = true } = {}) {
+  constructor(gl, connection, settings) {
     this.connection = connection;
     this.settings = settings;
     this.#gl = gl;
@@ -45,7 +44,6 @@ export class Stage {
     this.painter = new Painter(gl);
     this.framing = new Framing();
     this.pictures = new Pictures({
-      inWorker,
       onDecoded: (ms) => this.figures.add('decode', ms),
       onError: (text) => this.complain(text),
     });

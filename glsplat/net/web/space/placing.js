@@ -39,7 +39,7 @@ export function placing(view, head, room = false) {
 }
 
 /** An upright mirror that stands at `foot` (on the floor) and looks along the level unit vector `normal`. */
-export function mirrorAt(foot, normal) {
+function mirrorAt(foot, normal) {
   const side = [normal[2] * (MIRROR.width / 2), 0, -normal[0] * (MIRROR.width / 2)]; // to the right as its user sees it
   const corner = (sign, height) => add(add(foot, scale(side, sign)), [0, height, 0]);
   const glass = [

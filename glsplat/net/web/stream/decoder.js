@@ -1,4 +1,4 @@
-// Pictures to bitmaps, JPEGs and video, in a worker or (for comparison) on the page's own thread.
+// A worker that decodes pictures, JPEGs and video, to bitmaps (pictures.js).
 
 // what the server sent is what the texture gets: no colour management, no alpha of the codec's own
 const OPTIONS = { premultiplyAlpha: 'none', colorSpaceConversion: 'none' };
@@ -16,30 +16,22 @@ async function decodeAll(buffer, eyes) {
   return eyes.map((_, i) => [made[2 * i].value, made[2 * i + 1].value]);
 }
 
-export class Decoder {
-  #video = null; // promise of the stream's decoder
+let frames = null; // promise of the decoder of a video; each picture goes on from the one before
 
-  /** {pictures}, none where `skip` says that only the next of a video needs it, or {lost: true}, or {error}. */
-  async decode({ buffer, eyes, video, side, skip }) {
-    try {
-      if (!video) return { pictures: await decodeAll(buffer, eyes) };
-      this.#video ??= import('./video.js').then(({ VideoFrames }) => new VideoFrames());
-      const data = new Uint8Array(buffer, ...eyes[0].colour);
-      const pictures = await (await this.#video).decode(data, video, side, skip ? null : OPTIONS);
-      return pictures ? { pictures } : { lost: true };
-    } catch (error) {
-      return { error: error.message };
-    }
+/** {pictures}, none where `skip` says that only the next of a video needs it, or {lost: true}, or {error}. */
+async function decode({ buffer, eyes, video, side, skip }) {
+  try {
+    if (!video) return { pictures: await decodeAll(buffer, eyes) };
+    frames ??= import('./video.js').then(({ VideoFrames }) => new VideoFrames());
+    const data = new Uint8Array(buffer, ...eyes[0].colour);
+    const pictures = await (await frames).decode(data, video, side, skip ? null : OPTIONS);
+    return pictures ? { pictures } : { lost: true };
+  } catch (error) {
+    return { error: error.message };
   }
 }
 
-/** In a worker: answers what `Decoder.decode` takes by what it gives. */
-function serve() {
-  const decoder = new Decoder();
-  self.onmessage = async ({ data }) => {
-    const answer = await decoder.decode(data);
-    self.postMessage(answer, (answer.pictures ?? []).flat().filter(Boolean));
-  };
-}
-
-if (typeof WorkerGlobalScope !== 'undefined' && self instanceof WorkerGlobalScope) serve();
+self.onmessage = async ({ data }) => {
+  const answer = await decode(data);
+  self.postMessage(answer, (answer.pictures ?? []).flat().filter(Boolean));
+};

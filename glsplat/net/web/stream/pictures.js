@@ -2,15 +2,12 @@
 //
 // Of a video each picture is decoded, because the next goes on from it; bitmaps are made of the newest alone.
 
-import { Decoder } from './decoder.js';
-
 const MOST = 16; // pictures of a video that may wait: beyond that it begins anew
 
 export class Pictures {
   dropped = 0; // replies that a newer one overtook before they were shown
   open = 0; // bitmaps that wait for `take`, or are being decoded
-  #worker = null;
-  #decoder = new Decoder(); // where there is no worker
+  #worker = new Worker(new URL('./decoder.js', import.meta.url), { type: 'module' });
   #waiting = []; // replies that are not being decoded: the newest, before it those of a video
   #busy = null; // the one that is
   #ready = null; // decoded
@@ -18,15 +15,12 @@ export class Pictures {
   #onDecoded;
   #onError;
 
-  /** `onDecoded(ms)` and `onError(text)` hear of every picture; `inWorker` false decodes on this thread. */
-  constructor({ inWorker = true, onDecoded = () => {}, onError = () => {} } = {}) {
+  /** `onDecoded(ms)` or `onError(text)` is called for every picture. */
+  constructor({ onDecoded, onError }) {
     this.#onDecoded = onDecoded;
     this.#onError = onError;
-    if (inWorker) {
-      this.#worker = new Worker(new URL('./decoder.js', import.meta.url), { type: 'module' });
-      this.#worker.onmessage = ({ data }) => this.#done(data);
-      this.#worker.onerror = (event) => this.#done({ error: event.message || 'the decoding worker does not start' });
-    }
+    this.#worker.onmessage = ({ data }) => this.#done(data);
+    this.#worker.onerror = (event) => this.#done({ error: event.message || 'the decoding worker does not start' });
   }
 
   /** A parsed reply with its buffer, which is given away. `asked` comes back with its pictures. */
@@ -69,9 +63,7 @@ export class Pictures {
     this.#newest = reply.id;
     this.#busy.started = performance.now();
     const { video, size: side } = reply.info;
-    const message = { buffer, eyes: reply.eyes, video, side, skip: this.#waiting.length > 0 };
-    if (this.#worker) this.#worker.postMessage(message, [buffer]);
-    else this.#decoder.decode(message).then((answer) => this.#done(answer));
+    this.#worker.postMessage({ buffer, eyes: reply.eyes, video, side, skip: this.#waiting.length > 0 }, [buffer]);
   }
 
   #done({ pictures, lost, error }) {

@@ -3,7 +3,7 @@
 
 import { browserStorage, keep, readKept } from '../storage.js';
 
-export const DURATION = 2000; // milliseconds of standing still
+const DURATION = 2000; // milliseconds of standing still
 const KEY = 'glsplat.calibration';
 const EYES_OF_STATURE = 0.936; // eye height / stature (Drillis & Contini 1966)
 const LEAST_SAMPLES = 10;

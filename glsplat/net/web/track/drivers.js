@@ -5,7 +5,7 @@
 import { BODY_JOINTS } from './xr-sample.js';
 
 /** The most that a recording may hold here, bytes. */
-export const MAX_BYTES = 64 * 2 ** 20;
+const MAX_BYTES = 64 * 2 ** 20;
 const MAX_LINE = 2 ** 20; // characters
 const USUAL_STEP = 1 / 72; // seconds a sample lasts where a recording has only one
 

@@ -4,7 +4,7 @@ import { BlobError, headOf, openBlob, shapesOf, splatsOf, surfaceOf } from './bl
 import { chosen, densityOf, proxyOf } from './detail.js';
 
 /** Of one file. Levels come while it is read; `levels` has the splats by level, 0 the finest. */
-export class Avatar {
+class Avatar {
   levels = new Map();
   #densities = []; // of the levels above 0
   #proxy = null;

@@ -1,7 +1,7 @@
 // What the header of an avatar that is handed out may say (docs/protocol.md). Nothing here unpacks anything.
 
 /** The most that a page takes. */
-export const MOST = { joints: 4096, splats: 1 << 21, entries: 1 << 24, parts: 64, shapes: 256, name: 64, bytes: 256 << 20 };
+const MOST = { joints: 4096, splats: 1 << 21, entries: 1 << 24, parts: 64, shapes: 256, name: 64, bytes: 256 << 20 };
 
 const FAR = 1e6; // metres, and what stands for a size or a colour; more is a mistake
 const ABSENT = { splats: 0, entries: 0, density: null, sh: [], shaded: false };

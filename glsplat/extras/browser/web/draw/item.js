@@ -5,7 +5,7 @@ import { bind, buffer, feedback, texture, vertexArray } from './gpu.js';
 
 const STATIC = 11; // floats: mean 3, opacity, quaternion wxyz, scale 3
 const SHAPE_ROW = 1024; // entries of shapes a row (shapes.glsl)
-export const POSED_BYTES = 64;
+const POSED_BYTES = 64;
 
 /**
  * `splats`: {count, means [3 N], quats [4 N] wxyz, scales [3 N], opacities [N], sh [3 K N], degree, antialias, and with

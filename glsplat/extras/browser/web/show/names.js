@@ -31,7 +31,7 @@ function facing(point, eye) {
 }
 
 /** The names, the nearest first, raised so far that none is hidden by one before it. */
-export function apart(names, eye) {
+function apart(names, eye) {
   const seen = names.map((name) => {
     const [x, y, z] = subtract(name.place, eye);
     return { name, across: Math.atan2(x, -z), far: Math.hypot(x, z), y };

@@ -107,7 +107,7 @@ function unit(q, i) {
 }
 
 /** From quaternions x y z w to others, `part` 0 the first and 1 the second: the shorter way, evenly. */
-export function slerp(out, first, second, part) {
+function slerp(out, first, second, part) {
   for (let i = 0; i < out.length; i += 4) {
     let dot = 0;
     for (let k = 0; k < 4; k++) dot += first[i + k] * second[i + k];

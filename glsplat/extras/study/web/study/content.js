@@ -50,7 +50,7 @@ function question(questions, trouble) {
 }
 
 /** The values that can be pressed. */
-export function values({ from, to, step }) {
+function values({ from, to, step }) {
   const steps = Math.round((to - from) / step);
   const stride = Math.ceil((steps + 1) / MOST_CELLS);
   const found = [];

@@ -4,7 +4,7 @@ const SERVER = new URL('..', location.href); // the page is SERVER/vr/..., also 
 const PAUSES = [300, 600, 1200, 2500]; // ms between attempts
 
 /** A refusal of the server's, with its code and HTTP status; status 0: it does not answer. */
-export class Refusal extends Error {
+class Refusal extends Error {
   constructor(status, code, message, wait = 0) {
     super(message);
     Object.assign(this, { status, code, wait });

@@ -1,6 +1,6 @@
 // A picture file as the server takes it: as it is, or made smaller where it is over the limit.
 
-export const KINDS = ['image/jpeg', 'image/png', 'image/webp'];
+const KINDS = ['image/jpeg', 'image/png', 'image/webp'];
 const SIDE = 4096; // pixels; the server itself keeps 2048
 const QUALITY = 0.92;
 
