@@ -1,9 +1,12 @@
 // A worker that decodes pictures, JPEGs and video, to bitmaps (pictures.js).
 
-// what the server sent is what the texture gets: no colour management, no alpha of the codec's own
+// the texture gets the server's bytes: no colour management, no premultiplication
 const OPTIONS = { premultiplyAlpha: 'none', colorSpaceConversion: 'none' };
 
-/** All pictures of a reply: [[colour, alpha | null], ...] of ImageBitmap, left eye first. Closes all if one fails. */
+/**
+ * Decode the pictures of a reply: [[colour, alpha | null], ...] of ImageBitmap, left eye first. Closes all if one
+ * fails.
+ */
 async function decodeAll(buffer, eyes) {
   const decode = (part) =>
     part && createImageBitmap(new Blob([new Uint8Array(buffer, ...part)], { type: 'image/jpeg' }), OPTIONS);
@@ -18,7 +21,10 @@ async function decodeAll(buffer, eyes) {
 
 let frames = null; // promise of the decoder of a video; each picture goes on from the one before
 
-/** {pictures}, none where `skip` says that only the next of a video needs it, or {lost: true}, or {error}. */
+/**
+ * Return {pictures}, {lost: true} or {error}. `skip`: decode a picture of a video for the next one alone; `pictures` is
+ * empty.
+ */
 async function decode({ buffer, eyes, video, side, skip }) {
   try {
     if (!video) return { pictures: await decodeAll(buffer, eyes) };

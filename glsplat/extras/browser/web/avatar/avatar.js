@@ -1,14 +1,15 @@
-// An avatar in this browser: its levels of detail as they come, which of them a view needs, and it without its head.
+// An avatar in this browser: its levels of detail as they arrive, the level for a view, and the avatar without its
+// head.
 
 import { BlobError, headOf, openBlob, shapesOf, splatsOf, surfaceOf } from './blob.js';
 import { chosen, densityOf, proxyOf } from './detail.js';
 
-/** Of one file. Levels come while it is read; `levels` has the splats by level, 0 the finest. */
+/** The avatar of one file. `levels`: splats by level, 0 the finest, as they arrive. */
 class Avatar {
   levels = new Map();
-  #densities = []; // of the levels above 0
+  #densities = []; // of the coarser levels, from 1
   #proxy = null;
-  #parts = new Map(); // splats without a joint, by splats
+  #parts = new Map(); // results of `without`, by splats
 
   constructor({ header, skeleton }) {
     this.skeleton = skeleton;
@@ -17,13 +18,13 @@ class Avatar {
     for (const { level, density } of levels) if (level > 0) this.#densities[level - 1] = density;
   }
 
-  /** The splats of a level came, or came again with their shapes or their surface. */
+  /** Add the splats of a level, or replace them by those with shapes or a surface. */
   add(level, splats) {
     this.levels.set(level, splats);
     if (!this.#proxy || level === 0) this.#proxy = proxyOf(splats);
   }
 
-  /** The level for cameras (frame.js) that see it in that pose, `before` the one they had; what is not there yet is not chosen. */
+  /** Return the level for cameras (frame.js) and a pose, of those that are there. `before`: the cameras' last level. */
   levelFor(cameras, bones, place, before) {
     const density = Math.max(...cameras.map((camera) => densityOf(this.#proxy, camera, bones, place)));
     let level = density > 0 ? chosen(this.#densities, density, before) : (before ?? this.#densities.length);
@@ -31,7 +32,7 @@ class Avatar {
     return level;
   }
 
-  /** Splats without those that mostly follow `name` and what hangs from it: for a view from inside (Avatar.without). */
+  /** Return splats without those that mostly follow joint `name` and its children. Twin: Avatar.without. */
   without(splats, name) {
     const joint = this.skeleton.names.indexOf(name);
     if (joint < 0) return splats;
@@ -41,8 +42,8 @@ class Avatar {
 }
 
 /**
- * Read an avatar from chunks of bytes (an async iterable of Uint8Array). `onLevel(avatar, level)` hears of each level as
- * soon as it can be drawn. Returns the avatar. Throws BlobError.
+ * Read an avatar from chunks of bytes (an async iterable of Uint8Array). `onLevel(avatar, level)` is called for each
+ * level as soon as it can be drawn. Returns the avatar. Throws BlobError.
  */
 export async function readAvatar(chunks, onLevel = () => {}) {
   const received = new Received(chunks);
@@ -66,7 +67,7 @@ export async function readAvatar(chunks, onLevel = () => {}) {
   return avatar;
 }
 
-/** What `readAvatar` reads of a Response; it is fetched no further where reading ends early. */
+/** Yield the chunks of a Response for `readAvatar`; cancel the fetch if reading ends early. */
 export async function* chunksOf(response) {
   const reader = response.body.getReader();
   try {
@@ -80,7 +81,7 @@ export async function* chunksOf(response) {
   }
 }
 
-/** The bytes that have come so far. */
+/** The bytes received so far. */
 class Received {
   #store = new Uint8Array(1 << 17);
   #size = 0;
@@ -109,7 +110,7 @@ class Received {
   }
 }
 
-/** Which joints are `joint` or hang from it. */
+/** Return for each joint whether it is `joint` or below it. */
 function under(parents, joint) {
   return parents.map((_, j) => {
     let k = j;

@@ -1,5 +1,5 @@
-// The avatar as it is handed out (docs/protocol.md), read with distrust: every count is held against the bytes before
-// anything is made of it, and whatever is wrong is a BlobError of one sentence.
+// Reads an avatar's file (docs/protocol.md, section 8.1). Every count is checked against the bytes before anything is
+// allocated; a BlobError of one sentence says what is wrong. Twin: glsplat/extras/browser/web_format/read.py.
 
 import { Skeleton } from '../draw/bones.js';
 import { checkHeader, fail } from './header.js';
@@ -10,7 +10,7 @@ const START = 16; // bytes before the header
 const STEPS = 4095; // of a weight
 const HEADER = 1 << 20; // bytes of it at most, unpacked
 
-/** {end, unpacked} of the header, in bytes, once its beginning is there; null before. */
+/** Return {end, unpacked} of the header in bytes; null while its beginning has not arrived. */
 export function headOf(bytes) {
   if (bytes.length < START) return null;
   const view = new DataView(bytes.buffer, bytes.byteOffset, START);
@@ -21,7 +21,9 @@ export function headOf(bytes) {
   return { end: START + packed, unpacked };
 }
 
-/** The checked header of a file of which at least `headOf(bytes).end` bytes are there, its skeleton, and where the parts begin. */
+/**
+ * Return {header, skeleton, start (of the parts)} of a file of which at least `headOf(bytes).end` bytes have arrived.
+ */
 export async function openBlob(bytes) {
   const found = headOf(bytes);
   if (!found || bytes.length < found.end) fail('this avatar ends before its header does');
@@ -43,7 +45,7 @@ export async function openBlob(bytes) {
   return { header, skeleton, start: found.end };
 }
 
-/** The splats of one part of `header.parts` of the kind "splats", from its packed bytes: as drawing.js takes them. */
+/** Return the splats of a part of the kind "splats", as drawing.js takes them, from its packed bytes. */
 export async function splatsOf(header, part, bytes) {
   const { sh_degree: degree, influences, antialias, joints } = header;
   const [count, wide] = [part.splats, joints.parents.length > 256];
@@ -81,7 +83,7 @@ export async function splatsOf(header, part, bytes) {
     }
   }
   const weights = new Float32Array(influences * count);
-  const left = new Int32Array(count).fill(STEPS); // of the first slot, which is what the others leave
+  const left = new Int32Array(count).fill(STEPS); // weight of the first slot: the rest of the others
   for (let k = 1; k < influences; k++) {
     const [lower, upper] = [plane(), plane()];
     for (let i = 0; i < count; i++) {
@@ -97,7 +99,7 @@ export async function splatsOf(header, part, bytes) {
   return { count, means, quats, scales, opacities, sh, degree, antialias, joints: which, weights, influences, shapes: null, surface: null };
 }
 
-/** The shapes of `count` splats from a part of the kind "shapes": {names, sizes, limits, starts, texels}. */
+/** Return the shapes of `count` splats from a part of the kind "shapes": {names, sizes, limits, starts, texels}. */
 export async function shapesOf(header, part, count, bytes) {
   const { names, sizes, limits } = header.shapes;
   const { entries } = part;
@@ -117,7 +119,9 @@ export async function shapesOf(header, part, count, bytes) {
   return { names, sizes, limits, starts, texels };
 }
 
-/** What `count` splats know of the surface they lie on (glsplat/light/surface.py): {normals [3 N], occlusion [N], shade [3 N] or null}. */
+/**
+ * Return the surface (glsplat/light/surface.py) of `count` splats: {normals [3 N], occlusion [N], shade [3 N] or null}.
+ */
 export async function surfaceOf(part, count, bytes) {
   const data = await inflated(bytes, (part.shaded ? 7 : 4) * count, 'surface');
   const rows = (from, width) => {
@@ -131,7 +135,7 @@ export async function surfaceOf(part, count, bytes) {
   return { normals: new Int8Array(rows(0, 3).buffer), occlusion: rows(3, 1), shade: part.shaded ? rows(4, 3) : null };
 }
 
-/** Exactly `size` bytes unpacked; anything else is refused, and nothing beyond them is unpacked. */
+/** Unpack exactly `size` bytes. Throws BlobError for more or fewer; stops unpacking beyond them. */
 async function inflated(bytes, size, what) {
   const out = new Uint8Array(size);
   const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate-raw'));

@@ -1,38 +1,38 @@
-// Avatars by the hash of their files: fetched once, kept by the browser, drawn from as soon as the coarsest level is there.
+// Avatars by the hash of their files: fetched once, kept in the browser's cache, usable from their coarsest level on.
 
 import { SPLATS_CACHE } from '../storage.js';
 import { chunksOf, readAvatar } from './avatar.js';
 
-const MOST = 8; // avatars in memory that nobody stands in
-const PAUSE = 5000; // ms before a file that did not come is asked for again
+const MOST = 8; // avatars in memory at most, beyond those that are shown
+const PAUSE = 5000; // ms before a failed file is fetched again
 
 export class AvatarCache {
   #fetch;
-  #held = new Map(); // by hash, the least used first: {avatar, whole, why, until}
+  #held = new Map(); // by hash, least recently used first: {avatar, whole, why, until}
 
-  /** `fetched(path)`: a Response for a path of the server, as Connection.fetch. */
+  /** `fetched(path)` resolves to a Response for a path of the server, as Connection.fetch. */
   constructor(fetched) {
     this.#fetch = fetched;
   }
 
-  /** The avatar of a hash, or null while nothing of it can be drawn; it is fetched. */
+  /** Return the avatar of a hash, or null while none of its levels is there; fetch it if needed. */
   get(sha256, now) {
     let one = this.#held.get(sha256);
     if (!one || (one.why && now >= one.until)) {
       one = { avatar: null, whole: false, why: '', until: 0 };
       this.#read(sha256, one);
     }
-    this.#held.delete(sha256); // used last
+    this.#held.delete(sha256); // most recently used
     this.#held.set(sha256, one);
     return one.avatar;
   }
 
-  /** Why the avatar of a hash cannot be drawn, in words; '' while that is not known. */
+  /** Return why the avatar of a hash cannot be drawn, in words, or ''. */
   why(sha256) {
     return this.#held.get(sha256)?.why ?? '';
   }
 
-  /** Whether all of it has come. */
+  /** Return whether all of the file has arrived. */
   whole(sha256) {
     return this.#held.get(sha256)?.whole ?? false;
   }
@@ -41,7 +41,7 @@ export class AvatarCache {
     return this.#held.size;
   }
 
-  /** Nobody but these hashes is shown now: forget what has long not been used. */
+  /** Evict the least recently used avatars, but not `hashes`, which are shown. */
   keep(hashes) {
     for (const sha256 of this.#held.keys()) {
       if (this.#held.size <= MOST) return;
@@ -49,14 +49,14 @@ export class AvatarCache {
     }
   }
 
-  /** Only these hashes are handed out now: what else the browser's store kept from earlier days goes. */
+  /** Delete files from the browser's cache, but not `hashes`, which are handed out now. */
   async sweep(hashes) {
     const kept = await store();
     const wanted = new Set(hashes.map(keyOf));
     for (const { url } of (await kept?.keys().catch(() => [])) ?? []) if (!wanted.has(url)) await kept.delete(url);
   }
 
-  /** This one is not handed out any more: nothing of it stays, neither here nor in the browser's store. */
+  /** Delete an avatar that is no longer handed out, here and from the browser's cache. */
   async forget(sha256) {
     this.#held.delete(sha256);
     await (await store())?.delete(keyOf(sha256));
@@ -71,7 +71,7 @@ export class AvatarCache {
       });
       one.whole = true;
     } catch (error) {
-      await (await store())?.delete(keyOf(sha256)).catch(() => {}); // a damaged copy would stay for ever
+      await (await store())?.delete(keyOf(sha256)).catch(() => {}); // it may be damaged
       Object.assign(one, { avatar: null, why: `the avatar did not come: ${error.message}`, until: performance.now() + PAUSE });
     }
   }
@@ -81,12 +81,12 @@ export class AvatarCache {
     const found = await kept?.match(keyOf(sha256)).catch(() => null);
     if (found) return found;
     const response = await this.#fetch(`splats/${sha256}`);
-    if (response.ok) kept?.put(keyOf(sha256), response.clone()).catch(() => {}); // a full disk is no reason not to draw
+    if (response.ok) kept?.put(keyOf(sha256), response.clone()).catch(() => {}); // without a copy if the disk is full
     return response;
   }
 }
 
-/** The browser's store of files; null where it has none for this page (no https) or does not let us. */
+/** Return the browser's cache of files; null where it has none for this page (no https) or denies it. */
 async function store() {
   return globalThis.caches?.open(SPLATS_CACHE).catch(() => null) ?? null;
 }

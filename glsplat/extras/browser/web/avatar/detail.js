@@ -1,14 +1,14 @@
-// Which level of detail a view needs. Twin: glsplat/renderer/levels.py; units and reasons are there.
+// Chooses levels of detail. Twin: glsplat/renderer/levels.py, which has units and reasons.
 
 const MOVED = 96; // points that stand for an avatar
 const STILL = 256; // for splats without a skeleton
-const LOOKED_AT = 65536; // splats that place them
+const LOOKED_AT = 65536; // splats sampled to place the points
 const RIM = 0.25; // of a cosine, over which points fade beyond the corners of the picture
 const BAND = 1.05; // hysteresis
 
 /**
- * The coarsest level that suffices where a view has `wanted` pixels a metre; 0 is the finest. `densities`: of the coarser
- * levels, falling; `before`: the level that the same view had.
+ * Return the coarsest level that is sharp enough at `wanted` pixels per metre; 0 is the finest. `densities`: of the
+ * coarser levels, falling; `before`: the last level of the same view.
  */
 export function chosen(densities, wanted, before = undefined) {
   const suffices = (least) => densities.filter((density) => density >= least).length;
@@ -17,7 +17,7 @@ export function chosen(densities, wanted, before = undefined) {
   return level > before ? Math.max(before, suffices(wanted * BAND)) : Math.min(before, suffices(wanted / BAND));
 }
 
-/** A few points that stand for splats: [{point, spread (m), area (m^2), joint}]. */
+/** Return a few points that represent splats: [{point, spread (m), area (m^2), joint}]. */
 export function proxyOf({ count, means, scales, opacities, joints, influences }) {
   const step = Math.max(1, Math.ceil(count / LOOKED_AT));
   const byJoint = new Map();
@@ -37,7 +37,10 @@ export function proxyOf({ count, means, scales, opacities, joints, influences })
   return points;
 }
 
-/** Pixels a metre at which a camera (frame.js) shows the points under `bones` [J, 12] of an item `place` d there; 0: not at all. */
+/**
+ * Return the pixels per metre at which a camera (frame.js) shows points under `bones` [J, 12] of an item at `place`; 0:
+ * unseen.
+ */
 export function densityOf(points, { rows, intrinsics: [fx, fy, cx, cy], width, height }, bones, { scale }) {
   const [right, down] = [Math.max(cx, width - cx) / fx, Math.max(cy, height - cy) / fy];
   const corner = 1 / Math.sqrt(1 + right * right + down * down);
@@ -69,13 +72,13 @@ function pointOf(cell, { means, scales, opacities }, weight) {
   return { point, spread: Math.max(Math.sqrt(apart / cell.length), 1e-9), area };
 }
 
-/** To the nearest whole number, of two the even one: as Python rounds. */
+/** Round half to even, as Python does. */
 function rounded(value) {
   const whole = Math.floor(value);
   return value - whole === 0.5 ? whole + (whole % 2) : Math.round(value);
 }
 
-/** Indices halved along their longest axis again and again, into `count` cells. */
+/** Split indices into `count` cells by halving along the longest axis. */
 function cells(means, index, count) {
   if (count === 1) return [index];
   const span = (axis) => {

@@ -1,13 +1,13 @@
-// What the header of an avatar that is handed out may say (docs/protocol.md). Nothing here unpacks anything.
+// Validates the header of an avatar's file (docs/protocol.md, section 8.1).
 
-/** The most that a page takes. */
+/** Limits of a file. */
 const MOST = { joints: 4096, splats: 1 << 21, entries: 1 << 24, parts: 64, shapes: 256, name: 64, bytes: 256 << 20 };
 
-const FAR = 1e6; // metres, and what stands for a size or a colour; more is a mistake
+const FAR = 1e6; // largest number: metres, sizes or colours
 const ABSENT = { splats: 0, entries: 0, density: null, sh: [], shaded: false };
 const LOGS = 60; // natural logarithms of sizes
 
-/** Something is wrong with an avatar's file; its message is one sentence. */
+/** An invalid avatar's file; the message is one sentence. */
 export class BlobError extends Error {
   name = 'BlobError';
 }
@@ -16,7 +16,7 @@ export function fail(words) {
   throw new BlobError(words);
 }
 
-/** The header itself, if it is sound, with what its parts leave out filled in. Throws BlobError. */
+/** Return the header with the defaults of its parts filled in. Throws BlobError unless it is valid. */
 export function checkHeader(header) {
   const whole = (value, least, most) => Number.isInteger(value) && value >= least && value <= most;
   const numbers = (value, size, most = FAR) =>
@@ -43,7 +43,7 @@ export function checkHeader(header) {
     check(holds, 'limits of a shape that do not hold 0 between them');
   }
   check(Array.isArray(parts) && whole(parts.length, 1, MOST.parts), `no parts, or more than ${MOST.parts}`);
-  let end = 0; // bytes behind the header
+  let end = 0; // end of the last part, bytes after the header
   const levels = new Map();
   for (const part of parts) {
     check(isObject(part) && whole(part.level, 0, MOST.parts), 'a part without a level');

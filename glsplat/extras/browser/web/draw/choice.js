@@ -1,20 +1,20 @@
-// Who draws: the server, which sends pictures, or this device. Pictures first; over to drawing here once there is
-// something to draw and it was measured to be faster; back where the display's rate is not kept.
+// Chooses whether the server draws, and sends pictures, or this device. Pictures come first. The device takes over once
+// it has an avatar and was measured to be faster, and gives back when it misses the display's rate.
 
-const SHARE = 0.8; // of the display's rate, below which, for
-const PATIENCE = 3000; // ms, it is back to pictures, and
-const WATCHED = 2000; // ms of pictures, whose rate is known then
-const PAUSE = 60_000; // ms pass until it is tried again, twice as many each time
+const SHARE = 0.8; // of the display's rate; if slower for
+const PATIENCE = 3000; // ms, the server draws again
+const WATCHED = 2000; // ms of pictures before their rate is known
+const PAUSE = 60_000; // ms before another try; doubles each time
 
 export class Choice {
   here = false; // this device draws
-  reason = 'pictures come first'; // in words, for the panel
+  reason = 'pictures come first'; // of the choice, in words
   #wish;
   #display = 60; // Hz
   #times = []; // ms, frames of the last two seconds
   #begun = null; // ms
-  #slow = null; // ms, since when it is too slow
-  #until = 0; // ms, not before
+  #slow = null; // ms, start of being too slow
+  #until = 0; // ms, time of the next try
   #pause = PAUSE;
 
   /** `wish`: a value of the setting `drawn`. */
@@ -29,12 +29,12 @@ export class Choice {
     if (wish === 'server') this.#back('you chose the server');
   }
 
-  /** This device was chosen: nothing is to be compared. */
+  /** Whether the user chose this device, so that no comparison is needed. */
   get settled() {
     return this.#wish === 'here';
   }
 
-  /** What the display can: Hz, as a headset says it. Else it is learnt from frames while pictures are shown. */
+  /** Refresh rate of the display in Hz, where a headset reports it; otherwise learnt from the page's frames. */
   set display(hertz) {
     if (hertz > 0) this.#display = hertz;
   }
@@ -44,7 +44,7 @@ export class Choice {
   }
 
   /**
-   * Whether it has to be measured now: `able` '' or why nothing can be drawn here, `now` ms. Then call `measured`.
+   * Return whether to measure now, and then call `measured`. `able`: '' or why nothing can be drawn here; `now`: ms.
    */
   asks(able, now) {
     if (able) {
@@ -55,7 +55,7 @@ export class Choice {
     return !this.here && known && this.#wish !== 'server' && now >= this.#until;
   }
 
-  /** A picture took `ms` here; the server's come at `rate` a second. */
+  /** Choose by the time of a picture here, `ms`, and the server's pictures per second, `rate`. */
   measured(ms, rate, now) {
     const own = Math.min(1000 / ms, this.#display);
     if (this.#wish === 'here' ? Number.isFinite(ms) : own > rate) {
@@ -66,7 +66,7 @@ export class Choice {
     }
   }
 
-  /** A frame of the display begins at `now`, ms. */
+  /** Count a frame of the display at `now`, ms. */
   frame(now) {
     this.#begun ??= now;
     this.#times.push(now);
@@ -75,7 +75,7 @@ export class Choice {
     if (span < 500) return;
     const rate = ((this.#times.length - 1) * 1000) / span;
     if (!this.here) {
-      if (rate > this.#display) this.#display = rate; // a display is as fast as it was ever seen to be
+      if (rate > this.#display) this.#display = rate; // the fastest rate that was observed
       return;
     }
     if (rate >= SHARE * this.#display) this.#slow = null;

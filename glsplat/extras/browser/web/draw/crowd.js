@@ -1,11 +1,11 @@
-// Everybody who is drawn here: who they are, how they stand, and at which level of detail.
+// The people that this device draws, with their poses and levels of detail.
 
 import { HERE, matrixOf } from './bones.js';
 import { Drawing } from './drawing.js';
 import { cameraOf } from './frame.js';
 import { amountsOf } from './shapes.js';
 
-/** The names of ARKit's 52 shapes, in the order of docs/conventions.md: that of an expression on the wire. */
+/** Names of ARKit's 52 shapes in the order of an expression on the wire (docs/conventions.md). */
 export const ARKIT = [
   'eyeBlinkLeft', 'eyeLookDownLeft', 'eyeLookInLeft', 'eyeLookOutLeft', 'eyeLookUpLeft', 'eyeSquintLeft', 'eyeWideLeft',
   'eyeBlinkRight', 'eyeLookDownRight', 'eyeLookInRight', 'eyeLookOutRight', 'eyeLookUpRight', 'eyeSquintRight',
@@ -20,8 +20,8 @@ export const ARKIT = [
 export class Crowd {
   #drawing;
   #people = []; // [{key, avatar, pose, place, expression, opacity}]
-  #levels = new Map(); // by key: the level that was drawn last
-  #shown = []; // [{splats, skeleton}] as the drawing has them
+  #levels = new Map(); // last level by key
+  #shown = []; // [{splats, skeleton}] of the drawing
 
   /** `options`: of Drawing. */
   constructor(gl, table, options = {}) {
@@ -32,12 +32,15 @@ export class Crowd {
     return this.#drawing;
   }
 
-  /** Splats of the last frame. */
+  /** Number of splats of the last frame. */
   get drawn() {
     return this.#drawing.drawn;
   }
 
-  /** [{key, avatar (avatar.js), pose {joints, root, translations}, place, expression [52] or null, opacity}], whom all views see. */
+  /**
+   * [{key, avatar (avatar.js), pose {joints, root, translations}, place, expression [52] or null, opacity}], whom all
+   * views see.
+   */
   set people(people) {
     this.#people = people.filter(({ avatar }) => avatar.levels.size > 0);
     const keys = new Set(this.#people.map(({ key }) => key));
@@ -50,7 +53,7 @@ export class Crowd {
 
   /**
    * Draw for eyes [{transform, projection, viewport}] into a framebuffer; `shown` and `glass` as of Drawing.draw.
-   * `headless`: whose head is not drawn, by key; `light` of light.js, in the space of the people.
+   * `headless`: key of the person whose head is hidden; `light` of light.js, in the space of the people.
    */
   draw(eyes, framebuffer, shown, { glass = null, headless = null, light = null } = {}) {
     const { width, height } = eyes[0].viewport;
@@ -80,7 +83,7 @@ export class Crowd {
   }
 }
 
-/** Cameras in an item's own space, without its scale: what levels are chosen by. */
+/** Return cameras in an item's own space, without its scale, to choose its level. */
 function placedCameras(cameras, { translation: [x, y, z], rotation }) {
   if (x === 0 && y === 0 && z === 0 && rotation[3] === 1) return cameras;
   const r = matrixOf(rotation);
@@ -94,7 +97,7 @@ function placedCameras(cameras, { translation: [x, y, z], rotation }) {
   });
 }
 
-/** An expression of ARKit's order as weights of an avatar's shapes. */
+/** Return the weights of an avatar's shapes for an expression in ARKit's order. */
 function weightsOf(names, expression) {
   return names.map((name) => expression[ARKIT.indexOf(name)] ?? 0);
 }

@@ -4,7 +4,7 @@ import { FACTORS, SPREAD } from '../space/light.js';
 
 const [ONE, STEPS] = [192, 32]; // of a shade's byte
 
-/** What `light` [11] of light.glsl holds: of {ambient: [[r, g, b] x 9], sun: {direction, color} or null}. */
+/** Return `light` [11] of light.glsl for {ambient: [[r, g, b] x 9], sun: {direction, color} or null}. */
 export function uniformsOf({ ambient, sun }) {
   const out = new Float32Array(44);
   ambient.forEach((rgb, k) => rgb.forEach((v, c) => (out[4 * k + c] = v * FACTORS[k] * SPREAD[k])));
@@ -16,8 +16,8 @@ export function uniformsOf({ ambient, sun }) {
 }
 
 /**
- * Two texels a splat as light.glsl reads them: its normal in its own axes (0: it has no surface), occlusion, 1 / shade.
- * `out`: from float `first` on.
+ * Write two texels per splat for light.glsl into `out` from float `first` on: normal in its own axes (0: no surface),
+ * occlusion, 1 / shade.
  */
 export function fillSurfaces(out, { count, quats, scales, surface }, first) {
   if (!surface) return;
@@ -31,7 +31,7 @@ export function fillSurfaces(out, { count, quats, scales, surface }, first) {
   }
 }
 
-/** A direction along the axes of a splat as the shaders have them: a negative scale turns one round (rotations.signed_axes). */
+/** Return a direction in the axes of a splat; a negative scale reverses its axis (rotations.signed_axes). */
 function inAxes([x, y, z], [w, a, b, c], scales) {
   const columns = [
     [1 - 2 * (b * b + c * c), 2 * (a * b + w * c), 2 * (a * c - w * b)],

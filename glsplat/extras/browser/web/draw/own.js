@@ -1,14 +1,14 @@
-// Drawing on this device, as a page uses it: programs fetched once, the best kind of layers that is fast enough, and all
-// of it made anew after a lost context.
+// Drawing on this device for a page: fetches the programs once, chooses the best kind of layers that is fast enough,
+// and creates everything again after a lost context.
 
 import { Crowd } from './crowd.js';
 import { look, timed } from './device.js';
 
-const SHARE = 0.8; // of a display's frame that a picture may take in 16-bit layers; else it is blended where it is shown
+const SHARE = 0.8; // of a display's frame; a device that is slower with 16-bit layers blends without layers
 
 export class Own {
   why = ''; // why this device cannot draw, in words
-  kind = ''; // of layers; empty: none
+  kind = ''; // of layers; empty: without layers
   #gl;
   #table = null;
   #crowd = null;
@@ -21,7 +21,7 @@ export class Own {
     this.why = this.#device.why;
   }
 
-  /** Have the programs, from a function that fetches programs.json. `why` says so where it fails. */
+  /** Load the programs by a function that fetches programs.json. Sets `why` if it fails. */
   async open(fetched) {
     if (this.why || this.#table) return !this.why;
     try {
@@ -37,12 +37,12 @@ export class Own {
     return this.#crowd !== null;
   }
 
-  /** Splats of the last picture. */
+  /** Number of splats of the last picture. */
   get drawn() {
     return this.#crowd?.drawn ?? 0;
   }
 
-  /** Who is to be seen: as of Crowd. */
+  /** People to draw, as of Crowd. */
   set people(people) {
     this.#people = people;
     if (this.#crowd) this.#crowd.people = people;
@@ -52,7 +52,7 @@ export class Own {
     return this.#people;
   }
 
-  /** Draw as Crowd.draw does. Returns false where it failed, which `why` then says; nothing is drawn from then on. */
+  /** Draw as Crowd.draw does. Return false if it failed: `why` has the reason, and nothing is drawn from then on. */
   draw(...what) {
     if (!this.#crowd) return false;
     try {
@@ -64,7 +64,7 @@ export class Own {
     }
   }
 
-  /** Milliseconds a picture takes, after choosing the kind of layers for a display of so many Hz; Infinity if it fails. */
+  /** Choose the kind of layers for a display, Hz. Return the milliseconds of a picture; Infinity if it fails. */
   measure(eyes, shown, hertz) {
     const { width, height } = eyes[0].viewport;
     const views = eyes.map((eye) => ({ ...eye, viewport: { x: 0, y: 0, width, height } }));
@@ -78,12 +78,12 @@ export class Own {
     return this.#crowd ? took : Infinity;
   }
 
-  /** The context was lost: nothing of it is left. */
+  /** Drop all objects of a lost context. */
   lost() {
     this.#crowd = null;
   }
 
-  /** It came back. */
+  /** Use the restored context. */
   restored() {
     this.#device = look(this.#gl);
     this.why = this.#device.why;

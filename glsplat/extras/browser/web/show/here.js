@@ -1,5 +1,5 @@
-// Drawing on this device instead of showing the server's pictures: who stands where comes over the wire (stream/pose.js),
-// the avatars once (avatar/cache.js), and draw/ draws them for the eyes of this very frame.
+// Draws people on this device instead of showing the server's pictures: poses arrive as replies (stream/pose.js),
+// avatars are fetched once (avatar/cache.js), and draw/ draws them for the eyes of each frame.
 
 import { ARKIT } from '../draw/crowd.js';
 import { HERE } from '../draw/bones.js';
@@ -21,13 +21,13 @@ export class Here {
   cache;
   choice;
   #gl;
-  #own = null; // made when there is an avatar to draw
+  #own = null; // created for the first avatar
   #connection;
-  #offer = null; // what the server hands out of the chosen avatar: {sha256, url, ...}, or null
-  #handedOut = []; // hashes of all that it hands out
-  #refused = ''; // why it does not tell poses
+  #offer = null; // `hand_out` of the user's avatar: {sha256, url, ...}, or null
+  #handedOut = []; // hashes of all avatars that the server hands out
+  #refused = ''; // why the server refuses poses
   #names = new Names();
-  #jaw = 0; // how far one's own is open in the last picture
+  #jaw = 0; // weight of the user's jawOpen in the last picture
 
   constructor(gl, connection, settings) {
     [this.#gl, this.#connection] = [gl, connection];
@@ -39,43 +39,43 @@ export class Here {
     });
   }
 
-  /** Who is drawn next: `hand_out` of the chosen avatar in /session. */
+  /** The user's avatar: its `hand_out` of /session. */
   set offer(offer) {
     if (this.#offer && offer?.sha256 !== this.#offer.sha256) this.people.clear();
     this.#offer = offer ?? null;
     this.#refused = '';
   }
 
-  /** What the server hands out of all its avatars by now, hashes: of what it did before nothing stays. */
+  /** Take the hashes of all avatars that the server hands out now; delete others from the browser. */
   handedOut(hashes) {
     for (const sha256 of this.#handedOut) if (!hashes.includes(sha256)) this.cache.forget(sha256).catch(() => {});
     this.#handedOut = hashes;
     this.cache.sweep(hashes).catch(() => {});
   }
 
-  /** The connection is another one. */
+  /** Forget all people, for another connection. */
   clear() {
     this.people.clear();
   }
 
-  /** A reply in poses; `said`: the expression that went with its request. */
+  /** Take a reply in poses; `said`: the expression of its request. */
   arrived(parsed, said, now) {
     this.people.arrived(parsed, now);
     if (parsed.bodies.some(({ you }) => you)) this.face.answered = said;
   }
 
-  /** The server tells no poses of this avatar. */
+  /** Take the server's reason for refusing poses of this avatar. */
   refuse(words) {
     this.#refused = words;
   }
 
   /**
-   * Whether this device draws the frame for these views of `where` (a placing); pictures come `rate` a second. Looks after
-   * going over and back.
+   * Return whether this device draws the frame for these views of `where` (a placing); measures it when needed. `rate`:
+   * the server's pictures per second.
    */
   draws(views, where, rate, now) {
     this.choice.frame(now);
-    // the coarsest level alone, which comes first, would say little of how fast this device is
+    // measure with the whole avatar: the coarsest level alone is much faster
     if (this.choice.asks(this.#why(now), now) && (this.choice.settled || this.cache.whole(this.#offer.sha256))) {
       const avatar = this.cache.get(this.#offer.sha256, now);
       this.#own.people = [{ key: 0, avatar, pose: atRest(avatar.skeleton) }];
@@ -86,8 +86,8 @@ export class Here {
   }
 
   /**
-   * Draw those who are here. `inside`: the view is from inside the user's own avatar; `light` is in the user's space, else
-   * the `servers` falls. Returns how old their poses are, ms, or null.
+   * Draw all people. `inside`: the view is from inside the user's own avatar; `light`: in the user's space, null for
+   * the server's, `servers`. Returns the age of the oldest pose in ms, or null.
    */
   draw(views, framebuffer, where, { inside, light, servers, now }) {
     const bodies = this.people.at(now);
@@ -106,7 +106,7 @@ export class Here {
     return Math.max(...bodies.map(({ age }) => age));
   }
 
-  /** Shadows of everybody on the floor of the room as `shown`. */
+  /** Return everybody's shadows on the floor of the room as `shown`. */
   shadows(shown, now) {
     const room = this.people.room?.place ? multiply(shown, invert(fromPose(this.people.room.place))) : shown;
     return this.people.at(now).flatMap((body) => {
@@ -117,12 +117,12 @@ export class Here {
     });
   }
 
-  /** Labels for `painter`: the names of everybody else in a room, over their heads, seen by an eye at `transform`. */
+  /** Return labels for `painter`: everybody else's names, over their heads, for an eye at `transform`. */
   labels(where, transform, painter) {
     return this.#names.labels(this.#others(where), transform, painter);
   }
 
-  /** [{key, text, place: over the head, in the room as it is shown}] of everybody else in a room. */
+  /** Return [{key, text, place}] of everybody else in a room; `place` is over the head, in the room as it is shown. */
   #others(where) {
     const { room } = this.people;
     if (!room || !this.#own) return [];
@@ -148,7 +148,7 @@ export class Here {
     this.#own?.restored();
   }
 
-  /** Why nothing can be drawn here, in words; '' where it can. */
+  /** Return why nothing can be drawn here, in words, or ''. */
   #why(now) {
     if (!this.#offer) return 'the server hands out no splats of this avatar';
     if (this.#refused) return this.#refused;
@@ -170,7 +170,7 @@ function atRest(skeleton) {
   return { joints, root: [0, 0, 0] };
 }
 
-/** A place over somebody's head, in the room as it is shown. */
+/** Return a place over a person's head, in the room as it is shown. */
 function above({ avatar: { skeleton }, pose, place = HERE }, shown) {
   const [x, y, z] = skeleton.placeOf(pose, Math.max(skeleton.names.indexOf('head'), 0));
   const m = multiply(shown, standing(place));
@@ -178,7 +178,7 @@ function above({ avatar: { skeleton }, pose, place = HERE }, shown) {
   return [at[0], at[1] + 0.3, at[2]];
 }
 
-/** The room from the space of an avatar that stands at a place. */
+/** Return the matrix from the space of an avatar at a place to the room. */
 function standing({ translation, rotation, scale }) {
   return multiply(fromPose([...translation, ...rotation]), [scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, 1]);
 }

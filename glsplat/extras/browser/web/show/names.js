@@ -1,14 +1,17 @@
-// Names over people's heads, where this device draws them itself.
+// Names over people's heads, for people that this device draws.
 
 import { axis, place, subtract, unit } from '../space/matrix.js';
 import { Notice } from './panel.js';
 
-const BOARD = { width: 0.7, height: 0.095 }; // metres of a Notice, and a little between two
+const BOARD = { width: 0.7, height: 0.095 }; // metres of a Notice, with a gap
 
 export class Names {
   #boards = new Map(); // by key
 
-  /** Labels for the painter of [{key, text, place}], turned to an eye at `transform`; those behind others stand higher. */
+  /**
+   * Return labels for the painter of [{key, text, place}], facing an eye at `transform`; those behind others are
+   * higher.
+   */
   labels(names, transform, painter) {
     const keys = new Set(names.map(({ key }) => key));
     for (const key of this.#boards.keys()) if (!keys.has(key)) this.#boards.delete(key);
@@ -22,7 +25,7 @@ export class Names {
   }
 }
 
-/** A pose at `point`, upright, whose z axis points to an eye. */
+/** Return an upright pose at `point` whose z axis points to an eye. */
 function facing(point, eye) {
   const away = subtract(place(eye), point);
   const z = unit([away[0], 0, away[2]]);
@@ -30,7 +33,7 @@ function facing(point, eye) {
   return [z[2], 0, -z[0], 0, 0, 1, 0, 0, ...z, 0, ...point, 1];
 }
 
-/** The names, the nearest first, raised so far that none is hidden by one before it. */
+/** Return the names, nearest first, each raised until no nearer one hides it. */
 function apart(names, eye) {
   const seen = names.map((name) => {
     const [x, y, z] = subtract(name.place, eye);

@@ -1,19 +1,21 @@
-// Replies in poses (docs/protocol.md, section 4.1): read with every length checked, and mixed for the time of display.
+// Parses replies in poses (docs/protocol.md, section 4.1), checking every length, and interpolates them for the
+// display. Twin: glsplat/net/codec/body.py.
 
 const MAGIC = 0x5256; // "VR", little endian
 const HEAD = 108; // bytes of a body before its rotations
-const SHAPES = 52; // of ARKit
-const MOUTH = [...Array.from({ length: 27 }, (_, i) => 14 + i), 51]; // of them jawForward to mouthUpperUpRight, tongueOut
+const SHAPES = 52; // shapes of ARKit
+const MOUTH = [...Array.from({ length: 27 }, (_, i) => 14 + i), 51]; // of jawForward to mouthUpperUpRight, tongueOut
 const SMALLEST = 1e-5; // of a scale
 const [YOU, EXPRESSION, TRANSLATIONS] = [1, 2, 4];
 const KEPT = 6; // samples of a person
-const LATEST = 150; // ms by which others are shown late at most
-const DRIFT = 0.001; // by how much two clocks may drift apart: ms a ms
-const TORN = 1000; // ms; a clock that leaps by more begins anew
+const LATEST = 150; // ms; largest delay of other people
+const DRIFT = 0.001; // ms per ms; largest drift between two clocks
+const TORN = 1000; // ms; a larger jump restarts a clock
 
 /**
  * {id, info, bodies: [{key, you, frameId, at, t, opacity, sha256, place: {translation, rotation, scale}, root, joints,
- * expression | null, translations | null}]}; `joints` are x y z w a joint, unit. Throws an Error that says what is wrong.
+ * expression | null, translations | null}]}; `joints` are x y z w a joint, unit. Throws an Error that says what is
+ * wrong.
  */
 export function parsePoses(buffer) {
   const view = new DataView(buffer);
@@ -82,7 +84,7 @@ function body(view) {
   return made;
 }
 
-/** Those of the joints that are moved, which are few, among all of them. */
+/** Return the translations [3 J] of all joints; only a few are stored. */
 function moved(view, start, joints) {
   const count = view.getUint16(start, true);
   if (start + 2 + 14 * count > view.byteLength) throw new Error(`a body of ${count} joints that are moved ends early`);
@@ -95,10 +97,10 @@ function moved(view, start, joints) {
   return out;
 }
 
-/** Whether a number is one, and below what the server would send: times in ms are larger than metres. */
+/** Return whether a number is finite and within the server's limits; the first one is a time, the others metres. */
 const near = (value, i) => Number.isFinite(value) && (i === 0 || Math.abs(value) <= 1e6);
 
-/** Make the quaternion at `i` a unit one; false where that cannot be. */
+/** Normalise the quaternion at `i`; return false if it is too short. */
 function unit(q, i) {
   const length = Math.hypot(q[i], q[i + 1], q[i + 2], q[i + 3]);
   if (!(length > 0)) return false;
@@ -106,7 +108,7 @@ function unit(q, i) {
   return true;
 }
 
-/** From quaternions x y z w to others, `part` 0 the first and 1 the second: the shorter way, evenly. */
+/** Interpolate quaternions x y z w by slerp the shorter way; `part`: 0 gives `first`, 1 `second`. */
 function slerp(out, first, second, part) {
   for (let i = 0; i < out.length; i += 4) {
     let dot = 0;
@@ -127,12 +129,12 @@ const lerp = (out, first, second, part) => {
   return out;
 };
 
-/** One clock on another: the least of what they were seen apart, which grows by no more than they drift. */
+/** Maps one clock to another by their smallest observed difference, which may grow by DRIFT. */
 class Clock {
   apart = null; // ms
   #seen = 0;
 
-  /** `theirs` was read when ours was `ours`, or later. */
+  /** Return the time on our clock of `theirs`, which was read at `ours` or later. */
   add(theirs, ours) {
     const now = ours - theirs;
     const kept = this.apart === null ? now : this.apart + DRIFT * Math.max(0, ours - this.#seen);
@@ -142,13 +144,15 @@ class Clock {
   }
 }
 
-/** Everybody of whom bodies come. Others are shown between their last samples, their mouths and oneself at the newest. */
+/**
+ * People by their bodies. Others are interpolated between samples; mouths, and the user, are shown at the newest one.
+ */
 export class People {
   room = null; // the newest `room` of a reply
   #people = new Map(); // by key: {samples: [{time, body}], clock, shown}
   #clock = new Clock(); // the server's on ours
 
-  /** A reply of parsePoses came at `now` (ms, performance.now()). */
+  /** Take a reply of parsePoses that arrived at `now` (ms, performance.now()). */
   arrived({ info, bodies }, now) {
     if (Number.isFinite(info.now)) this.#clock.add(info.now, now);
     if (Array.isArray(info.room?.people)) {
@@ -159,7 +163,7 @@ export class People {
     for (const one of bodies) this.#add(one);
   }
 
-  /** Forget everybody: the connection is another one. */
+  /** Forget everybody, for another connection. */
   clear() {
     this.#people.clear();
     this.#clock = new Clock();
@@ -170,7 +174,7 @@ export class People {
     return this.#people.size;
   }
 
-  /** Everybody at `now`: a body each, mixed, with its `age` in ms. The same arrays each time. */
+  /** Return an interpolated body per person at `now`, with its `age` in ms. The arrays are reused by the next call. */
   at(now) {
     const server = now - (this.#clock.apart ?? 0);
     return [...this.#people.values()].map((person) => shown(person, server));
@@ -187,8 +191,8 @@ export class People {
     const time = one.t === null ? one.at : person.clock.add(one.t, one.at);
     const last = person.samples.at(-1);
     if (last && time <= last.time) {
-      if (one.frameId !== last.body.frameId || one.at !== last.body.at) return; // an older one
-      last.body = one; // the same, fading
+      if (one.frameId !== last.body.frameId || one.at !== last.body.at) return; // it is older
+      last.body = one; // the same sample with another opacity
     } else {
       person.samples.push({ time, body: one });
       if (person.samples.length > KEPT) person.samples.shift();
@@ -214,7 +218,10 @@ function shown(person, server) {
   return Object.assign(person.shown, { key, you, frameId, at, t, opacity, sha256, age });
 }
 
-/** How late others are shown, so that there is a sample on either side: a little more than the longest pause of late. */
+/**
+ * Return the delay of other people, ms: a little above the longest recent pause, so that there is a sample on either
+ * side.
+ */
 function delay(samples) {
   let longest = 0;
   for (let i = 1; i < samples.length; i++) longest = Math.max(longest, samples[i].time - samples[i - 1].time);
@@ -227,7 +234,7 @@ const blank = ({ joints }) => ({
   joints: new Float32Array(joints.length),
 });
 
-/** A mouth goes with a sound, which is heard as it comes: it is the newest known, whatever the body waits for. */
+/** Use the newest mouth without the body's delay: its sound is heard without delay, too. */
 function speak(out, { expression }) {
   if (!expression && !out.expression) return;
   out.expression ??= new Float32Array(SHAPES);

@@ -1,18 +1,18 @@
-// Where this device draws, one's own face is that of now: what others hear of on the way is known here already.
+// The user's own face, drawn by this device without the delay of the server.
 
 import { ARKIT } from '../draw/crowd.js';
 
 const byName = (said) => (Array.isArray(said) ? Object.fromEntries(ARKIT.map((name, i) => [name, said[i]])) : (said ?? {}));
 
 export class OwnFace {
-  /** What goes with the newest request, and what went with that which was answered last: by name, or in ARKit's order. */
+  /** Expressions of the newest request and of the one answered last: by name, or in ARKit's order. */
   now = null;
   answered = null;
   #weights = new Float32Array(ARKIT.length);
 
   /**
-   * `expression` [52] of the server's (null: all 0), with what is said now in it. What it has because it was said, and is
-   * said no more, is at rest; all else, such as eyes that look about, is the server's. Null where all is 0.
+   * Return the server's `expression` [52] (null: all 0) with the weights of `now`. Weights that only the answered
+   * request had are 0; others, such as eye movements of the server, stay. Null if all are 0.
    */
   over(expression) {
     const [now, before] = [byName(this.now), byName(this.answered)];

@@ -1,14 +1,14 @@
-// The second way of docs/protocol.md, section 5.3: pictures and requests by datagrams of WebTransport, in the worker.
+// Pictures and requests in datagrams of WebTransport (docs/protocol.md, section 5.3), in the socket's worker.
 //
-// Whatever is wrong with it, it closes, and all goes over the WebSocket again.
+// Any fault closes the transport; the WebSocket then carries everything again.
 
 import { Assembler, HEAD, NONCE, PICTURE, PING, piecesOf } from './pieces.js';
 
-const STALE = 200; // ms after which a datagram need not be sent any more
-const OPENS = 2000; // ms within which it has to be there
-const SILENT = 2000; // ms without a datagram, while there are requests
-const WAIT = 1; // datagrams that may wait to be sent when a request comes
-const QUEUE = 4096; // datagrams that may wait to be read
+const STALE = 200; // ms; the browser drops older datagrams unsent
+const OPENS = 2000; // ms; limit for opening the transport
+const SILENT = 2000; // ms without a datagram, while requests are sent, before it closes
+const WAIT = 1; // unsent datagrams above which a request takes the WebSocket
+const QUEUE = 4096; // unread datagrams at most
 
 export class Datagrams {
   open = false;
@@ -16,16 +16,16 @@ export class Datagrams {
   #writer = null;
   #timer = 0;
   #number = 0;
-  #heard = 0; // when
-  #asked = 0; // requests since then
-  #waits = 0; // datagrams that the browser has not sent
+  #heard = 0; // ms, when the last datagram arrived
+  #asked = 0; // requests sent since then
+  #waits = 0; // datagrams that the browser has not sent yet
 
-  /** `onPicture(buffer)` gets what a binary message of the WebSocket is. */
+  /** `onPicture(buffer)` is called with what a binary message of the WebSocket would hold. */
   constructor(url, sha256, onPicture) {
     this.#run(url, sha256, onPicture).catch(() => {}).finally(() => this.close());
   }
 
-  /** Whether that text is sent this way: it is not while the browser holds back what was sent before. */
+  /** Send a request as datagrams; return false, and send nothing, while earlier ones are unsent. */
   send(text) {
     if (!this.open || this.#waits > WAIT) return false;
     this.#asked++;

@@ -1,6 +1,6 @@
-// Pieces that were lost, from parity pieces: a Reed-Solomon code over GF(256) with a Cauchy matrix.
+// Restores lost pieces from parity pieces: a Reed-Solomon code over GF(256) with a Cauchy matrix.
 //
-// The twin of glsplat/extras/far_links/datagrams/erasure.py.
+// Twin: glsplat/extras/far_links/datagrams/erasure.py.
 
 const POLYNOMIAL = 0x11d; // x^8 + x^4 + x^3 + x^2 + 1
 const POWER = new Uint8Array(510);
@@ -12,10 +12,10 @@ for (let exponent = 0, value = 1; exponent < 255; exponent++) {
 }
 
 const inverse = (a) => POWER[255 - LOG[a]];
-/** The factor of piece `column` in parity piece `row`. */
+/** Return the factor of piece `column` in parity piece `row`. */
 const factor = (row, column) => inverse((255 - row) ^ column);
 
-/** `to` + `by` x `from`, byte by byte; what is beyond the end of `from` is zero. */
+/** Add `by` x `from` to `to`, byte by byte; bytes beyond the end of `from` are zero. */
 function add(to, from, by) {
   if (!by) return;
   const log = LOG[by];
@@ -27,7 +27,7 @@ function scale(bytes, by) {
   for (let i = 0; i < bytes.length; i++) if (bytes[i]) bytes[i] = POWER[log + LOG[bytes[i]]];
 }
 
-/** Fill what is missing in `pieces` (some undefined) by `parity`, a Map from row to bytes of `length`, as many at least. */
+/** Fill the undefined `pieces` from `parity`, a Map of row to bytes of `length`, with at least as many entries. */
 export function restore(pieces, parity, length) {
   const missing = [];
   for (let i = 0; i < pieces.length; i++) if (!pieces[i]) missing.push(i);

@@ -1,23 +1,24 @@
-// A picture out of datagrams, and a request into some: docs/protocol.md, section 5.3.
+// Datagrams to a picture, and a request to datagrams (docs/protocol.md, section 5.3).
+// Twin: glsplat/extras/far_links/datagrams/packets.py.
 
 import { restore } from './erasure.js';
 
 export const HEAD = 12; // bytes before each piece
-export const NONCE = 8; // bytes before a picture, which are sent back once it is there
+export const NONCE = 8; // bytes before a picture, sent back to acknowledge it
 export const PICTURE = 0;
 export const PING = 1;
 const REQUEST = 2;
 const PIECE = 1124;
 const GROUP = 160; // pieces of a group at most
 const LARGEST = 8 * 2 ** 20;
-const UNFINISHED = 8; // pictures of which pieces are kept
+const UNFINISHED = 8; // incomplete pictures kept at most
 
-/** Pieces to pictures: each once, and none that is older than the newest that was whole. */
+/** Assembles pictures: each once, and none older than the newest complete one. */
 export class Assembler {
   newest = -1;
   #unfinished = new Map();
 
-  /** The bytes of a picture, where this datagram (a Uint8Array of kind PICTURE) was the last that it needed; or null. */
+  /** Return the bytes of a picture if this datagram (a Uint8Array of kind PICTURE) completes it, else null. */
   add(datagram) {
     if (datagram.length <= HEAD) return null;
     const view = new DataView(datagram.buffer, datagram.byteOffset, HEAD);
@@ -52,7 +53,7 @@ class Unfinished {
     }
   }
 
-  /** Whether it can be put together now. */
+  /** Keep a piece; return whether the picture is complete. */
   add(number, piece) {
     const own = number < this.count;
     const length = own ? Math.min(PIECE, this.bytes - number * PIECE) : PIECE;
@@ -79,7 +80,7 @@ class Unfinished {
   }
 }
 
-/** The datagrams of a request; `number` grows from message to message. */
+/** Return the datagrams of a request; `number` grows from message to message. */
 export function piecesOf(number, text) {
   const bytes = new TextEncoder().encode(text);
   const out = [];

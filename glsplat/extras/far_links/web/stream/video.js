@@ -1,14 +1,14 @@
-// Video of docs/protocol.md, section 5.2, decoded by WebCodecs: one coded picture in, a bitmap an eye out.
+// Decodes video (docs/protocol.md, section 5.2) by WebCodecs: one coded picture in, one bitmap per eye out.
 
-// what the server can code, by its names, and one of each to ask the browser about
+// codecs of the server by name, each with a codec string for the browser
 const KNOWN = { vp9: 'vp09.00.51.08', h264: 'avc1.640033' };
 const SIZE = { codedWidth: 2048, codedHeight: 1024 };
 const LATENCY = { optimizeForLatency: true };
-// sRGB by the matrix of BT.601, in limited range: what a stream says of it is not heard by all decoders
+// sRGB by the matrix of BT.601, limited range; not all decoders read it from the stream
 const COLOURS = { primaries: 'bt709', transfer: 'iec61966-2-1', matrix: 'smpte170m', fullRange: false };
-const LONGEST = 1000; // ms for a picture; a decoder that takes longer holds it back
+const LONGEST = 1000; // ms per picture; a slower decoder counts as failed
 
-/** The names of those that this browser decodes, the best first. */
+/** Return the names of the codecs that this browser decodes, the best first. */
 export async function decodable() {
   if (typeof VideoDecoder === 'undefined') return []; // an old browser, or a page that is not secure
   const asked = Object.entries(KNOWN).map(async ([name, codec]) => {
@@ -18,14 +18,16 @@ export async function decodable() {
   return (await Promise.all(asked)).flat();
 }
 
-/** One stream. It goes on from the picture before, so each is to be given, one after the other. */
+/** One stream. Every picture has to be passed in order, as each depends on the one before. */
 export class VideoFrames {
   #decoder = null;
   #form = '';
-  #last = 0; // number of the picture before
+  #last = 0; // number of the last picture
   #resolve = () => {};
 
-  /** Of `data`, described by a reply's `video`, with eyes of `side`: [[colour, alpha | null], ...]; null: lost. */
+  /**
+   * Decode `data` by a reply's `video`, for eyes of size `side`: [[colour, alpha | null], ...]; null where it is lost.
+   */
   async decode(data, { codec, number, key, size, eyes, alpha }, side, options) {
     if (key) this.#begin(codec, size);
     else if (number !== this.#last + 1 || this.#decoder?.state !== 'configured') return null;
@@ -33,7 +35,7 @@ export class VideoFrames {
     const frame = await this.#frame(new EncodedVideoChunk({ type: key ? 'key' : 'delta', timestamp: number, data }));
     if (!frame) {
       this.#last = 0;
-      this.#form = ''; // another decoder goes on: what this one still has would be taken for a later picture
+      this.#form = ''; // use another decoder: late output of this one would be taken for a later picture
       return null;
     }
     const part = (at) => at && createImageBitmap(frame, ...at, ...side, options);

@@ -1,9 +1,9 @@
-// A curve of the last values as an SVG.
+// Draws the last values as a curve (SVG).
 
 const SVG = 'http://www.w3.org/2000/svg';
 const [WIDTH, HEIGHT] = [300, 80]; // of its own units
 
-/** Of `values`, the newest at the right edge, `most` of which fill the width; `highest` is its upper edge. `title`: in words. */
+/** Return the SVG of `values`, the newest at the right; `most` values fill the width, `highest` is the upper edge. */
 export function curve(values, most, highest, title) {
   const svg = element('svg', { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: 'none', class: 'curve', role: 'img', 'aria-label': title });
   for (const part of [0.5, 1]) svg.append(element('line', { x1: 0, x2: WIDTH, y1: part * (HEIGHT - 2) + 1, y2: part * (HEIGHT - 2) + 1 }));

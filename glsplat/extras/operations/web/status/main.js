@@ -1,18 +1,17 @@
-// The server's status page: what it says of itself, asked anew every two seconds in one request. Everything comes from
-// this server.
+// The server's status page, updated by one request every two seconds.
 
 import { curve } from './curve.js';
 
 const PAUSE = 2000; // ms
 const $ = (id) => document.getElementById(id);
-const TOKEN = 'glsplat.token'; // as the page in this tab keeps it
+const TOKEN = 'glsplat.token'; // kept by the page in this tab
 const CURVES = [
   { key: 'fps', label: 'Pictures a second', show: (v) => v.toFixed(1), least: 5 },
   { key: 'age', label: 'From request to reply, ms', show: (v) => v.toFixed(0), least: 50 },
   { key: 'load', label: 'Load per core', show: (v) => v.toFixed(2), least: 1 },
 ];
 const COLUMNS = ['id', 'avatar', 'room', 'a second', 'form', 'size', 'sent', 'dropped', 'failed', 'window'];
-const sent = new Map(); // by client: {count, at} of the last look, for its rate
+const sent = new Map(); // by client: {count, at} of the last poll, for its rate
 const pictures = new Map(); // by avatar: {tag, address} of its picture, a blob
 
 function ask(path) {
@@ -95,7 +94,7 @@ function clients(list, connected) {
   return $('clients').replaceChildren(table);
 }
 
-/** What clients were sent last, where that is nobody's secret. */
+/** Show the last pictures of clients, if the server gives them. */
 function now(list, sentLast, avatars) {
   const shown = list.filter(({ id }) => sentLast[id]);
   $('now').hidden = !shown.length;
@@ -121,7 +120,7 @@ function tile(address, alt, text) {
   return figure;
 }
 
-/** The blob address of an avatar's picture, or null; asked for once, and again when its tag is another. */
+/** Return the blob URL of an avatar's picture, or null; fetched once for each tag. */
 async function picture(name, tag) {
   const before = pictures.get(name);
   if (before && (!tag || tag === before.tag)) return before.address;

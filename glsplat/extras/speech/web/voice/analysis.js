@@ -1,7 +1,9 @@
-// Sound to visemes, as glsplat/extras/speech/analysis.py does it: cepstra of short frames and a small network over some of
-// them, by the same table (voice/visemes.json). Runs in the audio thread, in a page and in node alike.
+// Sound to visemes: cepstra of short frames and a small network over some of them, by the table voice/visemes.json.
+// Twin: glsplat/extras/speech/analysis.py. Runs in the audio thread, in a page and in Node.
 
-/** A stream of sound at `rate` samples a second; `table` is visemes.json. Pieces of any length make no difference. */
+/**
+ * A stream of sound at `rate` samples a second; `table` is visemes.json. The length of the pieces makes no difference.
+ */
 export class Analysis {
   #table;
   #rate;
@@ -11,7 +13,7 @@ export class Analysis {
   #bank;
   #cosines;
   #decay;
-  #ring; // the last samples, the next one's place
+  #ring; // the last samples
   #heard = 0;
   #frames = 0;
   #peak;
@@ -40,7 +42,9 @@ export class Analysis {
     this.deepest = 1 - Math.min(...network.offsets);
   }
 
-  /** The frames that end within `samples`: [{time (seconds of the sound), visemes, level (decibels below the peak)}]. */
+  /**
+   * The frames that end within `samples`: [{time (seconds of the sound), visemes, level (decibels below the peak)}].
+   */
   add(samples) {
     const { hop, window } = this.#table.sound;
     const out = [];
@@ -88,7 +92,7 @@ export class Analysis {
     const logs = energies.map((energy) => Math.log(energy / this.#peak + sound.tiny));
     const cepstrum = this.#cosines.map((row) => row.reduce((sum, v, b) => sum + v * logs[b], 0));
     this.#past.push(cepstrum);
-    while (this.#past.length < this.deepest) this.#past.unshift(cepstrum); // what was before the beginning is as it
+    while (this.#past.length < this.deepest) this.#past.unshift(cepstrum); // frames before the first one equal it
     if (this.#past.length > this.deepest) this.#past.shift();
     this.#levels.push(10 * Math.log10(level / this.#peak + sound.tiny));
     if (this.#levels.length > network.ahead + 1) this.#levels.shift();
@@ -111,7 +115,7 @@ function layer(input, weights, bias) {
   return out;
 }
 
-/** Triangles that are even on the mel scale: {first, weights} each, without their zeros. */
+/** Return triangular filters, evenly spaced on the mel scale: {first, weights} each, without their zeros. */
 function bank({ low, high, bands }, rate, size, factor) {
   const mel = (f) => 2595 * Math.log10(1 + f / 700);
   const edges = Array.from({ length: bands + 2 }, (_, i) => {

@@ -1,4 +1,4 @@
-// Visemes to the weights of ARKit's shapes, as glsplat/extras/speech/mouth.py does it.
+// Visemes to the weights of ARKit's shapes. Twin: glsplat/extras/speech/mouth.py.
 
 /** One mouth. It is at rest in silence. */
 export class Mouth {
@@ -20,7 +20,7 @@ export class Mouth {
     this.#mixed = visemes.map((_, i) => (i ? 0 : 1));
   }
 
-  /** The weights after one more frame of Analysis, {name: 0 to 1}, all that the visemes have. */
+  /** Return the weights after one more frame of Analysis: {name: 0 to 1} of all shapes that visemes use. */
   add({ visemes, level }) {
     const { closed, opens, jaw } = this.#table.mouth;
     this.#mixed = this.#mixed.map((mixed, i) => mixed + (visemes[i] - mixed) * this.#nearer);

@@ -1,4 +1,4 @@
-// The voice's part of the flat page: a button that asks, a sentence that says what happens, and a mute in sight.
+// The voice's controls on the flat page: a button to start and stop, a button to mute, and the state in words.
 
 import { Hurry } from './hurry.js';
 import { Voice } from './voice.js';
@@ -6,7 +6,10 @@ import { Voice } from './voice.js';
 const SAID = 'Your voice moves the avatar’s mouth. The sound stays in this browser: only how the mouth stands is sent.';
 const STATES = { off: '', asking: 'The browser asks whether it may listen…', on: 'Listening.', muted: 'Muted.', refused: '' };
 
-/** Put it behind `place`, an element. Pictures of `stage` get smaller while the user speaks. Returns the voice. */
+/**
+ * Insert the controls after `place`, an element; request smaller pictures of `stage` while the user speaks. Return the
+ * voice.
+ */
 export function addVoice(place, stage) {
   const voice = new Voice();
   const hurry = new Hurry();

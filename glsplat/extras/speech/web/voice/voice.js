@@ -1,12 +1,12 @@
-// The user's voice moves the avatar's mouth: microphone, audio thread, and the weights that go with what is sent.
+// The user's voice moves the avatar's mouth: microphone, audio thread, and the weights that requests carry.
 
-const STALE = 300; // ms without word from the audio thread after which the mouth is at rest
-const LEAP = 0.05; // of a weight since they were last taken, that is not to wait
+const STALE = 300; // ms without a message of the audio thread before the mouth goes to rest
+const LEAP = 0.05; // change of a weight since the last request that is worth a request at once
 const WANTED = { echoCancellation: true, noiseSuppression: true, autoGainControl: true, channelCount: 1 };
 
 /**
- * Events: 'change' (of `state`: off, asking, on, muted, refused; `why` says in words what went wrong), 'leap': the mouth
- * moves so far that what shows it should not wait.
+ * Events: 'change' of `state` (off, asking, on, muted, refused; `why`: the reason in words), and 'leap': the mouth
+ * moved far enough for a request at once.
  */
 export class Voice extends EventTarget {
   state = 'off';
@@ -14,11 +14,11 @@ export class Voice extends EventTarget {
   #stream = null;
   #context = null;
   #weights = {};
-  #said = {}; // those that a request was given last
-  #sent = {}; // those of the last that went out
-  #least = 0; // of a weight that is sent
+  #said = {}; // weights that `speaks` returned last
+  #sent = {}; // weights of the last request that was sent
+  #least = 0; // smallest weight that is sent
   #heard = 0;
-  #round = 0; // what was begun before the last start or stop no longer counts
+  #round = 0; // number of the last start or stop; results of earlier ones are dropped
 
   /** Ask for the microphone, and listen. */
   async start() {
@@ -58,7 +58,7 @@ export class Voice extends EventTarget {
     }
   }
 
-  /** Give the microphone back. */
+  /** Stop, and release the microphone. */
   stop(why = '') {
     this.#round++;
     this.#stream?.getTracks().forEach((track) => track.stop());
@@ -67,14 +67,14 @@ export class Voice extends EventTarget {
     this.#become(why ? 'refused' : 'off', why);
   }
 
-  /** Silence, without giving the microphone back. */
+  /** Mute or unmute; the microphone stays open. */
   mute(muted) {
     if (!this.#context) return;
     this.#stream.getTracks().forEach((track) => (track.enabled = !muted));
     this.#become(muted ? 'muted' : 'on');
   }
 
-  /** The weights of now, {name: 0 to 1}; null while nobody listens. */
+  /** Return the current weights, {name: 0 to 1}; null while the microphone is closed. */
   weights() {
     if (this.state !== 'on') return null;
     if (performance.now() - this.#heard > STALE) return {};
@@ -82,14 +82,14 @@ export class Voice extends EventTarget {
     return Object.fromEntries(kept.map(([name, weight]) => [name, Math.round(weight * 1000) / 1000]));
   }
 
-  /** A sample of tracking, or a pose, with the mouth of now; what it says of the face itself wins. */
+  /** Return a sample of tracking, or a pose, with the current mouth added; weights that it has itself win. */
   speaks(body) {
     const said = this.weights();
     this.#said = said ?? {};
     return said && !Array.isArray(body.expression) ? { ...body, expression: { ...said, ...body.expression } } : body;
   }
 
-  /** What `speaks` returned last has gone out. */
+  /** Note that the last result of `speaks` was sent. */
   sent() {
     this.#sent = this.#said;
   }

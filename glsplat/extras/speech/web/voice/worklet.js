@@ -1,4 +1,4 @@
-// In the audio thread: the microphone's sound becomes weights here, and nothing of the sound goes on from here.
+// Audio thread: turns the microphone's sound into weights. The sound itself stays in this thread.
 
 import { Analysis } from './analysis.js';
 import { Mouth } from './mouth.js';

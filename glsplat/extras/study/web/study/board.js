@@ -12,9 +12,9 @@ const MENU = 0.32; // metres: menus that are wider hang beside a mirror
 const INK = { ground: 'rgba(16,20,28,0.94)', text: '#e8edf5', dim: '#9fb0c8', cell: '#2b3340', hover: '#4a6ea8', chosen: '#8ab8ff' };
 const BUTTON = { width: 250, height: 80 };
 
-/** Stands in for Panel in `Immersive`: rows, hovered, hang, hit, label. What is shown comes by `show(content)`. */
+/** Replaces Panel in `Immersive` (rows, hovered, hang, hit, label). `show(content)` sets what it shows. */
 export class StudyBoard {
-  rows = []; // not used: the content says what there is
+  rows = []; // unused: the content has the cells
   hovered = -1;
   #board = new Board(SIZE.width, SIZE.height);
   #content = { cells: [] };
@@ -36,7 +36,7 @@ export class StudyBoard {
     this.#kind = kind;
   }
 
-  /** The place stays as long as the same kind of thing is shown: nobody presses what moves with their wrist. */
+  /** Place the board anew for another kind of content only: a board that moves with the wrist cannot be pressed. */
   hang(transform, width) {
     const [c, s] = [Math.cos(FACE), Math.sin(FACE)];
     const front = multiply(translation(FRONT), [c, 0, -s, 0, 0, 1, 0, 0, s, 0, c, 0, 0, 0, 0, 1]);
@@ -45,7 +45,7 @@ export class StudyBoard {
     this.#board.transform = this.#pinned;
   }
 
-  /** The cell that a ray (origin, unit direction) meets: {index, row: {id}, distance, point}, or null. */
+  /** Return the cell that a ray (origin, unit direction) hits: {index, row: {id}, distance, point}, or null. */
   hit(origin, direction) {
     const met = this.#board.hit(origin, direction, METRES);
     if (!met) return null;
@@ -106,7 +106,7 @@ export class StudyBoard {
   }
 }
 
-/** The largest text that fits: {size, lines}. */
+/** Return the largest text size that fits: {size, lines}. */
 function fitted(ink, text, width, height) {
   for (let size = 54; ; size -= 2) {
     ink.font = `${size}px system-ui, sans-serif`;

@@ -1,10 +1,10 @@
-// What the panel in VR shows of the study's state, and what pressing it means.
+// The study's state as content of the panel in VR, with the ids of its buttons.
 
 import { button, column, row } from './board.js';
 
 const MOST_CELLS = 25; // of a slider; finer ones are pressed to the nearest of them
 
-/** The board's content: see StudyBoard.show. */
+/** Return the board's content, as StudyBoard.show takes it. */
 export function content(state, questions, left, trouble) {
   if (!state) return { kind: 'wait', text: trouble || 'Please wait…', cells: [] };
   const heading = state.ended ? state.title : `${state.title} · ${state.number} of ${state.of}`;
@@ -49,7 +49,7 @@ function question(questions, trouble) {
   return { kind: questions.step, heading, text: item.text, cells, ends };
 }
 
-/** The values that can be pressed. */
+/** Return the values that can be pressed. */
 function values({ from, to, step }) {
   const steps = Math.round((to - from) / step);
   const stride = Math.ceil((steps + 1) / MOST_CELLS);

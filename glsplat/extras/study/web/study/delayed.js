@@ -1,8 +1,8 @@
-// A connection whose replies come later than they arrive: the latency that a condition adds.
+// A connection that delays replies by the latency of a study's condition.
 
 import { Connection } from '../stream/connection.js';
 
-/** Acknowledgements are not delayed, so the rate stays; the age of pictures grows by `latency` (ms). */
+/** Adds `latency` (ms) to the age of pictures. Acknowledgements are not delayed, so the rate stays. */
 export class Delayed extends Connection {
   latency = 0;
 

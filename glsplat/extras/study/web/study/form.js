@@ -2,7 +2,7 @@
 
 import { ending, seconds } from './content.js';
 
-/** Fills `#step`; what the participant does goes to `deeds` {consent(accepted), ready()} and the questions. */
+/** Fills `#step`; the participant's actions go to `deeds` {consent(accepted), ready()} and the questions. */
 export class Form {
   #document;
   #questions;
@@ -38,7 +38,7 @@ export class Form {
     this.#update(state);
   }
 
-  /** Seconds left, every now and then. */
+  /** Show the seconds that are left. */
   tick(left) {
     const clock = this.#document.getElementById('left');
     if (clock && clock.textContent !== seconds(left)) clock.textContent = seconds(left);
@@ -49,7 +49,7 @@ export class Form {
     if (state.paused) return [this.#text('Please wait. The experimenter has stopped the time.')];
     if (state.kind === 'consent') {
       const text = this.#text(state.text, 'text consent');
-      text.tabIndex = 0; // so that the keyboard scrolls it
+      text.tabIndex = 0; // lets the keyboard scroll it
       return [text, this.#buttons([['agree', 'I agree', () => this.#deeds.consent(true)],
         ['decline', 'I do not agree', () => this.#deeds.consent(false)]])];
     }
@@ -120,7 +120,7 @@ export class Form {
       this.#questions.choose(Number(input.value));
     };
     input.addEventListener('change', choose);
-    input.addEventListener('click', choose); // the middle can be meant, too
+    input.addEventListener('click', choose); // a click on the middle, which changes nothing, is an answer, too
     input.addEventListener('keyup', (event) => (event.key === 'Enter' || event.key === ' ') && choose());
     box.append(input, out);
     return box;

@@ -1,16 +1,16 @@
-// What the study's pages say to the server: each message is a POST of JSON, answered by the state.
+// Messages of the study's pages: each is a POST of JSON, answered with the state.
 
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/..., also behind a proxy that moves it
 const PAUSES = [300, 600, 1200, 2500]; // ms between attempts
 
-/** A refusal of the server's, with its code and HTTP status; status 0: it does not answer. */
+/** A refusal by the server, with its code and HTTP status; status 0: no answer. */
 class Refusal extends Error {
   constructor(status, code, message, wait = 0) {
     super(message);
     Object.assign(this, { status, code, wait });
   }
 
-  /** Whether the same message may do later: the disk was full, the server away or busy. */
+  /** Whether a retry may succeed: the disk was full, the server away or busy. */
   get passes() {
     return this.status === 0 || this.status === 429 || this.status >= 500;
   }
@@ -25,7 +25,7 @@ export class Link {
     this.#token = token;
   }
 
-  /** The response of one POST. Throws a Refusal. */
+  /** Return the response of one POST. Throws a Refusal. */
   async #post(path, message) {
     const headers = { 'Content-Type': 'application/json', 'X-Glsplat-Study': this.#secret };
     if (this.#token) headers.Authorization = `Bearer ${this.#token}`;
@@ -47,7 +47,7 @@ export class Link {
     throw new Refusal(response.status, error.code, error.message, 1000 * (Number(response.headers.get('Retry-After')) || 0));
   }
 
-  /** The JSON of an answer. Throws a Refusal. */
+  /** Return the JSON of an answer. Throws a Refusal. */
   async ask(path, message) {
     const response = await this.#post(path, message);
     return response.json().catch(() => {
@@ -55,20 +55,20 @@ export class Link {
     });
   }
 
-  /** A picture as a Blob, or null. Throws a Refusal. */
+  /** Return a picture as a Blob, or null. Throws a Refusal. */
   async picture(path) {
     const response = await this.#post(path, {});
     return response.status === 204 ? null : response.blob();
   }
 }
 
-/** Wait before attempt `count` of something that failed by `refusal`. */
+/** Wait before retry number `count` after a `refusal`. */
 export function pause(count, refusal) {
   const ms = Math.max(refusal?.wait ?? 0, PAUSES[Math.min(count, PAUSES.length - 1)]);
   return new Promise((done) => setTimeout(done, ms));
 }
 
-/** {study, token} that a link brought behind "#", kept in this tab alone and taken out of the address. */
+/** Return {study, token} of the address behind "#"; keep them in this tab alone and remove them from the address. */
 export function brought(key) {
   const hash = new URLSearchParams(location.hash.slice(1));
   if (hash.get('study')) {

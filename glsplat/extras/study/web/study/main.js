@@ -1,4 +1,4 @@
-// The participant's page: the server leads, this page shows what it says and tells what the participant does.
+// The participant's page: shows the steps that the server sends, and reports the participant's actions.
 
 import { Settings } from '../settings.js';
 import { Orbit } from '../show/orbit.js';
@@ -17,21 +17,21 @@ import { Link, brought, pause } from './link.js';
 import { Questions } from './questions.js';
 
 const KEY = 'glsplat.extras.study';
-const NOTHING = { getItem: () => null, setItem: () => {} }; // settings are the study's, none are kept
+const NOTHING = { getItem: () => null, setItem: () => {} }; // the study has the settings; none are kept
 const TICK = 100; // ms
 
 const page = Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => byte.toString(16).padStart(2, '0')).join('');
 const { secret, token } = brought(KEY);
 const link = new Link({ secret, token });
 const settings = new Settings(NOTHING);
-settings.set('place', 'plain'); // what participants see is what it was in studies before
+settings.set('place', 'plain'); // the same surroundings as in earlier studies
 settings.set('light', false); // in passthrough, too
 const canvas = document.getElementById('canvas');
 const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, alpha: false });
 const connection = new Delayed(() => ({ study: page }));
 let state = null;
 let complaint = '';
-let told = 0; // when the state came, ms
+let told = 0; // ms, when the state arrived
 let spoken = '';
 let elsewhere = false;
 
@@ -66,14 +66,14 @@ const immersive = new Immersive(gl, stage, settings, { rows: () => [], press }, 
 });
 immersive.panel = board;
 
-/** One message of this page's; its answer is the state. Throws a Refusal. */
+/** Send one message; take the state that answers it. Throws a Refusal. */
 async function send(message) {
   const found = await link.ask('study/do', { page, ...message });
   take(found);
   return found;
 }
 
-/** The same, until it is heard or refused. */
+/** Send with retries until the server answers or refuses. */
 async function attempt(message) {
   for (let count = 0; ; count++) {
     try {
@@ -94,7 +94,7 @@ function press(id) {
   else answer(id.slice('value:'.length));
 }
 
-/** A value pressed on the board; points go on by themselves. */
+/** Answer by a value pressed on the board; a point of a scale leads to the next item. */
 function answer(text) {
   const { item } = questions;
   if (!item) return;
@@ -107,7 +107,7 @@ function take(found) {
   fresh = false;
   const before = state?.condition ?? null;
   const runs = found.phase === 'running' && !(state?.phase === 'running' && state.step === found.step);
-  if (runs) stage.figures = new Figures(); // those of this task alone
+  if (runs) stage.figures = new Figures(); // of this task alone
   state = found;
   told = performance.now();
   questions.told(found);
@@ -115,9 +115,9 @@ function take(found) {
   speak(found);
   show();
 }
-let fresh = true; // the next state counts whatever its number: another server, perhaps
+let fresh = true; // take the next state whatever its revision: the server may be another one
 
-/** Bring what is shown to the condition. */
+/** Apply the condition to the picture. */
 function lead(before, condition) {
   connection.latency = condition?.latency ?? 0;
   if (condition && settings.get('view') !== condition.view) settings.set('view', condition.view);
@@ -158,7 +158,7 @@ function say(words) {
   show();
 }
 
-/** What is told of the page's speed; null before the first picture of a task. */
+/** Return the report of the page's speed; null before the first picture of a task. */
 function figures() {
   if (!stage.figures.shown) return null;
   const found = stage.stats(performance.now());
@@ -166,7 +166,7 @@ function figures() {
   return { fps, age_ms: ageMs, age_p95_ms: ageP95Ms, rtt_ms: rttMs, frame_rate: frameRate, session: immersive.mode || 'page' };
 }
 
-/** Ask for news for as long as the page is there. */
+/** Poll the state for as long as the page is open. */
 async function follow() {
   let failures = 0;
   let entered = false;
@@ -174,7 +174,7 @@ async function follow() {
     try {
       if (!entered) {
         fresh = true;
-        stage.canHide = (await send({ do: 'enter' })).heads; // who looks down at their own body does not look out of its head
+        stage.canHide = (await send({ do: 'enter' })).heads; // hide the head, seen from inside
         entered = true;
       }
       const found = await link.ask('study/state', { page, after: state?.revision ?? -1, figures: figures() });
@@ -199,7 +199,7 @@ async function follow() {
 questions.addEventListener('change', show);
 settings.addEventListener('change', ({ detail: { name, value } }) => {
   const wanted = state?.condition?.view;
-  if (name === 'view' && wanted && value !== wanted) settings.set('view', wanted); // a button of the controller
+  if (name === 'view' && wanted && value !== wanted) settings.set('view', wanted); // by a controller's button
 });
 const button = document.getElementById('enter-vr');
 button.addEventListener('click', async () => {
@@ -229,9 +229,9 @@ canvas.addEventListener('webglcontextrestored', () => stage.restore(gl));
 window.glsplat = Object.freeze({
   /** Numbers for programs and tests, as on the other page. */
   stats: () => ({ session: immersive.mode || 'none', view: settings.get('view'), ...stage.stats(performance.now()) }),
-  /** The study's state as the server told it, and what is not saved yet. */
+  /** The study's state of the server, and answers that are not saved yet. */
   study: () => ({ state, left: left(), item: questions.item?.name ?? null, saving: questions.saving, complaint, elsewhere }),
-  /** Where a cell of the panel in VR is, in the room. */
+  /** Position of a cell of the panel in VR, in the room. */
   cell: (id) => board.where(id),
 });
 

@@ -1,24 +1,24 @@
-// The questionnaire in hand: which item is asked, what was answered, and answers on their way to the server's disk.
+// The current questionnaire: its item, the answers, and those not yet on the server's disk.
 
 import { pause } from './link.js';
 
 const KEY = 'glsplat.extras.study.unsaved'; // answers that are not on the server's disk, in this tab's storage
 
-/** Events: 'change'. Answers go one after the other; none is forgotten until the server has it or refuses it. */
+/** Event: 'change'. Answers are sent one after the other; each is kept until the server has saved or refused it. */
 export class Questions extends EventTarget {
   step = '';
   items = [];
   index = 0;
   answers = {};
   trouble = ''; // why the newest answers are not saved
-  refused = 0; // answers that the server will not take: what it has counts
-  #saved = {}; // the answers that it has
+  refused = 0; // answers that the server refused
+  #saved = {}; // answers on the server's disk
   #send;
   #queue = JSON.parse(sessionStorage.getItem(KEY) ?? '[]'); // [{step, item, value, seconds}]
   #running = false;
   #asked = 0; // when the item was shown first, ms
 
-  /** `send(message)` resolves once it is on disk, and throws a Refusal. */
+  /** `send(message)` resolves once the answer is on disk; it throws a Refusal. */
   constructor(send) {
     super();
     this.#send = send;
@@ -33,7 +33,7 @@ export class Questions extends EventTarget {
     return this.item !== null && this.answers[this.item.name] !== undefined;
   }
 
-  /** Whether the item may be left. */
+  /** Return whether the item has its answer. */
   get free() {
     return this.answered || this.item?.required === false;
   }
@@ -46,7 +46,7 @@ export class Questions extends EventTarget {
     return this.#queue.length > 0;
   }
 
-  /** What the server says: another step begins at the first item without an answer. */
+  /** Take the server's state; another step begins at the first item without an answer. */
   told(state) {
     if (state.kind !== 'questionnaire') {
       this.step = '';
@@ -64,7 +64,7 @@ export class Questions extends EventTarget {
     }
   }
 
-  /** Answer the item that is asked. */
+  /** Answer the current item. */
   choose(value) {
     if (!this.item || this.answers[this.item.name] === value) return;
     this.answers = { ...this.answers, [this.item.name]: value };
@@ -80,7 +80,7 @@ export class Questions extends EventTarget {
     if (this.index > 0) this.#go(this.index - 1);
   }
 
-  /** To the next item; at the end the questionnaire is handed in, once all answers are saved. */
+  /** Go to the next item; after the last one, submit the questionnaire once all answers are saved. */
   next() {
     if (!this.free) return;
     if (!this.last) {
@@ -99,7 +99,7 @@ export class Questions extends EventTarget {
     this.#tell();
   }
 
-  /** Show what the server has in place of an answer that it refused, unless another one was given since. */
+  /** Replace a refused answer by the server's, unless a newer one was given. */
   #restore({ step, item, value }) {
     if (step !== this.step || this.answers[item] !== value) return;
     const { [item]: _, ...others } = this.answers;
@@ -133,7 +133,7 @@ export class Questions extends EventTarget {
           await pause(failures++, refusal);
           continue;
         }
-        this.trouble = refusal.message; // it will never do: the state says what is asked now
+        this.trouble = refusal.message; // refused for good; the state has the current item
         this.#queue = this.#queue.filter((one) => one !== first);
         if (!submit) this.#restore(first);
       }

@@ -1,4 +1,4 @@
-// The experimenter's page: where the participant is, what they see, and the few things that can be done about it.
+// The experimenter's page: the participant's step and picture, and the commands of an experimenter.
 
 import { Link, brought, pause } from './link.js';
 
@@ -8,7 +8,7 @@ const WORDS = { done: 'finished', declined: 'no consent was given', aborted: 'ab
 const link = new Link(brought('glsplat.extras.study.watch'));
 const get = (id) => document.getElementById(id);
 let state = null;
-let shown = ''; // address of the picture
+let shown = ''; // blob URL of the picture
 
 function say(words, level = 'info') {
   const line = get('status');
@@ -76,7 +76,7 @@ get('repeat').addEventListener('click', () => command({ do: 'repeat' }));
 get('note-form').addEventListener('submit', async (event) => {
   event.preventDefault();
   const note = get('note');
-  if (await command({ do: 'note', text: note.value })) note.value = ''; // what is not on disk stays there
+  if (await command({ do: 'note', text: note.value })) note.value = ''; // a note that is not on disk stays in the field
 });
 get('abort-form').addEventListener('submit', (event) => {
   event.preventDefault();

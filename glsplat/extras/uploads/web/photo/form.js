@@ -1,4 +1,4 @@
-// "Your photo" on the page: what is chosen, how far the making is, what is wrong with a picture, and the avatar at last.
+// The form "Your photo": chosen pictures, progress, findings about a picture, and the finished avatar.
 
 import { NAME } from '../settings.js';
 import { fitted } from './shrink.js';
@@ -6,15 +6,15 @@ import { fitted } from './shrink.js';
 const VIEWS = ['front', 'back', 'left', 'right'];
 const SIDES = { front: 'From the front', back: 'From behind', left: 'From the left', right: 'From the right' };
 
-/** `deeds`: wear(name), remove(name), both promises. Shown while `offer` has something. */
+/** `deeds`: wear(name) and remove(name), which return promises. Shown while the server takes photographs. */
 export class PhotoForm {
   #document;
   #upload;
   #deeds;
   #offer = null; // of GET /session: {views, picture_bytes, body_bytes}, or null
-  #sent = null; // {pictures, height, title}: what is to be made anyway
-  #shown = ''; // the blob address of the picture that is shown
-  #worn = null; // the avatar that is worn, where it can be deleted
+  #sent = null; // {pictures, height, title} of the last upload, for "Make it anyway"
+  #shown = ''; // blob URL of the preview
+  #worn = null; // the avatar that is worn, if it can be deleted
   #sure = false; // the next press deletes
 
   constructor(document, upload, deeds) {
@@ -31,21 +31,24 @@ export class PhotoForm {
     return this.#upload.busy;
   }
 
-  /** What the server takes; null: nothing. `worn`: the avatar that is shown, as /session tells of it. */
+  /**
+   * Show the form if the server takes photographs (`offer` of /session, or null). `worn`: the avatar shown, of
+   * /session.
+   */
   offered(offer, worn) {
     this.#offer = offer;
     this.#get('photo').hidden = !offer;
     this.wears(worn);
   }
 
-  /** Another avatar is worn. */
+  /** Note which avatar is worn now. */
   wears(worn) {
     this.#worn = worn?.made ? worn : null;
     this.#sure = false;
     this.#showDelete();
   }
 
-  /** The height that is written there unless somebody writes another. */
+  /** Height in metres that is used unless the user types another. */
   set height(metres) {
     this.#get('photo-height').placeholder = metres === null ? 'not given' : metres.toFixed(2);
     this.#get('photo-height').dataset.known = metres ?? '';
@@ -72,7 +75,7 @@ export class PhotoForm {
     on('photo-delete', 'click', () => this.#delete());
   }
 
-  /** One picture from the front: the one chosen last. */
+  /** Keep one picture from the front: the one chosen last. */
   #chose(id) {
     const [file] = this.#get(id).files;
     const other = this.#get(id === 'photo-front' ? 'photo-take' : 'photo-front');
@@ -82,11 +85,11 @@ export class PhotoForm {
     this.#warn('');
   }
 
-  /** From where it was; from the start where that is forgotten. */
+  /** Make it anyway: from the step that refused it, or from the start if the server has forgotten it. */
   async #anyway() {
     if (this.#upload.now.goes_on && (await this.#upload.goOn())) return;
     if (this.#sent) this.#upload.start(this.#sent.pictures, { ...this.#sent, anyway: true });
-    else this.#upload.resume(this.#upload.now.name); // which says that it is forgotten
+    else this.#upload.resume(this.#upload.now.name); // reports that it is forgotten
   }
 
   #front() {
@@ -116,7 +119,7 @@ export class PhotoForm {
     }
     this.#warn('');
     const button = this.#get('photo-make');
-    button.disabled = true; // large pictures take a moment to be made smaller
+    button.disabled = true; // shrinking large pictures takes a moment
     try {
       const pictures = {};
       const files = VIEWS.map((view) => (view === 'front' ? this.#front() : this.#get(`photo-${view}`).files[0]));
@@ -132,7 +135,7 @@ export class PhotoForm {
     }
   }
 
-  /** [metres or null, whether what is written is wrong]. */
+  /** Return [metres or null, whether the text is invalid]. */
   #height() {
     const input = this.#get('photo-height');
     const text = input.value.trim() || input.dataset.known || '';
@@ -157,7 +160,7 @@ export class PhotoForm {
     this.#get('canvas').focus();
   }
 
-  /** Nothing of the pictures stays on the page. */
+  /** Remove the pictures from the page. */
   #forget() {
     this.#get('photo-form').reset();
     this.#preview(null);
@@ -184,7 +187,7 @@ export class PhotoForm {
   #show() {
     const { state, share, steps, findings, goes_on: goesOn } = this.#upload.now;
     const { busy } = this.#upload;
-    const moved = this.#document.activeElement?.closest('#photo-form, #photo-work'); // it may be hidden in a moment
+    const moved = this.#document.activeElement?.closest('#photo-form, #photo-work'); // may be hidden below
     this.#get('photo-form').hidden = state !== 'idle';
     this.#get('photo-work').hidden = state === 'idle';
     const said = this.#get('photo-said');
@@ -205,7 +208,7 @@ export class PhotoForm {
     else if (this.#document.activeElement === this.#document.body && moved) this.#focus();
   }
 
-  /** To the button that is next: who uses the keyboard is not sent back to the start of the page. */
+  /** Focus the next button, so that keyboard users are not sent back to the start of the page. */
   #focus() {
     const ids = ['photo-wear', 'photo-cancel', 'photo-anyway', 'photo-again', 'photo-front'];
     this.#get(ids.find((id) => this.#get(id).checkVisibility()) ?? 'avatar').focus();
@@ -237,7 +240,7 @@ export class PhotoForm {
   }
 }
 
-/** What a picture file's name says of who is in it: letters and digits, at most 32; '' where it says nothing. */
+/** Return a person's name made of a picture's file name: at most 32 letters and digits, or ''. */
 const titleOf = (file) => file.replace(/\.[^.]*$/, '').replace(/[^\p{L}\p{N}_ .'-]+/gu, ' ').trim().replace(/^[^\p{L}\p{N}]+/u, '')
   .slice(0, 32).replace(/[^\p{L}\p{N}_.]+$/u, '');
 

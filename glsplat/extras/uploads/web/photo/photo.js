@@ -1,11 +1,14 @@
-// "Your photo": the form, the upload, and the making that goes on after the page is loaded again.
+// "Your photo": loads the form, and follows an avatar that was begun before the page was reloaded.
 
 import { PhotoForm } from './form.js';
 import { Upload } from './upload.js';
 
 const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage only
 
-/** Put the form before `place`, an element. `deeds` as of PhotoForm, and `made()`: there is a new avatar. */
+/**
+ * Insert the form before `place`, an element. `deeds`: those of PhotoForm, and `made()` for a new avatar. Return the
+ * form.
+ */
 export async function addPhoto(place, connection, deeds) {
   const markup = await (await fetch(new URL('form.html', import.meta.url))).text();
   place.insertAdjacentHTML('beforebegin', markup);

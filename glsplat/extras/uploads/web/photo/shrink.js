@@ -1,12 +1,12 @@
-// A picture file as the server takes it: as it is, or made smaller where it is over the limit.
+// Shrinks pictures that are larger than the server takes.
 
 const KINDS = ['image/jpeg', 'image/png', 'image/webp'];
 const SIDE = 4096; // pixels; the server itself keeps 2048
 const QUALITY = 0.92;
 
 /**
- * `file` as it is where it has at most `most` bytes and is of KINDS: the server wants what cameras write into it, such
- * as their focal length. Else a JPEG of the same picture, upright. Rejects, in words, what the browser cannot read.
+ * Return `file` itself if it has at most `most` bytes and is of KINDS, as the server reads its EXIF data, such as the
+ * focal length. Otherwise return an upright JPEG of it. Rejects with a sentence if the browser cannot read it.
  */
 export async function fitted(file, most) {
   if (file.size <= most && KINDS.includes(file.type)) return file;
@@ -21,7 +21,7 @@ export async function fitted(file, most) {
   canvas.width = Math.max(1, Math.round(picture.width * scale));
   canvas.height = Math.max(1, Math.round(picture.height * scale));
   const ink = canvas.getContext('2d');
-  ink.fillStyle = '#fff'; // where it is transparent
+  ink.fillStyle = '#fff'; // behind transparent pixels
   ink.fillRect(0, 0, canvas.width, canvas.height);
   ink.drawImage(picture, 0, 0, canvas.width, canvas.height);
   picture.close();

@@ -1,15 +1,18 @@
-// Sends photographs and follows the making of an avatar (docs/protocol.md, section 9). Knows nothing of the page.
+// Uploads photographs and follows the making of an avatar (docs/protocol.md, section 9). Touches no element of the
+// page.
 
-const PAUSE = 500; // ms between two looks
-const PATIENCE = 60; // looks in a row that nobody answers
+const PAUSE = 500; // ms between two polls
+const PATIENCE = 60; // unanswered polls in a row before it fails
 const IDLE = { state: 'idle', name: '', share: 0, ahead: 0, steps: [], error: '', findings: [], goes_on: false, later: '' };
 
-/** Event `change`. `now.state` is idle, sending, waiting, making, done or failed; `share` of 1 of the step in hand. */
+/**
+ * Event `change`. `now.state` is idle, sending, waiting, making, done or failed; `share`: 0 to 1 of the current step.
+ */
 export class Upload extends EventTarget {
   now = IDLE;
   #connection;
   #request = null;
-  #run = 0; // of start, resume or cancel: what was begun earlier says nothing any more
+  #run = 0; // number of the last start, resume or cancel; answers to earlier ones are dropped
 
   constructor(connection) {
     super();
@@ -20,7 +23,7 @@ export class Upload extends EventTarget {
     return ['sending', 'waiting', 'making'].includes(this.now.state);
   }
 
-  /** Send `pictures` ({front: Blob, back, left, right}) with what is known: {height, anyway, title}. */
+  /** Upload `pictures` ({front: Blob, back, left, right}) with the form's fields {height, anyway, title}. */
   async start(pictures, { height = null, anyway = false, title = '' } = {}) {
     const run = ++this.#run;
     const form = new FormData();
@@ -42,13 +45,13 @@ export class Upload extends EventTarget {
   }
 
   /**
-   * Have what was refused made all the same, from where it was. Promises false where the server has forgotten it; while
-   * it is busy `now.later` says so, and it may be asked again.
+   * Make a refused avatar anyway, from the step that refused it. Resolves to false if the server has forgotten it.
+   * While the server is busy, `now.later` has its message, and the call may be repeated.
    */
   async goOn() {
     const run = ++this.#run;
     const failed = this.now;
-    this.#become({ ...failed, state: 'waiting', goes_on: false, later: '' }); // asked for once
+    this.#become({ ...failed, state: 'waiting', goes_on: false, later: '' }); // no second request meanwhile
     const response = await this.#ask('POST', '/anyway').catch(() => null);
     const busy = response?.status === 503 ? (await response.text().catch(() => '')).trim() : '';
     const answer = response?.ok ? await response.json().catch(() => null) : null;
@@ -58,12 +61,12 @@ export class Upload extends EventTarget {
     return answer !== null || busy !== '';
   }
 
-  /** Follow what was begun before the page was loaded again. */
+  /** Follow an avatar that was begun before the page was reloaded. */
   resume(name) {
     this.#follow({ ...IDLE, state: 'waiting', name }, ++this.#run);
   }
 
-  /** Give it up, or put aside what came of it. */
+  /** Cancel the making, or dismiss its result. */
   cancel() {
     this.#run++;
     this.#request?.abort();
@@ -94,7 +97,7 @@ export class Upload extends EventTarget {
     }
   }
 
-  /** POST by XMLHttpRequest, which tells how much is sent: {status, text}. */
+  /** POST by XMLHttpRequest, which reports progress. Resolves to {status, text}. */
   #send(form, run) {
     return new Promise((done, failed) => {
       const request = (this.#request = new XMLHttpRequest());
