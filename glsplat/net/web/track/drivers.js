@@ -30,7 +30,7 @@ export class Rest {
   }
 }
 
-/** A motion as /motions/NAME gives it ({fps, frames: [pose, ...]}), in a loop: the last frame leads to the first. */
+/** A motion of /motions/NAME ({fps, frames: [pose, ...]}) in a loop. Twin: glsplat/motion/motion.py. */
 export class Motion {
   #fps;
   #keys;
