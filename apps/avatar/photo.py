@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.errors import CaptureError, FormatError
-from glsplat.extras.authoring.optimize.compiled import MISSING, available
+from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.compute.threads import aside, one_heap
 from glsplat.extras.authoring.reconstruct.photos import (
     CheckedPhoto,
     MeshReconstruction,
@@ -23,7 +24,6 @@ from glsplat.extras.authoring.reconstruct.photos import (
 )
 from glsplat.extras.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
 from glsplat.extras.authoring.reconstruct.registry import named, names
-from glsplat.extras.authoring.threads import aside, one_heap
 
 from ..args import natural, positive
 from ..output import save_png
@@ -157,7 +157,7 @@ def _one(args: argparse.Namespace) -> int:
         else:
             avatar = done.avatar
             if args.cones:
-                from glsplat.extras.authoring.cones import with_cones  # here: nothing else needs its OpenGL
+                from glsplat.extras.authoring.finish.cones import with_cones
 
                 avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))

@@ -1,7 +1,7 @@
 """Levels of detail: coarser stand-ins of an item, and which of them a view gets.
 
 Levels are chosen by how densely a view shows an item, and were measured at such densities
-(``extras.authoring.detail``). A density is the focal length in pixels over the depth in metres, averaged over the
+(``extras.authoring.finish``). A density is the focal length in pixels over the depth in metres, averaged over the
 pixels that the item covers. A few points stand for the item (``Proxy``), so that it takes microseconds. Nothing jumps:
 points fade at the picture's rim, and are as blurred as the splats around them are spread, so that an eye may stand
 among them. From outside, the density is close to the focal length over the distance of the near side.

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.optimize.fit import FitConfig, fitted
-from glsplat.extras.authoring.optimize.pictures import ViewConfig, pictures_of
-from glsplat.extras.authoring.visibility import HEAD
+from glsplat.extras.authoring.geometry.visibility import HEAD
+from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
+from glsplat.extras.authoring.optimize.target_pictures import ViewConfig, pictures_of
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.face import FacePlaces
 from glsplat.extras.authoring.fit.hands import CARRIERS, HandPlaces
 from glsplat.extras.authoring.fit.kinematics import projected

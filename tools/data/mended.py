@@ -6,7 +6,7 @@ python -m tools.data.mended AVATAR.glb PERSON.npz NAME OUT.glb [--touched top ..
   have its colours; one that lies behind them, as hair under a collar, has others.
 - Irises and whites as those of eyeballs.py, the skin of lids as lids.py has it.
 - What the face at rest lacks of the recipe's, and blinks that end where lids meet: by the splats' own shapes.
-- Brows of hairs, lashes, veils and lights of trimmings.py, instead of those that it has.
+- Brows of hairs, lashes, veils and lights of lashes_and_hair.py, instead of those that it has.
 - Corners of the mouth and teeth without dots of other colours (their splats are hardly seen by a fit).
 - The body fitted from above and below, too (around.py), so that nothing shows through; the surface, and cones.
 
@@ -26,16 +26,16 @@ from scipy.spatial import cKDTree
 
 from apps.avatar.writing import progress_bar
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.cones import with_cones, worth_cones
-from glsplat.extras.authoring.detail.make import with_levels
 from glsplat.extras.authoring.faces.blinks import BACK, BLINKS
-from glsplat.extras.authoring.faces.carry import carried
 from glsplat.extras.authoring.faces.eyeballs import eye_texture
-from glsplat.extras.authoring.faces.trimmings import GLINT, LASH, STRAND, VEIL, with_strands
-from glsplat.extras.authoring.importers import nearest_on
+from glsplat.extras.authoring.faces.lashes_and_hair import GLINT, LASH, STRAND, VEIL, with_strands
+from glsplat.extras.authoring.finish.cones import with_cones, worth_cones
+from glsplat.extras.authoring.finish.levels import with_levels
+from glsplat.extras.authoring.geometry.attribute_transfer import carried
+from glsplat.extras.authoring.geometry.posed import posed_splats
+from glsplat.extras.authoring.geometry.visibility import EYES
+from glsplat.extras.authoring.importers.lhm_dump import nearest_on
 from glsplat.extras.authoring.light.surfaces import with_surface
-from glsplat.extras.authoring.posed import posed_splats
-from glsplat.extras.authoring.visibility import EYES
 from glsplat.extras.formats.person import read_person
 from glsplat.formats.registry import load_splats, save
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -64,7 +64,7 @@ from tools.data.persons import (
 _AROUND, _REACH = 0.012, 0.08  # metres from the part, and from the middle of one of its triangles
 _EYE = 0.035  # metres from the middle of an eye, as far as lashes reach
 _BALL = 1.1  # radii
-_EXACT = 0.002  # of 1: the colours of what trimmings.py adds, which no fit has changed
+_EXACT = 0.002  # of 1: the colours of what lashes_and_hair.py adds, which no fit has changed
 _LIKE, _ALIKE = 0.14, 0.4  # of 1, from the line between the dark and the bright colours of the part, which is nearest
 _DIM = 0.03  # of 1; of darker colours no ratio is taken
 _BROW, _DARK, _NEEDLE = 0.005, 0.6, 5.0  # metres about brows; of the skin's light; how much longer than wide

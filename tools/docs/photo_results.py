@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 
 from glsplat.avatar import Avatar
+from glsplat.extras.authoring.check.capture import check_capture
 from glsplat.extras.authoring.mesh_truth import MeshTruth
-from glsplat.extras.authoring.photo.capture import check_capture
 from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture

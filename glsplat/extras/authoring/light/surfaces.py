@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.light.occlusion import ambient_occlusion
-from glsplat.extras.authoring.optimize.seen import as_seen
-from glsplat.extras.authoring.visibility import probe_poses
+from glsplat.extras.authoring.geometry.visibility import probe_poses
+from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
+from glsplat.extras.authoring.optimize.surface_consistency import as_seen
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import signed_axes, unit_vectors

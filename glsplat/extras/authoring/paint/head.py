@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.body.segments import trunk_of
 from glsplat.extras.authoring.fit.offsets import face_of
-from glsplat.extras.authoring.paint.layers.segments import trunk_of
-from glsplat.extras.authoring.paint.light import Light
-from glsplat.extras.authoring.paint.shot import FittedPicture, SurfacePoints
+from glsplat.extras.authoring.paint.inpaint.strands import Strands, strands_of
+from glsplat.extras.authoring.paint.lamp import Light
 from glsplat.extras.authoring.paint.smooth import smoothest
-from glsplat.extras.authoring.paint.unseen.strands import Strands, strands_of
+from glsplat.extras.authoring.paint.view_sample import FittedPicture, SurfacePoints
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 

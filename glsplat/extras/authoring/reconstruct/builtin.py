@@ -10,24 +10,26 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.faces.given import FACE_SPLATS, moving_face, with_face
-from glsplat.extras.authoring.fit.body import Body, open_body
+from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.body.segments import segments_of
+from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.dress.fitted_mesh import dressed_mesh
+from glsplat.extras.authoring.dress.skirt import hem_of, with_skirt
+from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, moving_face, with_face
+from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import EyeLook, read_eyes
 from glsplat.extras.authoring.fit.face import face_turn
-from glsplat.extras.authoring.fit.fit import BodyFit, fit_body
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.light.capture import captured_light, with_captured_light
+from glsplat.extras.authoring.light.captured_light import captured_light, with_captured_light
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
-from glsplat.extras.authoring.optimize.seen import ready
-from glsplat.extras.authoring.paint.dress import dressed_mesh
-from glsplat.extras.authoring.paint.layers.segments import segments_of
-from glsplat.extras.authoring.paint.paint import painter_of
-from glsplat.extras.authoring.paint.scatter import even_points, scatter
-from glsplat.extras.authoring.paint.shot import FittedPicture
-from glsplat.extras.authoring.paint.skirt import hem_of, with_skirt
-from glsplat.extras.authoring.paint.unseen.hair import with_hair
+from glsplat.extras.authoring.optimize.surface_consistency import ready
+from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.inpaint.hair import with_hair
+from glsplat.extras.authoring.paint.painter import painter_of
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
+from glsplat.extras.authoring.reconstruct.photo_fit import sharp
 from glsplat.extras.authoring.reconstruct.reconstructor import (
     FittedBody,
     MadeAvatar,
@@ -37,9 +39,7 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
     Picture,
     ReportingReconstructor,
 )
-from glsplat.extras.authoring.reconstruct.sharp import sharp
-from glsplat.extras.authoring.texture import baked
-from glsplat.extras.authoring.threads import aside
+from glsplat.extras.authoring.sample.scatter import even_points, scatter
 
 __all__ = ["PHONE", "SIDES", "Builtin", "FittedBody", "MadeAvatar", "MeshReconstructor", "ReportingReconstructor"]
 

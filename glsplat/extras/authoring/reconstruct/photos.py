@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError, GlsplatError
+from glsplat.extras.authoring.check.capture import VIEWS, Capture, check_capture, is_outline
+from glsplat.extras.authoring.compute.threads import one_blas_thread
 from glsplat.extras.authoring.networks.people import find_person
-from glsplat.extras.authoring.photo.capture import VIEWS, Capture, check_capture, is_outline
-from glsplat.extras.authoring.photo.mask import person_mask
-from glsplat.extras.authoring.photo.mask_file import MaskSource, mask_of
 from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
-from glsplat.extras.authoring.threads import one_blas_thread
+from glsplat.extras.authoring.segment.mask import person_mask
+from glsplat.extras.authoring.segment.mask_file import MaskSource, mask_of
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -11,16 +11,17 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.dress.fitted_mesh import dressed_mesh
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import read_eyes
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.paint.dress import dressed_mesh
-from glsplat.extras.authoring.paint.fuse import Fusion, fusion_of
-from glsplat.extras.authoring.paint.scatter import scatter
-from glsplat.extras.authoring.paint.shot import FittedPicture
-from glsplat.extras.authoring.texture import baked
+from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
+from glsplat.extras.authoring.reconstruct.photo_fit import sharp
+from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.video.body import fit_turning, key_views
 from glsplat.extras.authoring.video.frames import FEWEST, Frame, FramePicture, FrameSource, check_frames, frames_of
 from glsplat.meshes import RiggedMesh
@@ -28,7 +29,6 @@ from glsplat.meshes import RiggedMesh
 from .builtin import PHONE
 from .photos import today
 from .reconstructor import Options
-from .sharp import sharp
 
 __all__ = ["FORMS", "FRAMES", "VideoResult", "checked_form", "from_pictures", "from_video", "reconstruct_frames"]
 

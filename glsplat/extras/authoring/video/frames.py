@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.check.capture import check_capture
+from glsplat.extras.authoring.check.sharpness import blur_of
 from glsplat.extras.authoring.fit.view import apart
 from glsplat.extras.authoring.networks.people import DetectedPerson
-from glsplat.extras.authoring.photo.capture import check_capture
 from glsplat.extras.authoring.photo.photo_file import read_photo
-from glsplat.extras.authoring.photo.sharpness import blur_of
 from glsplat.extras.authoring.video.film import FEWEST, is_video, read_frames
 from glsplat.extras.authoring.video.turns import facing_as, facings
 

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 
 from glsplat.camera import Camera
-from glsplat.extras.authoring.fit.body import Body, open_body
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
+from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.dress.fitted_mesh import dressed_mesh
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import projected
 from glsplat.extras.authoring.fit.prior import HINGES
-from glsplat.extras.authoring.paint.dress import dressed_mesh
-from glsplat.extras.authoring.paint.light import Light
-from glsplat.extras.authoring.paint.shot import FittedPicture
-from glsplat.extras.authoring.raster import visible_faces
+from glsplat.extras.authoring.geometry.raster import visible_faces
+from glsplat.extras.authoring.paint.lamp import Light
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.pictures import to_srgb
 from tests.extras.authoring.made_up import FOCAL, posed_view

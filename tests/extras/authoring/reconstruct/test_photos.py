@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import CaptureError, FormatError, GlsplatError
-from glsplat.extras.authoring.photo.capture import Finding
+from glsplat.extras.authoring.check.capture import Finding
 from glsplat.extras.authoring.reconstruct import from_photos, plugins, registry
 from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruct
 from glsplat.extras.authoring.reconstruct.reconstructor import Options

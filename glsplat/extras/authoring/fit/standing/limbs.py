@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.outline import projected_mask
-from glsplat.extras.authoring.raster import visible_faces
+from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
