@@ -21,8 +21,9 @@ from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, worth_
 from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.geometry.posed import posed_splats
+from glsplat.extras.authoring.importers.bind import bind_to_mesh
 from glsplat.extras.authoring.importers.lam import FOLLOW, is_lam_zip, load_lam_zip
-from glsplat.extras.authoring.importers.lhm_dump import bind_to_mesh, load_lhm_dump
+from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
 from glsplat.extras.authoring.importers.on_smplx import on_smplx
 from glsplat.extras.authoring.importers.scans import read_obj_person
 from glsplat.extras.authoring.light.surfaces import with_surface

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from glsplat.extras.authoring.importers.lhm_dump import nearest_on
+from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.meshes import MeshPart, RiggedMesh
 
 __all__ = ["raised_brows"]

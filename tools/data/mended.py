@@ -32,9 +32,9 @@ from glsplat.extras.authoring.faces.lashes_and_hair import GLINT, LASH, STRAND, 
 from glsplat.extras.authoring.finish.cones import with_cones, worth_cones
 from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.extras.authoring.geometry.attribute_transfer import carried
+from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.authoring.geometry.visibility import EYES
-from glsplat.extras.authoring.importers.lhm_dump import nearest_on
 from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.formats.person import read_person
 from glsplat.formats.registry import load_splats, save

@@ -15,8 +15,8 @@ from glsplat.arrays import frozen
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.enamel import painted
 from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
-from glsplat.extras.authoring.importers.lhm_dump import nearest_on
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -22,7 +22,7 @@ from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.lashes_and_hair import LASH, Extra, added, frames, joined
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
-from glsplat.extras.authoring.importers.lhm_dump import nearest_on
+from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh

@@ -15,8 +15,8 @@ from glsplat.extras.authoring.body.open_face import of_open_body, open_face, wit
 from glsplat.extras.authoring.compute.threads import abreast
 from glsplat.extras.authoring.faces.lashes_and_hair import Extra, added, frames, joined
 from glsplat.extras.authoring.faces.tiles import Tiles, tiled
+from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
-from glsplat.extras.authoring.importers.lhm_dump import nearest_on
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.surface import FEWEST, make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh

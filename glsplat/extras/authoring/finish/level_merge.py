@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.geometry.attribute_transfer import merged_shapes
-from glsplat.extras.authoring.light.carried import surface_carried
+from glsplat.extras.authoring.geometry.attribute_transfer import merged_shapes, surface_carried
 from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats

@@ -1,17 +1,21 @@
-"""Shapes carried over to other splats: to fewer that stand for them, and to the same ones in other places."""
+"""Shapes and surfaces carried over to other splats: to fewer that stand for them, and to the same ones elsewhere."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from glsplat.rotations import quaternion_matrices
+from glsplat.light.surface import Surface
+from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import Splats
 
-__all__ = ["carried", "deformed", "merged_shapes"]
+__all__ = ["carried", "deformed", "merged_shapes", "surface_carried"]
 
 F64 = NDArray[np.float64]
+
+_AS_MANY = 4  # splats of a finer one that a coarser one's surface is the mean of, at most
 
 
 def merged_shapes(shapes: Shapes, splats: Splats, label: NDArray[np.intp], weight: F64, made: Splats) -> Shapes:
@@ -60,6 +64,22 @@ def deformed(shapes: Shapes, splats: Splats, weights: F64) -> tuple[F64, F64]:
     np.add.at(move, some, shapes.metres[active].astype(np.float64) * share[active, None])
     means = np.where(np.isfinite(splats.means), splats.means, 0).astype(np.float64)
     return bend, move - np.einsum("nij,nj->ni", bend - np.eye(3), means)
+
+
+def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
+    """The surface of splats that were made of others: the mean of as many of the nearest as each stands for.
+
+    Where there are as many they are the same ones moved a little, and each takes the nearest's.
+    """
+    usable = np.flatnonzero(before.finite())
+    if surface is None or not len(usable):
+        return None
+    k = int(np.clip(round(len(before) / max(len(after), 1)), 1, min(_AS_MANY, len(usable))))
+    means = np.nan_to_num(after.means.astype(np.float64), posinf=0, neginf=0)
+    near = usable[cKDTree(before.means[usable].astype(np.float64)).query(means, k)[1].reshape(len(means), k)]
+    normals = unit_vectors(surface.units[near].sum(axis=1))
+    shade = None if surface.shade is None else np.exp2(np.log2(surface.shades[near]).mean(axis=1))
+    return Surface.of(normals, surface.ao[near].mean(axis=1), shade)
 
 
 def _gradients(shapes: Shapes, splats: Splats) -> F64:

@@ -9,7 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.importers.lhm_dump import nearest_on
+from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import Shapes, long_axes

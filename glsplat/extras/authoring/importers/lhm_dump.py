@@ -1,4 +1,4 @@
-"""Avatars from elsewhere: a dump of LHM's Gaussians, and static splats bound to a rigged mesh."""
+"""Avatars from dumps of LHM's Gaussians."""
 
 from __future__ import annotations
 
@@ -7,22 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.formats.npz import read_arrays
 from glsplat.io.files import naming, open_regular
-from glsplat.meshes import RiggedMesh
-from glsplat.rotations import lengths, matrix_quaternions, nearest_rotations, quaternion_product
+from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_product
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
 
-__all__ = ["bind_to_mesh", "load_lhm_dump", "nearest_on", "nearest_weights"]
+__all__ = ["load_lhm_dump"]
 
 F64 = NDArray[np.float64]
 
@@ -103,66 +100,3 @@ def _check(data: Mapping[str, F64]) -> int:
     if data["opacity"].min(initial=0) < 0 or data["opacity"].max(initial=0) > 1 or data["scaling"].min(initial=0) < 0:
         raise FormatError("opacity and scaling need activated values (0 to 1, and above 0), not logits and logarithms")
     return count
-
-
-def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influences: int = 4) -> Avatar:
-    """Static splats in the mesh's zero pose, bound with the weights of the nearest surface point.
-
-    ``reach`` in metres: a mesh whose surface is farther than that from more than one splat in a hundred is refused
-    (wrong pose, scale or person); a few outliers take the weights of where they are nearest. Raises FormatError.
-    """
-    usable = splats.finite()
-    points = np.where(usable[:, None], splats.means, 0).astype(np.float64)
-    joints, weights, distance = nearest_weights(mesh, points)
-    far = usable & (distance > reach)
-    if far.sum() > 0.01 * max(int(usable.sum()), 1):
-        raise FormatError(
-            f"{int(far.sum())} of {len(splats)} splats lie more than {reach * 100:g} cm from the mesh "
-            f"(median {np.median(distance[usable]) * 100:.1f} cm); both need one pose, place and scale"
-        )
-    skin = Skin.create(joints, weights, len(mesh.skeleton), influences)
-    return Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))
-
-
-def nearest_weights(mesh: RiggedMesh, points: F64) -> tuple[NDArray[np.int64], F64, F64]:
-    """Joints and weights [N, J] of the surface points nearest to ``points`` [N, 3], and their distances [N]."""
-    _, distance, face, bary = nearest_on(mesh.vertices, mesh.faces, points)
-    corners = mesh.faces[face]
-    count = len(mesh.skeleton)
-    dense = np.zeros((len(points), count))  # the three corners may share joints
-    values = (bary[:, :, None] * mesh.weights[corners]).reshape(len(points), -1)
-    np.add.at(dense, (np.arange(len(points))[:, None], mesh.joints[corners].reshape(len(points), -1)), values)
-    return np.broadcast_to(np.arange(count), dense.shape), dense, distance
-
-
-def nearest_on(vertices: F64, faces: NDArray[np.integer], points: F64) -> tuple[F64, F64, NDArray[np.intp], F64]:
-    """Of triangles [F, 3] the places nearest to ``points`` [N, 3]: where, how far, in which, barycentric [N, 3]."""
-    if not len(points):
-        return np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.intp), np.zeros((0, 3))
-    surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
-    at, distance, face = _nearest_on(surface, points)
-    bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
-    return at, distance, face, np.clip(np.nan_to_num(bary, nan=1 / 3), 0, 1)
-
-
-def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArray[np.intp]]:
-    """Nearest surface point of each of ``points`` [N, 3], its distance [N] and triangle [N].
-
-    Triangles are looked for around the nearest of many samples, which spares a spatial index of triangles.
-    """
-    count = max(200_000, 4 * len(surface.faces))
-    samples, of = trimesh.sample.sample_surface(surface, count, seed=0)
-    tree = cKDTree(np.concatenate([samples, surface.triangles_center]), compact_nodes=False, balanced_tree=False)
-    owner = np.concatenate([of, np.arange(len(surface.faces))])
-    candidates = owner[tree.query(points, k=_CANDIDATES, workers=-1)[1]]  # [N, C]
-    best, face = np.full(len(points), np.inf), candidates[:, 0].copy()
-    at = np.zeros_like(points)
-    for column in candidates.T:
-        close = trimesh.triangles.closest_point(surface.triangles[column], points)
-        distance = lengths(close - points)
-        nearer = distance < best
-        best[nearer], face[nearer], at[nearer] = distance[nearer], column[nearer], close[nearer]
-    return at, best, face
-
-
-_CANDIDATES = 8

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.mesh_shapes import body_morphs
-from glsplat.extras.authoring.importers.lhm_dump import nearest_weights
+from glsplat.extras.authoring.geometry.nearest import nearest_weights
 from glsplat.extras.formats.obj import flat, parse_obj, textures_of
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton

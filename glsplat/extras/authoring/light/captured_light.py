@@ -21,8 +21,7 @@ from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
 from glsplat.extras.authoring.light.cloth_normals import cloth_normals
 from glsplat.extras.authoring.light.surfaces import nearest_open, opened
 from glsplat.extras.authoring.optimize.surface_consistency import as_seen
-from glsplat.extras.authoring.paint.lamp import Light as Lamp
-from glsplat.extras.authoring.paint.lamp import find_light
+from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.light.light import Light
 from glsplat.light.surface import Surface

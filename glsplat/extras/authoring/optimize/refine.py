@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.extras.authoring.geometry.attribute_transfer import carried
+from glsplat.extras.authoring.geometry.attribute_transfer import carried, surface_carried
 from glsplat.extras.authoring.geometry.footprints import footprints
 from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
-from glsplat.extras.authoring.light.carried import surface_carried
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import nearest_rotations
 from glsplat.skinning.pose import Pose

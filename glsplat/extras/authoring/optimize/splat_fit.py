@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.attribute_transfer import carried, deformed
+from glsplat.extras.authoring.geometry.attribute_transfer import carried, deformed, surface_carried
 from glsplat.extras.authoring.geometry.posed import PosedSplats, drawable
-from glsplat.extras.authoring.light.carried import surface_carried
 from glsplat.extras.authoring.optimize import descent
 from glsplat.extras.authoring.optimize.loss import loss_of
 from glsplat.extras.authoring.optimize.rasterizer import Gradients, Rasterizer

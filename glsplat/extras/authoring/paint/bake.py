@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.texels import texels_of
-from glsplat.extras.authoring.paint.view_sample import SurfacePoints
 from glsplat.meshes import MeshPart, RiggedMesh
 
 __all__ = ["SIZES", "baked"]

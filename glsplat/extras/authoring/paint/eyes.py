@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import EyeLook, eyeball, iris_angle
-from glsplat.extras.authoring.paint.view_sample import FittedPicture, SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 
 __all__ = ["eye_colours"]
 

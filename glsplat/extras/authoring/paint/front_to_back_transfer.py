@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.body.segments import half_width
 from glsplat.extras.authoring.geometry.raster import visible_faces
-from glsplat.extras.authoring.paint.view_sample import FittedPicture, SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -15,7 +15,7 @@ from scipy.cluster.vq import kmeans2
 
 from glsplat.extras.authoring.compute.levenberg import least_squares
 
-__all__ = ["Light", "find_light"]
+__all__ = ["Lamp", "find_light"]
 
 F64 = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _SPREAD = 0.25  # of the logarithm of brightness within a kind: its texture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Light:
+class Lamp:
     """``shade`` says how bright a surface is against one without the lamp."""
 
     direction: F64  # [3] unit, towards the lamp; axes of the normals it was found from
@@ -48,7 +48,7 @@ def find_light(
     up: F64,
     towards: F64,
     doubts: tuple[float, float] = (_LEAN, _STRENGTHS),  # of the prior: the lamp's direction, the log of its strength
-) -> Light:
+) -> Lamp:
     """The light on seen points: unit ``normals`` [M, 3], ``linear`` colours [M, 3], ``trust`` [M].
 
     ``up`` [3] and ``towards`` [3] (from the person to the camera) are unit vectors in the same axes.
@@ -60,7 +60,7 @@ def find_light(
     usual = _USUAL / np.linalg.norm(_USUAL)
     start = np.array([0.0, 0.0, _STRENGTH])
     if len(some) < 100:
-        return Light(usual @ axes, up, float(np.exp(_STRENGTH)))
+        return Lamp(usual @ axes, up, float(np.exp(_STRENGTH)))
     colours = np.maximum(linear[some], 1e-3)
     brightness = np.log(colours.mean(axis=1))
     kind = _kinds(colours / colours.sum(axis=1, keepdims=True))
@@ -88,7 +88,7 @@ def find_light(
         return at, np.stack(slopes, axis=1) if derive else np.zeros((0, 0))
 
     best = least_squares(rows, start, 12)
-    return Light(towards_lamp(best) @ axes, up, float(np.exp(best[2])))
+    return Lamp(towards_lamp(best) @ axes, up, float(np.exp(best[2])))
 
 
 def _shade(normals: F64, direction: F64, up: F64, strength: float) -> F64:

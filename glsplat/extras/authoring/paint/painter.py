@@ -13,15 +13,16 @@ from glsplat.extras.authoring.body.segments import half_width, trunk_of, twins_a
 from glsplat.extras.authoring.compute.threads import abreast, aside
 from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, Twins, find_twins
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head
 from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
 from glsplat.extras.authoring.paint.inpaint.ground import Ground
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
-from glsplat.extras.authoring.paint.lamp import Light, find_light
+from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.mouth_and_eyes import Inside, inside_of
 from glsplat.extras.authoring.paint.smooth import smoothest
-from glsplat.extras.authoring.paint.view_sample import FittedPicture, Sight, SurfacePoints
+from glsplat.extras.authoring.paint.view_sample import FittedPicture, Sight
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -55,7 +56,7 @@ class Painter:
     body: Body
     shots: Sequence[FittedPicture]  # the front first
     inside: Inside
-    light: Light
+    light: Lamp
     cloth: Cloth
     plain: F64  # [V, 3] smooth linear colours without light; where there is cloth, what is added to it
     twins: Twins
@@ -179,7 +180,7 @@ def _mixed(sights: Sequence[Sight]) -> tuple[F64, F64]:
     return np.max([sight.trust for sight in sights], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
 
 
-def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Light, cloth: Cloth) -> F64:
+def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Lamp, cloth: Cloth) -> F64:
     """[V, 3] what is added to the cloth's linear colours without light: as seen at the vertices, the smoothest between.
 
     Where no cloth is known it is the colours themselves.

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.mouth_and_eyes import Inside, inside_of
 from glsplat.extras.authoring.paint.painter import Paint
 from glsplat.extras.authoring.paint.smooth import smoothest
-from glsplat.extras.authoring.paint.view_sample import FittedPicture, SurfacePoints
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_srgb
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -7,21 +7,20 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.segments import half_width, trunk_of
 from glsplat.extras.authoring.compute.threads import found_once
 from glsplat.extras.authoring.fit.body_fit import FittedView
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.picture_layers.fill import continued, disc, only_in_the_middle
 from glsplat.extras.authoring.paint.picture_layers.shown import COARSE, RIM, ShownLayers, drawn
 from glsplat.extras.authoring.paint.pixels import bilinear, grown
-from glsplat.extras.authoring.sample.cells import between
 from glsplat.meshes import RiggedMesh, vertex_normals
-from glsplat.rotations import component_sums, lengths, unit_vectors
+from glsplat.rotations import component_sums, lengths
 
-__all__ = ["FittedPicture", "Sight", "SurfacePoints"]
+__all__ = ["FittedPicture", "Sight"]
 
 F64 = NDArray[np.float64]
 
@@ -30,30 +29,6 @@ _BELIEVED = 0.12, 0.42  # cosines: nothing of the colour is believed, everything
 _TURNED = -0.3, -0.1
 _MIDDLE = 300  # pixels of the height that are looked at for prints
 _CARRIED = 0.04  # of the height: farther no colour is carried
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfacePoints:
-    """M points on the triangles of a mesh of V vertices."""
-
-    corners: NDArray[np.intp]  # [M, 3] vertices
-    weights: F64  # [M, 3] barycentric
-
-    def take(self, some: NDArray[np.intp] | NDArray[np.bool_] | slice) -> SurfacePoints:
-        """N of the points."""
-        return SurfacePoints(self.corners[some], self.weights[some])
-
-    def at(self, values: F64) -> F64:
-        """[M, C] what a value [V, C] of the vertices is there."""
-        return self.matrix(len(values)) @ values
-
-    def matrix(self, count: int) -> csr_array:
-        """[M, V] the weights, of ``count`` vertices."""
-        return between(self.corners, self.weights, count)
-
-    def directions(self, values: F64) -> F64:
-        """[M, 3] unit vectors between the vertices' [V, 3]."""
-        return unit_vectors(self.at(values))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

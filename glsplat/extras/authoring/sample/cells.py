@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from glsplat.rotations import lengths
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "begun", "between", "skin_of", "tessellate"]
+__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "begun", "skin_of", "tessellate"]
 
 _USUAL = 6.0  # samples that a cell's expected size is worth where few were drawn
 
@@ -114,11 +113,6 @@ def begun(cloud: Cloud, count: int, config: SamplerConfig, rng: np.random.Genera
         return _gaussians(cloud, _nearest(sites, features), count, size, config)
 
     return settled
-
-
-def between(corners: NDArray[Any], share: NDArray[np.float64], count: int) -> csr_array:
-    """[M, V] of points between vertices ``corners`` [M, 3], how much of each of ``count`` vertices they are."""
-    return csr_array((share.ravel(), corners.ravel(), np.arange(len(corners) + 1) * 3), (len(corners), count))
 
 
 def skin_of(mesh: RiggedMesh) -> csr_array:

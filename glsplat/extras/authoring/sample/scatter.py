@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.threads import abreast
-from glsplat.extras.authoring.paint.view_sample import SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.sample.cells import Cloud, SamplerConfig, avatar_of, begun, skin_of
 from glsplat.extras.authoring.sample.surface import allot, face_densities, face_zones
 from glsplat.meshes import RiggedMesh, vertex_normals

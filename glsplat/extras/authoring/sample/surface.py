@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.mesh_shapes import unfolded
+from glsplat.extras.authoring.geometry.surface_points import between
 from glsplat.extras.authoring.geometry.visibility import EYES, HEAD, VisiblePart, seen_surface
-from glsplat.extras.authoring.sample.cells import Cells, Cloud, SamplerConfig, avatar_of, between, skin_of, tessellate
+from glsplat.extras.authoring.sample.cells import Cells, Cloud, SamplerConfig, avatar_of, skin_of, tessellate
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 

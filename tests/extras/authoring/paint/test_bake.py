@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.bake import baked
 from glsplat.extras.authoring.paint.texels import texels_of
-from glsplat.extras.authoring.paint.view_sample import SurfacePoints
 from glsplat.meshes import RiggedMesh
 from tests.extras.authoring.paint.scene import photographed
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import find_twins
 from glsplat.extras.authoring.paint.lamp import find_light
 from glsplat.extras.authoring.paint.painter import paint, painter_of
-from glsplat.extras.authoring.paint.view_sample import SurfacePoints
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_srgb

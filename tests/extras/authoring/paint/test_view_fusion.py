@@ -8,8 +8,8 @@ import numpy as np
 
 from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.view_fusion import fusion_of
-from glsplat.extras.authoring.paint.view_sample import SurfacePoints
 from tests.extras.authoring.paint.scene import Scene, photographed
 
 SIDES = ("front", "left", "back", "right")

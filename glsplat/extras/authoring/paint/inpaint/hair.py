@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.paint.head import back_of_head
-from glsplat.extras.authoring.paint.lamp import Light
+from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -35,7 +35,7 @@ def with_hair(body: Body, shots: list[FittedPicture]) -> list[FittedPicture]:
     front = shots[0]
     rest = front.mesh.vertices
     up = front.view.root[:, 1]
-    head = back_of_head(body, front, Light(np.array([0.0, 0.0, -1.0]), up, 0.0), locks=False)
+    head = back_of_head(body, front, Lamp(np.array([0.0, 0.0, -1.0]), up, 0.0), locks=False)
     hair = (head.covered * head.hair).clip(0, 1)
     of_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
     hanging = (hair > 0) & ~of_head & body.skin
