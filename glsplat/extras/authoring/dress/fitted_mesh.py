@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.fit.body_fit import BodyFit
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["dressed_mesh"]
+__all__ = ["Dressed", "dressed_mesh"]
 
 _DIGITS = 7  # of a metre: sums differ in their last bits with the number of threads, files should not
 _SIDES = ("left", "right")
 _DOWN = -0.85  # cosine; a sole turns to the floor
 _LOWEST = 0.1  # share of the soles' vertices that may be mistaken
+
+
+class Dressed(NamedTuple):
+    """The dressed body."""
+
+    mesh: RiggedMesh  # in the zero pose
+    views: tuple[FittedView, ...]  # its surface as each picture shows it
 
 
 def dressed_mesh(body: Body, fit: BodyFit) -> RiggedMesh:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import fully_posed, projected
 from glsplat.extras.authoring.fit.outline import projected_mask
@@ -21,7 +22,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["hem_of", "with_skirt"]
+__all__ = ["dress", "hem_of", "with_skirt"]
 
 F64 = NDArray[np.float64]
 
@@ -34,6 +35,13 @@ _ROW = 0.02  # metres of height
 _SOFT = 0.10  # metres below the crotch in which legs become a sheet
 _WALL = np.radians(25)  # about a leg's inmost line: where front and back of the sheet meet
 _REACH = 1.8  # halves of the distance between the legs over which one leg's pull becomes the other's
+
+
+def dress(body: Body, fit: BodyFit, views: Sequence[View]) -> Dressed:
+    """Return the fitted body as a mesh, with a skirt where the first of ``views``, the front, shows one."""
+    dressed = Dressed(dressed_mesh(body, fit), fit.views)
+    hem = hem_of(body, fit, dressed.mesh, views[0])
+    return dressed if hem is None else with_skirt(body, dressed, views, hem)
 
 
 def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | None:
@@ -78,10 +86,9 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
     return float(np.median(mesh.vertices[near, 1])) if near.any() else None
 
 
-def with_skirt(
-    body: Body, mesh: RiggedMesh, views: Sequence[View], seen: Sequence[FittedView], hem: float
-) -> tuple[RiggedMesh, tuple[FittedView, ...]]:
-    """The mesh in the zero pose with a skirt down to ``hem`` (metres), and where the ``views`` have it."""
+def with_skirt(body: Body, dressed: Dressed, views: Sequence[View], hem: float) -> Dressed:
+    """Return the dressed body with a skirt down to ``hem``, metres of height in the zero pose."""
+    mesh = dressed.mesh
     rest, joints = mesh.vertices.copy(), mesh.skeleton.joints
     inner = rest.copy()
     worn = np.zeros(len(rest))
@@ -115,7 +122,8 @@ def with_skirt(
     strongest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, : mesh.joints.shape[1]], axis=1)
     kept = np.take_along_axis(weights, strongest, axis=1)
     made = replace(mesh, vertices=rest, joints=strongest, weights=kept / kept.sum(axis=1, keepdims=True))
-    return made, tuple(_moved(made, view, fitted, worn > 0) for view, fitted in zip(views, seen, strict=True))
+    seen = (_moved(made, view, fitted, worn > 0) for view, fitted in zip(views, dressed.views, strict=True))
+    return Dressed(made, tuple(seen))
 
 
 def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, some: NDArray[np.bool_]) -> FittedView:

@@ -26,7 +26,7 @@ class MovingFace(NamedTuple):
     """What a face is made on."""
 
     mesh: RiggedMesh  # with 52 shapes of ARKit
-    eyes: list[Opening]  # at rest
+    eyes: tuple[Opening, ...]  # at rest
 
 
 def moving_face(mesh: RiggedMesh) -> MovingFace:
@@ -34,7 +34,7 @@ def moving_face(mesh: RiggedMesh) -> MovingFace:
     moving = with_open_lips(with_expressions(mesh, of_open_body(mesh)))
     eyes = openings(mesh, eyeballs(mesh, "eyes"))
     shares = {blink_of(eye.ball): blink_that_shuts(moving, eye) for eye in eyes}
-    return MovingFace(with_blink(moving, shares), eyes)
+    return MovingFace(with_blink(moving, shares), tuple(eyes))
 
 
 def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0, *, seen: bool = True) -> Avatar:

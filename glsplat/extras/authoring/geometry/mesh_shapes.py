@@ -9,7 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.geometry.nearest import NearestPoints, nearest_on
 from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import Shapes, long_axes
@@ -46,7 +46,7 @@ def body_morphs(body: RiggedMesh, points: F64) -> Morphs | None:
         return None
     if points.shape == body.vertices.shape and np.abs(points - body.vertices).max() < _REACH:
         return body.morphs  # the same mesh in another shape: lips that touch are told apart
-    _, face, bary, distance = _ridden(body, points)
+    _, distance, face, bary = nearest_on(body.vertices, body.faces, points)
     corners, near = body.faces[face], distance < 2 * _REACH
     found = {}
     for name in body.morphs.names:
@@ -80,7 +80,9 @@ def shapes_of(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[n
     """What the ``morphs`` of ``mesh`` make of ``splats`` on it; ``faces`` as for ``with_shapes``."""
     usable = splats.finite()
     means = np.where(usable[:, None], splats.means, 0).astype(np.float64)
-    at, face, bary, distance = _ridden(mesh, means) if faces is None else _placed(mesh, means, faces)
+    at, distance, face, bary = (
+        nearest_on(mesh.vertices, mesh.faces, means) if faces is None else _placed(mesh, means, faces)
+    )
     rides: NDArray[np.bool_] = np.logical_and(usable, distance < _REACH)
     corners = mesh.faces[face]
     axes = quaternion_matrices(np.where(usable[:, None], splats.quats, (1, 0, 0, 0)))
@@ -111,18 +113,12 @@ def shapes_of(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[n
     )
 
 
-def _ridden(mesh: RiggedMesh, points: F64) -> tuple[F64, NDArray[np.intp], F64, F64]:
-    """The nearest place on the mesh [N, 3], its triangle [N] and barycentric coordinates [N, 3], and how far it is."""
-    at, distance, face, bary = nearest_on(mesh.vertices, mesh.faces, points)
-    return at, face, bary, distance
-
-
-def _placed(mesh: RiggedMesh, points: F64, faces: NDArray[np.integer]) -> tuple[F64, NDArray[np.intp], F64, F64]:
-    """As ``_ridden``, on triangles that are known [N]."""
+def _placed(mesh: RiggedMesh, points: F64, faces: NDArray[np.integer]) -> NearestPoints:
+    """As ``nearest_on``, on triangles that are known [N]."""
     corners = mesh.vertices[mesh.faces[faces]]
     at = trimesh.triangles.closest_point(corners, points)
     bary = np.nan_to_num(trimesh.triangles.points_to_barycentric(corners, at))
-    return at, faces.astype(np.intp), bary, np.linalg.norm(points - at, axis=1)
+    return NearestPoints(at, np.linalg.norm(points - at, axis=1), faces.astype(np.intp), bary)
 
 
 def _deformed(before: F64, after: F64) -> F64:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -10,32 +12,49 @@ from scipy.spatial import cKDTree
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths
 
-__all__ = ["nearest_on", "nearest_weights"]
+__all__ = ["NearestPoints", "NearestWeights", "nearest_on", "nearest_weights"]
 
 F64 = NDArray[np.float64]
 
 _CANDIDATES = 8
 
 
-def nearest_weights(mesh: RiggedMesh, points: F64) -> tuple[NDArray[np.int64], F64, F64]:
-    """Joints and weights [N, J] of the surface points nearest to ``points`` [N, 3], and their distances [N]."""
-    _, distance, face, bary = nearest_on(mesh.vertices, mesh.faces, points)
-    corners = mesh.faces[face]
+class NearestPoints(NamedTuple):
+    """The places on a mesh's triangles that are nearest to N points."""
+
+    points: F64  # [N, 3]
+    distance: F64  # [N]
+    faces: NDArray[np.intp]  # [N] the triangles that they lie in
+    weights: F64  # [N, 3] barycentric
+
+
+class NearestWeights(NamedTuple):
+    """The skinning of a mesh at the places nearest to N points."""
+
+    joints: NDArray[np.int64]  # [N, J]
+    weights: F64  # [N, J]
+    distance: F64  # [N] of the points from the surface
+
+
+def nearest_weights(mesh: RiggedMesh, points: F64) -> NearestWeights:
+    """Return the skinning of the surface points nearest to ``points`` [N, 3]."""
+    near = nearest_on(mesh.vertices, mesh.faces, points)
+    corners = mesh.faces[near.faces]
     count = len(mesh.skeleton)
     dense = np.zeros((len(points), count))  # the three corners may share joints
-    values = (bary[:, :, None] * mesh.weights[corners]).reshape(len(points), -1)
+    values = (near.weights[:, :, None] * mesh.weights[corners]).reshape(len(points), -1)
     np.add.at(dense, (np.arange(len(points))[:, None], mesh.joints[corners].reshape(len(points), -1)), values)
-    return np.broadcast_to(np.arange(count), dense.shape), dense, distance
+    return NearestWeights(np.broadcast_to(np.arange(count), dense.shape), dense, near.distance)
 
 
-def nearest_on(vertices: F64, faces: NDArray[np.integer], points: F64) -> tuple[F64, F64, NDArray[np.intp], F64]:
-    """Of triangles [F, 3] the places nearest to ``points`` [N, 3]: where, how far, in which, barycentric [N, 3]."""
+def nearest_on(vertices: F64, faces: NDArray[np.integer], points: F64) -> NearestPoints:
+    """Return the places on triangles ``faces`` [F, 3] that are nearest to ``points`` [N, 3]."""
     if not len(points):
-        return np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.intp), np.zeros((0, 3))
+        return NearestPoints(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.intp), np.zeros((0, 3)))
     surface = trimesh.Trimesh(vertices, faces, process=False, validate=False)
     at, distance, face = _nearest_on(surface, points)
     bary = trimesh.triangles.points_to_barycentric(surface.triangles[face], at)
-    return at, distance, face, np.clip(np.nan_to_num(bary, nan=1 / 3), 0, 1)
+    return NearestPoints(at, distance, face, np.clip(np.nan_to_num(bary, nan=1 / 3), 0, 1))
 
 
 def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArray[np.intp]]:

@@ -130,8 +130,8 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
 
     def surfaced(one: Avatar) -> Avatar:
         where = nearest_open(mesh, one.splats, occlusion)
-        facing, arriving, _ = as_seen(one, where.directions(normals), opened(where.at(occlusion)))
-        surface = Surface.of(facing, arriving)
+        seen = as_seen(one, where.directions(normals), opened(where.at(occlusion)))
+        surface = Surface.of(seen.normals, seen.occlusion)
         return replace(one, splats=replace(one.splats, surface=surface))
 
     levels = tuple(replace(level, content=surfaced(level.content)) for level in avatar.levels)

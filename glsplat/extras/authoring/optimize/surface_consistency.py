@@ -23,7 +23,7 @@ from glsplat.io.cores import cores
 if TYPE_CHECKING:
     from glsplat.extras.authoring.optimize.view_consistency import Shares
 
-__all__ = ["as_seen", "ready"]
+__all__ = ["SeenSurface", "as_seen", "ready"]
 
 F64 = NDArray[np.float64]
 
@@ -60,14 +60,22 @@ class _Look(NamedTuple):
     towards: F64  # [3] unit, to the camera
 
 
-def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> tuple[F64, F64, F64]:
-    """Unit normals [N, 3], occlusion [N] and shade [N], 1 if not given, of the avatar's splats as pictures mix them.
+class SeenSurface(NamedTuple):
+    """The surface of N splats as pictures mix them."""
+
+    normals: F64  # [N, 3] unit
+    occlusion: F64  # [N]
+    shade: F64  # [N]
+
+
+def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> SeenSurface:
+    """Return unit normals [N, 3], occlusion [N] and shade [N], 1 if not given, of splats as pictures mix them.
 
     Of the zero pose. As they are without numba, and where there is nothing to look at.
     """
     shade = np.ones(len(normals)) if shade is None else shade
     if not available():
-        return normals, occlusion, shade
+        return SeenSurface(normals, occlusion, shade)
     from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
     from glsplat.extras.authoring.optimize.target_pictures import looks_at
     from glsplat.extras.authoring.optimize.view_consistency import SUMS, agreed
@@ -111,4 +119,4 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
         values += (mean - values) * sure * np.clip((off - _NEAR) / (_FAR - _NEAR), 0, 1)
         length = np.linalg.norm(values[:, :3], axis=1, keepdims=True)
         values[:, :3] = np.where(length > 1e-6, values[:, :3] / np.maximum(length, 1e-6), 0)
-    return values[:, :3], values[:, 3], np.exp2(values[:, 4])
+    return SeenSurface(values[:, :3], values[:, 3], np.exp2(values[:, 4]))

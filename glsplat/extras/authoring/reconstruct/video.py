@@ -17,13 +17,14 @@ from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
 from glsplat.extras.authoring.paint.bake import baked
 from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
-from glsplat.extras.authoring.reconstruct.photo_fit import sharp
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.video.body import fit_turning, key_views
-from glsplat.extras.authoring.video.frames import FEWEST, Frame, FramePicture, FrameSource, check_frames, frames_of
+from glsplat.extras.authoring.video.film import FEWEST
+from glsplat.extras.authoring.video.frames import Frame, FramePicture, FrameSource, check_frames, frames_of
 from glsplat.meshes import RiggedMesh
 
 from .builtin import PHONE
@@ -112,7 +113,10 @@ def _splats(
     options.progress("placing splats", 0.85)
     avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
     some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
-    return sharp(avatar, mesh, fusion.colours, [shots[index] for index in some], options)
+    shots = [shots[index] for index in some]
+    return fitted_to_photos(
+        avatar, mesh, fusion.colours, shots, options.seed, options.steps, options.texture, options.progress
+    )
 
 
 def from_video(

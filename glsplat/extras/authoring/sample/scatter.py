@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +23,21 @@ PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, ins
 """Fewer samples and rounds than a textured mesh gets: seconds, and a photograph has less to show."""
 
 
+class Zone(NamedTuple):
+    """A part of the surface that has its own number of splats."""
+
+    points: slice
+    splats: int
+    area: float  # m^2
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
     """M points in zones that have their own number of splats."""
 
     points: SurfacePoints
     density: F64  # [M] of splats by area, relative, in its zone
-    zones: tuple[tuple[slice, int, float], ...]  # the points of a zone, its splats, its area in square metres
+    zones: tuple[Zone, ...]
     faces: NDArray[np.intp]  # [M] triangles of the mesh
 
     def avatar(self, mesh: RiggedMesh, rgb: F64, busy: F64, rng: np.random.Generator) -> Avatar:
@@ -59,7 +68,7 @@ class Scatter:
             )
             begin.append(begun(cloud, splats, PHOTO_SAMPLER, rng))
         # the largest first, so that no core has it last and alone
-        order = np.argsort([-splats for _, splats, _ in self.zones], kind="stable")
+        order = np.argsort([-zone.splats for zone in self.zones], kind="stable")
         made = dict(zip(order, abreast(lambda zone: begin[zone](), order), strict=True))
         return avatar_of([made[zone] for zone in range(len(begin))], mesh, PHOTO_SAMPLER.opacity)
 
@@ -80,7 +89,7 @@ def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
         edge, along = rng.random((2, many))
         root = np.sqrt(edge)
         weights.append(np.stack([1 - root, root * (1 - along), root * along], axis=1))
-        zones.append((slice(first, first + many), count, float(area[mine].sum())))
+        zones.append(Zone(slice(first, first + many), count, float(area[mine].sum())))
         first += many
     face = np.concatenate(chosen)
     points = SurfacePoints(faces[face].astype(np.intp), np.concatenate(weights))

@@ -72,7 +72,9 @@ class MeshVideo(_Own):
         pose = participant.pose or pose_of(_A_POSE, mesh.skeleton)
         light = participant.light or _LIGHT
         shots = turntable(mesh, camera, pose, light["direction_to"], light["colour"], frames=count, seed=self.seed)
-        return [(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)]  # as of a video
+        return [
+            FramePicture(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)
+        ]  # as of a video
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from glsplat.extras.authoring.dress.fitted_mesh import Dressed
 from glsplat.extras.authoring.dress.skirt import hem_of, with_skirt
 from glsplat.extras.authoring.fit.view import View
 from glsplat.skinning.pose import Pose
@@ -69,7 +70,7 @@ def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:
     view = view_with(mask)
     hem = hem_of(scene.body, scene.fit, scene.mesh, view)
     assert hem is not None
-    made, seen = with_skirt(scene.body, scene.mesh, [view], scene.fit.views, hem)
+    made, seen = with_skirt(scene.body, Dressed(scene.mesh, scene.fit.views), [view], hem)
     below = scene.mesh.vertices[:, 1] <= hem
     assert np.array_equal(made.vertices[below], scene.mesh.vertices[below])
     assert np.allclose(made.weights.sum(axis=1), 1)

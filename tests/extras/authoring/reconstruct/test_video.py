@@ -17,7 +17,7 @@ from glsplat.extras.evaluate.turntable import turntable
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from tests.extras.authoring.captures import capture, needs_networks
-from tests.extras.authoring.reconstruct.test_photo_fit import FEW
+from tests.extras.authoring.optimize.test_photo_fit import FEW
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import cv2
@@ -15,14 +15,13 @@ from glsplat.extras.authoring.compute.compiled import available
 from glsplat.extras.authoring.optimize.colour_fit import sharpened
 from glsplat.extras.authoring.paint.bake import Colours, baked
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
-from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
 if TYPE_CHECKING:
     from glsplat.extras.authoring.optimize.target_pictures import TargetPicture
 
-__all__ = ["sharp"]
+__all__ = ["fitted_to_photos"]
 
 _ROUNDS = 8  # of matching colours alone
 _FIGURE = 1536  # pixels of the person's height that are looked at
@@ -30,27 +29,35 @@ _AGAIN = 5  # times that a round of all pictures shows photographs
 _EDGE = 4  # pixels inside the outline, whose colours are mixed with the room's
 
 
-def sharp(
-    avatar: Avatar, mesh: RiggedMesh, colours: Colours, shots: Sequence[FittedPicture], options: Options
+def fitted_to_photos(
+    avatar: Avatar,
+    mesh: RiggedMesh,
+    colours: Colours,
+    shots: Sequence[FittedPicture],
+    seed: int,
+    steps: int,
+    texture: int,
+    progress: Callable[[str, float], None],
 ) -> Avatar:
-    """The avatar fitted to ``shots``, and to ``mesh`` in those ``colours`` where they show nothing.
+    """Return the avatar fitted to ``shots`` and, where they show nothing, to ``mesh`` in ``colours``.
 
+    ``texture`` is the number of texels a side in which the mesh is painted for that.
     All of the splats is fitted where numba is installed, their colours alone where it is not.
     """
-    if not options.steps:
+    if not steps:
         return avatar
     if not available():
-        options.progress("fitting colours", 0.0)
+        progress("fitting colours", 0.0)
         return sharpened(avatar, shots, _ROUNDS)
     from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
     from glsplat.extras.authoring.optimize.target_pictures import pictures_of
 
-    options.progress("painting the body", 0.0)
-    truth = baked(mesh, colours, options.texture)
-    pictures = pictures_of(truth, options.seed, progress=options.progress)
+    progress("painting the body", 0.0)
+    truth = baked(mesh, colours, texture)
+    pictures = pictures_of(truth, seed, progress=progress)
     photographs = [_picture(avatar, shot) for shot in shots]
     pictures += photographs * max(1, _AGAIN // len(photographs))
-    return fitted(avatar, pictures, options.seed, FitConfig(steps=options.steps), options.progress)
+    return fitted(avatar, pictures, seed, FitConfig(steps=steps), progress)
 
 
 def _picture(avatar: Avatar, shot: FittedPicture) -> TargetPicture:

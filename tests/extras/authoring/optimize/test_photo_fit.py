@@ -11,18 +11,21 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.posed import placed, posed_splats
+from glsplat.extras.authoring.optimize.photo_fit import _picture, fitted_to_photos
 from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
 from glsplat.extras.authoring.optimize.target_pictures import ViewConfig
 from glsplat.extras.authoring.paint.bake import Colours
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
-from glsplat.extras.authoring.reconstruct.photo_fit import _picture, sharp
-from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.authoring.sample.scatter import scatter
 from tests.extras.authoring.optimize.without import without_numba
 from tests.extras.authoring.paint.scene import Scene, photographed
 
-module = importlib.import_module("glsplat.extras.authoring.reconstruct.photo_fit")
+module = importlib.import_module("glsplat.extras.authoring.optimize.photo_fit")
+
+
+def silent(stage: str, done: float) -> None: ...
+
 
 FEW = {"body": 6, "poses": 1, "each": 1, "size": 160, "close": 64}
 
@@ -99,9 +102,10 @@ def test_the_photograph_comes_back(
     for name, value in FEW.items():
         monkeypatch.setitem(ViewConfig.__init__.__kwdefaults__, name, value)
     told: list[str] = []
-    options = Options(steps=60, texture=256, progress=lambda stage, _: told.append(stage.partition(",")[0]))
     avatar, colours = painted
-    done = sharp(avatar, scene.mesh, colours, scene.shots, options)
+    done = fitted_to_photos(
+        avatar, scene.mesh, colours, scene.shots, 0, 60, 256, lambda stage, _: told.append(stage.partition(",")[0])
+    )
     picture = _picture(avatar, scene.shots[0])
     assert missed(done, picture) < 0.8 * missed(avatar, picture)
     assert len(done.splats) == len(avatar.splats) and np.isfinite(done.splats.means).all()
@@ -110,7 +114,7 @@ def test_the_photograph_comes_back(
 
 def test_no_steps_leave_it_as_it_is(scene: Scene, painted: tuple[Avatar, Colours]) -> None:
     avatar, colours = painted
-    assert sharp(avatar, scene.mesh, colours, scene.shots, Options(steps=0)) is avatar
+    assert fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 0, 256, silent) is avatar
 
 
 def test_without_numba_colours_alone_are_fitted(
@@ -119,4 +123,5 @@ def test_without_numba_colours_alone_are_fitted(
     without_numba(monkeypatch)
     avatar, colours = painted
     monkeypatch.setattr(module, "sharpened", lambda *words: words)
-    assert sharp(avatar, scene.mesh, colours, scene.shots, Options(steps=400)) == (avatar, scene.shots, 8)
+    made = fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 400, 256, silent)
+    assert made == (avatar, scene.shots, 8)
