@@ -108,7 +108,7 @@ class _Fitted(NamedTuple):
 
     body: Body
     fit: BodyFit
-    shots: list[FittedPicture]  # no hair hangs behind it yet
+    shots: tuple[FittedPicture, ...]  # no hair hangs behind it yet
     looks: Mapping[str, EyeLook]
 
 
@@ -125,10 +125,10 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     fit = fit_details(fit, views, [people[side] for side in sides], body)
     options.progress("painting", 0.35)
     mesh, seen = dress(body, fit, views)
-    shots = [
+    shots = tuple(
         FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
         for side, view, fitted in zip(sides, views, seen, strict=True)
-    ]
+    )
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.seen for look in looks.values()):
         looks = {}  # closed lids and dark glasses stay what they are

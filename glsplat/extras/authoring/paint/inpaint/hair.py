@@ -30,7 +30,7 @@ _SHOWN = 4.0
 _HEAD_JOINT = JOINT_NAMES.index("head")
 
 
-def with_hair(body: Body, shots: list[FittedPicture]) -> list[FittedPicture]:
+def with_hair(body: Body, shots: tuple[FittedPicture, ...]) -> tuple[FittedPicture, ...]:
     """The pictures of a body on which hair that falls over neck and back, as the front shows it, hangs behind these."""
     front = shots[0]
     rest = front.mesh.vertices
@@ -65,7 +65,7 @@ def with_hair(body: Body, shots: list[FittedPicture]) -> list[FittedPicture]:
     moved = rest.copy()
     moved[:, 2] += back
     mesh = replace(front.mesh, vertices=moved)
-    return [shot.without_view_of(mesh, _seen(mesh, shot.view, back < 0)) for shot in shots]
+    return tuple(shot.without_view_of(mesh, _seen(mesh, shot.view, back < 0)) for shot in shots)
 
 
 def _seen(mesh: RiggedMesh, view: FittedView, some: NDArray[np.bool_]) -> FittedView:
