@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.nearest import NearestPoints, nearest_on
+from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import Shapes, long_axes
@@ -62,18 +63,14 @@ def unfolded(mesh: RiggedMesh) -> F64:
     out = np.ones(len(mesh.faces))
     if mesh.morphs is None:
         return out
-    first = _areas(mesh.vertices[mesh.faces])
+    first = triangle_areas(mesh.vertices, mesh.faces)
     for name in mesh.morphs.names:
         offsets = mesh.morphs.dense(name, len(mesh.vertices))
         stirs: NDArray[np.bool_] = np.any(offsets != 0, axis=1)
         mine = np.flatnonzero(np.any(stirs[mesh.faces], axis=1))
-        grown = _areas((mesh.vertices + offsets)[mesh.faces[mine]]) / np.maximum(first[mine], 1e-12)
+        grown = triangle_areas(mesh.vertices + offsets, mesh.faces[mine]) / np.maximum(first[mine], 0.5e-12)
         out[mine] = np.maximum(out[mine], grown)
     return np.clip(out, 1, _STRETCH)
-
-
-def _areas(corners: F64) -> F64:
-    return np.asarray(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1))
 
 
 def shapes_of(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[np.integer] | None = None) -> Shapes:

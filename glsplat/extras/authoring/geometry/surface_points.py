@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from glsplat.rotations import unit_vectors
 
-__all__ = ["SurfacePoints", "between"]
+__all__ = ["SurfacePoints", "between", "triangle_areas"]
 
 F64 = NDArray[np.float64]
 
@@ -43,3 +43,9 @@ class SurfacePoints:
 def between(corners: NDArray[Any], share: F64, count: int) -> csr_array:
     """[M, V] of points between vertices ``corners`` [M, 3], how much of each of ``count`` vertices they are."""
     return csr_array((share.ravel(), corners.ravel(), np.arange(len(corners) + 1) * 3), (len(corners), count))
+
+
+def triangle_areas(vertices: F64, faces: NDArray[np.integer]) -> F64:
+    """Return the areas [F] of triangles ``faces`` [F, 3] of ``vertices`` [V, 3], square metres."""
+    corner = vertices[faces]
+    return np.asarray(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2)

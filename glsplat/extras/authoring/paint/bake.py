@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.compute.threads import abreast
-from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.paint.texels import texels_of
 from glsplat.meshes import MeshPart, RiggedMesh
 
@@ -38,7 +38,7 @@ def baked(mesh: RiggedMesh, colours: Colours, size: int = 2048) -> RiggedMesh:
     """
     if not SIZES[0] <= size <= SIZES[1]:
         raise FormatError(f"a texture needs {SIZES[0]} to {SIZES[1]} texels a side, not {size}")
-    areas = [_area(mesh, part) for part in mesh.parts]
+    areas = [float(triangle_areas(mesh.vertices, part.faces).sum()) for part in mesh.parts]
     parts = []
     for part, area in zip(mesh.parts, areas, strict=True):
         if not len(part.faces):
@@ -86,9 +86,3 @@ def _spread(uv: F64, size: int) -> tuple[F64, tuple[int, int]]:
     sides = [size >> int(np.log2(extent.max() / side).clip(0, np.log2(size / SIZES[0]))) for side in extent]
     margin = _MARGIN / np.array(sides)
     return margin + (uv - low) / extent * (1 - 2 * margin), (sides[0], sides[1])
-
-
-def _area(mesh: RiggedMesh, part: MeshPart) -> float:
-    """Square metres."""
-    corner = mesh.vertices[part.faces]
-    return float(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum() / 2)

@@ -17,6 +17,7 @@ from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
 from glsplat.extras.authoring.paint.bake import baked
 from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
@@ -199,6 +200,4 @@ def _problem(fit: BodyFit, used: int) -> str:
 def _unseen(mesh: RiggedMesh, fusion: Fusion) -> float:
     """Share of the skin's area that no frame shows."""
     faces = mesh.parts[0].faces
-    corner = mesh.vertices[faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    return float(np.average(fusion.seen[faces].mean(axis=1) < _HARDLY, weights=area))
+    return float(np.average(fusion.seen[faces].mean(axis=1) < _HARDLY, weights=triangle_areas(mesh.vertices, faces)))

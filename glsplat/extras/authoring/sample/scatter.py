@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.threads import abreast
-from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.sample.cells import Cloud, SamplerConfig, avatar_of, begun, skin_of
 from glsplat.extras.authoring.sample.surface import allot, face_densities, face_zones
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -76,7 +76,7 @@ class Scatter:
 def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
     """Points for so many splats, in proportion to area and density; every triangle gets its share."""
     faces = mesh.faces
-    area = _areas(mesh)
+    area = triangle_areas(mesh.vertices, mesh.faces)
     density = face_densities(mesh, PHOTO_SAMPLER)
     label = face_zones(mesh)
     chosen, weights, zones, first = [], [], [], 0
@@ -98,12 +98,6 @@ def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
 
 def even_points(mesh: RiggedMesh, count: int) -> SurfacePoints:
     """So many middles of triangles, as often as the triangle's area says."""
-    total = np.cumsum(_areas(mesh))
+    total = np.cumsum(triangle_areas(mesh.vertices, mesh.faces))
     face = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
     return SurfacePoints(mesh.faces[face].astype(np.intp), np.full((count, 3), 1 / 3))
-
-
-def _areas(mesh: RiggedMesh) -> F64:
-    """[F] square metres."""
-    corner = mesh.vertices[mesh.faces]
-    return np.asarray(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2)
