@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.check.photos import CheckedPhoto, check_photos, refuse
 from glsplat.extras.authoring.compute.compiled import MISSING, available
 from glsplat.extras.authoring.compute.threads import aside, one_heap
 from glsplat.extras.authoring.reconstruct.photos import (
-    CheckedPhoto,
     MeshReconstruction,
     Reconstruction,
-    check_photos,
     reconstruct,
     reconstruct_mesh,
-    refuse,
 )
 from glsplat.extras.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
 from glsplat.extras.authoring.reconstruct.registry import named, names
@@ -140,7 +138,7 @@ def _one(args: argparse.Namespace) -> int:
             make = reconstruct_mesh if mesh else reconstruct
             done = make(shots, options, using=args.using, anyway=True, meta=notes_of(args))
             if not args.anyway:
-                refuse(shots, done.made)
+                refuse(shots, done.made.problem if done.made else "")
         except CaptureError as error:
             _sheet(args, shots, done)
             if args.json:

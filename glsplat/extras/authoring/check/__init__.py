@@ -1,1 +1,1 @@
-"""Whether a picture of a person will do: findings about the picture and the posture."""
+"""The check of photographs: findings about the picture and the posture."""

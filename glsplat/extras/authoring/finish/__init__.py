@@ -1,1 +1,1 @@
-"""Levels of detail for splats: merged ones, and the density up to which each may stand in for the finest."""
+"""What an avatar gets last: levels of detail, and the cones from which its splats are visible."""

@@ -1,1 +1,1 @@
-"""Which pixels of a picture are the person."""
+"""Masks: the pixels of a picture that show the person."""

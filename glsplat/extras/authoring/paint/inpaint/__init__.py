@@ -1,1 +1,1 @@
-"""What no picture shows of a person: cloth that goes on around the body, and hair that falls behind it."""
+"""Colours of surface that no picture shows: cloth that goes on around the body, and hair behind it."""
