@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,18 +37,21 @@ if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
 __all__ = [
+    "Number",
     "add_detail",
     "add_driver",
     "add_light",
     "add_scene",
     "add_solver",
     "add_up",
+    "as_toml",
     "colour",
     "degrees",
     "detail_level",
     "detail_of",
     "driven",
     "expression",
+    "light_name",
     "light_of",
     "load_avatar",
     "motion_of",
@@ -59,6 +63,7 @@ __all__ = [
     "single",
     "size",
     "tracked",
+    "whole",
 ]
 
 
@@ -79,6 +84,7 @@ def add_light(parser: argparse.ArgumentParser) -> None:
     """Add --light."""
     parser.add_argument(
         "--light",
+        type=light_name,
         metavar="NAME|FILE",
         help=f"light on avatars with a surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; "
         "none: as photographed (default: the scene file's light, else none)",
@@ -115,6 +121,16 @@ def light_of(text: str) -> Light:
         except (ValueError, RecursionError) as error:
             raise FormatError(f"a light is JSON, but {error}") from None
         return Light.from_json(data)
+
+
+def light_name(text: str) -> str:
+    """Return a light's name after checking that it can be read; "none" for no light (argparse type)."""
+    if text != "none":
+        try:
+            light_of(text)
+        except FormatError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def add_up(parser: argparse.ArgumentParser, what: str = "the file's axis that points up") -> None:
@@ -174,7 +190,10 @@ def load_avatar(path: str | Path, option: str, *, strict: bool = False) -> Rigge
     file = embedded_file(path)
     if not file.exists():
         raise UsageError(f"{option} {path}: no such file, nor an embedded person ({_PEOPLE})")
-    content = load(file, strict=strict)
+    try:
+        content = load(file, strict=strict)
+    except FormatError as error:
+        raise FormatError(f"{option} {error}") from None
     if isinstance(content, Scene):
         raise UsageError(f"{option} {path}: expected one avatar, found a scene file")
     if not is_rigged(content):
@@ -245,7 +264,7 @@ def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
     )
     parser.add_argument(
         "--lod-bias",
-        type=float,
+        type=Number(-8, 8),
         metavar="B",
         help="bias of --level auto: 1 chooses levels for twice the pixels, -1 for half (default 0)",
     )
@@ -278,13 +297,53 @@ def detail_of(args: Any) -> dict[str, Any]:
     level = defaults.get("level", 0) if args.level is None else args.level
     if args.lod_bias is not None and level != "auto":
         raise UsageError("--lod-bias goes with --level auto")
-    if args.lod_bias is not None and not -8 <= args.lod_bias <= 8:
-        raise UsageError(f"--lod-bias needs -8 to 8, not {args.lod_bias:g}")
     return defaults | {
         "level": level,
         "lod_bias": args.lod_bias or 0.0,
         "cull_hidden": True if args.cull_hidden else defaults.get("cull_hidden", False),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A parser of finite numbers from ``low`` to ``high``, both included; whole ones for ``kind`` int."""
+
+    low: float
+    high: float = sys.float_info.max
+    unit: str = ""
+    kind: type[float] | type[int] = float
+
+    def __call__(self, text: str) -> float:
+        """Parse a word of the command line. Raises ArgumentTypeError."""
+        try:
+            value = self.kind(text)
+        except ValueError:
+            raise self.error(text) from None
+        return self.checked(value)
+
+    def checked(self, value: object) -> float:
+        """Return a value of the file, or a parsed one. Raises ArgumentTypeError."""
+        if not isinstance(value, (int, self.kind)) or isinstance(value, bool) or not self.low <= value <= self.high:
+            raise self.error(value)
+        return self.kind(value)
+
+    def error(self, got: object) -> argparse.ArgumentTypeError:
+        """Return the error for a value that is no such number."""
+        span = f"of at least {self.low:g}" if self.high == sys.float_info.max else f"from {self.low:g} to {self.high:g}"
+        whole = "whole " if self.kind is int else ""
+        unit = self.unit and f" {self.unit}"
+        return argparse.ArgumentTypeError(f"needs a {whole}number {span}{unit}, not {as_toml(got)}")
+
+
+def whole(low: int, high: float = sys.float_info.max, unit: str = "") -> Number:
+    """Return a parser of whole numbers from ``low`` to ``high``, both included (argparse type)."""
+    return Number(low, high, unit, int)
+
+
+def as_toml(value: object) -> str:
+    """Return a value about as a TOML file has it, for messages."""
+    shown = str(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False, default=str)
+    return shown if len(shown) <= 60 else f"{shown[:57]}..."
 
 
 def detail_level(text: str) -> int | str:

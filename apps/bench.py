@@ -21,7 +21,7 @@ from glsplat.scene import Content, SceneLike, is_rigged
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
 
-from .args import add_detail, add_driver, add_scene, detail_of, motion_of, open_scene, positive, single, size
+from .args import add_detail, add_driver, add_scene, detail_of, motion_of, open_scene, positive, single, size, whole
 from .progress import Progress
 from .usage import UsageError
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels per eye")
     parser.add_argument("--views", type=int, nargs="+", choices=(1, 2), default=[2], help="eyes (default 2)")
-    parser.add_argument("--frames", type=int, default=30, help="measured frames per setting (default 30)")
+    parser.add_argument("--frames", type=whole(3), default=30, help="measured frames per setting (default 30)")
     parser.add_argument("--motion", help=f"motion of an avatar (default {_MOTION}, if it can be driven)")
     parser.add_argument("--static", action="store_true", help="measure an avatar in its zero pose only")
     add_detail(parser, lean=False)
@@ -56,8 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print the results."""
-    if args.frames < 3:
-        raise UsageError(f"--frames needs at least 3, not {args.frames}")
     file = open_scene(args)
     scene = single(file)
     motion = _motion(args, scene)

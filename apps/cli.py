@@ -74,9 +74,10 @@ MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "webpage.com
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the entry point of the installed ``glsplat``."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    prog = f"glsplat {_command(arguments)}" if arguments else "glsplat"
+    prog, see = f"glsplat {_command(arguments)}" if arguments else "glsplat", "--help"
     try:
         if arguments:
+            see = getattr(_module(arguments[0]), "SEE", see)
             module, args = parsed(arguments[0], arguments[1:])
             code = int(module.run(args) or 0)
         else:
@@ -85,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()  # here, where a full disk can still be reported
         return code
     except UsageError as error:
-        print(f"{prog}: {error}; see {prog} --help", file=sys.stderr)
+        print(f"{prog}: {error}; see {prog} {see}", file=sys.stderr)
         return 2
     except GlsplatError as error:
         print(f"{prog}: {error}", file=sys.stderr)
@@ -124,9 +125,14 @@ def _command(arguments: Sequence[str]) -> str:
     return str(parser.parse_args(arguments[:1]).command)
 
 
+def _module(name: str) -> ModuleType:
+    """Return a command's module. ``SEE`` in it is the flag that explains its options, if not --help."""
+    return import_module(f".{MODULES.get(name, name)}", __package__)
+
+
 def parsed(name: str, words: Sequence[str]) -> tuple[ModuleType, argparse.Namespace]:
     """Return a command's module and its parsed arguments. Raises SystemExit or UsageError for mistakes."""
-    module = import_module(f".{MODULES.get(name, name)}", __package__)
+    module = _module(name)
     command = CommandParser(
         prog=f"glsplat {name}",
         description=module.HELP,

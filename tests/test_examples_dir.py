@@ -17,6 +17,7 @@ from glsplat.data import default_avatar
 from glsplat.formats import load, save
 from tests.needs import program, require
 from tests.scene.people import boxes, save_person
+from tests.scenes import limb
 from tests.skinning.avatars import part
 from tools.docs.gallery import served
 
@@ -166,6 +167,17 @@ def test_score_an_avatar(run: Run, tmp_path: Path) -> None:
     save_person(boxes(), tmp_path / "person.npz")
     said = run("score_avatar.py", "me.glb", "person.npz", 1)
     assert said.count("SSIM") == 2 and 1 < float(said.split("worst ")[1].split()[0]) < 25
+    save(limb(), "limb.glb")
+    for words, reason in (
+        ("me.glb", "POSES is 1 to 8"),
+        ("me.glb person.npz few", "POSES is 1 to 8"),
+        ("me.glb person.npz 0", "POSES is 1 to 8"),
+        ("no.glb person.npz", "no.glb: cannot be read"),
+        ("person.npz me.glb", "needs an avatar and the rigged mesh"),
+        ("limb.glb person.npz", "score against the mesh it was made from"),
+    ):
+        with pytest.raises(SystemExit, match=reason):
+            run("score_avatar.py", *words.split())
 
 
 def figure(picture: np.ndarray) -> float:

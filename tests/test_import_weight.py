@@ -40,7 +40,7 @@ EXTRAS = [
     ("import glsplat.formats.scene_file", "", ANY),
     ("import glsplat.extras.authoring.geometry.posed", "", ANY),
     ("import glsplat.extras.authoring.finish.cones", "cv2 scipy", ANY),
-    ("import glsplat.extras.authoring.reconstruct.photos", "cv2 scipy simplejpeg", ANY),
+    ("import glsplat.extras.authoring.reconstruct.photos", "PIL cv2 scipy simplejpeg", ANY),
     (
         "import glsplat.extras.authoring.reconstruct.builtin",
         "PIL cv2 scipy trimesh",

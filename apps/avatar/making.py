@@ -39,7 +39,7 @@ from glsplat.io.files import naming, replace_file
 from glsplat.skinning.pose import Pose, load_pose
 from glsplat.splats import Level
 
-from ..args import add_up, motion_of
+from ..args import add_up, motion_of, whole
 from ..convert import add_quiet, save_with_report
 from ..usage import UsageError, make_folder
 from .person import add_rig, doubts, is_gltf, read_any_person
@@ -76,7 +76,7 @@ def add_make(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="same seed, same bytes (default 0)")
     parser.add_argument(
         "--steps",
-        type=int,
+        type=whole(0),
         default=STEPS,
         help="of fitting all parameters of the splats, a minute for the default %(default)d; 0: none",
     )
@@ -99,7 +99,7 @@ def add_cones(parser: argparse.ArgumentParser) -> None:
         "--psnr", type=float, default=ConeConfig().psnr, help="dB that test pictures keep (default %(default)g)"
     )
     parser.add_argument(
-        "--directions", type=int, default=ConeConfig().directions, help="views a pose (default %(default)d)"
+        "--directions", type=whole(8, 4096), default=ConeConfig().directions, help="views a pose (default %(default)d)"
     )
 
 
@@ -150,8 +150,6 @@ def _add_out(parser: argparse.ArgumentParser) -> None:
 def make(args: argparse.Namespace) -> int:
     """Make an avatar of a rigged person, with its levels, surface and cones."""
     check_name(args.out)
-    if args.steps < 0:
-        raise UsageError(f"--steps needs 0 or more, not {args.steps}")
     if args.splats < FEWEST:
         raise FormatError(f"an avatar needs at least {FEWEST} splats, not {args.splats}")
     counts = counts_of(args.levels, args.splats)
@@ -193,8 +191,6 @@ def cones(args: argparse.Namespace) -> int:
     check_name(args.out)
     if not 0 < args.psnr <= 100:
         raise UsageError(f"--psnr needs decibels above 0 and at most 100, not {args.psnr:g}")
-    if not 8 <= args.directions <= 4096:
-        raise UsageError(f"--directions needs 8 to 4096, not {args.directions}")
     began = time.perf_counter()
     with progress_bar() as show:
         made = with_cones(load_splats(args.scene), ConeConfig(psnr=args.psnr, directions=args.directions), show)

@@ -26,7 +26,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.skinning.driven import why_not_driven
 
-from ..args import add_detail, detail_of
+from ..args import Number, add_detail, detail_of, whole
 from ..output import eight_bit, label, save_png, stack
 from ..usage import UsageError
 from .person import read_any_person
@@ -38,16 +38,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("avatar", type=Path, nargs="?", help="avatar (.glb); default: the embedded avatar")
     parser.add_argument("--mesh", type=Path, required=True, help="the rigged, textured mesh it shows (.npz, .glb)")
-    parser.add_argument("--poses", type=int, default=len(SCORE_POSES), help=f"poses (default {len(SCORE_POSES)})")
-    parser.add_argument("--views", type=int, default=4, help="views per pose, evenly around (default 4)")
-    parser.add_argument("--size", type=int, default=512, help="pixels, square (default 512)")
+    parser.add_argument(
+        "--poses", type=whole(1, len(SCORE_POSES)), default=len(SCORE_POSES), help=f"poses (default {len(SCORE_POSES)})"
+    )
+    parser.add_argument("--views", type=whole(1, 360), default=4, help="views per pose, evenly around (default 4)")
+    parser.add_argument("--size", type=whole(32, 4096), default=512, help="pixels, square (default 512)")
     parser.add_argument(
         "--antialias",
         action=argparse.BooleanOptionalAction,
         help="draw the avatar with opacity compensation (default: as the file says)",
     )
     add_detail(parser, lean=False)
-    parser.add_argument("--grey", type=float, default=0.0, help="background, 0 black (default) to 1 white")
+    parser.add_argument("--grey", type=Number(0, 1), default=0.0, help="background, 0 black (default) to 1 white")
     parser.add_argument("--sheet", type=Path, help="contact sheet to write (.png, .jpg): avatar, mesh, 4 x difference")
     parser.add_argument("--json", action="store_true", help="print the figures of every picture as JSON")
 
@@ -64,14 +66,6 @@ def run(args: argparse.Namespace) -> int:
 
 def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
     """Print the scores and write the sheet; 0 on success."""
-    if not 1 <= args.poses <= len(SCORE_POSES):
-        raise UsageError(f"--poses needs 1 to {len(SCORE_POSES)}, not {args.poses}")
-    if not 1 <= args.views <= 360:
-        raise UsageError(f"--views needs 1 to 360, not {args.views}")
-    if not 32 <= args.size <= 4096:
-        raise UsageError(f"--size needs 32 to 4096, not {args.size}")
-    if not 0 <= args.grey <= 1:
-        raise UsageError(f"--grey needs 0 to 1, not {args.grey}")
     if args.sheet is not None and args.sheet.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise UsageError(f"{args.sheet}: a contact sheet is written as .png or .jpg; change the name")
     names = list(SCORE_POSES)[: args.poses]

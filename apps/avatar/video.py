@@ -14,7 +14,7 @@ from glsplat.extras.authoring.compute.compiled import MISSING, available
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Progress
 from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, VideoResult, from_video
 
-from ..args import natural, positive
+from ..args import natural, positive, whole
 from ..usage import UsageError
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
     parser.add_argument(
-        "--frames", type=natural, default=FRAMES, help="frames of a video that are used (default %(default)d)"
+        "--frames", type=whole(8, 120), default=FRAMES, help="frames of a video that are used (default %(default)d)"
     )
     parser.add_argument(
         "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
@@ -98,8 +98,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _options(args: argparse.Namespace, show: Progress) -> Options:
-    if not 8 <= args.frames <= 120:
-        raise UsageError(f"--frames needs 8 to 120, not {args.frames}")
     asked = {name: getattr(args, name) for name in ("height", *_SPLATS_ONLY, *_MESH_ONLY)}
     for name in _SPLATS_ONLY if args.kind == "mesh" else _MESH_ONLY:
         if asked[name] is not None:

@@ -24,7 +24,7 @@ from glsplat.formats.motion_files import embedded_motions, split_choice
 from glsplat.io.cores import cores
 from glsplat.io.files import locked, replace_file
 
-from ..args import motion_of
+from ..args import motion_of, whole
 from ..progress import Progress
 from ..ray_tasks import add_ray, on_ray
 from ..usage import UsageError, make_folder
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--measure", help=f"further measures: {', '.join(EXTRA_MEASURES)}")
     parser.add_argument("--quick", action="store_true", help="four participants, two poses, two sides, small: a look")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same table (default 0)")
-    parser.add_argument("--jobs", type=int, help="processes (default: one a core, as memory allows)")
+    parser.add_argument("--jobs", type=whole(1, 256), help="processes (default: one a core, as memory allows)")
     add_ray(parser, "participants")
     parser.add_argument("--no-timing", action="store_true", help="leave out table 2 and the latency table")
     parser.add_argument(
@@ -214,8 +214,6 @@ def _people(args: argparse.Namespace) -> list[Participant]:
 
 def _jobs(args: argparse.Namespace) -> int:
     if args.jobs is not None:
-        if not 1 <= args.jobs <= 256:
-            raise UsageError(f"--jobs needs 1 to 256 processes, not {args.jobs}")
         return int(args.jobs)
     return max(1, min(cores(), math.floor(_memory() / _WORKER)))
 

@@ -19,7 +19,7 @@ from glsplat.scene import skeleton_of
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose, load_pose
 
-from ..args import add_detail, add_light, add_scene, colour, detail_of, driven, open_scene, point, size, tracked
+from ..args import add_detail, add_light, add_scene, colour, detail_of, driven, open_scene, point, size, tracked, whole
 from ..output import save_png
 from ..usage import UsageError
 from . import headset_options
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--vsync", action="store_true", help="draw at the refresh rate of the screen instead of as fast as possible"
     )
     parser.add_argument(
-        "--frames", type=int, metavar="N", help="show N pictures, 1/30 s apart in the motion, then exit"
+        "--frames", type=whole(1), metavar="N", help="show N pictures, 1/30 s apart in the motion, then exit"
     )
     parser.add_argument(
         "--screenshot", metavar="FILE", help="save the last picture (.png) and exit; implies --frames 1"
@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="send head and hands (.jsonl; default: the embedded recording) instead of poses: the server solves",
     )
-    server.add_argument("--quality", type=int, help="JPEG quality, 1 to 100 (default: the server's)")
+    server.add_argument("--quality", type=whole(1, 100), help="JPEG quality, 1 to 100 (default: the server's)")
     server.add_argument("--token-file", type=Path, metavar="FILE", help="token of the server")
     server.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
     headset_options.add_arguments(parser)
@@ -156,8 +156,6 @@ def _frames(args: argparse.Namespace) -> int | None:
     pinhole(1, 1, args.fov)
     headset_options.check(args)
     _check_connect(args)
-    if args.frames is not None and args.frames < 1:
-        raise UsageError(f"--frames needs at least 1, not {args.frames}")
     if args.screenshot is None:
         return args.frames
     path = Path(args.screenshot)
@@ -170,8 +168,6 @@ def _frames(args: argparse.Namespace) -> int | None:
 
 def _check_connect(args: argparse.Namespace) -> None:
     """Raise UsageError for options that do not go with or without --connect."""
-    if args.quality is not None and not 1 <= args.quality <= 100:
-        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
     if args.xr:
         return
     if args.connect is None:

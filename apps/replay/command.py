@@ -31,7 +31,7 @@ from glsplat.tracking.recording import embedded_recording
 from glsplat.tracking.recording import replay as read_samples
 from glsplat.tracking.sample import Sample
 
-from ..args import load_avatar, motion_of, size, tracked
+from ..args import Number, load_avatar, motion_of, size, tracked, whole
 from ..clip import CLIPS, Clip
 from ..output import label, save_png, side_by_side, stack
 from ..progress import Progress
@@ -67,12 +67,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tracking", action="store_true", help="send only head and hands of a motion; the server solves the pose"
     )
     parser.add_argument(
-        "--fps", type=float, default=72.0, help="requests and display refreshes per second (default 72)"
+        "--fps", type=Number(1, 240), default=72.0, help="requests and display refreshes per second (default 72)"
     )
-    parser.add_argument("--frames", type=int, help="number of requests (default: one play, at most 20 s)")
+    parser.add_argument("--frames", type=whole(1), help="number of requests (default: one play, at most 20 s)")
     parser.add_argument("--seconds", type=float, metavar="S", help="play for S seconds, repeating if it is shorter")
     parser.add_argument("--loop", action="store_true", help="repeat, for --seconds or until Ctrl-C")
-    parser.add_argument("--window", type=int, help="unanswered requests (default: set by the server; 2 for fifo)")
+    parser.add_argument(
+        "--window", type=whole(1, 8), help="unanswered requests (default: set by the server; 2 for fifo)"
+    )
     parser.add_argument(
         "--fixed", action="store_true", help="do not report arrivals, so that the server adapts nothing"
     )
@@ -88,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="simulate a link: ms, Mbit/s, %% of lost packets",
     )
     parser.add_argument("--size", type=size, default=(1024, 1024), help="pixels per eye (default 1024x1024)")
-    parser.add_argument("--quality", type=int, help="JPEG quality (default: the server's)")
+    parser.add_argument("--quality", type=whole(1, 100), help="JPEG quality (default: the server's)")
     parser.add_argument("--crop", action="store_true", help="request only the covered part of each picture")
     parser.add_argument("--mirror", action="store_true", help="request the mirror image")
     add_crowd(parser)
@@ -100,14 +102,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Stream, report, save. Raises GlsplatError if no picture arrives."""
-    if not 1 <= args.fps <= 240:
-        raise UsageError(f"--fps needs 1 to 240, not {args.fps:g}")
-    if args.frames is not None and args.frames < 1:
-        raise UsageError(f"--frames needs at least 1, not {args.frames}")
-    if args.window is not None and not 1 <= args.window <= 8:
-        raise UsageError(f"--window needs 1 to 8, not {args.window}")
-    if args.quality is not None and not 1 <= args.quality <= 100:
-        raise UsageError(f"--quality needs 1 to 100, not {args.quality}")
     if args.seconds is not None and not 0 < args.seconds <= _MAX_SECONDS:
         raise UsageError(f"--seconds needs more than 0 and at most {_MAX_SECONDS}, not {args.seconds:g}")
     if args.frames is not None and (args.seconds is not None or args.loop):

@@ -13,6 +13,7 @@ from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
 from glsplat.net.pace.stages import median_p95
 
+from ..args import whole
 from ..progress import Progress
 from ..usage import UsageError
 from .streaming import Drive, Driven, Result, stream
@@ -29,7 +30,9 @@ def add_crowd(parser: argparse.ArgumentParser) -> None:
         "--room", metavar="NAME", help="join this room of the server as a person, and see through its eyes"
     )
     parser.add_argument("--name", help="name of the person (default: that of the account, or of a guest)")
-    parser.add_argument("--people", type=int, default=1, metavar="N", help="number of people (default 1)")
+    parser.add_argument(
+        "--people", type=whole(1, MOST_PEOPLE), default=1, metavar="N", help="number of people (default 1)"
+    )
 
 
 def check_crowd(args: argparse.Namespace) -> None:
@@ -38,8 +41,6 @@ def check_crowd(args: argparse.Namespace) -> None:
         if args.name is not None or args.people != 1:
             raise UsageError("--name and --people go with --room")
         return
-    if not 1 <= args.people <= MOST_PEOPLE:
-        raise UsageError(f"--people needs 1 to {MOST_PEOPLE}, not {args.people}")
     if args.compare or args.link:
         raise UsageError("--room goes with a single run, not with --compare or --link")
 

@@ -33,8 +33,9 @@ from glsplat.io.files import replace_file
 from glsplat.io.provenance import machine
 from glsplat.skinning.driven import why_not_driven
 
+from ..args import whole
 from ..progress import Progress
-from ..usage import UsageError, make_folder
+from ..usage import make_folder
 from . import latency as report_latency
 from .html import LOADED, page, verdict
 
@@ -69,8 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folders with NAME.camera.json for scenes that have none beside them, or NAME=FILE for one scene",
     )
     parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures, fewer points of growth")
-    parser.add_argument("--frames", type=int, help="measured frames a setting (default 30; 8 with --quick)")
-    parser.add_argument("--size", type=int, help="pixels a side of section 1 (default 256; 128 with --quick)")
+    parser.add_argument("--frames", type=whole(3, 10000), help="measured frames a setting (default 30; 8 with --quick)")
+    parser.add_argument(
+        "--size", type=whole(16, 1024), help="pixels a side of section 1 (default 256; 128 with --quick)"
+    )
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/report"), help="folder (default out/report)")
 
@@ -79,10 +82,6 @@ def run(args: argparse.Namespace) -> int:
     """Measure, write the report and print failures; return 1 if a stability case failed."""
     frames = (8 if args.quick else 30) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
-    if not 3 <= frames <= 10000:
-        raise UsageError(f"--frames needs 3 to 10000, not {frames}")
-    if not 16 <= size <= 1024:
-        raise UsageError(f"--size needs 16 to 1024 (the float64 reference is slow), not {size}")
     require_extra()
     check_cameras(args.cameras, args.scenes)
     paths = [None, *dict.fromkeys(args.scenes)]

@@ -20,7 +20,7 @@ from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.state_dir import state_folder
 from glsplat.scene import is_rigged
 
-from .options import ServeOptions
+from .options import ServeOptions, naming_option
 
 if TYPE_CHECKING:
     from glsplat.extras.uploads.job import UploadConfig
@@ -34,7 +34,8 @@ _PURPOSE = "to be shown and driven as an avatar by this server; the sender said:
 
 def policy_of(args: ServeOptions, scene: SceneFile, name: str) -> ConsentPolicy:
     """Return the consent to ``scene``, called ``name``, and of --avatar. Raises GlsplatError where one is missing."""
-    trusted = [public_key(path) for path in args.trust] or None
+    with naming_option(args, "trust"):
+        trusted = [public_key(path) for path in args.trust] or None
     policy = ConsentPolicy(trusted=trusted, without=args.without_consent)
     own = None
     if trusted is None and args.users is None and is_loopback(args.host):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from glsplat.config import RenderConfig
 from glsplat.data import DEFAULT, PEOPLE, embedded_file
+from glsplat.errors import ContextError
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
@@ -27,7 +28,7 @@ from ..args import detail_of, load_avatar, open_scene
 from ..logs import start_logging
 from ..usage import UsageError
 from .keys import Keys, keys_of, watermark_of
-from .options import ServeOptions, add_options, parsed
+from .options import ServeOptions, add_options, check_given, naming_option, parsed
 from .ready import Place, announce, open_page
 from .rooms import check_rooms, lit_rooms, open_rooms
 
@@ -44,13 +45,26 @@ HELP = (
     "and requests a second (bursts and the rest: docs/deploying.md, Limits)."
 )
 EXAMPLE = "glsplat serve me.glb --port 8000"
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "check", "other_avatars", "parsed", "run", "scene_name", "server_config"]
+SEE = "--write-config"
+__all__ = [
+    "EXAMPLE",
+    "HELP",
+    "SEE",
+    "add_arguments",
+    "check",
+    "other_avatars",
+    "parsed",
+    "run",
+    "scene_name",
+    "server_config",
+]
 
 add_arguments = add_options
 
 
 def check(args: ServeOptions) -> None:
     """Raise UsageError for options that contradict each other."""
+    check_given(args)
     check_rooms(args)
     if args.video and args.study is not None:
         raise UsageError("video is not for studies: leave it or the study out")
@@ -59,7 +73,7 @@ def check(args: ServeOptions) -> None:
             other = "fixed sends" if args.fixed else "a study sends"
             raise UsageError(f"{fits} sends what fits the link, {other} the same to all: leave one out")
     if max(_pixels(args)) > args.max_size:
-        raise UsageError(f"--size needs at most {args.max_size} a side; raise max-size to allow more")
+        raise UsageError(f"{args.label('size')}: needs at most {args.max_size} a side; raise max-size to allow more")
 
 
 def server_config(args: ServeOptions, keys: Keys | None = None, watermark: WatermarkKey | None = None) -> ServerConfig:
@@ -123,12 +137,11 @@ def scene_name(args: ServeOptions) -> str:
 def other_avatars(args: ServeOptions) -> dict[str, Rigged]:
     """Return the avatars of --avatar by file name. Raises UsageError for a taken name, or no avatar."""
     found: dict[str, Rigged] = {}
+    label = args.label("avatar")
     for path in args.avatar:
         if path.stem in (scene_name(args), *found):
-            raise UsageError(
-                f'--avatar {path}: there is a "{path.stem}" already, and clients choose by name; rename it'
-            )
-        found[path.stem] = load_avatar(path, "--avatar", strict=args.strict)
+            raise UsageError(f'{label} {path}: there is a "{path.stem}" already, and clients choose by name; rename it')
+        found[path.stem] = load_avatar(path, label, strict=args.strict)
     return found
 
 
@@ -142,8 +155,6 @@ def run(args: ServeOptions) -> int:
 
         study = study_of(args)
         args = study.options
-    elif args.participant is not None or args.study_data is not None:
-        raise UsageError("participant and study-data are for a study")
     logging.getLogger("glsplat.net.session").setLevel(logging.INFO)  # a clip is traced by these lines
     keys, face = keys_of(args), _face_listener(args)
     server = _server(args, keys, face, study)
@@ -167,7 +178,7 @@ def run(args: ServeOptions) -> int:
         if args.open:
             open_page(place)
 
-    with face or nullcontext():
+    with face or nullcontext(), naming_option(args, "device", ContextError):
         asyncio.run(server.run(started))
     return 0
 
@@ -188,7 +199,7 @@ def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Ru
     from .wiring import assemble
 
     workers = uploads = None
-    if args.workers is not None or args.ray_address is not None:
+    if args.workers is not None:
         from .workers import workers_of
 
         workers = workers_of(args)
@@ -197,7 +208,8 @@ def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Ru
 
         uploads = upload_config(args)
     config = server_config(args, keys, watermark_of(args))
-    scene = open_scene(args)
+    with naming_option(args, "scene"):
+        scene = open_scene(args)
     args = replace(args, avatar=tuple(embedded_file(path) for path in args.avatar))
     avatars = other_avatars(args)
     policy = policy_of(args, scene, scene_name(args))
@@ -205,7 +217,8 @@ def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Ru
     if args.calibration is not None:
         from glsplat.tracking.calibration import Calibration
 
-        calibration = Calibration.load(args.calibration)
+        with naming_option(args, "calibration"):
+            calibration = Calibration.load(args.calibration)
     served = ServedScene(
         file=scene,
         name=scene_name(args),

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
-from glsplat.net.guard.access import is_loopback, read_token
+from glsplat.net.guard.access import is_loopback, read_token, server_tls
 from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
 from glsplat.optional import has_extra, missing, require_package
 
 from ..usage import UsageError
-from .options import ServeOptions
+from .options import ServeOptions, naming_option
 
 if TYPE_CHECKING:
     from glsplat.net.rights import Accounts
@@ -46,11 +46,16 @@ def keys_of(args: ServeOptions) -> Keys:
     if args.users is not None:
         from glsplat.extras.accounts.users import Accounts  # here: few servers have accounts
 
-        accounts = Accounts(args.users)
+        with naming_option(args, "users"):
+            accounts = Accounts(args.users)
     token_file: Path | None = args.token_file
-    token = None if token_file is None else read_token(token_file)
+    with naming_option(args, "token-file"):
+        token = None if token_file is None else read_token(token_file)
     if not args.self_signed:
         tls = None if args.tls_cert is None or args.tls_key is None else (args.tls_cert, args.tls_key)
+        if tls is not None:
+            with naming_option(args, "tls-cert"):
+                server_tls(*tls)  # the server reads it once it starts
         return Keys(tls, token, token_file, accounts=accounts)
 
     require_package("--self-signed", "cryptography", "server", "give tls-cert and tls-key")
@@ -82,7 +87,8 @@ def watermark_of(args: ServeOptions) -> WatermarkKey | None:
     from glsplat.extras.watermark.state import kept_watermark
 
     if args.watermark not in (None, "on"):
-        return read_watermark(Path(args.watermark))
+        with naming_option(args, "watermark"):
+            return read_watermark(Path(args.watermark))
     try:
         return kept_watermark(state_folder())
     except GlsplatError as error:

@@ -6,7 +6,7 @@ from glsplat.formats.scene_file import SceneFile, load_scene
 from glsplat.scene import Scene
 
 from ..usage import UsageError
-from .options import SEATS, ServeOptions
+from .options import SEATS, ServeOptions, naming_option
 
 __all__ = ["check_rooms", "lit_rooms", "open_rooms"]
 
@@ -16,10 +16,12 @@ def check_rooms(args: ServeOptions) -> None:
     names = [room.name for room in args.room]
     for name in names:
         if names.count(name) > 1:
-            raise UsageError(f'--room {name}: there are two rooms called "{name}"; people choose by name')
+            raise UsageError(f'{args.label("room")} {name}: there are two rooms called "{name}"; people choose by name')
     for room in args.room:
         if room.seats > args.max_clients and room.seats != SEATS:
-            raise UsageError(f"--room {room.name}: {room.seats} people need max-clients = {room.seats} or more")
+            raise UsageError(
+                f"{args.label('room')} {room.name}: {room.seats} people need max-clients = {room.seats} or more"
+            )
 
 
 def lit_rooms(rooms: dict[str, SceneFile], scene: SceneFile) -> dict[str, SceneFile]:
@@ -31,7 +33,8 @@ def lit_rooms(rooms: dict[str, SceneFile], scene: SceneFile) -> dict[str, SceneF
 
 def open_rooms(args: ServeOptions) -> dict[str, SceneFile]:
     """Return the scene of each room, by name. Raises GlsplatError naming the file that cannot be read."""
-    return {
-        room.name: SceneFile.of(Scene()) if room.scene is None else load_scene(room.scene, strict=args.strict)
-        for room in args.room
-    }
+    with naming_option(args, "room"):
+        return {
+            room.name: SceneFile.of(Scene()) if room.scene is None else load_scene(room.scene, strict=args.strict)
+            for room in args.room
+        }

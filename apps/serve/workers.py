@@ -19,8 +19,6 @@ def workers_of(args: ServeOptions) -> Workers | None:
     Raises UsageError, and GlsplatError where Ray is not installed.
     """
     if args.workers is None:
-        if args.ray_address is not None:
-            raise UsageError("ray-address is for --workers ray")
         return None
     kind, _, number = args.workers.partition(":")
     ray = kind == "ray"
@@ -28,7 +26,7 @@ def workers_of(args: ServeOptions) -> Workers | None:
     if (
         (text or not ray) and not (text.isascii() and text.isdigit() and 1 <= int(text) <= _MOST)
     ) or args.workers == "ray:":
-        raise UsageError(f"--workers needs 1 to {_MOST}, ray, or ray:N, not {args.workers!r:.40}")
+        raise UsageError(f"{args.label('workers')} needs 1 to {_MOST}, ray, or ray:N, not {args.workers!r:.40}")
     if not ray and args.ray_address is not None:
         raise UsageError("ray-address is for --workers ray")
     if ray:

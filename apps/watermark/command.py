@@ -20,7 +20,7 @@ from glsplat.extras.watermark.state import WATERMARK
 from glsplat.io.files import open_regular
 from glsplat.net.guard.state_dir import state_folder
 
-from ..args import natural
+from ..args import whole
 from ..usage import UsageError
 
 HELP = "Find the invisible watermark in pictures of `glsplat serve`, which identifies the session."
@@ -41,15 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="key file of the server (default: the one that this user's `glsplat serve` made)",
     )
     finder.add_argument(
-        "--window", type=natural, default=WINDOW, metavar="N", help=f"pictures searched at once (default {WINDOW})"
+        "--window", type=whole(1), default=WINDOW, metavar="N", help=f"pictures searched at once (default {WINDOW})"
     )
     finder.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the chosen action; return 0 if a mark was found, else 1."""
-    if args.window < 1:
-        raise UsageError("--window needs at least 1 picture")
     key = read_watermark(state_folder() / WATERMARK if args.key is None else args.key).key
     seen = 0
 

@@ -214,8 +214,8 @@ def _egl(wanted: int | str | None) -> moderngl.Context:
         if text.isdecimal():
             matches = [int(text)] if int(text) < len(names) else []
         if not matches:
-            listed = "; ".join(f"{i}: {name}" for i, name in enumerate(names))
-            raise ContextError(f"no EGL device {text!r:.40}; there are {listed}")
+            listed = ", ".join(f"{i} = {name}" for i, name in enumerate(names))
+            raise ContextError(f"no EGL device {text!r:.40}; give an index or a part of a name: {listed}")
         index = matches[0]
     # glcontext lets this variable override the argument it is given
     variable = os.environ.pop("GLCONTEXT_DEVICE_INDEX", None)

@@ -118,7 +118,7 @@ def test_mistakes_are_one_line(plugged, alone, capsys) -> None:  # noqa: F811
         ("--poses standing,flying", "--poses: 'flying' is no motion and none of"),
         ("--views above", "views are some of front"),
         ("--size 3", "64 to 2048"),
-        ("--jobs 0", "--jobs needs 1 to 256"),
+        ("--jobs 0", "--jobs: needs a whole number from 1 to 256"),
         ("--measure beauty", "further measures are flip"),
         ("--participants /nowhere", "/nowhere: no such folder"),
         ("-o /proc/nothing", "cannot make the folder"),

@@ -35,8 +35,8 @@ MISTAKES = {
         bench --motion nosuch               : --motion nosuch: no such file and no such motion
         bench ../in/cloud.ply --motion walk : cloud.ply is none
         avatar guide -o a.jpg               : expected a picture (.png)
-        report --size 8                     : --size needs 16 to 1024
-        report --frames 2                   : --frames needs 3 to 10000, not 2
+        report --size 8                     : --size: needs a whole number from 16 to 1024, not 8
+        report --frames 2                   : --frames: needs a whole number from 3 to 10000, not 2
         report no.ply -o out                : no such file
         report ../in/cloud.ply --cameras nowhere -o out : --cameras takes a folder
     """,
@@ -56,7 +56,7 @@ MISTAKES = {
         render ../in/limb.glb --pose a --motion b -o x.png : not both
         render ../in/limb.glb --pose no.json -o x.png : cannot read the pose
         render ../in/cloud.ply --pose p.json -o x.png : no skeleton
-        render ../in/cloud.ply --device nothing -o x.png : no EGL device 'nothing'; there are 0:
+        render ../in/cloud.ply --device nothing -o x.png : give an index or a part of a name: 0 =
         render ../in/cloud.ply --eye 1,1,1 --target 1,1,1 -o x.png : the same point
         render ../in/cloud.ply --eye -1,2 -o a.png : a point is x,y,z, for example 0,1,3, not '-1,2'
         render ../in/cloud.ply --cameras c.json --stereo -o x.png : --cameras or --stereo
@@ -69,7 +69,7 @@ MISTAKES = {
         render -o x.png --background 255,0,0 : --background: a colour is R,G,B from 0 to 1
         render -o x.png --level 17          : --level: a level is 0 to 16 or auto, not '17'
         render -o x.png --lod-bias 1        : --lod-bias goes with --level auto
-        render -o x.png --level auto --lod-bias 9 : --lod-bias needs -8 to 8, not 9
+        render -o x.png --level auto --lod-bias 9 : --lod-bias: needs a number from -8 to 8, not 9
         render ../in/cloud.ply --alpha -o a.npy : an .npy holds alpha anyway
         render ../in/cloud.ply --alpha -o a.mp4 --turntable 3 : a clip has no alpha
         render ../in/cloud.ply --alpha --background 1,1,1 -o a.png : --alpha or --background
@@ -87,7 +87,7 @@ MISTAKES = {
     "avatar": """
         avatar make absent.npz -o a.glb     : absent.npz: cannot be read
         avatar make ../in/me.npz -o a.ply   : written as .glb
-        avatar make ../in/me.npz -o a.glb --steps -1 : --steps needs 0 or more
+        avatar make ../in/me.npz -o a.glb --steps -1 : --steps: needs a whole number of at least 0, not -1
         avatar make ../in/me.npz -o a.glb --splats 3 : at least 100
         avatar make ../in/me.npz -o a.glb --levels 40000 : --levels needs falling numbers of splats below 40000
         avatar make ../in/me.npz -o a.glb --extra-scale 0 : --extra-scale needs a number above 0
@@ -98,7 +98,7 @@ MISTAKES = {
         avatar import ../in/me.npz --follow head -o a.glb : --follow is for LAM zips
         avatar score ../in/me.npz --mesh ../in/me.npz : me.npz
         avatar score --mesh ../in/me.npz --views 0 : --views
-        avatar score --mesh ../in/me.npz --poses 9 : --poses needs 1 to 8
+        avatar score --mesh ../in/me.npz --poses 9 : --poses: needs a whole number from 1 to 8
         avatar score --mesh ../in/me.npz --sheet a.gif : written as .png or .jpg
         avatar export --pose nonsense -o a.ply : --pose nonsense: no such file
         avatar export ../in/limb.glb --pose ../in/degrees.json -o a.ply : joint1 turns by 90 rad; angles are radians
@@ -118,7 +118,7 @@ MISTAKES = {
         avatar consent --new-key ../in/key  : never written over
         watermark detect ../in/text.jpg --key ../in/mark : expected a clip, or a picture
         watermark detect ../in/front.jpg --key nowhere : cannot read the watermark's key (No such file or directory)
-        watermark detect ../in/front.jpg --key ../in/mark --window 0 : --window needs at least 1 picture
+        watermark detect ../in/front.jpg --key ../in/mark --window 0 : --window: needs a whole number of at least 1
     """,
     "photo": """
         avatar photo absent.jpg -o a.glb    : absent.jpg: cannot be read (No such file or directory)
@@ -144,7 +144,7 @@ MISTAKES = {
         avatar photo ../in/front.jpg -o a.glb --as mesh --texture 255 : 256 to 8192 texels a side, not 255
         avatar photo ../in/front.jpg -o a.glb --as mesh --with other : --with other makes splats, no mesh
         avatar video turn.mp4 -o a.glb --as mesh --splats 5 : --splats has no meaning with --as mesh: leave it out
-        avatar video turn.mp4 -o a.glb --frames 5 : --frames needs 8 to 120, not 5
+        avatar video turn.mp4 -o a.glb --frames 5 : --frames: needs a whole number from 8 to 120, not 5
         avatar video turn.mp4 -o a.txt      : written as .glb
         avatar video ../in/text.jpg -o a.glb : text.jpg
     """,
@@ -172,23 +172,23 @@ MISTAKES = {
         replay --save clip.avi              : expected a clip .mp4 or .webm, a contact sheet .png, or clip.avi/
         replay --token-file nowhere         : nowhere: cannot read the token
         replay --tls-ca nowhere.pem --url wss://127.0.0.1:9 : nowhere.pem: expected a certificate
-        replay --fps 0                      : --fps needs 1 to 240
-        replay --frames 0                   : --frames needs at least 1
-        replay --window 9                   : --window needs 1 to 8
+        replay --fps 0                      : --fps: needs a number from 1 to 240
+        replay --frames 0                   : --frames: needs a whole number of at least 1
+        replay --window 9                   : --window: needs a whole number from 1 to 8
         replay --compare --save sheet.png   : --save goes with a single run
         replay --link 20,50 --url wss://127.0.0.1:9/ws : --link goes with ws://
         replay --seconds nan                : --seconds
         replay --frames 4 --loop            : --frames
         replay --loop --save x.png          : --seconds
         replay --people 2                   : go with --room
-        replay --room lab --people 0        : needs 1 to 64
-        preview --frames 0                  : at least 1
+        replay --room lab --people 0        : --people: needs a whole number from 1 to 64
+        preview --frames 0                  : --frames: needs a whole number of at least 1
         preview --screenshot x.jpg          : end in .png
         preview --quality 3                 : --quality goes with --connect
         preview --recording                 : --recording goes with --connect
         preview --connect ws://127.0.0.1:1  : no server at ws://127.0.0.1:1/ws: start one with `glsplat serve`
         preview --connect ws://127.0.0.1:1 --level 2 : --level, --lod-bias, --cull-hidden and
-        preview --connect ws://127.0.0.1:1 --quality 0 : --quality needs 1 to 100
+        preview --connect ws://127.0.0.1:1 --quality 0 : --quality: needs a whole number from 1 to 100
         preview --window                    : --window goes with --xr
         preview --xr --motion walk          : --motion does not go with --xr
         preview --xr --connect ws://x       : there: --url
@@ -202,16 +202,16 @@ MISTAKES = {
     "serve": """
         serve nowhere.glb                   : glsplat serve: nowhere.glb: no such file
         serve exact=true level=1            : --exact and --level contradict each other
-        serve fps=0                         : server.toml: fps: needs 1 to 240 pictures a second, not 0
+        serve fps=0                         : server.toml: fps: needs a number from 1 to 240 pictures a second, not 0
         serve --host 0.0.0.0                : tls-cert, tls-key and token-file
         serve --size 4096                   : raise max-size
-        serve fov=180                       : fov: needs 1 to 170 degrees
+        serve fov=180                       : fov: needs a number from 1 to 170 degrees
         serve tls-cert=a.pem                : TLS needs both tls-cert and tls-key
         serve tls-cert=a.pem tls-key=b.pem  : a.pem: expected a PEM file for TLS
         serve --self-signed tls-cert=a.pem tls-key=b.pem : --self-signed makes a certificate
         serve token-file=nowhere            : nowhere: cannot read the token
         serve bitrate=8 fixed=true          : leave one out
-        serve bitrate=0                     : 0.1 to 100000
+        serve bitrate=0                     : 0.1 to 100000 Mbit/s
         serve webtransport=true fixed=true  : fixed sends the same to all: leave one out
         serve --room lab --room lab:3       : two rooms
         serve --room lab:20                 : 20 people need max-clients = 20
@@ -219,10 +219,10 @@ MISTAKES = {
         serve --avatar ../in/limb.glb --avatar ../in/limb.glb : there is a "limb" already
         serve ../in/limb.glb                : "limb": no consent on file; sign one
         serve --workers ray:65              : --workers needs
-        serve ray-address=gpu1:6379         : ray-address is for --workers ray
+        serve ray-address=gpu1:6379         : ray-address is for workers: give workers, too
         serve --allow-upload . cull-hidden=true : cull-hidden needs avatars with cones
-        serve participant=1                 : are for a study
-        serve --fps 45                      : fps is no flag: write it into the file of --config
+        serve participant=1                 : participant is for study: give study, too
+        serve --fps 45                      : --fps: no such flag, fps goes into the file of --config
         serve study=../in/study.toml        : its participant's number
         serve study=../in/study.toml participant=7 : 1 to 6
         serve study=../in/study.toml participant=1 x.glb : leave out SCENE

@@ -27,7 +27,7 @@ def test_device_by_index_name_and_environment(monkeypatch: pytest.MonkeyPatch) -
         assert context.backend == "egl"
         context.release()
     monkeypatch.setenv("GLSPLAT_DEVICE", "no such device")
-    with pytest.raises(ContextError, match=r"no EGL device 'no such device'; there are 0: "):
+    with pytest.raises(ContextError, match=r"no EGL device 'no such device'; give an index or a part of a name: 0 = "):
         create_context()
     with pytest.raises(ContextError, match="no EGL device '99'"):
         create_context(99)

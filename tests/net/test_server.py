@@ -230,6 +230,17 @@ async def test_an_unknown_avatar_is_answered_with_the_names_there_are(serve):
             assert await answer.text() == "avatar needs a name of those offered here: ann, Jürgen B\n"
 
 
+@pytest.mark.parametrize("query", ["avatar=eve", "mirror=2", "avatar=ann&window=99"])
+async def test_a_refused_client_names_the_avatars_and_leaves_no_malformed_request(serve, caplog, query):
+    async with serve(offered=[AvatarInfo(name="ann"), AvatarInfo(name="ben")]) as server:
+        reason = 'it has no avatar "eve", but ann, ben' if query == "avatar=eve" else "it does not know an option"
+        with pytest.raises(ProtocolError, match=reason):
+            await Client(f"{server.url}?{query}").connect()
+        with pytest.raises(ProtocolError, match='it has no avatar "eve", but ann, ben'):
+            await Client(server.url, avatar="eve").connect()
+    assert "malformed" not in caplog.text
+
+
 TOOK = 0.02  # seconds of a picture
 
 

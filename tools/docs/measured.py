@@ -130,7 +130,7 @@ def tracking() -> Iterator[Table]:
     yield (
         "scores",
         "`glsplat tracking bench`, 72 Hz, the embedded avatar: the network has learned from 02 (walks, runs, jumps,"
-        " boxes),\nnot from 131 (dances). Columns: [tracking-results.md](../tracking-results.md).",
+        " boxes),\nnot from 131 (dances). Columns: [tracking.md](../tracking.md#accuracy).",
         scores.strip(),
     )
     means = command(*words, "--brief", "--rates", "30,90", cwd=SHARED_DATA / "mocap")

@@ -16,7 +16,7 @@ from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client.connection import ClientConnection, VideoReader
-from glsplat.net.client.dialing import check_token, checked_url, client_tls, not_connected
+from glsplat.net.client.dialing import check_token, checked_url, client_tls, not_connected, offered_avatars
 from glsplat.net.client.request import encoder, request_message
 from glsplat.net.flow import FlowControl, ReceivedReply
 from glsplat.net.messages import MAX_MESSAGE_BYTES
@@ -130,8 +130,10 @@ class Client:
                     url, headers=self._headers, ssl=tls, max_msg_size=_MAX_REPLY_BYTES, compress=0
                 )
         except (aiohttp.ClientError, OSError, TimeoutError) as error:
+            refused = isinstance(error, aiohttp.WSServerHandshakeError) and error.status in (400, 403)
+            offered = await offered_avatars(http, url, self._headers, tls) if refused else ()
             await http.close()
-            raise await not_connected(self.url, error, self._timeout) from None
+            raise await not_connected(self.url, error, self._timeout, offered) from None
         except BaseException:
             await http.close()
             raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import ssl
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -12,7 +13,7 @@ import aiohttp
 
 from glsplat.errors import GlsplatError, ProtocolError
 
-__all__ = ["check_token", "checked_url", "client_tls", "not_connected"]
+__all__ = ["check_token", "checked_url", "client_tls", "not_connected", "offered_avatars"]
 
 
 def checked_url(url: str) -> str:
@@ -44,8 +45,26 @@ def check_token(token: Any) -> None:
         raise GlsplatError(f"a token is a word of printable ASCII, not {kind}; strip() what was read from a file")
 
 
-async def not_connected(url: str, error: Exception, seconds: float) -> ProtocolError:
-    """Return the error for a failed connection: the likely reason, and what to do."""
+async def offered_avatars(
+    http: aiohttp.ClientSession, url: str, headers: Mapping[str, str], tls: ssl.SSLContext | bool
+) -> list[str]:
+    """Return the names in /session of the server at ``url``; none if it does not answer as a glsplat server."""
+    parts = urlsplit(url)
+    scheme, path = parts.scheme.replace("ws", "http"), f"{parts.path.rpartition('/')[0]}/session"
+    address = parts._replace(scheme=scheme, path=path, query="").geturl()
+    options: dict[str, Any] = {"headers": headers, "ssl": tls, "allow_redirects": False}
+    try:
+        async with asyncio.timeout(2.0), http.get(address, **options) as answer:
+            return [name for one in (await answer.json())["avatars"] if (name := str(one["name"])).isprintable()]
+    except (aiohttp.ClientError, OSError, TimeoutError, ValueError, KeyError, TypeError):
+        return []
+
+
+async def not_connected(url: str, error: Exception, seconds: float, offered: Sequence[str] = ()) -> ProtocolError:
+    """Return the error for a failed connection: the likely reason, and what to do.
+
+    ``offered`` are the names of the server's avatars, where it answers /session.
+    """
     if isinstance(error, TimeoutError):
         why = "is it a glsplat server, is it overloaded, is the timeout too short?"
         return ProtocolError(f"{url}: no answer within {seconds:g} s; {why}", "timeout")
@@ -57,10 +76,13 @@ async def not_connected(url: str, error: Exception, seconds: float) -> ProtocolE
             return ProtocolError(f"{url}: this server does not speak TLS; the address begins with ws://", "tls")
         return ProtocolError(f"{url}: no agreement on TLS ({reason or error.os_error})", "tls")
     reached = not isinstance(error, aiohttp.ClientConnectorError)
-    if reached and url.startswith("ws:") and await _speaks_tls(url):
+    refused = error if isinstance(error, aiohttp.WSServerHandshakeError) else None
+    # 400 is what some servers with TLS answer to plain HTTP
+    plain = offered or (refused is not None and refused.status != 400)
+    if reached and not plain and url.startswith("ws:") and await _speaks_tls(url):
         return ProtocolError(f"{url}: this server speaks TLS; the address begins with wss://", "tls")
-    if isinstance(error, aiohttp.WSServerHandshakeError):
-        return ProtocolError(_refused(url, error.status), "refused")
+    if refused is not None:
+        return ProtocolError(_refused(url, refused, offered), "refused")
     if reached:
         return ProtocolError(f"{url}: what listens there closed the connection; is it a glsplat server?", "unreachable")
     return ProtocolError(f"no server at {url}: start one with `glsplat serve`", "unreachable")
@@ -84,7 +106,7 @@ async def _speaks_tls(url: str) -> bool:
     return True
 
 
-def _refused(url: str, status: int) -> str:
+def _refused(url: str, error: aiohttp.WSServerHandshakeError, offered: Sequence[str]) -> str:
     reasons = {
         400: "it does not know an option of the address: avatar is one of its /session, mirror 0 or 1, window 1 to 8, "
         "height 0.5 to 2.8, span 0.3 to 2.5, name letters and digits, at x,z,degrees",
@@ -96,4 +118,8 @@ def _refused(url: str, status: int) -> str:
         429: "this address has too many clients there, or broke a limit; try again later",
         503: "it, or the room, is full, or it stops; try again later",
     }
-    return f"{url}: the server refuses ({status}): {reasons.get(status, 'no glsplat server?')}"
+    reason = reasons.get(error.status, "no glsplat server?")
+    avatar = error.request_info.url.query.get("avatar")
+    if offered and avatar not in (None, *offered):
+        reason = f'it has no avatar "{avatar:.40}", but {", ".join(offered):.400}'
+    return f"{url}: the server refuses ({error.status}): {reason}"

@@ -11,11 +11,13 @@ import pytest
 
 from apps import cli
 from apps.serve import command as serve
+from apps.serve import options
 from apps.serve.options import ServeOptions, parsed
 from apps.usage import CommandParser
+from glsplat.errors import GlsplatError
 from tests.apps.cli import mistake
 
-Words = list[str]
+NAMES = [one.name.replace("_", "-") for one in fields(ServeOptions) if one.metadata]
 
 
 def parser() -> CommandParser:
@@ -40,7 +42,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 def test_help_shows_the_flags(capsys: pytest.CaptureFixture[str]) -> None:
     flags = set(re.findall(r"^  (?:-h, )?--([a-z-]+)", printed(capsys, "--help"), re.M))
-    assert flags <= {one.name.replace("_", "-") for one in fields(ServeOptions)} | {"help", "config", "write-config"}
+    assert flags <= set(NAMES) | {"help", "config", "write-config"}
     assert 10 <= len(flags) <= 16
 
 
@@ -53,7 +55,7 @@ def test_every_option_is_in_the_file_that_is_printed_and_read_from_it(
     for line in re.findall(r"^#([a-z-]+ = .*)", text, re.M):
         of(tmp_path, line)  # each alone is read
     listed = re.findall(r"^#([a-z-]+) = ", text, re.M)
-    assert listed == [one.name.replace("_", "-") for one in fields(ServeOptions)]
+    assert listed == NAMES
 
 
 def test_the_command_line_wins(tmp_path: Path) -> None:
@@ -77,27 +79,112 @@ def test_the_file_of_the_docs_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.extra(name="learned")
-def test_what_a_file_cannot_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "server.toml"
-    for text, message in (
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
         ("prot = 1", "expected an option of glsplat serve, got 'prot'; is it port?"),
         ("max_clients = 1", "expected an option of glsplat serve, got 'max_clients'; is it max-clients?"),
-        ("config = 'a.toml'", "expected an option of glsplat serve, got 'config'"),
-        ("[limits]\nport = 1", "expected an option of glsplat serve, got 'limits'"),
+        ("config = 'a.toml'", "expected an option of glsplat serve, got 'config'; see"),
+        ("serve = 1", "expected an option of glsplat serve, got 'serve'; see"),
+        ("[limits]\nport = 1", "tables are not used: leave out [limits], each line is OPTION = VALUE"),
+        ("[room]\nname = 'a'", "tables are not used: leave out [room], each line is OPTION = VALUE"),
         ("mirror = 1", "mirror: needs true or false, not 1"),
-        ("port = true", "port: needs a text or a number, not true"),
-        ("port = [1, 2]", "port: needs a text or a number, not [1, 2]"),
-        ("room = [['a']]", 'room: needs a list of texts, not [["a"]]'),
-        ("port = 2026-11-24", 'port: needs a text or a number, not "2026-11-24"'),
-        ("port =", "this is no TOML"),
-        ("port = 'x'", "port: needs a whole number of 0 to 65535, not x"),
-        ("solver = 'magic'", "solver: needs one of learned, analytic, not 'magic'"),
+        ("port = true", "port: needs a whole number from 0 to 65535, not true"),
+        ("port = [1, 2]", "port: needs a whole number from 0 to 65535, not [1, 2]"),
+        ("port = 2026-11-24", 'port: needs a whole number from 0 to 65535, not "2026-11-24"'),
+        ("port = '8000'", 'port: needs a whole number from 0 to 65535, not "8000"'),
+        ("port = 8000.0", "port: needs a whole number from 0 to 65535, not 8000.0"),
+        ("port = 65536", "port: needs a whole number from 0 to 65535, not 65536"),
+        ("fov = '65'", 'fov: needs a number from 1 to 170 degrees, not "65"'),
+        ("fov = nan", "fov: needs a number from 1 to 170 degrees, not nan"),
+        ("max-cost = inf", "max-cost: needs a number of at least 1 pixels, not inf"),
+        (f"max-cost = {10**400}", "max-cost: needs a number of at least 1 pixels, not 1000"),
+        ("host = 1", "host: needs a text, not 1"),
+        ("level = 1.5", "level: needs a text or a whole number, not 1.5"),
+        ("workers = true", "workers: needs a text or a whole number, not true"),
+        ("origin = [1, 2]", "origin: needs a text or a list of texts, not [1, 2]"),
+        ("room = [['a']]", 'room: needs a text or a list of texts, not [["a"]]'),
         ("room = 'a:99'", "room: a room holds 1 to 64 people"),
-    ):
-        path.write_text(text)
-        assert f"server.toml: {message}" in mistake(capsys, "serve", "--config", path)
-    path.write_text("max-size = 64\nsize = 128")  # what no single option tells
-    assert "--size needs at most 64 a side" in mistake(capsys, "serve", "--config", path)
+        ("trusted-proxy = 'x'", "trusted-proxy: "),
+        ("solver = 'magic'", 'solver: needs one of learned, analytic, not "magic"'),
+        ("light = 'noon'", "light: a light is one of studio, day, evening, "),
+        ("port =", "this is no TOML"),
+        ("size = 128\nmax-size = 64", "size: needs at most 64 a side"),
+        ("scene = 'nowhere.glb'", "scene: nowhere.glb: no such file"),
+        ("avatar = 'nowhere.glb'", "avatar nowhere.glb: no such file"),
+        ("users = 'nowhere'", "users: nowhere: "),
+        ("trust = 'nowhere'", "trust: nowhere: "),
+        ("calibration = 'nowhere'", "calibration: nowhere: "),
+        ("tls-cert = 'nowhere'\ntls-key = 'key'", "tls-cert: nowhere: expected a PEM file"),
+        ("token-file = 'nowhere'", "token-file: nowhere: "),
+        ("watermark = 'nowhere'", "watermark: nowhere: "),
+        ("room = 'lab=nowhere.glb'", "room: nowhere.glb: "),
+        ("room = ['lab', 'lab']", "room lab: there are two rooms"),
+        ("device = 'nvidia9'", "device: no EGL device 'nvidia9'; give an index or a part of a name: 0 = "),
+        ("worker-cpus = 2", "worker-cpus is for workers: give workers, too, or leave it out"),
+        ("worker-gpus = 0.0", "worker-gpus is for workers"),
+        ("ray-address = 'auto'", "ray-address is for workers"),
+        ("participant = 1", "participant is for study: give study, too, or leave it out"),
+    ],
+)
+def test_what_a_file_cannot_mean(
+    text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    Path("server.toml").write_text(text)
+    line = mistake(capsys, "serve", "--config", "server.toml")
+    assert line.startswith(f"glsplat serve: server.toml: {message}"), line
+    assert line.endswith("; see glsplat serve --write-config\n")
+
+
+def test_files_that_cannot_be_read_are_usage_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "server.toml"
     path.write_bytes(b"\xff")
     assert "this is no TOML" in mistake(capsys, "serve", "--config", path)
-    assert "none.toml: cannot be read (No such file" in mistake(capsys, "serve", "--config", tmp_path / "none.toml")
+    line = mistake(capsys, "serve", "--config", tmp_path / "none.toml")
+    assert "none.toml: cannot be read (No such file or directory); see glsplat serve --write-config" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--fov 65", "--fov: no such flag, fov goes into the file of --config"),
+        ("--fovv=65", "--fovv: no such flag, fov goes into the file of --config"),
+        ("--no-fov", "--no-fov: no such flag, fov goes into the file of --config"),
+        ("--avatr a.glb", "--avatr: no such flag, is it --avatar?"),
+        ("--cnfig a.toml", "--cnfig: no such flag, is it --config?"),
+        (
+            "--fov 65 --port 1 --ipd 1",
+            "--fov: no such flag, fov goes into the file of --config; "
+            "--ipd: no such flag, ipd goes into the file of --config",
+        ),
+    ],
+)
+def test_unknown_flags(words: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    line = mistake(capsys, "serve", *words.split())
+    assert line == f"glsplat serve: {message}; see glsplat serve --write-config\n"
+    assert "unrecognized arguments: --serve; see glsplat serve --help" in mistake(capsys, "serve", "--serve")
+
+
+@pytest.mark.parametrize(
+    ("text", "extra"),
+    [
+        ("face-osc = 9000", "speech"),
+        ("no-idle = false", "speech"),
+        ('users = "a.json"', "accounts"),
+        ("self-signed = true", "operations"),
+        ('workers = "2"', "workers"),
+        ('watermark = "on"', "watermark"),
+    ],
+)
+def test_an_option_names_the_extra_that_it_lacks(
+    text: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    absent = {extra}
+    monkeypatch.setattr(options, "has_extra", lambda name: name not in absent)
+    with pytest.raises(GlsplatError, match=f"server.toml: {text} needs glsplat.extras.{extra}, which is not installed"):
+        serve.check(of(tmp_path, text))
+    serve.check(of(tmp_path, "no-idle = true\nself-signed = false\nwatermark = 'off'"))
+    absent.clear()
+    serve.check(of(tmp_path, text))

@@ -70,6 +70,7 @@ def test_a_photograph_becomes_an_avatar(tmp_path: Path, shared_data: Path) -> No
     capture = shared_data / "participants" / "capture" / "p01.jpg"
     folder, token = tmp_path / "avatars", tmp_path / "token"
     token.write_text("0123456789abcdef")
+    token.chmod(0o600)
     options = serve_words(tmp_path, ["--port", "0", "--json", "--allow-upload", folder, f"token-file={token}"])
     process = subprocess.Popen(
         [sys.executable, "-c", "from tests.apps.serve.quick import main; main()", "serve", *options],
