@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import posixpath
+import re
 import tomllib
 from functools import cache
 from graphlib import TopologicalSorter
@@ -10,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from glsplat.net.pages.site import STATIC_IMPORT, page_folders, read_folder
 from tools.without_extra import requirements
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,7 +35,8 @@ FLOORS = [
 # Within a package its modules and packages may have an order of their own; those that are not named come last.
 WITHIN = {
     "renderer": [
-        ["checks", "frame_block", "levels", "lru_cache", "project", "sort", "stage", "stats"],
+        ["checks", "frame_block", "levels", "owned", "stats"],
+        ["lru_cache", "project", "sort", "stage"],
         ["gpu_sort", "skin", "targets"],
         ["mesh_buffers"],
         ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],
@@ -231,3 +235,42 @@ def test_every_package_is_installed() -> None:
     setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     folders = {name for name, path in FILES.items() if path.name == "__init__.py"}
     assert set(setup["packages"]) == {name.replace("apps", "glsplat_apps", 1) for name in folders}
+
+
+PAGE = {room: dict(read_folder(folder)) for room, folder in page_folders().items()}  # "" is the core
+REFERENCE = re.compile(rb"""(?:import\(|new URL\()['"](\.[^'"]+\.js)['"]|(?:src|href)="([^"]+\.(?:js|css|svg))\"""")
+
+
+def referred(path: str, names: list[bytes]) -> set[str]:
+    return {posixpath.normpath(posixpath.join(posixpath.dirname(path), name.decode())) for name in names}
+
+
+def test_no_two_folders_of_the_page_have_a_file_of_one_path() -> None:
+    paths = [path for files in PAGE.values() for path in files]
+    assert len(paths) == len({*paths}) and "main.js" in PAGE[""]
+
+
+@pytest.mark.parametrize("room", PAGE)
+def test_modules_of_the_page_import_from_the_core_and_from_required_extras(room: str) -> None:
+    """A module of the core imports none of an extra's but by import(), where the server offers what it is for."""
+    below = {path for name in ("", room, *requirements(ROOT).get(room, ())) for path in PAGE.get(name, ())}
+    modules = [path for path in PAGE[room] if path.endswith(".js")]
+    imported = {path: referred(path, STATIC_IMPORT.findall(PAGE[room][path])) for path in modules}
+    assert any(imported.values())
+    assert not {path: names - below for path, names in imported.items() if names - below}
+
+
+@pytest.mark.extra(name="browser")
+@pytest.mark.extra(name="far_links")
+@pytest.mark.extra(name="speech")
+@pytest.mark.extra(name="uploads")
+def test_what_the_page_refers_to_is_there() -> None:
+    files = {path: body for own in PAGE.values() for path, body in own.items()}
+    named = {path: [b or c for b, c in REFERENCE.findall(body)] for path, body in files.items() if "iwer" not in path}
+    assert {"stream/datagrams.js", "show/here.js"} <= referred("main.js", named["main.js"]) | referred(
+        "stream/socket.js", named["stream/socket.js"]
+    )
+    found = {
+        path: referred("index.html" if path == "photo/form.html" else path, names) for path, names in named.items()
+    }
+    assert not {path: names - files.keys() for path, names in found.items() if names - files.keys()}

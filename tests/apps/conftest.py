@@ -32,7 +32,7 @@ class Stripes:
         camera = request.cameras[0]
         out = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
         out[:, :, 16:48] = (200, (request.frame_id * 9) % 256, 40, 255)
-        return Rendered(out, {"skin": 0.1, "draw": 0.2, "total": 0.3}, "numpy")
+        return Rendered(out, {"skin": 0.1, "draw": 0.2, "total": 0.3})
 
     def close(self) -> None:
         pass

@@ -86,7 +86,7 @@ class StatusPages(Feature):
         return web.json_response({"page": page, "local": local, "svg": code}, headers=headers)
 
     def _outward(self, request: web.Request) -> str:
-        """The page's address by the name it was asked by; for localhost the machine's own, where it has one."""
+        """Return the page's URL under the request's host; for loopback, under this machine's name if it has one."""
         name = request.url.host or "localhost"
         if is_loopback(name) and not is_loopback(self._host):
             name = next(iter(reachable_at(self._host) + machine_names()[-1:]), name)

@@ -1,4 +1,4 @@
-"""The status page, plain HTML that a script of glsplat/net/web/status brings to life where scripts run."""
+"""The status page, plain HTML that a script of web/status brings to life where scripts run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ALONE = (
 
 
 def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -> str:
-    """The page as it is without scripts, where it reloads itself; with them glsplat/net/web/status keeps it new.
+    """The page as it is without scripts, where it reloads itself; with them web/status keeps it new.
 
     ``url`` is the WebSocket's address, ``viewer`` the other page's for other devices ("": they cannot reach it), and
     ``code`` the latter as a QR code (an element).

@@ -1,4 +1,4 @@
-"""Sound to visemes: a small network over the cepstra of some frames. ``net/web/voice/analysis.js`` is the same."""
+"""Sound to visemes: a small network over the cepstra of some frames. ``web/voice/analysis.js`` is its twin."""
 
 from __future__ import annotations
 

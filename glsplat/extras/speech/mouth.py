@@ -1,6 +1,6 @@
 """Visemes to the weights of ARKit's shapes: mixed, the jaw by loudness, lips that close in time and open slowly.
 
-``net/web/voice/mouth.js`` is the same.
+``web/voice/mouth.js`` is its twin.
 """
 
 from __future__ import annotations

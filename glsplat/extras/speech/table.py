@@ -1,4 +1,4 @@
-"""The one table of all that turns sound into a mouth: visemes.json, which the page reads too (``net/web/voice``)."""
+"""The table of sound to mouth shapes, visemes.json, which the page reads too."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Framing", "Table", "table", "table_json"]
-
-_FILE = "visemes.json"
+__all__ = ["Framing", "Table", "table"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +51,8 @@ class Table:
 
 @cache
 def table() -> Table:
-    """The table."""
-    found = json.loads(table_json())
+    """Return the table of web/voice/visemes.json, which the page reads, too."""
+    found = json.loads((resources.files("glsplat.extras.speech") / "web" / "voice" / "visemes.json").read_bytes())
     sound, net, mouth = found["sound"], found["network"], found["mouth"]
     return Table(
         framing=Framing(**sound),
@@ -70,9 +68,3 @@ def table() -> Table:
         least=mouth["least"],
         jaw=tuple(mouth["jaw"]),
     )
-
-
-@cache
-def table_json() -> bytes:
-    """The file as it is served to pages."""
-    return (resources.files("glsplat.extras.speech") / _FILE).read_bytes()

@@ -17,6 +17,7 @@ import secrets
 import signal
 import socket
 import threading
+import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
@@ -26,7 +27,7 @@ from typing import Any
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.backend import Backend
 from glsplat.net.worker.wire import WorkerLostError, greet
-from glsplat.net.worker.work import GREETING_S, work
+from glsplat.net.worker.work import GREETING_S, greet_server, work
 from glsplat.optional import require_package
 
 __all__ = ["RayCluster", "RayLauncher", "require_ray"]
@@ -342,16 +343,19 @@ class _Actor:
             os._exit(0)
 
     def _serve(self, connection: socket.socket, listening: socket.socket) -> None:
-        def known() -> None:
-            self._taken = True
-            listening.close()
-
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
-            work(connection, self._secret, self._make, known)
+            key = greet_server(connection, self._secret)
         except (GlsplatError, EOFError, OSError):  # a stranger
             connection.close()
             return
+        self._taken = True
+        listening.close()
+        try:
+            work(connection, key, self._make)
+        except Exception:
+            traceback.print_exc()
+            os._exit(1)
         self._over.set()
         threading.Event().wait(_END_S)  # until Ray ends it, if Ray is there
         os._exit(0)

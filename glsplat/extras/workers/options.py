@@ -39,7 +39,7 @@ class Workers:
         cluster = RayCluster(makes[0], self.address, self.cpus, self.gpus)
         try:
             count = cluster.room() if self.count is None else self.count
+            return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS_S, close=cluster.close, video=video)
         except BaseException:
             cluster.close()
             raise
-        return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS_S, close=cluster.close, video=video)

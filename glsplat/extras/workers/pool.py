@@ -51,11 +51,12 @@ class WorkerPool:
     ) -> None:
         if not launchers:
             raise GlsplatError("a pool needs a worker at least")
+        self.clock: Callable[[], float] = clock
         self.stages: StageTimes = StageTimes()
         self.faults: FaultTracker = FaultTracker()
         self.encoder: PictureEncoder = PictureEncoder(video)
         self.should_yield: Callable[[], bool] = lambda: False  # ignored: workers have processors of their own
-        self._clock, self._patience, self._close = clock, patience, close
+        self._patience, self._close = patience, close
         self._workers = [
             RemoteWorker(launcher, seconds, partial(self._is_alone, index)) for index, launcher in enumerate(launchers)
         ]
@@ -90,9 +91,13 @@ class WorkerPool:
         """Start all workers at once; those that fail are tried again. Raises GlsplatError if none can be started."""
         self._over = asyncio.get_running_loop().create_future()
         self._over.add_done_callback(lambda over: over.cancelled() or over.exception())  # perhaps nobody awaits it
-        results = await asyncio.gather(
-            *(render_loop.start() for render_loop in self._render_loops), return_exceptions=True
-        )
+        try:
+            results = await asyncio.gather(
+                *(render_loop.start() for render_loop in self._render_loops), return_exceptions=True
+            )
+        except BaseException:  # cancelled: all loops have returned
+            await self.stop()
+            raise
         errors = [error for error in results if isinstance(error, BaseException)]
         if len(errors) == len(results) or any(not isinstance(error, GlsplatError) for error in errors):
             await self.stop()
@@ -157,12 +162,13 @@ class WorkerPool:
         for render_loop in self._render_loops:
             if not render_loop.living:  # it is just being started anew
                 continue
-            render_loop.living = False
+            render_loop.drain()
             for client in list(render_loop.clients.values()):
                 self._move(client)
-            while not render_loop.empty:
+            while not (render_loop.empty or render_loop.living):
                 await asyncio.sleep(0.01)
-            render_loop.renew()
+            if not render_loop.living:  # else it was lost and started anew meanwhile
+                render_loop.renew()
             while not render_loop.living:
                 await asyncio.sleep(0.05)
             log.info("%s is started anew", render_loop.worker.name)
@@ -171,10 +177,9 @@ class WorkerPool:
 
     def lost(self, render_loop: RenderLoop) -> None:
         """Move the clients of a loop whose worker is lost."""
-        self._last_lost = self._clock()
+        self._last_lost = self.clock()
         for client in list(render_loop.clients.values()):
             self._move(client)
-        render_loop.clients.clear()
 
     def opened(self, render_loop: RenderLoop) -> None:
         """Place the clients that wait, then balance."""
@@ -186,13 +191,13 @@ class WorkerPool:
     def failed(self, render_loop: RenderLoop, error: GlsplatError) -> None:
         """Give up where no worker lives and none can be started."""
         hopeless = all(not other.living and other.attempts >= _TRIES for other in self._render_loops)
-        if hopeless and self._clock() - self._last_lost >= self._patience and not self._over.done():
+        if hopeless and self.clock() - self._last_lost >= self._patience and not self._over.done():
             self._over.set_exception(ContextError(f"no worker lives, and none can be started: {error}"))
 
     def elsewhere(self, render_loop: RenderLoop, client: ClientStream) -> bool:
         """Move a client, and all that have to stay with it, to a worker that may be able to load its avatar."""
         avatar = client.shown.name
-        self._refused[render_loop, avatar] = self._clock() + _REFUSED_S
+        self._refused[render_loop, avatar] = self.clock() + _REFUSED_S
         if all(self._refuses(other, avatar) for other in self._render_loops if other.living):
             return False
         for other in list(render_loop.clients.values()):
@@ -208,7 +213,7 @@ class WorkerPool:
 
     def _refuses(self, render_loop: RenderLoop, avatar: str) -> bool:
         """Return whether a worker could not load an avatar a moment ago."""
-        return self._refused.get((render_loop, avatar), 0.0) > self._clock()
+        return self._refused.get((render_loop, avatar), 0.0) > self.clock()
 
     def _state(self, render_loop: RenderLoop) -> PlacedWorker:
         clients = (PlacedClient(one.number, one.place_key, one.cost) for one in render_loop.clients.values())
@@ -218,7 +223,7 @@ class WorkerPool:
     def _place(self, client: ClientStream) -> None:
         """Give a client to the worker that suits it; it waits where there is none."""
         living = [render_loop for render_loop in self._render_loops if render_loop.living]
-        suspect = self.faults.suspects(client.address, self._clock())
+        suspect = self.faults.suspects(client.address, self.clock())
         if suspect and len(living) < min(2, len(self._render_loops)):
             living = []  # the last one is for clients whose pictures are survived
         able = [one for one in living if not self._refuses(one, client.shown.name)] or living
@@ -236,11 +241,11 @@ class WorkerPool:
             return
         self._clients[client.number] = client, None
         if to is not None:
-            to.clients[client.number] = client  # counts there from now on
+            to.reserve(client)
 
         def arrive() -> None:
             if to is not None:
-                to.clients.pop(client.number, None)
+                to.cancel_reservation(client)
             if client.number not in self._clients:
                 return
             if to is not None and to.living:

@@ -80,7 +80,7 @@ class Drawn:
         views = one.views(job)
         assert all(np.isfinite(view.viewmat).all() for view in views)
         words = one.labels(job)
-        assert all(np.isfinite(label.place).all() for label in words)
+        assert all(np.isfinite(label.position).all() for label in words)
         if (job.frame_id or 0) % 3 == 0:  # which takes as long as all else
             self._pool.write(one, job, np.zeros((len(views), views[0].height, views[0].width, 4), np.uint8))
         self.job, self.labels = job, {label.text: label for label in words}

@@ -105,7 +105,6 @@ async def test_the_way_in(serve: Serve) -> None:
 
 async def test_a_lost_connection_fades_and_may_come_back(serve: Serve, stopped: Stopped) -> None:
     async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
-        server.drawer._clock = stopped  # type: ignore[union-attr]
         bob = member(server, "Bob")
         for silence, opacity in ((0.0, 1.0), (SILENT + FADE / 4, 0.75), (SILENT + FADE, None)):
             await bob.connect()  # under the same name
@@ -195,7 +194,6 @@ async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
         member(server, "eve") as eve,
         member(server, "ann") as ann,
     ):
-        server.drawer._clock = stopped  # type: ignore[union-attr]
         assert await asks(eve, 1) == [""]
         backend.drawn.clear()
         answers = []

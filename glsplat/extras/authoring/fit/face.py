@@ -71,7 +71,7 @@ class FacePlaces:
 
 @lru_cache(maxsize=1)
 def face_places() -> FacePlaces:
-    """The embedded table (face_places.json beside this file), made by tools/data/calibrate.py."""
+    """Return the embedded table (face_places.json), measured on people whose joints and skin are known."""
     text = (resources.files("glsplat.extras.authoring.fit") / "face_places.json").read_text(encoding="utf-8")
     rows = json.loads(text)["landmarks"]
     weights = np.array([row["weights"] for row in rows], np.float64)

@@ -65,7 +65,7 @@ class HandPlaces:
 
 @lru_cache(maxsize=1)
 def hand_places() -> HandPlaces:
-    """The embedded table (hand_offsets.json beside this file), made by tools/data/calibrate.py."""
+    """Return the embedded table (hand_offsets.json), measured on people whose joints and skin are known."""
     text = (resources.files("glsplat.extras.authoring.fit") / "hand_offsets.json").read_text(encoding="utf-8")
     rows = json.loads(text)["landmarks"]
     return HandPlaces(np.array([row["offset"] for row in rows]), np.array([row["stray"] for row in rows]))
