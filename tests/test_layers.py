@@ -32,7 +32,7 @@ FLOORS = [
     ["extras"],
     ["apps"],
 ]
-# Within a room its modules may have an order of their own; modules that are not named come last.
+# Within a package its modules and packages may have an order of their own; those that are not named come last.
 WITHIN = {
     "renderer": [
         ["checks", "frame_block", "levels", "owned", "stats"],
@@ -63,6 +63,23 @@ WITHIN = {
         ["conversation"],
         ["server"],
         ["served_scene"],
+    ],
+    # tools, then the steps in which a photograph becomes an avatar, then what calls the steps
+    "extras.authoring": [
+        ["compute", "mesh_truth", "models"],
+        ["geometry", "networks"],
+        ["body", "photo"],
+        ["segment"],
+        ["check"],
+        ["fit"],
+        ["dress"],
+        ["paint"],
+        ["sample"],
+        ["optimize"],
+        ["faces", "light"],
+        ["finish"],
+        ["importers", "video"],
+        ["reconstruct"],
     ],
 }
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
@@ -129,31 +146,33 @@ def room_of(module: str) -> str:
     return inner.partition(".")[0] if package == "glsplat" else package
 
 
-def place_of(module: str) -> tuple[int, int, str]:
-    """Return a module's floor, its level within its room, and what stands together there."""
-    room = room_of(module)
-    own_floors = WITHIN.get(room, [])
-    ranks = {f"glsplat.{room}.{name}": level for level, names in enumerate(own_floors) for name in names}
-    part = next((name for name in ranks if f"{module}.".startswith(f"{name}.")), room)
-    return FLOOR[room], ranks.get(part, len(own_floors)), part
+def level_of(module: str, package: str) -> tuple[int, str]:
+    """Return a module's level within a package of WITHIN, and what stands together there."""
+    levels = WITHIN[package]
+    part = module.removeprefix(f"glsplat.{package}.").partition(".")[0]
+    level = next((level for level, names in enumerate(levels) if part in names), len(levels))
+    return level, part if level < len(levels) else ""
 
 
 def offences(module: str, imports: frozenset[str]) -> list[str]:
     """Return every import that breaks a rule."""
     out = []
-    floor, level, part = place_of(module)
+    room = room_of(module)
+    ordered = [package for package in WITHIN if f"{module}.".startswith(f"glsplat.{package}.")]
     for name in sorted(imports):
-        if any(f"{module}.".startswith(f"{room}.") and name.split(".")[0] in no for room, no in FORBIDDEN.items()):
+        if any(f"{module}.".startswith(f"{place}.") and name.split(".")[0] in no for place, no in FORBIDDEN.items()):
             out.append(f"{module} imports {name}")
         if name == "glsplat" and module.startswith("glsplat."):
             out.append(f"{module} imports the root")
         if name == "glsplat" or name not in FILES:
             continue
-        other_floor, other_level, other_part = place_of(name)
-        if other_floor > floor or (other_floor == floor and room_of(name) != room_of(module)):
+        if room_of(name) != room and FLOOR[room_of(name)] >= FLOOR[room]:
             out.append(f"{module} imports up: {name}")
-        elif room_of(name) == room_of(module) and other_part != part and other_level >= level:
-            out.append(f"{module} imports up within its room: {name}")
+        for package in ordered:
+            if f"{name}.".startswith(f"glsplat.{package}."):
+                (level, part), (other_level, other_part) = level_of(module, package), level_of(name, package)
+                if other_part != part and other_level >= level:
+                    out.append(f"{module} imports up within {package}: {name}")
         if name == ORACLE[0] and not module.startswith(ORACLE[1]):
             out.append(f"{module} imports the oracle")
     return out
@@ -161,8 +180,10 @@ def offences(module: str, imports: frozenset[str]) -> list[str]:
 
 def test_imports_go_down() -> None:
     assert set(FLOOR) == {room_of(module) for module in FILES if module != "glsplat"}
-    inside = {module.split(".")[2] for module in FILES if module.startswith("glsplat.net.")}
-    assert inside == {name for names in WITHIN["net"] for name in names}
+    for package in ("net", "extras.authoring"):
+        prefix = f"glsplat.{package}."
+        inside = {module.removeprefix(prefix).partition(".")[0] for module in FILES if module.startswith(prefix)}
+        assert inside == {name for names in WITHIN[package] for name in names}
     assert not [line for name in FILES if name != "glsplat" for line in offences(name, imports_of(name))]
 
 
@@ -175,6 +196,8 @@ def test_imports_go_down() -> None:
         ("glsplat.renderer.arena", "from glsplat import reference"),
         ("glsplat.renderer.stage", "from glsplat.renderer.arena import Arena"),  # up within a room
         ("glsplat.net.session", "from glsplat.net.client_stream import ClientStream"),
+        ("glsplat.extras.authoring.fit.view", "from glsplat.extras.authoring.paint.lamp import Lamp"),  # a later step
+        ("glsplat.extras.authoring.light.surfaces", "from glsplat.extras.authoring.faces import lids"),  # of one level
         ("glsplat.net.session", "from glsplat.extras import uploads"),  # the core, an extra
         ("glsplat.extras", "from glsplat_apps.output import label"),
     ],

@@ -265,7 +265,8 @@ class GpuScene:
         if config.cull_hidden is True and levels and not any(one.has_cones for one in levels):
             raise GlsplatError(
                 "cull_hidden needs splats with visibility cones, this scene has none; "
-                "make them (glsplat avatar cones, glsplat.extras.authoring.cones.with_cones) or leave cull_hidden off"
+                "make them (glsplat avatar cones, glsplat.extras.authoring.finish.cones.with_cones) "
+                "or leave cull_hidden off"
             )
         items = [self._buffers_of(self._visible[number], level) for number, level in parts]
         self.arenas += 1

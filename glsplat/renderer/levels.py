@@ -1,7 +1,7 @@
 """Levels of detail: coarser versions of an item, and the choice of one for a view.
 
 A level is chosen by the density at which a view shows the item: the focal length in pixels over the depth in metres,
-averaged over the pixels that the item covers. ``extras.authoring.detail`` measures levels at such densities. A few
+averaged over the pixels that the item covers. ``extras.authoring.finish`` measures levels at such densities. A few
 points represent the item (``Proxy``), so that a density takes microseconds. Densities are continuous: points fade at
 the picture's rim and are blurred by the spread of their splats, so that an eye may be among them. From outside, the
 density is close to the focal length over the distance of the near side.

@@ -69,9 +69,9 @@ def _no_log_of_commands() -> Iterator[None]:
 def quickly_made(monkeypatch: pytest.MonkeyPatch) -> None:
     """Avatars of meshes by few rays, and levels in few steps: what is tested is the command."""
     from apps.avatar import making
-    from glsplat.extras.authoring.detail.make import with_levels
+    from glsplat.extras.authoring.finish.levels import with_levels
     from glsplat.extras.authoring.light import surfaces
-    from glsplat.extras.authoring.surface import SamplerConfig, make_avatar
+    from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar
 
     def made(mesh, splats, seed, **more):
         return make_avatar(mesh, splats, seed, SamplerConfig(probe=96), **more)

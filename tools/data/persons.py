@@ -17,21 +17,21 @@ from numpy.typing import NDArray
 
 from apps.avatar.writing import progress_bar
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.cells import SamplerConfig
-from glsplat.extras.authoring.cones import with_cones, worth_cones
-from glsplat.extras.authoring.detail.make import with_levels
+from glsplat.extras.authoring.body.open_face import matched, with_expressions, with_mouth
 from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
 from glsplat.extras.authoring.faces.eyeballs import eyeballs, with_eyeballs
-from glsplat.extras.authoring.faces.open_face import matched, with_expressions, with_mouth
+from glsplat.extras.authoring.faces.lashes_and_hair import with_brow_hairs, with_lashes, with_strands
 from glsplat.extras.authoring.faces.openings import openings
-from glsplat.extras.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
-from glsplat.extras.authoring.importers import nearest_on
+from glsplat.extras.authoring.finish.cones import with_cones, worth_cones
+from glsplat.extras.authoring.finish.levels import with_levels
+from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.geometry.visibility import EYES, HEAD
 from glsplat.extras.authoring.light.surfaces import with_surface
-from glsplat.extras.authoring.optimize.fit import FitConfig, fitted
-from glsplat.extras.authoring.optimize.mesh import fitted_to_mesh
-from glsplat.extras.authoring.optimize.pictures import ViewConfig, pictures_of
-from glsplat.extras.authoring.surface import make_avatar
-from glsplat.extras.authoring.visibility import EYES, HEAD
+from glsplat.extras.authoring.optimize.mesh_fit import fitted_to_mesh
+from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
+from glsplat.extras.authoring.optimize.target_pictures import ViewConfig, pictures_of
+from glsplat.extras.authoring.sample.cells import SamplerConfig
+from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.extras.formats.person import read_person
 from glsplat.formats.gltf.morphs import SHORT
 from glsplat.formats.registry import save

@@ -18,10 +18,10 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at
+from glsplat.extras.authoring.check.capture import check_capture
+from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.mesh_truth import MeshTruth
-from glsplat.extras.authoring.photo.capture import check_capture
 from glsplat.extras.authoring.photo.photo_file import read_photo
-from glsplat.extras.authoring.raster import visible_faces
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.extras.evaluate.light import CaptureLight, shade_of

@@ -27,7 +27,7 @@ from playwright.sync_api import sync_playwright
 
 import glsplat
 from apps.webpage.command import baked
-from glsplat.extras.authoring.posed import posed_splats
+from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.formats.motion_files import load_motion
 from glsplat.net.codec.encode import encode_picture

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
-from glsplat.extras.authoring.fit.body import BETAS, Body, Points
+from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
+from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import column, fully_posed, projected
-from glsplat.extras.authoring.fit.levenberg import least_squares
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.face import Face
 from glsplat.rotations import unit_vectors

@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import BETAS, Body, Points
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
+from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
+from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import column, fully_posed, projected
-from glsplat.extras.authoring.fit.levenberg import least_squares
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -10,7 +10,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import Body, Points
+from glsplat.extras.authoring.body.open_body import Body, Points
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["LANDMARKS", "LANDMARK_COUNT", "Landmarks", "landmarks", "twin"]
