@@ -1,4 +1,4 @@
-"""Rooms: all rooms of a server, and the way into them."""
+"""Rooms: the rooms of a server as a feature."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["Rooms"]
 
 
 class Rooms(Feature):
-    """``seats`` by the names of the rooms, the only ones; those in ``furnished`` hold more than people."""
+    """Rooms by name with their number of ``seats``; those in ``furnished`` show the server's scene."""
 
     def __init__(self, seats: Mapping[str, int] | None = None, furnished: Collection[str] = ()) -> None:
         self._rooms = {name: Room(name, count) for name, count in (seats or {}).items()}
@@ -42,7 +42,7 @@ class Rooms(Feature):
         client.enter(asked.room, member, member.person.name)
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:
-        """Let the client's person go, at once or after a while."""
+        """Remove the client's person, at once after a goodbye, else after a while."""
         if isinstance(client.member, Member):
             client.member.end(goodbye)
 
@@ -60,7 +60,7 @@ class Rooms(Feature):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all rooms."""
+        """Names of all rooms."""
         return tuple(self._rooms)
 
     def join(
@@ -72,9 +72,9 @@ class Rooms(Feature):
         leave: Callable[[], None],
         notice: str = "",
     ) -> Member:
-        """Return client ``number`` as a member of the room that it asks for: a newcomer, or whose token it has.
+        """Return client ``number`` as a member of the room that it asks for, new or by its token. Raises RoomError.
 
-        ``notice`` stands over their head, beside the name. Raises RoomError.
+        ``notice`` is shown over the head, beside the name.
         """
         room = self._rooms.get(asked.room or "")
         if room is None:
@@ -86,11 +86,11 @@ class Rooms(Feature):
         return Member(room, person, Pose.zero(len(shown.skeleton)))
 
     def worn(self, names: Sequence[str]) -> set[str]:
-        """The avatars of all who are in those."""
+        """Return the avatars of all people in the named rooms."""
         return {avatar for name in names for avatar in self._rooms[name].worn()}
 
     def offer(self, now: float, names: Sequence[str]) -> list[dict[str, Any]]:
-        """What /session says of those."""
+        """Return the named rooms for /session."""
         rooms = [self._rooms[name] for name in names]
         return [
             {"name": one.name, "people": one.count(now), "seats": one.seats, "scene": one.name in self._furnished}
@@ -98,7 +98,7 @@ class Rooms(Feature):
         ]
 
     def status(self, now: float, sees: Callable[[Thing, str], bool]) -> list[dict[str, Any]]:
-        """What /stats says of those that whoever asks ``sees``; ``people`` is null where their names are not seen."""
+        """Return the rooms that a user ``sees``, for /stats; ``people`` is null where names are hidden."""
         seen = [room for name, room in self._rooms.items() if sees("room", name)]
         return [room.status(now) | ({} if sees("people", room.name) else {"people": None}) for room in seen]
 

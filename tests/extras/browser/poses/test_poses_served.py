@@ -158,7 +158,7 @@ async def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
         room = server.feature(Rooms)._rooms["lab"]
         await ann.close()
         await until(lambda: not server.clients)
-        assert not room._guests and not room._news
+        assert not room._guests and not room._changes
 
 
 async def test_a_busy_renderer_holds_no_pose_back(serve: Serve) -> None:
