@@ -125,16 +125,16 @@ def check(args: argparse.Namespace) -> int:
         print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups between them")
     elif groups > 1 and rows > 1 and study.participants % (rows * groups):
         print(f"  balanced over all participants, not within each group: that takes a multiple of {rows * groups}")
-    for cell in study.absent[:_MOST_SHOWN]:
+    for cell in study.missing_cells[:_MOST_SHOWN]:
         words = ", ".join(f"{factor.name} = {level}" for factor, level in zip(study.within, cell, strict=True))
         print(f"  no condition has {words}: glsplat study analyse needs every combination")
-    if len(study.absent) > _MOST_SHOWN:
-        print(f"  ... and {len(study.absent) - _MOST_SHOWN} more combinations without a condition")
-    for item in study.untold[:_MOST_SHOWN]:
+    if len(study.missing_cells) > _MOST_SHOWN:
+        print(f"  ... and {len(study.missing_cells) - _MOST_SHOWN} more combinations without a condition")
+    for item in study.items_without_text[:_MOST_SHOWN]:
         name = item.partition(".")[0]
         print(f"  no text yet: {item} ({study.questionnaires[name].source})")
-    if len(study.untold) > _MOST_SHOWN:
-        print(f"  ... and {len(study.untold) - _MOST_SHOWN} more items without a text")
+    if len(study.items_without_text) > _MOST_SHOWN:
+        print(f"  ... and {len(study.items_without_text) - _MOST_SHOWN} more items without a text")
     numbers = [_number(study, args.participant)] if args.participant else range(1, study.participants + 1)
     files = dict.fromkeys(path for number in numbers for path in avatar_files(study, label(number)).values() if path)
     missing = [path for path in files if not path.is_file()]
@@ -145,7 +145,7 @@ def check(args: argparse.Namespace) -> int:
     if (data_of(args.study, args.data) / PLAN).exists():
         checked_plan(data_of(args.study, args.data), study)
         print(f"  planned: {data_of(args.study, args.data) / PLAN}")
-    return 1 if study.untold else 0
+    return 1 if study.items_without_text else 0
 
 
 def plan(args: argparse.Namespace) -> int:

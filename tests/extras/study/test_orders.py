@@ -100,11 +100,11 @@ def test_a_plan_stays(tmp_path: Path) -> None:
 def test_no_plan_is_written_that_would_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _, plan = planned(tmp_path)
     size = write_plan(tmp_path / "data", plan).stat().st_size
-    monkeypatch.setattr(plan_module, "_LARGEST", size - 1)
+    monkeypatch.setattr(plan_module, "MAX_PLAN_BYTES", size - 1)
     with pytest.raises(FormatError, match="a plan has at most"):
         write_plan(tmp_path / "other", plan)
     assert not (tmp_path / "other").exists()
-    monkeypatch.setattr(plan_module, "_LARGEST", size)
+    monkeypatch.setattr(plan_module, "MAX_PLAN_BYTES", size)
     write_plan(tmp_path / "other", plan)
     assert read_plan(tmp_path / "other") == plan
 
@@ -135,5 +135,5 @@ def test_no_plan_without_texts(tmp_path: Path) -> None:
     study = read_study(write(tmp_path, SMALL.replace('["movement"]', '["veq"]')))
     with pytest.raises(FormatError, match=r"12 items have no text yet, the first is veq.vbo1"):
         make_plan(study)
-    texts = "[text.veq]\n" + "".join(f'{item.partition(".")[2]} = "x"\n' for item in study.untold)
+    texts = "[text.veq]\n" + "".join(f'{item.partition(".")[2]} = "x"\n' for item in study.items_without_text)
     assert make_plan(read_study(write(tmp_path, SMALL.replace('["movement"]', '["veq"]') + texts)))
