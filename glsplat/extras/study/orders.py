@@ -7,13 +7,13 @@ often in each position and equally often after each other one. An even number k 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
 from glsplat.extras.study.design import Study
 
-__all__ = ["carryover", "cycle", "groups_of", "orders_of", "positions", "williams"]
+__all__ = ["cycle", "groups_of", "orders_of", "williams"]
 
 
 def williams(count: int) -> list[list[int]]:
@@ -69,22 +69,6 @@ def groups_of(study: Study) -> list[dict[str, str]]:
 def cycle(study: Study) -> int:
     """Return the number of participants after which orders are balanced; 1 for random and fixed orders."""
     return len(_rows(study, _blocks(study))) if study.order.scheme == "williams" else 1
-
-
-def positions(orders: Sequence[Sequence[str]]) -> dict[str, list[int]]:
-    """Return how often each condition occurs in each position."""
-    names = sorted({name for order in orders for name in order})
-    return {name: [sum(order[at] == name for order in orders) for at in range(len(orders[0]))] for name in names}
-
-
-def carryover(orders: Sequence[Sequence[str]]) -> dict[tuple[str, str], int]:
-    """Return how often each pair of conditions occurs in succession."""
-    names = sorted({name for order in orders for name in order})
-    counts = {(a, b): 0 for a in names for b in names if a != b}
-    for order in orders:
-        for pair in pairwise(order):
-            counts[pair] += 1
-    return counts
 
 
 def _blocks(study: Study) -> list[list[str]]:
