@@ -6,6 +6,8 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from threading import Thread
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -333,16 +335,19 @@ QUERY = st.dictionaries(
 
 @given(QUERY, st.sampled_from([None, User(name="ann", rooms=("lab",), avatars=("default",))]))
 def test_whatever_is_asked_for_is_understood_or_refused(query: dict[str, str], user: User | None) -> None:
-    rooms = Rooms({"lab": 2})
+    rooms, entered = Rooms({"lab": 2}), []
+    rooms._server = SimpleNamespace(clock=lambda: 0.0, close_client=None)  # type: ignore[assignment]
     shown = AvatarInfo(name="default", skeleton=Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]]))
     try:
         wish = asked(user, **query)
-        member = rooms.join(wish, shown, 1, 0.0, lambda: None)
+        client: Any = SimpleNamespace(shown=shown, number=1, notice=lambda: "")
+        client.enter = lambda room, member, name: entered.append(member)
+        rooms.client_opened(client, wish)
     except ProtocolError as refused:
         assert str(refused).isprintable()
         return
-    assert (member is None) == ("room" not in query)
-    if member is not None:
+    assert len(entered) == ("room" in query)
+    for member in entered:
         assert member.room.name == query["room"] == "lab"
         assert member.person.name.isprintable() and len(member.person.name) <= 32
         assert member.person.name == ("ann" if user else query.get("name") or "guest 1")
