@@ -16,7 +16,7 @@ from glsplat.extras.consent.file import OnFile
 from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.extras.speech.analysis import Analysis
 from glsplat.extras.speech.mouth import Mouth
-from glsplat.extras.speech.sound import Sound, wav_bytes
+from glsplat.extras.speech.sound import Sound
 from glsplat.extras.speech.table import table, table_json
 from glsplat.net.options import ServerConfig
 from glsplat.net.served_scene import gl_server
@@ -27,7 +27,7 @@ from tests.browser.flat_page import flat_page
 from tests.browser.markers import Markers, offered, samples
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 from tests.browser.vr import enter, settings, visit
-from tests.extras.speech.sounds import vowels
+from tests.extras.speech.sounds import vowels, wav_bytes
 
 MAIN = """
 import { ARKIT } from '/vr/draw/crowd.js';

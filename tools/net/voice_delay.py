@@ -30,10 +30,10 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.speech.sound import Sound, wav_bytes
+from glsplat.extras.speech.sound import Sound
 from tests import needs
 from tests.browser.conftest import _FLAGS
-from tests.extras.speech.sounds import vowels
+from tests.extras.speech.sounds import vowels, wav_bytes
 
 _HERE = Path(__file__).resolve().parents[2]
 _LATEST = 700.0  # ms after a sound in which its jaw opens, or it was not heard

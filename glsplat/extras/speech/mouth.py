@@ -26,11 +26,7 @@ class Mouth:
         self._closing = list(t.visemes).index(t.closes)
         self._jaw = self._names.index("jawOpen")
         self._smoothing = 1 - exp(-t.framing.hop / t.smooth)
-        self.reset()
-
-    def reset(self) -> None:
-        """Return to rest."""
-        self._mixed = np.zeros(len(self._table.visemes))
+        self._mixed = np.zeros(len(t.visemes))
         self._mixed[0] = 1.0
         self._closed = 0.0
 

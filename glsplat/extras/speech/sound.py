@@ -1,4 +1,4 @@
-"""Sound files: read RIFF WAVE of integers or floats with all sizes checked; write 16 bits.
+"""Sound files: read RIFF WAVE of integers or floats with all sizes checked.
 
 Chunks: "Multimedia Programming Interface and Data Specifications 1.0" (IBM & Microsoft 1991); the extensible format:
 Microsoft's mmreg.h.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular
 
-__all__ = ["MAX_BYTES", "MAX_SECONDS", "Sound", "read_wav", "wav_bytes"]
+__all__ = ["MAX_BYTES", "MAX_SECONDS", "Sound", "read_wav"]
 
 MAX_BYTES = 512 * 2**20
 MAX_SECONDS = 3600.0
@@ -48,14 +48,6 @@ def read_wav(path: str | Path) -> Sound:
         if size > MAX_BYTES:
             raise FormatError(f"a sound file needs at most {MAX_BYTES >> 20} MiB, not {size >> 20}")
         return _parsed(file.read(size))
-
-
-def wav_bytes(sound: Sound) -> bytes:
-    """Return the sound as a .wav of 16 bits."""
-    body = np.rint(sound.samples.clip(-1, 1) * 32767).astype("<i2").tobytes()
-    form = struct.pack("<HHIIHH", _INTEGER, 1, sound.rate, 2 * sound.rate, 2, 16)
-    chunks = b"fmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", len(body)) + body
-    return b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WAVE" + chunks
 
 
 def _parsed(data: bytes) -> Sound:

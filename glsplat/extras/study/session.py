@@ -7,7 +7,7 @@ applying a log restores its last state. Times are seconds since the session bega
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -46,14 +46,12 @@ class State:
 
 
 class Session:
-    """One participant's progress through ``steps``, after replaying ``events``. Raises FormatError."""
+    """One participant's progress through ``steps``."""
 
-    def __init__(self, study: Study, steps: Sequence[Step], events: Iterable[Event] = ()) -> None:
+    def __init__(self, study: Study, steps: Sequence[Step]) -> None:
         self.study, self.steps = study, tuple(steps)
         self.state = State(phase=_first_phase(self.steps[0]))
         self._replayed = 0
-        for event in events:
-            self.replay(event)
 
     def replay(self, event: Event) -> None:
         """Apply the next event of a log. Raises FormatError naming its line if it belongs to another plan."""

@@ -67,7 +67,14 @@ class Walk:
 
     def again(self) -> Session:
         """As after a crash."""
-        return Session(self.study, self.steps, self.log)
+        return replayed(self, self.log)
+
+
+def replayed(walk: Walk, events: Sequence[Event]) -> Session:
+    session = Session(walk.study, walk.steps)
+    for event in events:
+        session.replay(event)
+    return session
 
 
 @pytest.fixture
@@ -102,7 +109,7 @@ def test_a_log_leads_back_at_every_line(walk: Walk) -> None:
         walk.step()
         states.append((len(walk.log), walk.session.state))
     for lines, state in states:
-        assert Session(walk.study, walk.steps, walk.log[:lines]).state == state
+        assert replayed(walk, walk.log[:lines]).state == state
 
 
 def test_without_consent_nothing_comes(walk: Walk, tmp_path: Path) -> None:
