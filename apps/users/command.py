@@ -51,10 +51,8 @@ def _add(args: argparse.Namespace, path: Path, users: dict[str, User]) -> int:
         raise UsageError(f"{path}: there is an account {args.name!r} already; remove it first for another token")
     user, token = new_user(args.name, _names(args.avatars), _names(args.rooms))
     write_users(path, users | {user.name: user})
-    print(
-        f"{path}: {user.name}, avatars {_listed(user.avatars)}; rooms {_listed(user.rooms)}; its token:",
-        file=sys.stderr,
-    )
+    rights = f"avatars {_listed(user.avatars)}; rooms {_listed(user.rooms)}"
+    print(f"{path}: {user.name}, {rights}; its token:", file=sys.stderr)
     print(token)
     return 0
 

@@ -55,16 +55,12 @@ class JobQueue:
     def book(self, address: str, account: str = "") -> Job:
         """Reserve a job for pictures that are still to come; ``cancel`` frees it. Raises RefusedError."""
         self._forget()
-        open_ = self._open()
-        if len(open_) > self._config.waiting:
-            raise RefusedError(503, self._full(), _RETRY_S)
-        most, mine = self._config.per_address, [job for job in open_ if job.address == address]
+        self._check_space()
+        most, mine = self._config.per_address, [job for job in self._open() if job.address == address]
         if len(mine) >= most:
-            raise RefusedError(503, f"at most {most} avatars at once from one address; wait for one of yours", _RETRY_S)
+            raise _busy(f"at most {most} avatars at once from one address; wait for one of yours")
         if sum(job.state == "receiving" for job in mine) >= self._config.senders:
-            raise RefusedError(
-                503, "other pictures from this address are on their way; send yours after them", _RETRY_S
-            )
+            raise _busy("other pictures from this address are on their way; send yours after them")
         name = self._store.new_name()
         job = self._jobs[name] = Job(name, address, account)
         return job
@@ -79,8 +75,7 @@ class JobQueue:
         """Resume a refused job. Raises RefusedError if its process is gone or the queue is full."""
         if self._held is None or self._held[0] is not job:
             raise RefusedError(409, "it cannot go on where it was; send the pictures again")
-        if len(self._open()) > self._config.waiting:
-            raise RefusedError(503, self._full(), _RETRY_S)
+        self._check_space()
         if self._held_timer is not None:
             self._held_timer.cancel()
         job.resume()
@@ -116,9 +111,10 @@ class JobQueue:
         states = Counter(job.state for job in self._jobs.values())
         return {state: states[state] for state in ("receiving", "waiting", "making", "done", "failed")}
 
-    def _full(self) -> str:
+    def _check_space(self) -> None:
         count = len(self._open())
-        return f"{count} avatars are being made or wait, as many as this server takes; try again in a minute"
+        if count > self._config.waiting:
+            raise _busy(f"{count} avatars are being made or wait, as many as this server takes; try again in a minute")
 
     def _open(self) -> list[Job]:
         return [job for job in self._jobs.values() if job.ended is None]
@@ -200,3 +196,7 @@ class JobQueue:
         if self._config.signed is not None:
             data = self._config.signed(job.name, data, job.account)
         return self._store.put(job.name, data)
+
+
+def _busy(text: str) -> RefusedError:
+    return RefusedError(503, text, _RETRY_S)
