@@ -13,7 +13,7 @@ import pytest
 from glsplat.data import default_avatar
 from glsplat.extras.consent.file import OnFile
 from glsplat.extras.consent.policy import ConsentPolicy
-from glsplat.extras.speech.sound import Sound, wav_bytes
+from glsplat.extras.speech.sound import Sound
 from glsplat.extras.speech.table import table
 from glsplat.net.options import ServerConfig
 from glsplat.net.served_scene import gl_server
@@ -24,7 +24,7 @@ from tests.browser.flat_page import flat_page
 from tests.browser.markers import Markers, offered, samples
 from tests.browser.opened import FAKE_XR, WATCH, Opened
 from tests.browser.vr import enter, settings, visit
-from tests.extras.speech.sounds import vowels
+from tests.extras.speech.sounds import vowels, wav_bytes
 
 MAIN = """
 import { ARKIT } from '/vr/draw/crowd.js';

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.speech.sound import Sound, wav_bytes
-from tests.extras.speech.sounds import vowels
+from glsplat.extras.speech.sound import Sound
+from tests.extras.speech.sounds import vowels, wav_bytes
 from tools.docs.chromium import launched, serving
 
 MAX_DELAY_MS = 700.0  # from a sound to a request with an open jaw; later: the sound was missed

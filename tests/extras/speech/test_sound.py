@@ -13,8 +13,8 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.speech.mp4 import add_sound
-from glsplat.extras.speech.sound import Sound, read_wav, wav_bytes
-from tests.extras.speech.sounds import vowels
+from glsplat.extras.speech.sound import Sound, read_wav
+from tests.extras.speech.sounds import vowels, wav_bytes
 
 BLOCK = 4096  # samples of a frame of FLAC
 RAMP = np.linspace(-1, 1, 600)

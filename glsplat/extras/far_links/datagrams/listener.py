@@ -19,7 +19,7 @@ from glsplat.extras.far_links.datagrams.offers import LASTS, Offers
 from glsplat.extras.far_links.datagrams.path import DatagramPath
 from glsplat.extras.far_links.datagrams.roles import PathUser
 from glsplat.extras.far_links.datagrams.udp import UdpSocket, bind_udp
-from glsplat.extras.operations.certificate import passing_certificate
+from glsplat.extras.operations.certificate import short_lived_certificate
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
 
@@ -116,7 +116,7 @@ class DatagramListener:
         now = datetime.now(UTC)
         if now - self._made < _CERTIFICATE_RENEWAL:
             return
-        certificate, key = passing_certificate(_CERTIFICATE_LIFE)
+        certificate, key = short_lived_certificate(_CERTIFICATE_LIFE)
         self._configuration.certificate, self._configuration.private_key = certificate, key
         self._sha256 = base64.b64encode(certificate.fingerprint(hashes.SHA256())).decode()
         self._made = now

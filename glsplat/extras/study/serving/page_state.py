@@ -1,4 +1,4 @@
-"""What the pages are told of a running session: JSON-able, nothing that a participant should not know."""
+"""State of a running session as JSON for the pages, without anything that a participant should not know."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["for_experimenter", "for_participant"]
 
 
 def for_participant(live: Live) -> dict[str, Any]:
-    """Where they are, what is to be shown, and what they are asked."""
+    """Return the current step and what to show and ask."""
     session = live.session
     step, state, left = session.step, session.state, session.left(live.t)
     shown: dict[str, Any] = {
@@ -37,12 +37,12 @@ def for_participant(live: Live) -> dict[str, Any]:
     if task is not None:
         shown |= {"text": task.text, "speak": task.speak, "ready": task.ready, "seconds": task.seconds}
     if step.questionnaire:
-        shown |= _asked(live.study, step.questionnaire) | {"answers": dict(state.answers)}
+        shown |= _questions(live.study, step.questionnaire) | {"answers": dict(state.answers)}
     return shown
 
 
 def for_experimenter(live: Live) -> dict[str, Any]:
-    """All that, without the questions, and how the session is."""
+    """Return the current step without its questions, and the state of the session."""
     session = live.session
     step = session.step
     condition = None if step is None or not step.condition else step.condition
@@ -74,7 +74,7 @@ def for_experimenter(live: Live) -> dict[str, Any]:
     }
 
 
-def _asked(study: Study, name: str) -> dict[str, Any]:
+def _questions(study: Study, name: str) -> dict[str, Any]:
     questionnaire = study.questionnaires[name]
     return {"intro": questionnaire.intro, "items": list(map(_item, questionnaire.items))}
 
