@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import secrets
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -38,12 +39,18 @@ class Clip:
     """A clip written frame by frame; the file appears when the ``with`` block ends without an error.
 
     The suffix selects the container. A thread encodes pictures while the next ones are drawn, as VP9 often takes longer
-    than a frame. A ``sound`` is stored in an .mp4 only: a .webm accepts just Opus and Vorbis.
+    than a frame. A ``sound`` is stored in an .mp4 only: a .webm accepts just Opus and Vorbis. Raises
+    MissingPackageError if an .mp4 is to have sound and PyAV is not installed.
     """
 
     def __init__(self, path: str | Path, fps: float, sound: Sound | None = None) -> None:
         self._path, self._fps, self._sound = Path(path), fps, sound
         self._partial = self._path.parent / f".{secrets.token_hex(6)}{self._path.suffix.lower()}"
+        self._add_sound: Callable[[Path], None] | None = None
+        if sound is not None and self._path.suffix.lower() == ".mp4":
+            from glsplat.extras.speech.mp4 import add_sound  # here, before a frame is drawn: it needs PyAV
+
+            self._add_sound = partial(add_sound, sound=sound)
         self._writer: Any = None
         self._encoder = ThreadPoolExecutor(1, "encoder")
         self._queued: list[Future[None]] = []
@@ -53,13 +60,9 @@ class Clip:
     @property
     def summary(self) -> str:
         """A line with name, pictures, rate, codec and sound."""
-        sound = ", sound of FLAC" if self._has_sound else ", silent: only .mp4 takes the sound"
+        sound = ", sound of FLAC" if self._add_sound else ", silent: only .mp4 takes the sound"
         sound = "" if self._sound is None else sound
         return f"{self._path}: {self._frames} pictures, {self._fps:g} a second, {self.codec}{sound}"
-
-    @property
-    def _has_sound(self) -> bool:
-        return self._sound is not None and self._path.suffix.lower() == ".mp4"
 
     def add(self, image: NDArray[Any]) -> None:
         """Append an RGB picture [H, W, 3|4]. All need one size; an odd size loses its last row or column."""
@@ -120,10 +123,8 @@ class Clip:
                 for written in self._queued:
                     written.result()
                 self._verify()
-                if self._sound is not None and self._has_sound:
-                    from glsplat.extras.speech.mp4 import add_sound  # here: most clips have no sound
-
-                    add_sound(self._partial, self._sound)
+                if self._add_sound is not None:
+                    self._add_sound(self._partial)
                 os.replace(self._partial, self._path)
         except OSError as problem:
             raise FormatError(f"{self._path}: cannot be written ({problem.strerror})") from None

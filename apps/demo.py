@@ -17,13 +17,12 @@ import numpy as np
 from glsplat.config import LEAN, RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.io.files import replace_file
 from glsplat.net.client import Client
 
 from .args import add_detail, detail_of, size
 from .progress import Progress
 from .replay.command import load_drive, save_clip, save_sheet
-from .replay.stage_table import frame_text, table_markdown, table_text
+from .replay.stage_table import frame_text, table_text
 from .replay.streaming import Drive, Result, observer, stream
 from .usage import UsageError, make_folder
 
@@ -50,7 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fps", type=float, default=72.0, help="requests per second (default 72)")
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 512), (1024, 1024)], help="pixels per eye")
     add_detail(parser, lean=True)
-    parser.add_argument("--table", type=Path, metavar="FILE", help="write the stage table as markdown")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
@@ -68,8 +66,6 @@ def run(args: argparse.Namespace) -> int:
         raise GlsplatError("no picture came; run `glsplat serve --verbose` and `glsplat replay` to see why")
     save_sheet(sheet, kept)
     shown = save_clip(clip, kept, across=_CLIP_WIDTH_PX)
-    if args.table:
-        replace_file(args.table, [table_markdown(results).encode()])
     if args.json:
         files = [str(sheet), str(clip)]
         print(json.dumps({"runs": {name: result.summary() for name, result in results}, "files": files}))
@@ -78,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"2x {name}, drawn by {result.driver}")
         print(table_text(result))
         print(frame_text(result), end="\n\n")
-    print(sheet, shown, *([args.table] if args.table else []), sep="\n")
+    print(sheet, shown, sep="\n")
     return 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen_mapping, listed
 from glsplat.errors import FormatError
-from glsplat.optional import thumbnail
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skeleton import Skeleton
@@ -116,7 +116,8 @@ class Avatar:
 
     def _repr_png_(self) -> bytes | None:
         """Return a picture for notebooks; None where no OpenGL context can be made."""
-        return thumbnail(self)
+        picture: bytes | None = import_module("glsplat.renderer.thumbnail").thumbnail(self)  # which imports this module
+        return picture
 
     def __repr__(self) -> str:
         levels = f", {len(self.levels)} levels" if self.levels else ""

@@ -115,15 +115,15 @@ class Camera(Value):
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
-    def in_space(self, place: NDArray[np.float64]) -> Camera:
-        """Return the same view in a space that ``place`` [4, 4] takes to this one (``scene.similarity``).
+    def in_space(self, transform: NDArray[np.float64]) -> Camera:
+        """Return the same view in a space that ``transform`` [4, 4] maps to this one (``scene.similarity``).
 
-        Positions, ``near`` and ``far`` are divided by the scale of ``place``.
+        Positions, ``near`` and ``far`` are divided by the scale of ``transform``.
         """
-        size = float(np.cbrt(np.linalg.det(place[:3, :3])))
+        size = float(np.cbrt(np.linalg.det(transform[:3, :3])))
         viewmat = self.viewmat.copy()
-        viewmat[:3, :3] = viewmat[:3, :3] @ (place[:3, :3] / size)
-        viewmat[:3, 3] = -self.viewmat[:3, :3] @ ((self.position - place[:3, 3]) / size)
+        viewmat[:3, :3] = viewmat[:3, :3] @ (transform[:3, :3] / size)
+        viewmat[:3, 3] = -self.viewmat[:3, :3] @ ((self.position - transform[:3, 3]) / size)
         return replace(self, viewmat=viewmat, near=self.near / size, far=self.far / size)
 
     def to_json(self) -> dict[str, Any]:

@@ -11,16 +11,19 @@ import numpy as np
 from glsplat.arrays import count, instance, number
 from glsplat.errors import GlsplatError
 
-__all__ = ["CULL_PSNR", "LEAN", "MAX_BIAS", "MAX_LEVELS", "DebugConfig", "RenderConfig", "with_fields"]
+__all__ = ["CULL_PSNR", "LEAN", "MAX_BIAS", "MAX_LEVELS", "MAX_SIGMA", "DebugConfig", "RenderConfig", "with_fields"]
 
 CULL_PSNR = 45.0
-"""PSNR in dB of the worst picture at which ``cull_hidden="auto"`` culls an item's hidden splats."""
+"""Smallest ``Splats.cones_psnr`` in dB at which ``cull_hidden="auto"`` culls an item's hidden splats."""
 
 MAX_LEVELS = 16
 """Maximum number of levels of detail of an item."""
 
 MAX_BIAS = 8.0
 """Maximum magnitude of lod_bias."""
+
+MAX_SIGMA = 3.33
+"""Radius of an opaque splat in standard deviations: alpha is 1/255 there."""
 
 Target = Literal["auto", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
@@ -29,14 +32,10 @@ Output = Literal["float32", "uint8"]
 def _choose(config: Any, name: str, *choices: str | int | None) -> None:
     """Normalise a field to the equal choice of the same type. Raises GlsplatError if there is none."""
     value = getattr(config, name)
-    if isinstance(value, (bool, np.bool_)):
-        plain: object = bool(value)
-    elif isinstance(value, Integral):
-        plain = int(value)
-    else:
-        plain = str(value) if isinstance(value, str) else value
+    kinds = ((bool, np.bool_), bool), (Integral, int), (str, str)  # also of numpy's scalars and of enums
+    kind = next((plain for given, plain in kinds if isinstance(value, given)), type(value))
     for choice in choices:
-        if type(choice) is type(plain) and choice == plain:
+        if type(choice) is kind and choice == value:
             object.__setattr__(config, name, choice)
             return
     raise GlsplatError(f"{name} needs one of {', '.join(map(str, choices))}, not {value!r:.60}")
@@ -110,10 +109,10 @@ class RenderConfig:
     output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the unclipped target
     sorter: Literal["auto", "cpu", "gpu"] = "auto"  # gpu needs OpenGL 4.3
     sh_degree: int = 3  # evaluate at most this degree
-    antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: as the splats say
+    antialias: bool | None = None  # opacity compensation (Mip-Splatting's 2D filter); None: by Splats.antialias
     cull_hidden: bool | Literal["auto"] = False  # cull splats seen from outside their visibility cone
-    # (authoring/cones.py); auto: only of items whose worst picture keeps CULL_PSNR
-    max_sigma: float = 3.33  # maximum radius of a splat in standard deviations
+    # (authoring/cones.py); auto: only of items with a cones_psnr of CULL_PSNR or more
+    max_sigma: float = MAX_SIGMA  # maximum radius of a splat in standard deviations
     level: int | Literal["auto"] = 0  # level of detail: 0 the finest, higher are coarser; auto: by pixels
     lod_bias: float = 0.0  # bias of auto: 1 takes levels sharp enough for twice the pixels, -1 for half
     debug: DebugConfig = DebugConfig()
@@ -125,14 +124,12 @@ class RenderConfig:
         _choose(self, "sh_degree", 0, 1, 2, 3)
         _choose(self, "antialias", None, False, True)
         _choose(self, "cull_hidden", False, True, "auto")
-        if not (isinstance(self.level, str) and self.level == "auto"):
-            object.__setattr__(self, "level", count(self.level, "level", GlsplatError))
-            if not 0 <= int(self.level) <= MAX_LEVELS:
-                raise GlsplatError(f"level needs 0 to {MAX_LEVELS} or auto, not {self.level}")
+        _choose(self, "level", "auto", *range(MAX_LEVELS + 1))
         _limit(self, "lod_bias", -MAX_BIAS, MAX_BIAS)
-        _limit(self, "max_sigma", 0, 3.33)
-        if self.max_sigma == 0:
-            raise GlsplatError("max_sigma needs a value above 0 and at most 3.33, not 0")
+        sigma = number(self.max_sigma, "max_sigma", GlsplatError)
+        if not 0 < sigma <= MAX_SIGMA:
+            raise GlsplatError(f"max_sigma needs a number above 0, at most {MAX_SIGMA}, not {sigma:g}")
+        object.__setattr__(self, "max_sigma", sigma)
         instance(self.debug, DebugConfig, "debug", GlsplatError)
 
     def __repr__(self) -> str:
@@ -146,8 +143,9 @@ def with_fields(config: RenderConfig, **values: Any) -> RenderConfig:
     >>> with_fields(glsplat.RenderConfig(), target="16f", sort_bits=16)
     RenderConfig(target='16f', debug=DebugConfig(sort_bits=16))
     """
-    debug = {name: values.pop(name) for name in list(values) if hasattr(config.debug, name)}
-    return replace(config, **values, debug=replace(config.debug, **debug)) if debug else replace(config, **values)
+    debug = instance(values.pop("debug", config.debug), DebugConfig, "debug", GlsplatError)
+    of_debug = {name: values.pop(name) for name in list(values) if hasattr(debug, name)}
+    return replace(config, **values, debug=replace(debug, **of_debug))
 
 
 LEAN = RenderConfig(cull_hidden="auto", level="auto", max_sigma=2.5)

@@ -59,7 +59,9 @@ class ContextError(GlsplatError):
 
 
 class ContextLostError(ContextError):
-    """The context was lost; make a new one."""
+    """The context was lost; make a new one. ``blames``: the picture that was drawn is likely to be at fault."""
+
+    blames: bool = True
 
 
 class BudgetError(GlsplatError):

@@ -122,7 +122,7 @@ class Morphs:
         return replace(self, offsets=(self.offsets @ linear.T).astype(np.float32))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RiggedMesh:
     """Textured triangles in the bind pose of their rig; a rig of one joint is a static object.
 
@@ -134,8 +134,8 @@ class RiggedMesh:
     >>> part = MeshPart("front", np.array([[0, 1, 2]], np.int32), np.zeros((1, 3, 2)), red)
     >>> skeleton = glsplat.Skeleton.from_joints(["root"], [-1], [[0, 0, 0]])
     >>> corners = np.array([[-1.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    >>> len(glsplat.RiggedMesh(corners, skeleton, np.zeros((3, 1), int), np.ones((3, 1)), (part,)).faces)
-    1
+    >>> glsplat.RiggedMesh(corners, skeleton, np.zeros((3, 1), int), np.ones((3, 1)), (part,))
+    RiggedMesh(3 vertices, 1 triangles, 1 joints)
     """
 
     vertices: NDArray[np.float64]  # [V, 3] metres, y up, facing +z, in the bind pose
@@ -202,6 +202,11 @@ class RiggedMesh:
         total = self.weights.sum(axis=1, keepdims=True)
         blended = np.einsum("vk,vkij->vij", self.weights / np.where(total > 0, total, 1), bones[self.joints])
         return np.einsum("vij,vj->vi", blended[:, :, :3], vertices) + blended[:, :, 3]
+
+    def __repr__(self) -> str:
+        shapes = "" if self.morphs is None else f", {len(self.morphs.names)} shapes"
+        triangles = sum(len(part.faces) for part in self.parts)
+        return f"RiggedMesh({len(self.vertices)} vertices, {triangles} triangles, {len(self.skeleton)} joints{shapes})"
 
 
 def standing(vertices: NDArray[np.float64], parts: tuple[MeshPart, ...], source: str) -> RiggedMesh:

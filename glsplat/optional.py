@@ -18,7 +18,6 @@ __all__ = [
     "missing_package",
     "plugin",
     "require_package",
-    "thumbnail",
 ]
 
 
@@ -77,15 +76,6 @@ def absent_extra(error: ModuleNotFoundError) -> str | None:
     if parts[:2] != ["glsplat", "extras"] or (len(parts) > 2 and has_extra(parts[2])):
         return None
     return ".".join(parts)
-
-
-def thumbnail(content: object) -> bytes | None:
-    """Return a PNG of splats or an avatar for a notebook; None if it cannot be drawn.
-
-    The renderer is imported here, because values must not import it.
-    """
-    picture: bytes | None = import_module("glsplat.renderer.thumbnail").thumbnail(content)
-    return picture
 
 
 def missing(extra: str, what: str) -> str:

@@ -293,16 +293,16 @@ def depth_order(means: F64, viewmat: F64) -> NDArray[np.intp]:
     return np.argsort(np.nan_to_num(depths, nan=np.inf), kind="stable")[::-1]
 
 
-def composite(view: Projected, order: NDArray[np.intp], camera: Camera, ground: MeshLayer | None = None) -> F64:
+def composite(view: Projected, order: NDArray[np.intp], camera: Camera, mesh: MeshLayer | None = None) -> F64:
     """Return the blended view [H, W, 5]: premultiplied over, far to near, on the background (splat.frag.glsl).
 
-    ``ground`` hides splats whose mean is behind a mesh. Channel 4 is the sum of weight times z.
+    ``mesh`` hides splats whose mean is behind a mesh. Channel 4 is the sum of weight times z.
     """
     image = np.zeros((camera.height, camera.width, 5))
     image[..., :3] = camera.background
-    if ground is not None:
-        hit = np.isfinite(ground.z)
-        image[hit] = np.concatenate([ground.colours[hit], np.ones((hit.sum(), 1)), ground.z[hit][:, None]], axis=1)
+    if mesh is not None:
+        hit = np.isfinite(mesh.z)
+        image[hit] = np.concatenate([mesh.colours[hit], np.ones((hit.sum(), 1)), mesh.z[hit][:, None]], axis=1)
     for i in order[view.visible[order]]:
         a, b, c = view.covars2d[i]
         det = a * c - b * b
@@ -317,8 +317,8 @@ def composite(view: Projected, order: NDArray[np.intp], camera: Camera, ground: 
         distance2 = np.maximum((c * dx * dx - 2 * b * dx * dy + a * dy * dy) / det, 0)
         alpha = np.minimum(ALPHA_MAX, view.alphas[i] * np.exp(-0.5 * distance2))
         alpha[(alpha < ALPHA_MIN) | (distance2 > k * k * (1 + 1e-9))] = 0
-        if ground is not None:
-            alpha[view.depths[i] > ground.z[y0:y1, x0:x1]] = 0
+        if mesh is not None:
+            alpha[view.depths[i] > mesh.z[y0:y1, x0:x1]] = 0
         patch = image[y0:y1, x0:x1]
         patch *= 1 - alpha[..., None]
         patch[..., :3] += alpha[..., None] * view.colours[i]
@@ -348,14 +348,14 @@ def render(
 def render_scene(
     parts: Sequence[tuple[Posed, Splats]],  # the items in their order, posed and placed
     cameras: Sequence[Camera],
-    grounds: Sequence[MeshLayer] | None = None,  # one a camera
+    meshes: Sequence[MeshLayer] | None = None,  # one a camera
     config: RenderConfig | None = None,
     light: Light | None = None,
 ) -> tuple[F64, F64]:
     """Return images [V, H, W, 4] of several items, and expected depths [V, H, W] in metres, 0 where alpha is 0."""
     config = config or RenderConfig()
     posed, splats, antialias = joined(parts)
-    image = _layers(posed, splats, cameras, config, light, antialias, grounds)
+    image = _layers(posed, splats, cameras, config, light, antialias, meshes)
     alpha = image[..., 3]
     return image[..., :4], np.divide(image[..., 4], alpha, out=np.zeros_like(alpha), where=alpha > 0)
 
@@ -367,7 +367,7 @@ def _layers(
     config: RenderConfig,
     light: Light | None,
     antialias: NDArray[np.bool_] | None = None,
-    grounds: Sequence[MeshLayer] | None = None,
+    meshes: Sequence[MeshLayer] | None = None,
 ) -> F64:
     """Return all views [V, H, W, 5] of ``composite``; the views of a pass share a depth order (camera.passes_of)."""
     layers = []
@@ -375,7 +375,7 @@ def _layers(
         order = depth_order(posed.means, sorting_camera([cameras[i] for i in indices]))
         for i in indices:
             view = project(posed, splats, cameras[i], config, antialias, light)
-            layers.append(composite(view, order, cameras[i], grounds[i] if grounds else None))
+            layers.append(composite(view, order, cameras[i], meshes[i] if meshes else None))
     return np.stack(layers)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import Value, flag, frozen, instance, listed, number, own, own_whole, plain, rows, shares
 from glsplat.errors import FormatError
-from glsplat.optional import thumbnail
 
 if TYPE_CHECKING:
     from glsplat.light.surface import Surface
@@ -184,7 +184,8 @@ class Splats(Value):
 
     def _repr_png_(self) -> bytes | None:
         """Return a picture for notebooks; None where no OpenGL context can be made."""
-        return thumbnail(self)
+        picture: bytes | None = import_module("glsplat.renderer.thumbnail").thumbnail(self)  # which imports this module
+        return picture
 
     def __repr__(self) -> str:
         more = (", antialias" if self.antialias else "") + ("" if self.cones is None else ", visibility cones")

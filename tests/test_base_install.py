@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-HIDDEN = ("scipy", "tqdm", "cryptography", "segno", "backports")
+HIDDEN = ("scipy", "av", "tqdm", "cryptography", "segno", "backports")
 
 HIDING = f"""
 import importlib.abc, sys
@@ -78,6 +78,11 @@ def test_a_server_runs_without_them() -> None:
         ("avatar photo me.jpg -o me.glb", "making avatars needs scipy: pip install 'glsplat[authoring]'"),
         ("models list", "making avatars needs scipy: pip install 'glsplat[authoring]'"),
         ("study power --help", "the analysis of a study needs scipy: pip install 'glsplat[study]'"),
+        pytest.param(
+            "render --speech tests/extras/speech/data/balloon.wav -o {folder}/out.mp4",
+            "sound in an .mp4 needs av: pip install 'glsplat[video]', or give a .webm, which stays silent",
+            marks=pytest.mark.extra(name="speech"),
+        ),
         ("serve --self-signed --port 0", f"--self-signed {SERVER}, or give tls-cert and tls-key"),
         ("avatar consent --new-key {folder}/key", f"a key that signs consent {SERVER}"),
     ],

@@ -26,8 +26,9 @@ import pytest
 import glsplat
 from apps import cli
 from glsplat.data import person
-from glsplat.extras.speech.sound import Sound, wav_bytes
+from glsplat.extras.speech.sound import Sound
 from tests.apps.cli import run as run_command
+from tests.extras.speech.sounds import wav_bytes
 
 pytestmark = pytest.mark.check
 

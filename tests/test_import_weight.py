@@ -38,9 +38,9 @@ EXTRAS = [
     ),
     ("import glsplat.tracking.tracker", "", ANY),
     ("import glsplat.formats.scene_file", "", ANY),
-    ("import glsplat.extras.authoring.posed", "", ANY),
-    ("import glsplat.extras.authoring.cones", "cv2 scipy", ANY),
-    ("import glsplat.extras.authoring.reconstruct.photos", "cv2 scipy simplejpeg", ANY),
+    ("import glsplat.extras.authoring.geometry.posed", "", ANY),
+    ("import glsplat.extras.authoring.finish.cones", "cv2 scipy", ANY),
+    ("import glsplat.extras.authoring.reconstruct.photos", "PIL cv2 scipy simplejpeg", ANY),
     (
         "import glsplat.extras.authoring.reconstruct.builtin",
         "PIL cv2 scipy trimesh",
@@ -76,7 +76,7 @@ def test_an_import_loads_what_it_needs(statement: str, libraries: str, most: int
 def test_a_photograph_is_checked_before_the_imports_that_make_an_avatar() -> None:
     modules = loaded("import apps.cli\napps.cli.parsed('avatar', ['photo', 'me.jpg', '-o', 'me.glb'])")
     assert not {"trimesh", "numba", "moderngl", "scipy.optimize"} & modules
-    assert not {"glsplat.extras.authoring.fit.fit", "glsplat.tracking.solvers"} & modules
+    assert not {"glsplat.extras.authoring.fit.body_fit", "glsplat.tracking.solvers"} & modules
 
 
 @pytest.mark.check

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import posixpath
+import re
 import tomllib
 from functools import cache
 from graphlib import TopologicalSorter
@@ -10,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from glsplat.net.pages.site import STATIC_IMPORT, page_folders, read_folder
 from tools.without_extra import requirements
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,10 +32,11 @@ FLOORS = [
     ["extras"],
     ["apps"],
 ]
-# Within a room its modules may have an order of their own; modules that are not named come last.
+# Within a package its modules and packages may have an order of their own; those that are not named come last.
 WITHIN = {
     "renderer": [
-        ["checks", "frame_block", "levels", "lru_cache", "project", "sort", "stage", "stats"],
+        ["checks", "frame_block", "levels", "owned", "stats"],
+        ["lru_cache", "project", "sort", "stage"],
         ["gpu_sort", "skin", "targets"],
         ["mesh_buffers"],
         ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],
@@ -59,6 +63,23 @@ WITHIN = {
         ["conversation"],
         ["server"],
         ["served_scene"],
+    ],
+    # tools, then the steps in which a photograph becomes an avatar, then what calls the steps
+    "extras.authoring": [
+        ["compute", "mesh_truth", "models"],
+        ["geometry", "networks"],
+        ["body", "photo"],
+        ["segment"],
+        ["check"],
+        ["fit"],
+        ["dress"],
+        ["paint"],
+        ["sample"],
+        ["optimize"],
+        ["faces", "light"],
+        ["finish"],
+        ["importers", "video"],
+        ["reconstruct"],
     ],
 }
 FLOOR = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
@@ -125,31 +146,33 @@ def room_of(module: str) -> str:
     return inner.partition(".")[0] if package == "glsplat" else package
 
 
-def place_of(module: str) -> tuple[int, int, str]:
-    """Return a module's floor, its level within its room, and what stands together there."""
-    room = room_of(module)
-    own_floors = WITHIN.get(room, [])
-    ranks = {f"glsplat.{room}.{name}": level for level, names in enumerate(own_floors) for name in names}
-    part = next((name for name in ranks if f"{module}.".startswith(f"{name}.")), room)
-    return FLOOR[room], ranks.get(part, len(own_floors)), part
+def level_of(module: str, package: str) -> tuple[int, str]:
+    """Return a module's level within a package of WITHIN, and what stands together there."""
+    levels = WITHIN[package]
+    part = module.removeprefix(f"glsplat.{package}.").partition(".")[0]
+    level = next((level for level, names in enumerate(levels) if part in names), len(levels))
+    return level, part if level < len(levels) else ""
 
 
 def offences(module: str, imports: frozenset[str]) -> list[str]:
     """Return every import that breaks a rule."""
     out = []
-    floor, level, part = place_of(module)
+    room = room_of(module)
+    ordered = [package for package in WITHIN if f"{module}.".startswith(f"glsplat.{package}.")]
     for name in sorted(imports):
-        if any(f"{module}.".startswith(f"{room}.") and name.split(".")[0] in no for room, no in FORBIDDEN.items()):
+        if any(f"{module}.".startswith(f"{place}.") and name.split(".")[0] in no for place, no in FORBIDDEN.items()):
             out.append(f"{module} imports {name}")
         if name == "glsplat" and module.startswith("glsplat."):
             out.append(f"{module} imports the root")
         if name == "glsplat" or name not in FILES:
             continue
-        other_floor, other_level, other_part = place_of(name)
-        if other_floor > floor or (other_floor == floor and room_of(name) != room_of(module)):
+        if room_of(name) != room and FLOOR[room_of(name)] >= FLOOR[room]:
             out.append(f"{module} imports up: {name}")
-        elif room_of(name) == room_of(module) and other_part != part and other_level >= level:
-            out.append(f"{module} imports up within its room: {name}")
+        for package in ordered:
+            if f"{name}.".startswith(f"glsplat.{package}."):
+                (level, part), (other_level, other_part) = level_of(module, package), level_of(name, package)
+                if other_part != part and other_level >= level:
+                    out.append(f"{module} imports up within {package}: {name}")
         if name == ORACLE[0] and not module.startswith(ORACLE[1]):
             out.append(f"{module} imports the oracle")
     return out
@@ -157,8 +180,10 @@ def offences(module: str, imports: frozenset[str]) -> list[str]:
 
 def test_imports_go_down() -> None:
     assert set(FLOOR) == {room_of(module) for module in FILES if module != "glsplat"}
-    inside = {module.split(".")[2] for module in FILES if module.startswith("glsplat.net.")}
-    assert inside == {name for names in WITHIN["net"] for name in names}
+    for package in ("net", "extras.authoring"):
+        prefix = f"glsplat.{package}."
+        inside = {module.removeprefix(prefix).partition(".")[0] for module in FILES if module.startswith(prefix)}
+        assert inside == {name for names in WITHIN[package] for name in names}
     assert not [line for name in FILES if name != "glsplat" for line in offences(name, imports_of(name))]
 
 
@@ -171,6 +196,8 @@ def test_imports_go_down() -> None:
         ("glsplat.renderer.arena", "from glsplat import reference"),
         ("glsplat.renderer.stage", "from glsplat.renderer.arena import Arena"),  # up within a room
         ("glsplat.net.session", "from glsplat.net.client_stream import ClientStream"),
+        ("glsplat.extras.authoring.fit.view", "from glsplat.extras.authoring.paint.lamp import Lamp"),  # a later step
+        ("glsplat.extras.authoring.light.surfaces", "from glsplat.extras.authoring.faces import lids"),  # of one level
         ("glsplat.net.session", "from glsplat.extras import uploads"),  # the core, an extra
         ("glsplat.extras", "from glsplat_apps.output import label"),
     ],
@@ -208,3 +235,42 @@ def test_every_package_is_installed() -> None:
     setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     folders = {name for name, path in FILES.items() if path.name == "__init__.py"}
     assert set(setup["packages"]) == {name.replace("apps", "glsplat_apps", 1) for name in folders}
+
+
+PAGE = {room: dict(read_folder(folder)) for room, folder in page_folders().items()}  # "" is the core
+REFERENCE = re.compile(rb"""(?:import\(|new URL\()['"](\.[^'"]+\.js)['"]|(?:src|href)="([^"]+\.(?:js|css|svg))\"""")
+
+
+def referred(path: str, names: list[bytes]) -> set[str]:
+    return {posixpath.normpath(posixpath.join(posixpath.dirname(path), name.decode())) for name in names}
+
+
+def test_no_two_folders_of_the_page_have_a_file_of_one_path() -> None:
+    paths = [path for files in PAGE.values() for path in files]
+    assert len(paths) == len({*paths}) and "main.js" in PAGE[""]
+
+
+@pytest.mark.parametrize("room", PAGE)
+def test_modules_of_the_page_import_from_the_core_and_from_required_extras(room: str) -> None:
+    """A module of the core imports none of an extra's but by import(), where the server offers what it is for."""
+    below = {path for name in ("", room, *requirements(ROOT).get(room, ())) for path in PAGE.get(name, ())}
+    modules = [path for path in PAGE[room] if path.endswith(".js")]
+    imported = {path: referred(path, STATIC_IMPORT.findall(PAGE[room][path])) for path in modules}
+    assert any(imported.values())
+    assert not {path: names - below for path, names in imported.items() if names - below}
+
+
+@pytest.mark.extra(name="browser")
+@pytest.mark.extra(name="far_links")
+@pytest.mark.extra(name="speech")
+@pytest.mark.extra(name="uploads")
+def test_what_the_page_refers_to_is_there() -> None:
+    files = {path: body for own in PAGE.values() for path, body in own.items()}
+    named = {path: [b or c for b, c in REFERENCE.findall(body)] for path, body in files.items() if "iwer" not in path}
+    assert {"stream/datagrams.js", "show/here.js"} <= referred("main.js", named["main.js"]) | referred(
+        "stream/socket.js", named["stream/socket.js"]
+    )
+    found = {
+        path: referred("index.html" if path == "photo/form.html" else path, names) for path, names in named.items()
+    }
+    assert not {path: names - files.keys() for path, names in found.items() if names - files.keys()}

@@ -28,8 +28,8 @@ def test_the_wheel_renders_from_elsewhere(tmp_path: Path) -> None:
     assert "glsplat/data/open_body.npz" in names and tables <= set(names)
     shaders = {p.name for p in (ROOT / "glsplat").rglob("*.glsl")}
     assert shaders == {Path(n).name for n in names if n.endswith(".glsl")}
-    page = {p.relative_to(ROOT).as_posix() for p in (ROOT / "glsplat" / "net" / "web").rglob("*") if p.is_file()}
-    assert "glsplat/net/web/index.html" in page and page <= set(names)
+    page = {p.relative_to(ROOT).as_posix() for p in (ROOT / "glsplat").glob("**/web/**/*") if p.is_file()}
+    assert {"glsplat/net/web/index.html", "glsplat/extras/browser/web/alone/index.html"} < page <= set(names)
     packages = {p.parent.relative_to(ROOT).as_posix() for p in (ROOT / "glsplat").rglob("__init__.py")}
     assert packages <= {str(Path(n).parent) for n in names}
     site = tmp_path / "site"

@@ -101,7 +101,7 @@ def report(found: OnFile, now: float | None = None) -> dict[str, Any]:
     consent = found.consent
     if consent is None:
         return {"valid": found.nobody, "nobody": found.nobody, "fault": found.fault}
-    late = consent.late(time.time() if now is None else now)
+    late = consent.reason_invalid(time.time() if now is None else now)
     first, last = (datetime.fromtimestamp(seconds, UTC).date() for seconds in (consent.begins, consent.ends - 1))
     return {
         "valid": not late,

@@ -10,9 +10,9 @@ from pathlib import Path
 from glsplat.avatar import splats_of
 from glsplat.data import embedded_file
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.detail.fitted import FittedConfig
-from glsplat.extras.authoring.detail.make import with_levels
-from glsplat.extras.authoring.detail.measure import MeasureConfig
+from glsplat.extras.authoring.finish.fitted_levels import FittedConfig
+from glsplat.extras.authoring.finish.level_measure import MeasureConfig
+from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.formats import load_splats, save, suffixes
 
 from ..args import natural

@@ -16,18 +16,19 @@ from pathlib import Path
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.cones import ConeConfig, with_cones, worth_cones
-from glsplat.extras.authoring.detail.make import with_levels
-from glsplat.extras.authoring.faces.shapes import with_shapes
-from glsplat.extras.authoring.importers import bind_to_mesh, load_lhm_dump
-from glsplat.extras.authoring.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, worth_cones
+from glsplat.extras.authoring.finish.levels import with_levels
+from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
+from glsplat.extras.authoring.geometry.posed import posed_splats
+from glsplat.extras.authoring.importers.bind import bind_to_mesh
+from glsplat.extras.authoring.importers.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
+from glsplat.extras.authoring.importers.on_smplx import on_smplx
+from glsplat.extras.authoring.importers.scans import read_obj_person
 from glsplat.extras.authoring.light.surfaces import with_surface
-from glsplat.extras.authoring.on_smplx import on_smplx
-from glsplat.extras.authoring.optimize.compiled import MISSING, available
-from glsplat.extras.authoring.optimize.mesh import STEPS, fitted_to_mesh
-from glsplat.extras.authoring.posed import posed_splats
-from glsplat.extras.authoring.scans import read_obj_person
-from glsplat.extras.authoring.surface import FEWEST, make_avatar
+from glsplat.extras.authoring.optimize.mesh_fit import STEPS, fitted_to_mesh
+from glsplat.extras.authoring.sample.surface import FEWEST, make_avatar
 from glsplat.extras.formats.person import read_body
 from glsplat.extras.rigs.meshes.rig_map import read_rig_map
 from glsplat.formats import load_splats, save, suffixes

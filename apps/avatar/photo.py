@@ -11,19 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.errors import CaptureError, FormatError
-from glsplat.extras.authoring.optimize.compiled import MISSING, available
+from glsplat.extras.authoring.check.photos import CheckedPhoto, check_photos, refuse
+from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.compute.threads import aside, one_heap
 from glsplat.extras.authoring.reconstruct.photos import (
-    CheckedPhoto,
     MeshReconstruction,
     Reconstruction,
-    check_photos,
     reconstruct,
     reconstruct_mesh,
-    refuse,
 )
 from glsplat.extras.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
 from glsplat.extras.authoring.reconstruct.registry import named, names
-from glsplat.extras.authoring.threads import aside, one_heap
 
 from ..args import natural, positive
 from ..output import save_png
@@ -140,7 +138,7 @@ def _one(args: argparse.Namespace) -> int:
             make = reconstruct_mesh if mesh else reconstruct
             done = make(shots, options, using=args.using, anyway=True, meta=notes_of(args))
             if not args.anyway:
-                refuse(shots, done.made)
+                refuse(shots, done.made.problem if done.made else "")
         except CaptureError as error:
             _sheet(args, shots, done)
             if args.json:
@@ -157,7 +155,7 @@ def _one(args: argparse.Namespace) -> int:
         else:
             avatar = done.avatar
             if args.cones:
-                from glsplat.extras.authoring.cones import with_cones  # here: nothing else needs its OpenGL
+                from glsplat.extras.authoring.finish.cones import with_cones
 
                 avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))

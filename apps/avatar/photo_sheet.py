@@ -12,14 +12,14 @@ from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.extras.authoring.fit.body import open_body
-from glsplat.extras.authoring.fit.fit import FittedView
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.check.photos import CheckedPhoto
+from glsplat.extras.authoring.fit.body_fit import FittedView
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.authoring.networks.person import LANDMARKS
-from glsplat.extras.authoring.paint.shot import SurfacePoints
-from glsplat.extras.authoring.reconstruct.photos import CheckedPhoto
+from glsplat.extras.authoring.paint.texels import texels_of
 from glsplat.extras.authoring.reconstruct.reconstructor import FittedBody
-from glsplat.extras.authoring.texture.texels import texels_of
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose

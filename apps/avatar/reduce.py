@@ -10,9 +10,9 @@ from pathlib import Path
 from glsplat.avatar import Avatar
 from glsplat.data import embedded_file
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.detail.fitted import FittedConfig, reduced
-from glsplat.extras.authoring.optimize.compiled import MISSING, available
-from glsplat.extras.authoring.surface import FEWEST
+from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.finish.fitted_levels import FittedConfig, reduced
+from glsplat.extras.authoring.sample.surface import FEWEST
 from glsplat.formats import load_splats
 
 from ..args import natural

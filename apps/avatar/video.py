@@ -10,7 +10,7 @@ from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
-from glsplat.extras.authoring.optimize.compiled import MISSING, available
+from glsplat.extras.authoring.compute.compiled import MISSING, available
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Progress
 from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, VideoResult, from_video
 

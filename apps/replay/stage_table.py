@@ -1,4 +1,4 @@
-"""Latency tables of streaming runs: text for the terminal, markdown for the documentation."""
+"""Tables of streaming runs: stages of one as text, a comparison of several as Markdown."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from glsplat.net.pace.stages import median_p95
 
 from .streaming import STAGES, Result
 
-__all__ = ["comparison_markdown", "frame_text", "table_markdown", "table_text"]
-
+__all__ = ["comparison_markdown", "frame_text", "table_text"]
 
 _DEFERRED_NOTE = "This driver defers work: most of the drawing is in the stage that waits for it (resolve)."
 
@@ -61,25 +60,6 @@ def comparison_markdown(runs: Sequence[tuple[str, str, Result]]) -> str:
             f"| {reply95:.0f} | {result.age_bound:.0f} | {age[0]:.0f} | {age[1]:.0f} | {size:.0f} |"
         )
     return "\n".join([*lines, "", *_measured_on([result for _, _, result in runs])]) + "\n"
-
-
-def table_markdown(results: Sequence[tuple[str, Result]]) -> str:
-    """Return a table with a pair of columns per run, then driver, machine, versions and date."""
-    names = [name for name, _ in results]
-    lines = [
-        "| stage | where | " + " | ".join(f"{name}: median | p95" for name in names) + " |",
-        "|---|---|" + "--:|--:|" * len(names),
-    ]
-    columns = [{(name, place): (m, p) for name, place, m, p in _rows(result)} for _, result in results]
-    for key in columns[0]:
-        cells = " | ".join(f"{c[key][0]:.2f} | {c[key][1]:.2f}" if key in c else " | " for c in columns)
-        lines.append(f"| {key[0].replace('  ', '- ')} | {key[1]} | {cells} |")
-    lines.append("| pictures a second | | " + " | ".join(f"{r.fps:.1f} | " for _, r in results) + " |")
-    ages = [median_p95(r.ages) for _, r in results]
-    lines.append("| age of the picture on show | client | " + " | ".join(f"{m:.0f} | {p:.0f}" for m, p in ages) + " |")
-    sizes = [sum(r.nbytes) / max(len(r.nbytes), 1) / 1e3 for _, r in results]
-    lines.append("| kB a frame | | " + " | ".join(f"{size:.0f} | " for size in sizes) + " |")
-    return "\n".join([*lines, "", *_measured_on([result for _, result in results])]) + "\n"
 
 
 def _measured_on(results: Sequence[Result]) -> list[str]:

@@ -29,14 +29,14 @@ from ..logs import start_logging
 from ..usage import UsageError
 from .keys import Keys, keys_of, watermark_of
 from .options import ServeOptions, add_options, check_given, naming_option, parsed
-from .ready import Place, announce, open_page
+from .ready import Endpoint, announce, open_page
 from .rooms import check_rooms, lit_rooms, open_rooms
 
 if TYPE_CHECKING:
     from glsplat.extras.speech.face.listener import FaceListener
     from glsplat.net.session import WatermarkKey
 
-    from .study import Running
+    from .study import ServedStudy
 
 HELP = (
     "Serve pictures of an avatar: a page for the browsers of headsets, phones and desktops at /vr (docs/vr.md), and a "
@@ -77,11 +77,10 @@ def check(args: ServeOptions) -> None:
 
 
 def server_config(args: ServeOptions, keys: Keys | None = None, watermark: WatermarkKey | None = None) -> ServerConfig:
-    """Return the checked configuration, with TLS and token of ``keys``, or of the options without it.
+    """Return the configuration of checked options, with TLS and token of ``keys``, or of the options without it.
 
     Raises GlsplatError naming the option or the file that does not fit.
     """
-    check(args)
     keys = keys_of(args) if keys is None else keys
     access = Access(
         host=args.host,
@@ -161,22 +160,22 @@ def run(args: ServeOptions) -> int:
     tasks: list[asyncio.Future[None]] = []  # kept, or they would be dropped while they wait
 
     def started() -> None:
-        place = Place(args.host, server.port, keys)
-        if args.insecure and not place.local:
+        endpoint = Endpoint(args.host, server.port, keys)
+        if args.insecure and not endpoint.local:
             logging.getLogger("glsplat.serve").warning("anybody who reaches this port can use it (--insecure)")
         if args.json:
             fields = {"url": server.url, "port": server.port, "driver": server.drawer.driver}
-            more = {} if study is None else {"study": study.fields(place)}
-            print(json.dumps(fields | {"page": place.page(place.names[0])} | more), flush=True)
+            more = {} if study is None else {"study": study.fields(endpoint)}
+            print(json.dumps(fields | {"page": endpoint.page(endpoint.names[0])} | more), flush=True)
         else:
             print(f"{_shown_name(args)}, drawn by {server.drawer.driver}")
-            announce(place, sys.stdout, args.qr, status=study is None)
+            announce(endpoint, sys.stdout, args.qr, status=study is None)
             if study is not None:
-                study.announce(place, sys.stdout)
-            if args.size is None and args.workers is None:
+                study.announce(endpoint, sys.stdout)
+            if server.config.fit:
                 tasks.append(asyncio.ensure_future(_announce_size(server)))
         if args.open:
-            open_page(place)
+            open_page(endpoint)
 
     with face or nullcontext(), naming_option(args, "device", ContextError):
         asyncio.run(server.run(started))
@@ -193,7 +192,7 @@ def _face_listener(args: ServeOptions) -> FaceListener | None:
     return FaceListener(FaceFeed(), args.face_osc)
 
 
-def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Running | None) -> Server:
+def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: ServedStudy | None) -> Server:
     """Read all files that the options name, and return the server. Raises GlsplatError naming the one that fails."""
     from .agreed import policy_of, signing  # here: it needs extras/consent
     from .wiring import assemble

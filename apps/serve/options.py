@@ -20,7 +20,7 @@ from glsplat.formats.scene_file import UPS
 from glsplat.light.light import PRESETS
 from glsplat.net.backends.gl import MAX_PICTURE_S
 from glsplat.net.guard.forwarded import Network, proxy_network
-from glsplat.net.options import MAX_WINDOW, NAME
+from glsplat.net.options import DEFAULT_SEATS, MAX_WINDOW, NAME
 from glsplat.optional import has_extra, missing
 from glsplat.tracking.solvers import SOLVERS, SolverName
 
@@ -29,7 +29,6 @@ from ..logs import FORMATS
 from ..usage import CommandParser, UsageError
 
 __all__ = [
-    "SEATS",
     "RoomChoice",
     "ServeOptions",
     "add_options",
@@ -41,8 +40,6 @@ __all__ = [
     "room_choice",
 ]
 
-SEATS = 8
-"""People that a room holds where nothing else is given."""
 _MAX_SEATS = 64
 
 
@@ -51,7 +48,7 @@ class RoomChoice:
     """A room as it is requested: NAME[:SEATS][=SCENE]."""
 
     name: str
-    seats: int = SEATS
+    seats: int = DEFAULT_SEATS
     scene: str | None = None
 
 
@@ -60,7 +57,7 @@ def room_choice(text: str) -> RoomChoice:
     head, _, scene = text.partition("=")
     found = re.fullmatch(r"(.*?)(?::([0-9]{1,4}))?", head)
     assert found is not None
-    name, seats = found[1], int(found[2] or SEATS)
+    name, seats = found[1], int(found[2] or DEFAULT_SEATS)
     if not NAME.fullmatch(name):
         raise argparse.ArgumentTypeError(f"a room's name needs 1 to 32 letters, digits, blanks or _.'-, not {name!r}")
     if not 1 <= seats <= _MAX_SEATS:
@@ -127,8 +124,8 @@ class ServeOptions:
     )  # fmt: skip
     room: tuple[RoomChoice, ...] = _option(
         (), "NAME[:SEATS][=SCENE]: a room in which clients meet, each as one of the avatars, seen by all others "
-        f"(/ws?room=NAME&name=ANN); for SEATS people (default {SEATS}), in front of SCENE (default nothing); may be "
-        "repeated", room_choice, flag="ROOM", sample="lab:4",
+        f"(/ws?room=NAME&name=ANN); for SEATS people (default {DEFAULT_SEATS}), in front of SCENE (default nothing); "
+        "may be repeated", room_choice, flag="ROOM", sample="lab:4",
     )  # fmt: skip
     host: str = _option("127.0.0.1", "address to listen on; 127.0.0.1 is this machine alone", flag="HOST")
     port: int = _option(8000, "port; 0: any free one", whole(0, 65535), flag="PORT")

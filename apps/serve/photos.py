@@ -42,8 +42,9 @@ def make_avatar(order: Order, progress: Progress) -> Avatar:
     """Return an avatar of the order's pictures. Raises LowConfidenceError for findings of the check, GlsplatError."""
     # imported in the process that does the work
     from glsplat.errors import CaptureError
+    from glsplat.extras.authoring.check.photos import check_photos, refuse
     from glsplat.extras.authoring.photo.photo_file import Photo, photo_of
-    from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruct, refuse
+    from glsplat.extras.authoring.reconstruct.photos import reconstruct
     from glsplat.extras.authoring.reconstruct.reconstructor import Options
 
     def photo(side: str) -> Photo | None:
@@ -66,7 +67,7 @@ def make_avatar(order: Order, progress: Progress) -> Avatar:
         except CaptureError as error:  # of what nobody is found in
             raise LowConfidenceError(str(error), error.findings) from None
         if not order.anyway and not refused:  # what was refused once is wanted all the same
-            hold(partial(refuse, shots, done.made), lambda: done.avatar)
+            hold(partial(refuse, shots, done.made.problem if done.made else ""), lambda: done.avatar)
         return done.avatar
 
     def hold(check: Callable[[], None], then: Callable[[], Avatar]) -> None:

@@ -15,13 +15,13 @@ from glsplat.optional import has_package, missing, missing_package, plugin
 
 from .keys import Keys
 
-__all__ = ["Place", "announce", "open_page"]
+__all__ = ["Endpoint", "announce", "open_page"]
 
 log: logging.Logger = logging.getLogger("glsplat.serve")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Endpoint:
     """Where a running server listens."""
 
     host: str
@@ -55,28 +55,28 @@ class Place:
         return self.url(name, "/vr") + (f"#token={self.keys.token}" if token and self.keys.token else "")
 
 
-def announce(place: Place, out: TextIO, show_qr: bool, status: bool = True) -> None:
+def announce(endpoint: Endpoint, out: TextIO, show_qr: bool, status: bool = True) -> None:
     """Print the addresses. The token is printed to a terminal only, or with ``show_qr``.
 
     ``status`` is False where nobody may open the status page.
     """
     person = out.isatty()
-    name, *others = place.names
-    address = place.page(name, token=person or show_qr)
-    rows = [("page", address)] + ([("status", place.url(name, "/"))] if status else [])
-    rows.append(("WebSocket", place.url(name, "/ws", "ws")))
+    name, *others = endpoint.names
+    address = endpoint.page(name, token=person or show_qr)
+    rows = [("page", address)] + ([("status", endpoint.url(name, "/"))] if status else [])
+    rows.append(("WebSocket", endpoint.url(name, "/ws", "ws")))
     if others:
         rows.append(("also at", ", ".join(others)))
-    if place.local:
-        port = place.port
+    if endpoint.local:
+        port = endpoint.port
         rows.append(("by cable", f"adb reverse tcp:{port} tcp:{port}, then the page in the headset's browser"))
-    elif not place.keys.tls:
+    elif not endpoint.keys.tls:
         rows.append(("no VR", "browsers offer it on https or localhost alone; --self-signed makes a certificate"))
-    if place.keys.fingerprint:
-        rows.append(("certificate", f"SHA-256 {place.keys.fingerprint}"))
-    if place.keys.token_file and not place.local:
-        rows.append(("token", f"in {place.keys.token_file}"))
-    if place.keys.accounts:
+    if endpoint.keys.fingerprint:
+        rows.append(("certificate", f"SHA-256 {endpoint.keys.fingerprint}"))
+    if endpoint.keys.token_file and not endpoint.local:
+        rows.append(("token", f"in {endpoint.keys.token_file}"))
+    if endpoint.keys.accounts:
         rows.append(("token", "each account has its own (glsplat users); the page asks for it"))
     for label, text in rows:
         print(f"  {label:<12}{text}", file=out)
@@ -106,12 +106,12 @@ def _print_qr(address: str, out: TextIO, person: bool) -> None:
     print(text, file=out)
 
 
-def open_page(place: Place) -> threading.Thread:
+def open_page(endpoint: Endpoint) -> threading.Thread:
     """Open the page in this machine's browser, without waiting for it.
 
     The address has no token, as every user of the machine can read a program's arguments. The page asks for it.
     """
-    address = place.page(place.here)
+    address = endpoint.page(endpoint.here)
 
     def work() -> None:
         try:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from glsplat.formats.scene_file import SceneFile, load_scene
+from glsplat.net.options import DEFAULT_SEATS
 from glsplat.scene import Scene
 
 from ..usage import UsageError
-from .options import SEATS, ServeOptions, naming_option
+from .options import ServeOptions, naming_option
 
 __all__ = ["check_rooms", "lit_rooms", "open_rooms"]
 
@@ -18,7 +19,7 @@ def check_rooms(args: ServeOptions) -> None:
         if names.count(name) > 1:
             raise UsageError(f'{args.label("room")} {name}: there are two rooms called "{name}"; people choose by name')
     for room in args.room:
-        if room.seats > args.max_clients and room.seats != SEATS:
+        if room.seats > args.max_clients and room.seats != DEFAULT_SEATS:
             raise UsageError(
                 f"{args.label('room')} {room.name}: {room.seats} people need max-clients = {room.seats} or more"
             )

@@ -13,41 +13,41 @@ from glsplat.extras.study.serving.live import Live
 from ..study.files import DEFAULT, avatar_files, data_of
 from ..usage import UsageError
 from .options import ServeOptions
-from .ready import Place
+from .ready import Endpoint
 
-__all__ = ["Running", "study_of"]
+__all__ = ["ServedStudy", "study_of"]
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class ServedStudy:
     """A study that is served, and the addresses of its two pages."""
 
     lead: StudyLead
     options: ServeOptions  # of the server, with the study's avatars
 
-    def pages(self, place: Place, *, secret: bool) -> dict[str, str]:
+    def pages(self, endpoint: Endpoint, *, secret: bool) -> dict[str, str]:
         """Return the addresses for participant and experimenter; ``secret`` adds their secrets behind ``#``."""
-        token = f"&token={place.keys.token}" if place.keys.token else ""
+        token = f"&token={endpoint.keys.token}" if endpoint.keys.token else ""
         paths = {"participant": "/vr/study.html", "experimenter": "/vr/watch.html"}
         return {
-            who: place.url(place.names[0], path) + (f"#study={self.lead.secrets[who]}{token}" if secret else "")
+            who: endpoint.url(endpoint.names[0], path) + (f"#study={self.lead.secrets[who]}{token}" if secret else "")
             for who, path in paths.items()
         }
 
-    def fields(self, place: Place) -> dict[str, str]:
+    def fields(self, endpoint: Endpoint) -> dict[str, str]:
         """Return the addresses for programs, and the file with the secrets, which go behind ``#study=``."""
-        return self.pages(place, secret=False) | {"keys": str(self.lead.live.store.folder / KEYS)}
+        return self.pages(endpoint, secret=False) | {"keys": str(self.lead.live.store.folder / KEYS)}
 
-    def announce(self, place: Place, out: TextIO) -> None:
+    def announce(self, endpoint: Endpoint, out: TextIO) -> None:
         """Print the addresses, on a terminal with the secrets."""
-        for who, address in self.pages(place, secret=out.isatty()).items():
+        for who, address in self.pages(endpoint, secret=out.isatty()).items():
             print(f"  {who:<11} {address}", file=out)
         if not out.isatty():
             print(f"  {'links':<12}need #study=SECRET, in {self.lead.live.store.folder / KEYS}", file=out)
         out.flush()
 
 
-def study_of(args: ServeOptions) -> Running:
+def study_of(args: ServeOptions) -> ServedStudy:
     """Open the folder of the study's participant.
 
     Raises UsageError for options that do not fit, GlsplatError where the study is not as it was planned.
@@ -75,4 +75,4 @@ def study_of(args: ServeOptions) -> Running:
     served = replace(args, scene=None if first is None else str(first), avatar=avatars)
     live = Live(study, plan, args.participant, data)
     lead = StudyLead(live, {name: DEFAULT if path is None else path.stem for name, path in files.items()})
-    return Running(lead, served)
+    return ServedStudy(lead, served)

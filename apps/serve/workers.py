@@ -10,7 +10,7 @@ from .options import ServeOptions
 
 __all__ = ["workers_of"]
 
-_MOST = 64
+_MAX_WORKERS = 64
 
 
 def workers_of(args: ServeOptions) -> Workers | None:
@@ -22,13 +22,13 @@ def workers_of(args: ServeOptions) -> Workers | None:
         return None
     kind, _, number = args.workers.partition(":")
     ray = kind == "ray"
+    if args.ray_address is not None and not ray:
+        raise UsageError("ray-address is for --workers ray")
     text = number if ray else args.workers
     if (
-        (text or not ray) and not (text.isascii() and text.isdigit() and 1 <= int(text) <= _MOST)
+        (text or not ray) and not (text.isascii() and text.isdigit() and 1 <= int(text) <= _MAX_WORKERS)
     ) or args.workers == "ray:":
-        raise UsageError(f"{args.label('workers')} needs 1 to {_MOST}, ray, or ray:N, not {args.workers!r:.40}")
-    if not ray and args.ray_address is not None:
-        raise UsageError("ray-address is for --workers ray")
+        raise UsageError(f"{args.label('workers')} needs 1 to {_MAX_WORKERS}, ray, or ray:N, not {args.workers!r:.40}")
     if ray:
         require_ray()
     return Workers(

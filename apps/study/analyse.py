@@ -21,6 +21,7 @@ from glsplat.optional import has_package, missing_package
 from ..args import natural
 from ..progress import each
 from ..usage import UsageError
+from .files import column_names, factors_of
 from .r_script import r_script
 from .results_text import results_text
 
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     path = Path(args.table)
     folder = _folder(args.output) if args.output else None
     book = read_codebook(path.with_suffix(".json"))
-    factors = _factors(args.factors, book, path)
+    factors = factors_of(args.factors, book, path)
     wanted, long = _measures(path, args.measure, list(factors))
     tables: list[Table] = [
         read_table(path, factors, participant=args.participant, response=args.response, measure=measure)
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     if folder is None:
         print(text, end="")
         return 0
-    items = _listed(args.items) if args.items else []
+    items = column_names(args.items) if args.items else []
     script = r_script(path.name, analyses, participant=args.participant, response=args.response, long=long, items=items)
     numbers: dict[str, Any] = {
         "table": path.name,
@@ -118,15 +119,6 @@ def _folder(name: str) -> Path:
     return folder
 
 
-def _factors(given: str | None, book: Codebook | None, path: Path) -> dict[str, Sequence[str]]:
-    known = dict(book.factors) if book else {}
-    if given:
-        return {name: known.get(name, ()) for name in _listed(given)}
-    if not known:
-        raise UsageError(f"--factors is needed: there is no {path.with_suffix('.json').name} that names the factors")
-    return {name: levels for name, levels in known.items() if len(levels) > 1}
-
-
 def _measures(path: Path, given: list[str] | None, factors: list[str]) -> tuple[list[str | None], bool]:
     """Return the requested measures, else all of the conditions, and whether a column has the measure."""
     found: dict[str, None] = {}
@@ -155,7 +147,7 @@ def _scales(
 ) -> Iterator[tuple[str, Reliability]]:
     """Return the reliability of each response with known items."""
     if items:
-        yield analyses[0].table.response, reliability(wide_items(path, _listed(items)))
+        yield analyses[0].table.response, reliability(wide_items(path, column_names(items)))
         return
     answers = path.with_name("answers.csv")
     if book is None or not answers.is_file():
@@ -168,10 +160,3 @@ def _scales(
                 yield measure.name, reliability(item_answers(answers, measure))
             except FormatError as error:
                 print(f"{measure.name}: {error}", file=sys.stderr)
-
-
-def _listed(text: str) -> list[str]:
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    if not names or len(set(names)) < len(names):
-        raise UsageError(f"expected names of columns with commas between them, each once, not {text!r}")
-    return names

@@ -16,8 +16,8 @@ from ..figures import png_of
 __all__ = ["boxplots"]
 
 _COLUMNS = 3
-_LONGEST = 24  # letters of a level
-_SPREAD = 0.22  # half the width of the strip of points, of the distance between two boxes
+MAX_LABEL = 24  # characters of a level
+_SPREAD = 0.22  # half width of the strip of points, relative to the distance of boxes
 
 
 def boxplots(analyses: Sequence[Analysis]) -> bytes:
@@ -61,5 +61,5 @@ def _panel(axes: Axes, analysis: Analysis) -> None:
 
 def _literal(text: str) -> str:
     """Return the text with dollars escaped and long lines shortened."""
-    lines = (line if len(line) <= _LONGEST else line[: _LONGEST - 3] + "..." for line in text.split("\n"))
+    lines = (line if len(line) <= MAX_LABEL else line[: MAX_LABEL - 3] + "..." for line in text.split("\n"))
     return "\n".join(lines).replace("$", r"\$")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module, resources
@@ -26,13 +27,13 @@ from .files import avatar_files, data_of
 HELP = "A user study: check its design, write the plan, lead participants through, export tidy tables."
 EXAMPLE = "glsplat study plan study.toml"
 
-_MORE = {
+_SUBCOMMANDS = {
     "analyse": "Analyse a study's table: aligned rank transform, contrasts, effect sizes, reliability.",
     "power": "Power of a planned study by simulation: how often it would find effects of a size.",
 }
-"""Modules beside this one that are subcommands, and their help; each has EXAMPLE, add_arguments and run."""
+"""Subcommands in modules of the same name, with their help; each has EXAMPLE, add_arguments and run."""
 
-_MOST_SHOWN = 20  # lines of one kind
+MAX_LINES = 20  # of one kind
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,12 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--yes", action="store_true", help="needed: nothing brings it back")
     command.set_defaults(work=delete)
 
-    for name, text in _MORE.items():
+    for name, text in _SUBCOMMANDS.items():
         commands.add_parser(name, help=text).later = partial(_fill, name)
 
 
 def _fill(name: str, command: argparse.ArgumentParser) -> None:
-    """Add the arguments of one of _MORE, which needs packages that the others do not."""
+    """Import a subcommand, which may need further packages, and add its arguments."""
     module = import_module(f".{name}", __package__)
     command.epilog = f"example: {module.EXAMPLE}"
     module.add_arguments(command)
@@ -90,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def new(args: argparse.Namespace) -> int:
-    """Copy the example and the instruments."""
+    """Copy the example and the instruments into a folder."""
     folder: Path = args.folder
     home = resources.files("glsplat.extras.study")
     copies = {"study.toml": home / "examples" / "paper.toml"}
@@ -125,27 +126,26 @@ def check(args: argparse.Namespace) -> int:
         print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups between them")
     elif groups > 1 and rows > 1 and study.participants % (rows * groups):
         print(f"  balanced over all participants, not within each group: that takes a multiple of {rows * groups}")
-    for cell in study.absent[:_MOST_SHOWN]:
-        words = ", ".join(f"{factor.name} = {level}" for factor, level in zip(study.within, cell, strict=True))
-        print(f"  no condition has {words}: glsplat study analyse needs every combination")
-    if len(study.absent) > _MOST_SHOWN:
-        print(f"  ... and {len(study.absent) - _MOST_SHOWN} more combinations without a condition")
-    for item in study.untold[:_MOST_SHOWN]:
-        name = item.partition(".")[0]
-        print(f"  no text yet: {item} ({study.questionnaires[name].source})")
-    if len(study.untold) > _MOST_SHOWN:
-        print(f"  ... and {len(study.untold) - _MOST_SHOWN} more items without a text")
+    cells = [
+        ", ".join(f"{factor.name} = {level}" for factor, level in zip(study.within, cell, strict=True))
+        for cell in study.missing_cells
+    ]
+    _print_some(
+        [f"no condition has {cell}: glsplat study analyse needs every combination" for cell in cells],
+        "combinations without a condition",
+    )
+    sources = {name: one.source for name, one in study.questionnaires.items()}
+    _print_some(
+        [f"no text yet: {item} ({sources[item.partition('.')[0]]})" for item in study.items_without_text],
+        "items without a text",
+    )
     numbers = [_number(study, args.participant)] if args.participant else range(1, study.participants + 1)
     files = dict.fromkeys(path for number in numbers for path in avatar_files(study, label(number)).values() if path)
-    missing = [path for path in files if not path.is_file()]
-    for path in missing[:_MOST_SHOWN]:
-        print(f"  no such avatar: {path}")
-    if len(missing) > _MOST_SHOWN:
-        print(f"  ... and {len(missing) - _MOST_SHOWN} more avatars that are missing")
+    _print_some([f"no such avatar: {path}" for path in files if not path.is_file()], "avatars that are missing")
     if (data_of(args.study, args.data) / PLAN).exists():
         checked_plan(data_of(args.study, args.data), study)
         print(f"  planned: {data_of(args.study, args.data) / PLAN}")
-    return 1 if study.untold else 0
+    return 1 if study.items_without_text else 0
 
 
 def plan(args: argparse.Namespace) -> int:
@@ -154,8 +154,8 @@ def plan(args: argparse.Namespace) -> int:
     made = make_plan(study)
     path = write_plan(data_of(args.study, args.data), made)
     for number, (order, group) in enumerate(zip(made.orders, made.groups, strict=True), 1):
-        said = "".join(f" {name}={level}" for name, level in group.items())
-        print(f"{label(number)}{said}: {', '.join(order)}")
+        levels = "".join(f" {name}={level}" for name, level in group.items())
+        print(f"{label(number)}{levels}: {', '.join(order)}")
     print(f"{path}: stays as it is from now on", file=sys.stderr)
     return 0
 
@@ -172,7 +172,7 @@ def run_study(args: argparse.Namespace) -> int:
 
 
 def run_export(args: argparse.Namespace) -> int:
-    """Write the tables, say what has to be known of them."""
+    """Write the tables and print remarks about the data."""
     study, made = _planned(args)
     with Progress(0, "participants") as bar:
 
@@ -198,6 +198,13 @@ def delete(args: argparse.Namespace) -> int:
     where = data_of(args.study, args.data) / label(number)
     print(f"{where}: deleted ({count} files); tables that were exported before still have them")
     return 0
+
+
+def _print_some(lines: Sequence[str], kind: str) -> None:
+    for line in lines[:MAX_LINES]:
+        print(f"  {line}")
+    if len(lines) > MAX_LINES:
+        print(f"  ... and {len(lines) - MAX_LINES} more {kind}")
 
 
 def _planned(args: argparse.Namespace) -> tuple[Study, Plan]:

@@ -1,12 +1,19 @@
-"""Paths of a study: its data folder, and the avatars of a participant's conditions."""
+"""Files of a study: its data folder, avatars, and the factors of a table."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from glsplat.extras.study.design import Study
 
-__all__ = ["DEFAULT", "avatar_files", "data_of"]
+from ..usage import UsageError
+
+if TYPE_CHECKING:
+    from glsplat.extras.study.analysis.codebook import Codebook
+
+__all__ = ["DEFAULT", "avatar_files", "column_names", "data_of", "factors_of"]
 
 DEFAULT = "default"
 """The avatar that comes with glsplat."""
@@ -21,3 +28,21 @@ def avatar_files(study: Study, participant: str) -> dict[str, Path | None]:
     """Return the avatar file of each condition for a participant (sub-007); None: the embedded avatar."""
     found = {one.name: one.file(participant) for one in study.conditions}
     return {name: None if file == DEFAULT else study.path.parent / file for name, file in found.items()}
+
+
+def factors_of(given: str | None, book: Codebook | None, table: Path) -> dict[str, Sequence[str]]:
+    """Return the factors of a table with their levels: those ``given``, else those of its codebook."""
+    known = dict(book.factors) if book else {}
+    if given:
+        return {name: known.get(name, ()) for name in column_names(given)}
+    if not known:
+        raise UsageError(f"--factors is needed: there is no {table.with_suffix('.json').name} that names the factors")
+    return {name: levels for name, levels in known.items() if len(levels) > 1}
+
+
+def column_names(text: str) -> list[str]:
+    """Return comma-separated names of columns. Raises UsageError for none or duplicates."""
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names or len(set(names)) < len(names):
+        raise UsageError(f"expected names of columns with commas between them, each once, not {text!r}")
+    return names

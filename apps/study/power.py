@@ -16,6 +16,7 @@ from glsplat.extras.study.design import read_study
 from ..args import natural
 from ..progress import Progress
 from ..usage import UsageError
+from .files import factors_of
 
 __all__ = ["EXAMPLE", "add_arguments", "run"]
 
@@ -130,9 +131,4 @@ def _effect(text: str) -> tuple[str, list[float]]:
 def _pilot(args: argparse.Namespace) -> Any:
     path = Path(args.pilot)
     book = read_codebook(path.with_suffix(".json"))
-    known = dict(book.factors) if book else {}
-    if args.factors:
-        known = {name.strip(): known.get(name.strip(), ()) for name in args.factors.split(",") if name.strip()}
-    if not known:
-        raise UsageError(f"--factors is needed: there is no {path.with_suffix('.json').name} that names the factors")
-    return read_table(path, known, response=args.response, measure=args.measure)
+    return read_table(path, factors_of(args.factors, book, path), response=args.response, measure=args.measure)

@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.errors import FormatError
 from glsplat.extras.evaluate.tracking_rows import SOLVERS, Row, rows_of
 from glsplat.extras.evaluate.tracking_score import WINDOW, mean_score
 from glsplat.extras.learned.network import load_network
 from glsplat.formats.motion_files import embedded_motions
-from glsplat.io.files import replace_file
 from glsplat.tracking.tracker import TrackerConfig
 
 from ..args import motion_of
@@ -29,12 +27,11 @@ from .options import add_skeleton, pattern_of, skeleton_of
 __all__ = ["add_bench"]
 
 FAULT = 2.0  # cm by which ten seconds are worse than the naive baseline has them, to be looked at
-BEGIN, END = "<!-- scores: begin -->", "<!-- scores: end -->"
 
 
 def add_bench(commands: Any) -> None:
     """Add the options of the subcommand."""
-    command = commands.add_parser("bench", help="score motions against baselines; writes the table")
+    command = commands.add_parser("bench", help="score motions against baselines")
     command.add_argument("motions", nargs="*", metavar="MOTION", help="motion files or names (default: the embedded)")
     command.add_argument("--rates", default="30,72,90", help="samples a second, separated by commas")
     command.add_argument("--no-filter", action="store_true", help="switch the One Euro filters off")
@@ -45,7 +42,6 @@ def add_bench(commands: Any) -> None:
         help="means of groups of clips too: by what the first bracket finds in their names (subjects, kinds)",
     )
     command.add_argument("--brief", action="store_true", help="print the means only")
-    command.add_argument("--table", metavar="FILE.md", help="put the table between the marks of this file")
     command.add_argument("--json", action="store_true", help="print the numbers as JSON")
     add_skeleton(command)
     command.set_defaults(work=bench)
@@ -67,8 +63,6 @@ def bench(args: argparse.Namespace) -> int:
     for name, motion, rate in each(jobs, "clips"):
         rows += rows_of(name, motion, rate, skeleton, config, network)
     text = table(rows, args.brief, groups, {Path(name).stem: name for name in args.motions})
-    if args.table:
-        insert(Path(args.table), text)
     if args.json:
         rows_json = [
             {
@@ -156,19 +150,6 @@ def _line(row: Row) -> str:
         "-" if row.milliseconds != row.milliseconds else f"{row.milliseconds:.2f}",
     )
     return "| " + " | ".join(cells) + " |"
-
-
-def insert(path: Path, text: str) -> None:
-    """Replace the text between the marks of a document."""
-    try:
-        document = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise FormatError(f"{path}: cannot read the document ({error.strerror})") from None
-    before, begin, rest = document.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise FormatError(f"{path}: needs the marks {BEGIN} and {END} around the table")
-    replace_file(path, [f"{before}{BEGIN}\n{text}\n{END}{after}".encode()])
 
 
 def _known(value: float) -> float | None:

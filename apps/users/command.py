@@ -1,4 +1,4 @@
-"""``glsplat users``: manage the accounts of a server. A token is printed once; the file has its hash."""
+"""``glsplat users``: manage the accounts of a server. A token is printed once; the file holds its hash."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     path: Path = args.users
     if args.action == "list":
         for user in read_users(path).values():
-            print(f"{user.name}: avatars {_said(user.avatars)}; rooms {_said(user.rooms)}")
+            print(f"{user.name}: avatars {_listed(user.avatars)}; rooms {_listed(user.rooms)}")
         return 0
     if not path.parent.is_dir():
         raise GlsplatError(f"{path}: there is no folder {path.parent}; create it first")
@@ -51,7 +51,8 @@ def _add(args: argparse.Namespace, path: Path, users: dict[str, User]) -> int:
         raise UsageError(f"{path}: there is an account {args.name!r} already; remove it first for another token")
     user, token = new_user(args.name, _names(args.avatars), _names(args.rooms))
     write_users(path, users | {user.name: user})
-    print(f"{path}: {user.name}, avatars {_said(user.avatars)}; rooms {_said(user.rooms)}; its token:", file=sys.stderr)
+    rights = f"avatars {_listed(user.avatars)}; rooms {_listed(user.rooms)}"
+    print(f"{path}: {user.name}, {rights}; its token:", file=sys.stderr)
     print(token)
     return 0
 
@@ -69,5 +70,5 @@ def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",")] if text.strip() else []
 
 
-def _said(names: tuple[str, ...]) -> str:
+def _listed(names: tuple[str, ...]) -> str:
     return "all" if ANY in names else ", ".join(names) or "none"

@@ -9,8 +9,6 @@ import re
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +18,12 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.browser.web_format.write import web_file
-from glsplat.extras.browser.web_shaders import programs_json
 from glsplat.extras.consent.file import OnFile, on_file
 from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.io.files import replace_file
 from glsplat.motion.motion import Motion
+from glsplat.net.pages.site import page_files
 
 from ..args import load_avatar
 
@@ -117,23 +115,20 @@ def _motions(asked: list[str] | None, avatar: Avatar) -> dict[str, Motion]:
 
 def _files(avatar: Avatar, name: str, motions: Mapping[str, Motion]) -> Iterator[tuple[str, bytes]]:
     """Yield (path, content) of each file in the folder."""
-    web = resources.files("glsplat.net") / "web"
-    for path in _modules(web):
-        yield path, (web / path).read_bytes()
-    for path in ("alone/style.css", "alone/icon.svg"):
-        yield path, (web / path).read_bytes()
-    yield "draw/programs.json", programs_json()
+    web = page_files()
+    for path in (*_modules(web), "alone/style.css", "alone/icon.svg", "draw/programs.json"):
+        yield path, web[path]
     yield _AVATAR, web_file(avatar).data
     offered = []
     for number, (label, motion) in enumerate(motions.items()):
         offered.append({"label": label, "file": f"motions/{number}.json"})
         yield offered[-1]["file"], _json(baked(motion))
     yield "page.json", _json({"name": name, "avatar": _AVATAR, "credit": _credit(avatar), "motions": offered})
-    html = (web / "alone" / "index.html").read_text(encoding="utf-8")
+    html = web["alone/index.html"].decode()
     yield "index.html", html.replace("<head>", '<head>\n  <base href="alone/">', 1).encode()
 
 
-def _modules(web: Traversable) -> list[str]:
+def _modules(web: Mapping[str, bytes]) -> list[str]:
     """Return the paths of the page's script and of all its imports."""
     found, todo = set[str](), [_START]
     while todo:
@@ -141,7 +136,7 @@ def _modules(web: Traversable) -> list[str]:
         if path in found:
             continue
         found.add(path)
-        text = (web / path).read_text(encoding="utf-8")
+        text = web[path].decode()
         todo += [posixpath.normpath(posixpath.join(posixpath.dirname(path), one)) for one in _IMPORT.findall(text)]
     return sorted(found)
 

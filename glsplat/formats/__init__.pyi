@@ -14,3 +14,4 @@ from .registry import save as save
 from .registry import suffixes as suffixes
 from .scene_file import SceneFile as SceneFile
 from .scene_file import load_scene as load_scene
+from .scene_file import upright as upright

@@ -41,15 +41,19 @@ def load_motion(
 ) -> Motion:
     """Read a motion; the format is recognised by content.
 
-    Embedded names ("idle", "walk", ...); a folder of one JSON pose a frame (LHM's layout), one JSON pose, a JSON list
-    of poses or {"fps", "frames"}, which is fitted to other bodies (fitted.py) where it also has the "joints" [55, 3] of
-    the one it was made for. With glsplat.extras.motions also AMASS .npz (SMPL-H ``poses`` or SMPL-X keys; z up is
-    turned to y up); BVH; .amc with its .asf beside it; an animation of a humanoid rig in glTF, or a VRM animation. Of
-    several in a file the first; ``animation``, or what stands behind the path ("all.glb#Run"), is the name or the
-    number (from 0) of another, and ``note`` says which it is. So do corrections ("walk.bvh#up=z#turn=180",
-    extras/motions/corrections.py) of files that are not read as they were meant, which extras/motions/doubts.py finds.
-    The motion of another body is retargeted, begins above the origin and has its lowest foot on the floor; ``forward``
-    also turns it to face +z. ``fps`` overrides what the file says.
+    ``path`` is one of:
+
+    - an embedded name ("idle", "walk", ...);
+    - a folder of one JSON pose a frame (LHM's layout), one JSON pose, a JSON list of poses, or {"fps", "frames"}. With
+      the "joints" [55, 3] of its own body the motion is fitted to other bodies (motion/fitted.py);
+    - with glsplat.extras.motions: AMASS .npz (SMPL-H ``poses`` or SMPL-X keys; z up is turned to y up), BVH, .amc with
+      its .asf beside it, an animation of a humanoid rig in glTF, or a VRM animation.
+
+    The first of several animations is read. ``animation``, or the end of the path ("all.glb#Run"), is the name or the
+    number (from 0) of another; ``Motion.note`` names it. The path may end in corrections of a badly exported file
+    ("walk.bvh#up=z#turn=180", extras/motions/corrections.py); extras/motions/doubts.py finds such files. The motion of
+    another body is retargeted: it begins above the origin, with its lowest foot on the floor; ``forward`` also turns it
+    to face +z. ``fps`` overrides the file's rate.
 
     Raises PoseError, one line that names the file.
     """

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterator
 from functools import cache
-from importlib import import_module
+from importlib import import_module, resources
 
 import numpy as np
 
@@ -91,6 +92,9 @@ def load(source: Source, *, strict: bool = False, format: str | None = None) -> 
     >>> glsplat.load("me.glb")
     Avatar(40000 splats, 55 joints, 4 a splat, 52 shapes, 3 levels)
     """
+    if isinstance(source, str) and source.isidentifier() and not os.path.exists(source):
+        if (resources.files("glsplat.data") / "people" / f"{source}.glb").is_file():
+            raise FormatError(f'{source}: no such file; an embedded avatar is glsplat.data.person("{source}")')
     with opened(source, strict) as start:
         return recognised(start, format).read(start)
 

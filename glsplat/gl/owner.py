@@ -44,7 +44,7 @@ class State(Protocol):
     """Saves and restores GL state that the user set."""
 
     def save(self) -> Any:
-        """Return the current state, and set what drawing needs."""
+        """Return the current state, and set the state that drawing needs."""
 
     def restore(self, was: Any) -> None:
         """Restore the saved state."""

@@ -29,7 +29,7 @@ __all__ = [
     "AvatarInfo",
     "Backend",
     "Interruptible",
-    "Placing",
+    "MemoryTarget",
     "PoseSolver",
     "RenderJob",
     "Rendered",
@@ -54,7 +54,7 @@ class RenderJob:
     label: str = ""  # drawn near the head of the avatar
     notice: str = ""  # written into the picture
     mark: ResolveStep | None = None  # the watermark of the session
-    others: float = 1.0  # of the share of cost for other people in a room (budget.others_share); 0: none is drawn
+    others: float = 1.0  # factor on the cost limit of a room's other people (budget.others_share); 0 hides them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,6 @@ class Rendered:
 
     images: NDArray[np.uint8]  # [V, H, W, 4] RGBA, rows top-down, one for each camera of the job
     timings: Mapping[str, float] = field(default_factory=dict)  # ms by stage (skin, sort, ...)
-    driver: str = ""
     covered: tuple[int, int, int, int] | None = None  # x, y, width, height of all but the background; None: unknown
     done: Callable[[], None] | None = None
     levels: tuple[int, ...] = ()  # levels of detail that were drawn, one for each item of splats; 0 is the finest
@@ -109,10 +108,10 @@ class Interruptible(Protocol):
 
 
 @runtime_checkable
-class Placing(Protocol):
+class MemoryTarget(Protocol):
     """A backend that can draw into given memory, which saves a copy."""
 
-    place: NDArray[np.uint8] | None
+    out: NDArray[np.uint8] | None
     """Set before ``render``: uninitialised, contiguous memory for its images [V, H, W, 4]; None: its own memory."""
 
 
@@ -168,7 +167,7 @@ class AvatarInfo:
     height: float | None = None  # metres: the stature of a user who needs no scaling; None: a scene, not one avatar
     parts: frozenset[str] = frozenset()  # parts that requests may hide
     untracked: str = ""  # why tracking is not solved, for the client that sends it
-    still: str = ""  # why poses have no effect, reported with each picture; "" where they have one, or are refused
+    still: str = ""  # why poses have no effect; "" if they take effect or are refused
     made: bool = False  # made of a client's photograph: clients may delete it
     title: str = ""  # the name that people see; "": ``name``
     file: Callable[[], WebFile] | None = None  # makes its file for browsers; None: a browser cannot draw it

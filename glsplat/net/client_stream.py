@@ -54,7 +54,10 @@ class FrameObserver(Protocol):
         """Handle an accepted request. Called on the event loop."""
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
-        """Handle drawn pictures [V, H, W, 4]; may change them in place. Called on an encoding thread."""
+        """Handle drawn pictures [V, H, W, 4]; may change them in place.
+
+        Called on several encoding threads: calls may overlap, and need not come in the order of the frames.
+        """
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
         """Handle a reply that the socket has taken. Called on the event loop."""
@@ -131,7 +134,7 @@ class Taken:
     detail: Detail = FULL  # reduced where needed to hold a rate or to fit the link
     smaller: bool = False  # the link requires a smaller size than the rate
     solution: SolutionFuture | None = None  # of its tracking
-    losses: int = 0  # workers that were lost while they drew it
+    losses: int = 0  # workers that were lost while they drew or encoded it
     alone: bool = False  # drawn without the room's other people, because it failed with them
 
     @property

@@ -26,7 +26,6 @@ from glsplat.net.session import Close, Warn
 __all__ = ["Conversation", "cut_off", "make_socket"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
-clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 _MAX_IN_A_ROW = 8  # messages of one client before others are read
 _FAREWELL_S = 0.5  # for a client that broke a limit to answer the close; its messages are dropped
@@ -52,6 +51,7 @@ class Conversation:
     ) -> None:
         self.client = client
         self._ws, self._request, self._drawer, self._gate = ws, request, drawer, gate
+        self._clock = drawer.clock
         self._responder, self._is_draining, self._write_timeout = responder, is_draining, write_timeout
         assert client.share is not None
         self._reading = MessageThrottle(client.share)
@@ -103,7 +103,7 @@ class Conversation:
         while True:
             text: str | None = None
             outcome: Warn | Close | None = None
-            now = clock()
+            now = self._clock()
             try:
                 # receive(timeout=...) would restart with each ping or pong, and not cover the writing of pongs
                 async with asyncio.timeout(max(0.01, min(session.expires() - now, reading.wait(now)))):
@@ -114,18 +114,18 @@ class Conversation:
             except TimeoutError:
                 text = reading.take()
                 if text is None:
-                    outcome = session.expired(clock())
+                    outcome = session.expired(self._clock())
             else:
                 if message.type == WSMsgType.TEXT:
                     if self._is_draining():
                         continue
-                    text = reading.offer(message.data, clock())
+                    text = reading.offer(message.data, self._clock())
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
-                    outcome = session.malformed(error, clock())
+                    outcome = session.malformed(error, self._clock())
                 elif message.type == WSMsgType.PONG:
                     if session.link is not None:
-                        session.link.ponged(bytes(message.data), clock())
+                        session.link.ponged(bytes(message.data), self._clock())
                         self.client.wake()
                 else:  # closed, or a malformed frame that aiohttp has answered (1002, 1007, 1009)
                     return
@@ -140,10 +140,10 @@ class Conversation:
         session = self.client.session
         received: Request | Warn | Close | None = outcome
         if text is not None:
-            now, worked = clock(), time.thread_time()
+            now, worked = self._clock(), time.thread_time()
             received = session.receive(text, now)
             # charge CPU time; waiting for other threads is not the client's fault, but it blocks the event loop
-            self._reading.share.spend(time.thread_time() - worked, clock() - now)
+            self._reading.share.spend(time.thread_time() - worked, self._clock() - now)
         session.counts.unread = self._reading.left_out
         if isinstance(received, Warn):
             await self._send(received.text)
@@ -154,7 +154,7 @@ class Conversation:
             if received is not None:
                 for observer in self.client.observers:
                     observer.request_received(received)
-            self.client.received(received, clock())
+            self.client.received(received, self._clock())
             self._poses_due()
         return False
 
@@ -165,14 +165,14 @@ class Conversation:
     async def _read_datagrams(self, datagrams: DatagramTransport) -> None:
         """Read the messages that arrive by datagrams."""
         while True:
-            wait = self._reading.wait(clock())
+            wait = self._reading.wait(self._clock())
             try:
                 async with asyncio.timeout(None if math.isinf(wait) else max(0.01, wait)):
                     message = await datagrams.message()
             except TimeoutError:
                 text = self._reading.take()
             else:
-                text = None if self._is_draining() else self._reading.offer(message, clock())
+                text = None if self._is_draining() else self._reading.offer(message, self._clock())
             if await self._take(text):
                 return
             await asyncio.sleep(0)  # let other clients be read
@@ -245,12 +245,12 @@ class Conversation:
         link = self.client.session.link
         if link is None or self._ws.closed:
             return
-        ping = link.ping(clock()) if behind is None else link.follow(behind)
+        ping = link.ping(self._clock()) if behind is None else link.follow(behind)
         datagrams = None if behind is not None else self.client.datagrams
         if ping is not None and not (datagrams is not None and datagrams.ping(ping)):
             meter = connection_of(self._request).meter
             if meter is not None:
-                meter.expect_answer(clock())
+                meter.expect_answer(self._clock())
             async with asyncio.timeout(self._write_timeout):
                 await self._ws.ping(ping)
 

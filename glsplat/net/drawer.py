@@ -16,6 +16,7 @@ __all__ = ["Drawer"]
 class Drawer(Protocol):
     """Draws for its clients, in fair turns, and packs their replies."""
 
+    clock: Callable[[], float]  # seconds; the server's clock too
     stages: StageTimes
     should_yield: Callable[[], bool]  # set by the server: returns whether others need the processor
     encoder: PictureEncoder  # of pixels, and of video

@@ -19,7 +19,19 @@ from glsplat.net.session import SessionConfig
 if TYPE_CHECKING:
     from glsplat.net.rights import Consent, User
 
-__all__ = ["MAX_WINDOW", "NAME", "NOT_ALLOWED", "RequestedOptions", "RoomError", "ServerConfig", "client_options"]
+__all__ = [
+    "DEFAULT_SEATS",
+    "MAX_WINDOW",
+    "NAME",
+    "NOT_ALLOWED",
+    "RequestedOptions",
+    "RoomError",
+    "ServerConfig",
+    "client_options",
+]
+
+DEFAULT_SEATS = 8
+"""Seats of a room that configures none."""
 
 MAX_WINDOW = 8
 _MAX_ROOM_DISTANCE_M = 100.0  # metres from a room's centre

@@ -21,6 +21,7 @@ from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatEr
 from glsplat.gl.software import is_software
 from glsplat.net.backend import RenderJob, Solved
 from glsplat.net.client_stream import Answer, ClientStream, Drawn, Outgoing, Redraw, Refused, Taken
+from glsplat.net.codec.encoded import Encoded
 from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.pace.adaptive_quality import AdaptiveQuality
@@ -35,6 +36,7 @@ __all__ = ["LoopOwner", "RenderLoop"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _UNHEALTHY_FAILURES = 3  # failed pictures in a row before /healthz reports it
+_MAX_LOSSES = 2  # lost workers after which a picture is not drawn again
 _STUCK_S = 10.0  # time of a picture before /healthz reports it
 _YIELD_FACTOR = 9.0  # of a pause to the picture before it, while others need the processor
 _MAX_YIELD_S = 1.0
@@ -79,6 +81,7 @@ class RenderLoop:
         owner: LoopOwner | None = None,
     ) -> None:
         self.worker: Worker = worker
+        self.clock: Callable[[], float] = clock
         self.driver: str = ""
         self.clients: dict[int, ClientStream] = {}  # by number
         self.living: bool = False  # accepts clients
@@ -89,7 +92,7 @@ class RenderLoop:
         self.stages: StageTimes = StageTimes() if owner is None else owner.stages
         self.encoder: PictureEncoder = (encoder or PictureEncoder()) if owner is None else owner.encoder
         self._faults = FaultTracker() if owner is None else owner.faults
-        self._clock, self._owner = clock, owner
+        self._owner = owner
         self._adaptive_quality = AdaptiveQuality(rate)
         self._drawing: ClientStream | None = None
         self._drawing_since: float | None = None
@@ -104,7 +107,7 @@ class RenderLoop:
     @property
     def drawing_for(self) -> float:
         """Seconds that the present picture has taken so far; 0: none is drawn."""
-        return 0.0 if self._drawing_since is None else self._clock() - self._drawing_since
+        return 0.0 if self._drawing_since is None else self.clock() - self._drawing_since
 
     @property
     def healthy(self) -> bool:
@@ -124,18 +127,18 @@ class RenderLoop:
     async def start(self) -> None:
         """Open the worker. Raises GlsplatError; a loop that has an owner keeps trying in the background."""
         self._loop = asyncio.get_running_loop()
-        self.encoder.on_room.append(self._wake_up)
+        self.encoder.on_capacity.append(self._wake_up)
         try:
             self.driver = await self.worker.open(self._worker_lost)
             self.living = True
-        except BaseException:
+        except GlsplatError:
             self._gone = True
-            if self._owner is None:
-                await self._close()
             raise
         finally:
-            if self.living or self._owner is not None:
+            if self.living or (self._gone and self._owner is not None):
                 self._task = asyncio.create_task(self._run(), name=f"render loop of {self.worker.name}")
+            else:
+                await self._close()
 
     async def ended(self) -> None:
         """Wait until the render loop gives up. Raises ContextError: the worker cannot be restarted."""
@@ -194,6 +197,18 @@ class RenderLoop:
             self._turns.remove(client.address, client)
             then()
 
+    def reserve(self, client: ClientStream) -> None:
+        """Count a client that moves here once another loop has drawn its present picture."""
+        self.clients[client.number] = client
+
+    def cancel_reservation(self, client: ClientStream) -> None:
+        """Stop counting a client that was not added."""
+        self.clients.pop(client.number, None)
+
+    def drain(self) -> None:
+        """Accept no clients until the worker is restarted."""
+        self.living = False
+
     def renew(self) -> None:
         """End the worker in order, and restart it."""
         self.living, self._gone = False, True
@@ -201,38 +216,48 @@ class RenderLoop:
 
     async def pack(self, client: ClientStream, answer: Answer) -> Outgoing:
         """Return the packed reply once its picture is drawn and encoded, and mark it as being sent."""
-        while (taken := await _lost_picture(answer)) is not None:
-            answer = await client.redraw(taken)
-        session = client.session
-        if isinstance(answer, Refused):
-            request = answer.request
-            return Outgoing(request, error=session.failed(request, answer.code, answer.message), ends=answer.ends)
-        assert isinstance(answer, Drawn)
-        request = answer.taken.request
-        try:
-            encoded = await answer.encoded
-        except Exception:
-            log.exception("frame %s of client %d could not be encoded", request.frame_id, client.number)
-            return Outgoing(request, error=session.failed(request, "encode", "the picture could not be encoded"))
-        if encoded.video is not None:  # coding takes as long as drawing, on the same cores
-            self._turns.charge(client.address, client, encoded.ms / 1e3, self._clock())
+        session, found = client.session, await self._encoded(client, answer)
+        if isinstance(found, Refused):
+            request = found.request
+            return Outgoing(request, error=session.failed(request, found.code, found.message), ends=found.ends)
+        drawn, encoded = found
+        request = drawn.taken.request
         client.picture_sent(encoded)
-        total = (self._clock() - answer.taken.arrived) * 1e3
-        times = {**answer.times, "encode": encoded.ms, "total": total}
+        total = (self.clock() - drawn.taken.arrived) * 1e3
+        times = {**drawn.times, "encode": encoded.ms, "total": total}
         self.stages.add(times)
         if request.form == "single-legacy":
             packed = pack_single(request.eyes[0], encoded.pictures[0])
         else:
             assert request.frame_id is not None
             eyes = request.eyes if encoded.video is None else request.eyes[:1]
-            depth = [grid.data for grid in answer.rendered.depth]
-            info = answer.info(encoded, times)
+            depth = [grid.data for grid in drawn.rendered.depth]
+            info = drawn.info(encoded, times)
             if client.datagrams is not None and (offer := client.datagrams.offer()) is not None:
                 info["datagrams"] = offer
             packed = pack_reply(request.frame_id, eyes, encoded.pictures, info, encoded.alphas, depth)
         nbytes = len(packed) if client.datagrams is None else client.datagrams.link_bytes(len(packed))
-        session.sending(request, nbytes, self._clock())
+        session.sending(request, nbytes, self.clock())
         return Outgoing(request, [packed])
+
+    async def _encoded(self, client: ClientStream, answer: Answer) -> tuple[Drawn, Encoded] | Refused:
+        """Return a picture once it is drawn and encoded; it is drawn again where its worker is lost."""
+        while not isinstance(answer, Refused):
+            if isinstance(answer, Redraw):
+                answer = await client.redraw(answer.taken)
+                continue
+            assert isinstance(answer, Drawn)
+            taken = answer.taken
+            try:
+                return answer, await answer.encoded
+            except Exception as error:
+                taken = replace(taken, losses=taken.losses + 1)
+                if isinstance(error, ContextLostError) and taken.losses < _MAX_LOSSES:
+                    answer = Redraw(taken)
+                else:
+                    log.exception("frame %s of client %d could not be encoded", taken.request.frame_id, client.number)
+                    answer = Refused(taken.request, "encode", "the picture could not be encoded")
+        return answer
 
     # ---------------------------------------------------------------------------------------------------------- turns
 
@@ -240,7 +265,7 @@ class RenderLoop:
         while True:
             if self._gone:
                 await self._revive()
-            start = self._clock()
+            start = self.clock()
             rests: list[float] = []  # seconds until links take another picture
             client = self._turns.next(partial(self._ready, start, rests), start)
             if client is None:
@@ -255,7 +280,7 @@ class RenderLoop:
                 await self._answer_next(client)
             finally:
                 self._drawing = self._drawing_since = None
-            now = self._clock()
+            now = self.clock()
             own = None if client.member is None else client.member.fair_cost(now - start)
             self._turns.charge(client.address, client, now - start, now, own)
             if (then := self._leaving.pop(client.number, None)) is not None:
@@ -292,7 +317,7 @@ class RenderLoop:
             redraw[1].set_result(answer)
 
     def _take(self, client: ClientStream) -> Taken:
-        now = self._clock()
+        now = self.clock()
         request, waited, solution = client.take(now)
         taken = Taken(client, request, now - waited, request.cameras, client.notice(), solution=solution)
         if request.form != "native" or not client.number:  # older clients know one size; 0 is the server itself
@@ -318,7 +343,7 @@ class RenderLoop:
             if not (others and _others_may_be_at_fault(error)):
                 return self._failed(taken, error, others)
             taken = self._without_others(taken, error)
-        self._drawing_since = self._clock()
+        self._drawing_since = self.clock()
         return await self._answer(taken)
 
     def _job(self, taken: Taken, solved: Solved | None) -> RenderJob:
@@ -327,7 +352,7 @@ class RenderLoop:
         pose, to_user, cameras, room = request.pose, None, taken.cameras, None
         if client.member is not None:
             pose = None
-            cameras, room = client.member.look(request, cameras, solved, taken.arrived, self._clock())
+            cameras, room = client.member.look(request, cameras, solved, taken.arrived, self.clock())
         elif solved is not None:
             pose, to_user = solved.pose, solved.to_user
         return RenderJob(
@@ -343,22 +368,24 @@ class RenderLoop:
             label=client.label,
             notice=taken.notice,
             mark=client.session.mark,
-            others=0.0 if taken.alone else self._faults.others(client.address, self._clock()),
+            others=0.0 if taken.alone else self._faults.others(client.address, self.clock()),
         )
 
     async def _draw(self, taken: Taken, job: RenderJob, solved: Solved | None, times: dict[str, float]) -> Drawn:
         """Draw a picture and start its encoding. Raises the worker's errors."""
-        client, start = taken.client, self._clock()
+        client, start = taken.client, self.clock()
         if (client.address, client) not in self._turns:
             raise BudgetError("nobody waits for the picture any more", "abandoned")
         video = client.video if job.options.video is not None else None
         rendered = await self.worker.draw(job, pixels=video is not None or bool(client.observers))
-        now = self._clock()
+        now = self.clock()
         encoded = rendered.encoded
         if encoded is None:
             if len(rendered.images) == len(taken.request.eyes):
                 submitted = self.encoder.submit(rendered, job.options, video, client.picture_drawn)
                 encoded = asyncio.wrap_future(submitted)
+                if video is not None:
+                    encoded.add_done_callback(partial(self._charge_coding, client))
             elif rendered.done is not None:
                 rendered.done()
         self._adaptive_quality.drawn(client.number, now - start, rendered.coarsest, now, taken.smaller)
@@ -376,13 +403,19 @@ class RenderLoop:
         }
         return Drawn(taken, job, rendered, encoded, times, self.driver, solved)
 
+    def _charge_coding(self, client: ClientStream, coding: asyncio.Future[Encoded]) -> None:
+        """Charge a client for a picture of its video, which took as long as drawing; not once it has left this loop."""
+        done = not coding.cancelled() and coding.exception() is None
+        if done and coding.result().video is not None and (client.address, client) in self._turns:
+            self._turns.charge(client.address, client, coding.result().ms / 1e3, self.clock())
+
     # -------------------------------------------------------------------------------------------------------- failures
 
     def _without_others(self, taken: Taken, error: Exception) -> Taken:
         """Return the picture without the room's other people, and suspect them for a while."""
         number, client = taken.request.frame_id, taken.client
         log.warning("frame %s of client %d is drawn without the others: %s", number, client.number, error)
-        self._faults.suspect_others(client.address, self._clock(), slow=isinstance(error, BudgetError))
+        self._faults.suspect_others(client.address, self.clock(), slow=isinstance(error, BudgetError))
         return replace(taken, alone=True)
 
     def _failed(self, taken: Taken, error: Exception, others: bool) -> Redraw | Refused:
@@ -391,7 +424,7 @@ class RenderLoop:
         if isinstance(error, PoseError):
             return Refused(request, "bad_pose", str(error))
         if isinstance(error, BudgetError):
-            self._adaptive_quality.refused(client.number, self._clock())
+            self._adaptive_quality.refused(client.number, self.clock())
             return Refused(request, error.code, str(error), self._over_budget(client, request, error))
         if isinstance(error, FormatError) and self._owner is not None and self._owner.elsewhere(self, client):
             again = taken
@@ -408,27 +441,27 @@ class RenderLoop:
         return Refused(request, "render", "the picture could not be drawn", ends)  # no details: they may name files
 
     def _lost_while_drawing(self, taken: Taken, error: ContextLostError, others: bool) -> tuple[Taken | None, str]:
-        """Return the picture to draw again, if any, and why its connection ends, or "".
+        """Return the picture to redraw or None, and the reason to disconnect or "".
 
-        It ends a client whose pictures crash workers, before it crashes one after the other.
+        Clients whose pictures repeatedly crash workers are disconnected.
         """
-        address, now = taken.client.address, self._clock()
+        address, now = taken.client.address, self.clock()
         taken, ends, again = replace(taken, losses=taken.losses + 1), "", self._owner is not None
-        blames = getattr(error, "blames", True)  # of a lost context
+        blames = error.blames or self._owner is None  # a single worker: every loss stops all clients
         if blames or taken.losses > 1 or self._faults.suspects(address, now):
             if others:
                 taken, again = self._without_others(taken, error), True
             elif self._faults.again(address, now):
                 ends = "pictures that the renderer does not survive"
-        return (taken if again and not ends and taken.losses < 2 else None), ends
+        return (taken if again and not ends and taken.losses < _MAX_LOSSES else None), ends
 
     def _over_budget(self, client: ClientStream, request: Request, error: BudgetError) -> str:
         """Return why a picture over its budget ends the connection; "" if it does not."""
         if error.code == "too_slow":
             log.warning("frame %s of client %d took too long; it is abandoned", request.frame_id, client.number)
-            return "pictures that take too long" if self._faults.again(client.address, self._clock()) else ""
+            return "pictures that take too long" if self._faults.again(client.address, self.clock()) else ""
         if error.code == "too_costly":
-            return "too many pictures that cost too much" if client.session.overspent(self._clock()) else ""
+            return "too many pictures that cost too much" if client.session.overspent(self.clock()) else ""
         return ""
 
     def _worker_lost(self) -> None:
@@ -440,6 +473,7 @@ class RenderLoop:
         log.warning("%s is lost; starting a new one", self.worker.name)
         if self._owner is not None:
             self._owner.lost(self)
+            self.clients.clear()  # and the reservations
         self._wake.set()
 
     async def _revive(self) -> None:
@@ -461,19 +495,6 @@ class RenderLoop:
         if self._owner is not None:
             self._turns = FairQueue()  # its clients have left: nobody is charged for the time of the loss
             self._owner.opened(self)
-
-
-async def _lost_picture(answer: Answer) -> Taken | None:
-    """Return the picture of an answer whose worker was lost while it drew or encoded; None for others."""
-    if isinstance(answer, Redraw):
-        return answer.taken
-    if isinstance(answer, Drawn):
-        with suppress(Exception):
-            try:
-                await answer.encoded
-            except ContextLostError:
-                return answer.taken
-    return None
 
 
 def _shows_others(job: RenderJob) -> bool:

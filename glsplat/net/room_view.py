@@ -57,14 +57,14 @@ class RoomView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Label:
-    """Text over ``place`` [3] (metres), in every picture that shows any part of its thing."""
+    """Text over ``position`` [3] (metres), in every picture that shows any part of its thing."""
 
     text: str
-    place: NDArray[np.float64]
+    position: NDArray[np.float64]
     height: float = 0.045  # metres of a line, within limits of readable pixels (backends/lettering.py)
     opacity: float = 1.0
     box: Callable[[], NDArray[np.float64] | None] | None = None
-    """Returns the thing's bounding box [2, 3], None for an empty thing. Without it the thing is ``place``."""
+    """Returns the thing's bounding box [2, 3], None for an empty thing. Without it the thing is ``position``."""
 
 
 def driven_by(name: str, notice: str = "") -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,14 +13,13 @@ from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.formats.scene_file import SceneFile
-from glsplat.net import server as server_module
 from glsplat.net.backend import AvatarInfo, Backend
 from glsplat.net.backends.gl import MAX_PICTURE_S, RendererBackend
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.messages import PARTS
-from glsplat.net.options import NAME, ServerConfig
+from glsplat.net.options import DEFAULT_SEATS, NAME, ServerConfig
 from glsplat.net.pages.routes import Pages
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.server import Server
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from glsplat.tracking.calibration import Calibration
 
 __all__ = [
-    "DEFAULT_SEATS",
     "ServedScene",
     "TrackingOptions",
     "checked_avatar",
@@ -48,10 +47,9 @@ __all__ = [
 ]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
+clock: Callable[[], float] = time.perf_counter
 
 _MAX_NAME_CHARS = 64  # characters
-DEFAULT_SEATS = 8
-"""Seats of a room that configures none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,7 +185,6 @@ def server_of(
     It has the standard features and ``features``. ``later`` returns more avatars to offer once clients can connect.
     """
     config = config or ServerConfig()
-    clock = server_module.clock
     drawer = ThreadWorker(backend) if isinstance(backend, Backend) else backend
     if isinstance(drawer, Worker):
         drawer = RenderLoop(drawer, clock, config.fps, PictureEncoder(config.video))

@@ -10,7 +10,6 @@ import contextlib
 import logging
 import os
 import signal
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
@@ -46,7 +45,6 @@ __all__ = ["Server"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 F = TypeVar("F", bound=Feature)
-clock: Callable[[], float] = time.perf_counter  # the render loop's clock too
 
 DRAIN_GIVE_UP_S = 2.0  # a stopping server does not wait for a picture that takes longer
 
@@ -69,27 +67,28 @@ class Server:
         self.drawer: Drawer = drawer
         self.features: tuple[Feature, ...] = tuple(features)
         self.clients: dict[int, ClientStream] = {}
-        self.clock: Callable[[], float] = clock
+        self.clock: Callable[[], float] = drawer.clock
         self.port: int = self.config.port
         limits = self.config.limits
         for feature in self.features:
             limits = feature.limits(limits)
         refusal = next(filter(None, (feature.refusal for feature in self.features)), "")
         rights = Rights(self.config.access.accounts, self.config.consent, self.config.private, refusal)
-        self.gate: Gate = Gate(self.config.access, limits, self.config.max_clients, clock, rights)
-        self.gate.is_trusted = lambda request: any(feature.is_trusted(request) for feature in self.features)
-        self.internal_client: InternalClient = InternalClient(drawer, self.config.wire, self.config.session, clock)
+        self.gate: Gate = Gate(
+            self.config.access, limits, self.config.max_clients, self.clock, rights, self._is_trusted
+        )
+        self.internal_client: InternalClient = InternalClient(drawer, self.config.wire, self.config.session, self.clock)
         self.fitted: Fitted | None = None  # size of pictures, found soon after the start if configured
         self.fitting: asyncio.Task[None] | None = None  # finds ``fitted``
         self.all_offered: asyncio.Event = asyncio.Event()
-        self._work = CpuBudget(limits.work, clock(), limits.work_alone, drawer.stages.lately)
+        self._work = CpuBudget(limits.work, self.clock(), limits.work_alone, drawer.stages.lately)
         self._solve_thread = ThreadPoolExecutor(1, thread_name_prefix="solve")
         self._responder = next(filter(None, (feature.pose_responder(self) for feature in self.features)), None)
         self._running: list[Feature] = []  # features that have started
         self._adder: asyncio.Task[None] | None = None
         self._conversations: dict[int, Conversation] = {}
         self._closing: set[asyncio.Task[None]] = set()
-        self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, clock()
+        self._totals, self._numbers, self._draining, self._started = Counts(), 0, False, self.clock()
         self._runner: web.AppRunner | None = None
 
     @property
@@ -121,7 +120,7 @@ class Server:
         assert self._runner.server is not None
         cert = None if self.config.tls is None else self.config.tls[0]
         self.gate.open(self._runner.server, listening, tls, cert, self.config.session.handshake)
-        self._started = clock()
+        self._started = self.clock()
         if self.config.fit:  # clients that connect meanwhile are offered the configured size
             self.fitting = asyncio.create_task(self._fit())
         self._adder = asyncio.create_task(self._add_later())
@@ -216,7 +215,7 @@ class Server:
             "scene": self.config.scene if rights.sees(user, "avatar", self.catalogue.names[0]) else None,
             "driver": self.drawer.driver,
             "healthy": self.drawer.healthy,
-            "uptime": round(clock() - self._started, 1),
+            "uptime": round(self.clock() - self._started, 1),
             "fps": round(self.drawer.stages.fps(), 2),
             "max_clients": self.config.max_clients,
             "token": self.config.access.guarded,
@@ -264,6 +263,9 @@ class Server:
         wire = self.config.wire
         return wire if self.fitted is None else replace(wire, size=(self.fitted.side, self.fitted.side))
 
+    def _is_trusted(self, request: web.Request) -> bool:
+        return any(feature.is_trusted(request) for feature in self.features)
+
     def is_healthy(self) -> bool:
         """Return whether pictures are drawn, and new clients may come."""
         return self.drawer.healthy and not self._draining
@@ -281,7 +283,7 @@ class Server:
             for feature in self.features:
                 await feature.avatars_added()
         except Exception:  # the avatars offered so far remain
-            log.exception("not everybody can be offered")
+            log.exception("some avatars could not be loaded")
         finally:
             self.all_offered.set()
 
@@ -333,16 +335,20 @@ class Server:
             solver = feature.solver(solver)
         self._numbers += 1
         number, address = self._numbers, connection_of(request).key
-        session = Session(Decoder(requested.wire, one.skeleton, one.parts), requested.session, clock())
-        session.refusal = partial(rights.refusal, user, requested.avatar)
-        session.sends_poses = self._responder is not None
-        share = self._work.open(clock(), address)
+        session = Session(
+            Decoder(requested.wire, one.skeleton, one.parts),
+            requested.session,
+            self.clock(),
+            refusal=partial(rights.refusal, user, requested.avatar),
+            sends_poses=self._responder is not None,
+        )
+        share = self._work.open(self.clock(), address)
         client = ClientStream(
             number,
             session,
             None
             if solver is None
-            else PoseQueue(solver, self._solve_thread, clock, share=share, samples=quota.samples),
+            else PoseQueue(solver, self._solve_thread, self.clock, share=share, samples=quota.samples),
             address=address,
             shown=one,
             account="" if user is None else user.name,
@@ -350,7 +356,7 @@ class Server:
             label=driven_by(requested.name) if requested.label else "",
             notice=partial(rights.label, user, requested.avatar),
             share=share,
-            video=self.drawer.encoder.video(clock),
+            video=self.drawer.encoder.video(self.clock),
         )
         self.clients[number] = client
         try:

@@ -142,21 +142,27 @@ class Session:
     """The server's state of one connection. ``now`` is a monotonic clock in seconds.
 
     The owner passes messages to ``receive``, takes requests from ``next_request`` when the renderer is free, and
-    reports ``sending`` and ``sent``, or ``failed``, for each of them.
+    reports ``sending`` and ``sent``, or ``failed``, for each of them. ``refusal`` returns why the avatar may not be
+    shown any more, or "". ``sends_poses``: the server answers requests for poses.
     """
 
-    def __init__(self, decoder: Decoder, config: SessionConfig | None = None, now: float = 0.0) -> None:
+    def __init__(
+        self,
+        decoder: Decoder,
+        config: SessionConfig | None = None,
+        now: float = 0.0,
+        refusal: Callable[[], str] = lambda: "",
+        sends_poses: bool = True,
+    ) -> None:
         self.config: SessionConfig = config or SessionConfig()
         self.counts: Counts = Counts()
-        self.sends_poses: bool = True  # the server answers requests for poses
-        self.refusal: Callable[[], str] | None = None  # returns why the avatar may not be shown any more, or ""
         self.last_form: str = ""  # of the newest request, for /stats
         self.last_size: tuple[int, int] = (0, 0)
         watermark = self.config.watermark
         self.mark: Watermark | None = None if watermark is None else watermark.new_mark()
         self.link: LinkControl | None = None  # from the first report of an arrival on
         self.datagrams: bool = False  # the client accepts pictures by datagrams
-        self._decoder = decoder
+        self._decoder, self._refusal, self._sends_poses = decoder, refusal, sends_poses
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
         self._kept: tuple[Request, float] | None = None
@@ -179,7 +185,7 @@ class Session:
         self.counts.received += 1
         if not self._rate.take(now):
             return self._limited(now)
-        if self.refusal is not None and (why := self.refusal()):
+        if why := self._refusal():
             return Close(error_text("not_allowed", why), POLICY_VIOLATION, "not allowed any more")
         try:
             message = self._decoder.decode(data)
@@ -357,7 +363,7 @@ class Session:
             return None
         if frame_id > MAX_ID:  # an unnumbered request behind the highest frame_id
             raise ProtocolError(f"there is no frame_id after {MAX_ID}; connect again", "bad_request")
-        if request.poses and not self.sends_poses:
+        if request.poses and not self._sends_poses:
             raise ProtocolError(missing("browser", "want: pose"), "bad_request", request.frame_id)
         arrival = request.arrival if self.config.adapt else None
         if (frame_id, arrival) != (request.frame_id, request.arrival):

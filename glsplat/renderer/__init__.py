@@ -1,4 +1,4 @@
-"""The renderer: a class for users, a file for each step of a frame, and what they keep on the GPU (docs/frame.md)."""
+"""The renderer: a class for users, a module for each step of a frame, and buffers on the GPU (docs/frame.md)."""
 
 import lazy_loader
 

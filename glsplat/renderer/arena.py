@@ -1,15 +1,14 @@
 """Arena: all visible splats of a scene in one index space. Key, sort, project and draw see only this.
 
 Each item has a range for each of its levels of detail in use; a picture shows some of the ranges. One texture holds
-the geometry (as loaded, three texels a splat, if a single item stands where it was loaded; else posed, four texels),
-one the colours. Ranges begin with a row of ROW splats; the padding at the end of a row has opacity 0.
+the geometry: as loaded (three texels a splat) of a single unmoved item, else posed (four texels). One holds the
+colours. Ranges begin with a row of ROW splats; the padding at the end of a row has opacity 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -17,19 +16,24 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.lru_cache import LruCache, Sized
+from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement, SkinPass, near_eye
 from glsplat.renderer.stage import NEAR_M, ROW, ItemBuffers, numbers_of, rows_of, upload_rows, write_rows
+from glsplat.shaders import Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 
-__all__ = ["Arena", "Part"]
+__all__ = ["Arena", "Part", "PipelineKey"]
 
 _MAX_PIPELINES = 8
 _MAX_PIPELINE_BYTES = 256 * 2**20  # of those that are not in use
 
 Part = tuple[int, int]
 """Number of a visible item, and its level of detail."""
+
+PipelineKey = tuple[Variant, tuple[int, int], int]
+"""Variant, size in pixels, and number of the pass in its call."""
 
 
 class Arena:
@@ -44,16 +48,15 @@ class Arena:
         posed: bool,  # False: a single item without a skeleton, where it was loaded
         degree: int,  # of the colours
         signed: bool = False,  # some items ask for opacity compensation and some do not (variant.antialias 2)
-        culled: Sequence[bool] = (),  # of which items hidden splats are left out, by their cones
+        culled: Sequence[bool] = (),  # [I] whether an item's hidden splats are culled by their cones
     ) -> None:
         ctx = context.ctx
         self.parts, self.items, self.posed, self.degree = tuple(parts), tuple(items), posed, degree
         self.version = 0  # grows with every movement
-        self.runs = 0  # of the skin pass so far
+        self.runs = 0  # of the skin pass
         self.origin = np.zeros(3)  # world position of the scene's zero
         self.shown: tuple[int, ...] = tuple(range(len(items)))
-        # by variant, size and place in the call; loosely typed, as a Pipeline borrows its arena
-        self.pipelines: LruCache[Any, Any] = LruCache(_MAX_PIPELINES, _MAX_PIPELINE_BYTES)
+        self.pipelines: LruCache[PipelineKey, Sized] = LruCache(_MAX_PIPELINES, _MAX_PIPELINE_BYTES)
         self._signs = [-1.0 if signed and item.splats.antialias else 1.0 for item in items]
         self._written: list[Placement | None] = [None] * len(items)
         rows = [rows_of(item.count) for item in items]
@@ -64,7 +67,9 @@ class Arena:
         largest: dict[int, int] = {}  # rows by the item's number
         for (number, _), size in zip(parts, rows, strict=True):
             largest[number] = max(size, largest.get(number, 0))
-        self.most: int = self.count if alone else sum(largest.values()) * ROW  # indices that a picture shows at most
+        self.most: int = (
+            self.count if alone else sum(largest.values()) * ROW
+        )  # upper bound of the indices in ``ranges``
         texels, components = COLOUR_TEXELS[degree], 4 if degree else 3
         limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         if max(height, ROW * texels) > limit:
@@ -72,21 +77,20 @@ class Arena:
                 f"{self.count} splats of SH degree {degree} need textures larger than the {limit} texels of "
                 f"{ctx.info['GL_RENDERER']}; use fewer splats or a lower sh_degree"
             )
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             if alone:
                 self.colours = upload_rows(ctx, items[0].colours(degree), texels, components, stack)
             else:
                 self.colours = upload_rows(ctx, np.empty((0, 1), np.float32), texels, components, stack, height)
                 for item, first in zip(items, self.first, strict=False):
                     write_rows(self.colours, int(first), item.colours(degree), texels, components)
-            self.cones = _own(stack, ctx.buffer(self._packed_cones(culled))) if any(culled) else None
-            self.numbers = None if context.vertex_ids else _own(stack, numbers_of(ctx, self.count))
+            self.cones = owned(stack, ctx.buffer(self._packed_cones(culled))) if any(culled) else None
+            self.numbers = None if context.vertex_ids else owned(stack, numbers_of(ctx, self.count))
             self.splats: moderngl.Texture
             self._skin: SkinPass | None = None
             if posed:
-                self.splats = _own(stack, ctx.texture((ROW * 4, max(1, height)), 4, dtype="f4"))
-                self.splats.filter = (moderngl.NEAREST, moderngl.NEAREST)
-                self._skin = _own(stack, SkinPass(context, max(rows, default=1)))
+                self.splats = data_texture(stack, ctx, (ROW * 4, max(1, height)), 4)
+                self._skin = owned(stack, SkinPass(context, max(rows, default=1)))
             else:
                 (item,) = items
                 assert item.rest is not None
@@ -116,7 +120,7 @@ class Arena:
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
-        """First index and number of indices of what is shown, padding included; adjacent ranges are joined."""
+        """First index and number of indices of the shown parts, padding included; adjacent ranges are joined."""
         if len(self.shown) == len(self.items):
             return ((0, self.count),)
         found: list[tuple[int, int]] = []
@@ -141,7 +145,7 @@ class Arena:
 
     @property
     def shown_splats(self) -> int:
-        """Splats of what is shown."""
+        """Splats of the shown parts."""
         return sum(item.count for item in self.shown_items)
 
     @property
@@ -151,15 +155,15 @@ class Arena:
 
     @property
     def surfaced(self) -> bool:
-        """Whether any splats know the surface they lie on."""
+        """Whether any item has a surface for relighting."""
         return any(item.splats.surface is not None for item in self.items)
 
-    def place(self, places: Mapping[Part, Placement], eye: NDArray[np.float64]) -> bool:
-        """Show these parts, in the arena's order; pose and place what moved. Return whether anything moved.
+    def show(self, placements: Mapping[Part, Placement], eye: NDArray[np.float64]) -> bool:
+        """Show these parts, in the arena's order; pose and place items that moved. Return whether any did.
 
-        ``eye`` [3]: where they are looked at from, in the world.
+        ``eye`` [3] is the position of the first view.
         """
-        placed = {self.parts.index(part): place for part, place in places.items()}
+        placed = {self.parts.index(part): placement for part, placement in placements.items()}
         self.shown = tuple(placed)
         if not self.posed:
             return False
@@ -168,12 +172,12 @@ class Arena:
         if not np.array_equal(origin, self.origin):
             self._written = [None] * len(self.items)
             self.origin = origin
-        for index, place in placed.items():
-            if not place.same(self._written[index]):
+        for index, placement in placed.items():
+            if not placement.same(self._written[index]):
                 self._written[index] = None  # until it is written: an interrupted write must not count
                 self.version += 1
-                self._write(index, place)
-                self._written[index] = place
+                self._write(index, placement)
+                self._written[index] = placement
         return self.version != before
 
     def use(self) -> None:
@@ -182,24 +186,24 @@ class Arena:
         self.colours.use(UNITS["colours"])
 
     def use_surfaces(self) -> None:
-        """Bind the surfaces that light falls on (light.glsl); uploaded the first time, so that only light costs it."""
+        """Bind the surfaces (light.glsl). The first call uploads them, so that a scene without light has none."""
         if self._surfaces is None:
             with ExitStack() as stack:
                 made = upload_rows(self._ctx, np.empty((0, 1), np.float32), 2, 4, stack, self._height)
                 for item, first in zip(self.items, self.first, strict=False):
                     write_rows(made, int(first), item.surfaces(), 2, 4)
                 stack.pop_all()
-            self._surfaces = _own(self._owned, made)
+            self._surfaces = owned(self._owned, made)
         self._surfaces.use(UNITS["surfaces"])
 
-    def written(self, index: int = 0) -> bool:
-        """Return whether the range of an item holds its last placement."""
-        return self._written[index] is not None
+    @property
+    def written(self) -> bool:
+        """Whether the range of the first item holds its last placement."""
+        return self._written[0] is not None
 
-    def read(self, index: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Read back world means [N, 3] and shapes [N, 3, 3] of a posed item."""
-        first, item = int(self.first[index]), self.items[index]
-        rows = np.frombuffer(self.splats.read(), np.float32).reshape(-1, 16)[first * ROW :][: item.count]
+    def read(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Read back world means [N, 3] and shapes [N, 3, 3] of the first item, which is posed."""
+        rows = np.frombuffer(self.splats.read(), np.float32).reshape(-1, 16)[: self.items[0].count]
         shapes = np.stack([rows[:, 4 + 4 * i : 7 + 4 * i] for i in range(3)], axis=-1)
         return rows[:, :3] + self.origin, shapes
 
@@ -208,17 +212,17 @@ class Arena:
         self.pipelines.release()
         self._owned.close()
 
-    def _write(self, index: int, place: Placement) -> None:
+    def _write(self, index: int, placement: Placement) -> None:
         assert self._skin is not None
-        first, opacity = int(self.first[index]), self._signs[index] * place.opacity
+        first, opacity = int(self.first[index]), self._signs[index] * placement.opacity
         self.runs += 1
         self._skin.run(
-            self.items[index], place, self.splats, first, self.origin, turned=self.degree > 0, opacity=opacity
+            self.items[index], placement, self.splats, first, self.origin, turned=self.degree > 0, opacity=opacity
         )
 
-    def _origin(self, places: Mapping[int, Placement], eye: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _origin(self, placements: Mapping[int, Placement], eye: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return an origin [3] near the items, as float32 coordinates are too coarse far from it."""
-        anchors = np.array([place.anchor(self.items[index].centre) for index, place in places.items()])
+        anchors = np.array([placement.anchor(self.items[index].centre) for index, placement in placements.items()])
         if len(self.items) == 1 == len(anchors):  # nothing else has to move with it
             return anchors[0] if np.abs(anchors[0]).max() > NEAR_M else np.zeros(3)
         middle = np.median(anchors, axis=0) if len(anchors) else np.zeros(3)
@@ -234,11 +238,3 @@ class Arena:
             if mine and item.splats.cones is not None:
                 out[first * ROW : first * ROW + item.count] = item.splats.cones
         return out
-
-
-T = TypeVar("T", moderngl.Texture, moderngl.Buffer, SkinPass)
-
-
-def _own(stack: ExitStack, item: T) -> T:
-    stack.callback(item.release)
-    return item

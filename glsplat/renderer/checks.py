@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from glsplat.arrays import flag, instance
+from glsplat.arrays import flag
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError, PoseError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Pixel = typing_extensions.TypeVar("Pixel", np.uint8, np.float32, default=np.uint8)
 else:
     Pixel = TypeVar("Pixel", np.uint8, np.float32)
-"""What images hold, by ``RenderConfig.output``. Type checkers take it from ``out`` or the variable, else uint8."""
+"""Type of images (``RenderConfig.output``). Type checkers take it from ``out`` or the variable, else uint8."""
 
 Views = Iterable[Camera]
 Images = NDArray[Any]
@@ -36,7 +36,7 @@ Depths = NDArray[np.float32]
 
 
 def check_driver(config: RenderConfig, context: Context) -> None:
-    """Raise ContextError if the driver cannot do what the config names."""
+    """Raise ContextError if the driver lacks a feature that the config requires."""
     driver = context.driver
     if config.debug.layers == "vertex" and not context.vertex_layers:
         raise ContextError(f"{driver} cannot write gl_Layer in the vertex shader; use layers='geometry'")
@@ -70,7 +70,6 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
     """Return the pose, or the zero pose for None. Raises PoseError if ``what`` has another number of ``joints``."""
     if pose is None:
         return Pose.zero(joints)
-    instance(pose, Pose, "render", PoseError, "make one of your values first")
     if len(pose.rotations) != joints:
         raise PoseError(f"the pose has {len(pose.rotations)} joints, the {what} {joints}")
     return pose

@@ -10,24 +10,25 @@ import moderngl
 
 from glsplat.camera import Camera
 from glsplat.gl.context import Context
-from glsplat.renderer.targets import Box, Target
+from glsplat.renderer.stats import Box
+from glsplat.renderer.targets import Target
 from glsplat.shaders import Programs, Variant, record_layout
 
 __all__ = ["MAX_PULLED", "BackgroundPass", "DrawPass", "Slices", "corners_of", "fits"]
 
 MAX_PULLED = 500_000
-"""Records up to which software rasterizers pull by default: 0.8 of the draw's time up to 320,000, 1.1 at a million."""
+"""Most records that software rasterizers pull by default: 0.8 of the draw's time up to 320,000, 1.1 at a million."""
 
 MIN_PART_RECORDS, MAX_PARTS = 4096, 10
-"""How a software rasterizer gets pulled records: it bins one part while it draws the one before, and bins of a small
-part stay in the cache; but each part costs as much as the picture covers."""
+"""Size and number of the parts in which a software rasterizer draws pulled records: it bins one part while it draws the
+previous one, and the bins of a small part stay in the cache; but each part adds a cost by the covered pixels."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slices:
-    """How a costly picture is drawn: in parts of about ``cost`` covered pixels, with a call between two of them."""
+    """Slices of a costly picture, of about ``cost`` covered pixels each, with a call between two of them."""
 
-    between: Callable[[], None] | None = None  # what it raises ends the picture
+    between: Callable[[], None] | None = None  # an exception that it raises ends the picture
     cost: float = math.inf
 
 
@@ -44,7 +45,7 @@ def fits(ctx: moderngl.Context, variant: Variant, count: int) -> bool:
 
 
 class BackgroundPass:
-    """Fills what lies behind the splats: by one clear, or by a draw for several backgrounds, meshes and depth."""
+    """Fills the background: by one clear, or by a draw for several colours, meshes and depth."""
 
     def __init__(self, ctx: moderngl.Context, programs: Programs, variant: Variant) -> None:
         self._ctx, self._programs, self._variant = ctx, programs, variant
@@ -74,7 +75,7 @@ class DrawPass:
     """Blends records in their order into one layer a view.
 
     Instance i draws record i / views into layer i % views. With ``variant.pulled`` there is one instance, and the
-    vertices of what would be instance i come after each other: on llvmpipe an instance costs more than its vertices.
+    vertices of all records follow each other: on llvmpipe an instance costs more than its vertices.
     """
 
     def __init__(self, context: Context, programs: Programs, variant: Variant, records: moderngl.Buffer) -> None:
@@ -93,14 +94,10 @@ class DrawPass:
             offset += floats * 4
         self._begin_at(0)
 
-    def run(self, target: Target, count: int, indirect: moderngl.Buffer | None = None) -> None:
-        """Blend ``count`` records in order; ``indirect`` holds the number if only the GPU knows it."""
-        self._run(target, 0, count, indirect)
-
     def run_slices(self, target: Target, ends: Sequence[int], between: Callable[[], None]) -> None:
-        """Draw the same picture in several draws, each up to the next of the record numbers ``ends``.
+        """Blend the records in several draws, which end at the record numbers ``ends``.
 
-        Waits for each and calls ``between``. Raises what that raises; the target is then half drawn.
+        Waits for each draw, then calls ``between``. If that raises, the target is half drawn.
         """
         begin = 0
         try:
@@ -109,12 +106,13 @@ class DrawPass:
                     self._ctx.finish()
                     between()
                 self._begin_at(begin)
-                self._run(target, begin, end)
+                self.run(target, end, begin)
                 begin = end
         finally:
             self._begin_at(0)
 
-    def _run(self, target: Target, begin: int, end: int, indirect: moderngl.Buffer | None = None) -> None:
+    def run(self, target: Target, end: int, begin: int = 0, indirect: moderngl.Buffer | None = None) -> None:
+        """Blend records ``begin`` to ``end`` in order; ``indirect`` holds their number if only the GPU knows it."""
         target.framebuffer.use()
         if begin == end:
             return
@@ -135,7 +133,7 @@ class DrawPass:
         part = max(MIN_PART_RECORDS, -((begin - end) // MAX_PARTS)) if self._flushed else end - begin
         for first in range(begin, end, part):
             if self._flushed and first > begin:
-                self._flushed.clear()  # llvmpipe draws what it has when it gets another target; moderngl has no glFlush
+                self._flushed.clear()  # llvmpipe starts drawing when the target changes; moderngl has no glFlush
             self._array.render(self._mode, vertices=(min(first + part, end) - first) * vertices, first=first * vertices)
 
     def _begin_at(self, record: int) -> None:

@@ -1,8 +1,8 @@
 """GpuScene: a scene on the GPU. Items are uploaded once and posed when they move.
 
-The arena is made anew when an item comes or goes. Viewers near and far from items with levels of detail do not undo
-each other's work: a single item has an arena for each level that was drawn lately; several items share one that holds
-all levels, each posed once a movement, of which a picture shows some.
+The arena is made again when an item is added or removed. A single item has an arena for each recently drawn level of
+detail. Several items share an arena with all their levels, each posed once per movement; a picture shows some of them.
+So viewers at different distances do not evict each other's levels.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import instance
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import CULL_PSNR, RenderConfig
@@ -39,18 +40,18 @@ from glsplat.timing import StageTimer
 __all__ = ["GpuScene"]
 
 PASSES = 4
-"""Passes of one call that keep records of their own; later ones share the last place."""
+"""Passes of one call that keep records of their own; later passes share the last ones."""
 
-_MAX_ARENAS = 32  # choices of levels
+_MAX_ARENAS = 32  # combinations of levels
 _MAX_BYTES = 256 * 2**20
-"""Of arenas that are not in use, or twice the largest: all levels of one item are that much."""
+"""Bytes of arenas that are not in use; or twice the largest arena, enough for all levels of one item."""
 
 _MAX_SHARED_SPLATS = 2_000_000
-"""Of several items at all their levels of detail in one arena: some 200 MB."""
+"""Splats of an arena that holds several items at all their levels of detail: about 200 MB."""
 
 
 class GpuScene:
-    """Owns the buffers of all items, the arenas and what draws meshes; scene, context and programs are borrowed."""
+    """Owns the buffers of all items, the arenas and the mesh passes; scene, context and programs are borrowed."""
 
     def __init__(self, context: Context, programs: Programs, scene: Scene, config: RenderConfig) -> None:
         self.scene = scene
@@ -76,22 +77,22 @@ class GpuScene:
         self.light: Light | None = None
         self._transform = scene.transform
         try:
-            self._look(-1)
-            places = [self._placement(item, None) for item in self._visible]
-            self._stage([self._first_level(item) for item in self._visible], places)
+            self._read_scene(-1)
+            placements = [self._placement(item, None) for item in self._visible]
+            self._stage([self._first_level(item) for item in self._visible], placements)
         except BaseException:
             self.release()
             raise
 
     @property
     def arena(self) -> Arena:
-        """All visible splats."""
+        """The arena in use, with all visible splats."""
         assert self._arena is not None
         return self._arena
 
     @property
     def splats(self) -> int:
-        """Splats of what is shown, drawable or not."""
+        """Splats of the shown items, drawable or not."""
         return sum(item.count + item.skipped for item in self.arena.shown_items)
 
     def nbytes(self) -> dict[str, int]:
@@ -107,33 +108,30 @@ class GpuScene:
     def update(
         self, views: Sequence[Camera], pose: Pose | None, selector: Selector, timer: StageTimer
     ) -> tuple[list[Camera], FrameStats]:
-        """Follow the scene: items that came, went or moved, and levels of detail.
+        """Update buffers and placements for items that were added, removed or moved, and choose levels of detail.
 
-        Return the views in the scene's own space, and what is known before drawing. ``pose`` is for the one avatar of a
-        scene, if there is one. Items in none of the views' layers are not shown.
+        Return the views in the scene's own space, and the statistics known before drawing. ``pose`` is for the one
+        avatar of a scene. Items in none of the views' layers are not shown.
         """
-        self._look(views[0].layers)
+        self._read_scene(views[0].layers)
         views = [view if self._unplaced else view.in_space(self._transform) for view in views]
         if pose is not None:
-            if not isinstance(pose, Pose):
-                raise PoseError(
-                    f"render needs a glsplat.Pose, not {type(pose).__name__}; make one of your values first"
-                )
+            instance(pose, Pose, "render", PoseError, "make one of your values first")
             avatars = sum(is_rigged(item.content) for item in (*self._visible, *self._visible_meshes))
             if avatars > 1:
                 raise PoseError(f"render() got one pose for {avatars} avatars; set the pose of each item instead")
-        places = [self._placement(item, pose) for item in self._visible]
+        placements = [self._placement(item, pose) for item in self._visible]
         levels = [
             max(level, min(item.finest, self._levels_of(item).coarsest))
-            for item, level in zip(self._visible, self._choose(places, views, selector), strict=True)
+            for item, level in zip(self._visible, self._choose(placements, views, selector), strict=True)
         ]
-        self._stage(levels, places)
+        self._stage(levels, placements)
         self._place_meshes(pose)
-        if self._placed_meshes or any(place.bones is not None for place in places):
+        if self._placed_meshes or any(placement.bones is not None for placement in placements):
             timer.mark("pose")
         parts = [part for part in enumerate(levels) if self._visible[part[0]] not in self._hidden]
         arena, before = self.arena, self.arena.runs
-        if arena.place({part: places[part[0]] for part in parts}, views[0].position):
+        if arena.show({part: placements[part[0]] for part in parts}, views[0].position):
             timer.mark("skin")
         skipped = sum(item.skipped for item in arena.shown_items)
         shown, posed = tuple(level for _, level in parts), arena.runs - before
@@ -142,7 +140,7 @@ class GpuScene:
 
     @property
     def size(self) -> float:
-        """Metres of the cameras' world a metre of the scene."""
+        """Scale of the scene: metres of the cameras' world per metre of the scene."""
         return 1.0 if self._unplaced else float(np.cbrt(np.linalg.det(self._transform[:3, :3])))
 
     @property
@@ -152,7 +150,7 @@ class GpuScene:
     def mesh_pass(
         self, views: Sequence[Camera], ordinal: int, dtype: str, timer: StageTimer, depth: bool = False
     ) -> MeshPass | None:
-        """Draw the meshes for these views, if there are any, and return what holds them."""
+        """Draw the meshes for these views and return their pass; None without meshes."""
         if not self._placed_meshes:
             return None
         kind = MeshPassKind(self._occluded, self._samples, depth and not self._occluded)
@@ -164,7 +162,7 @@ class GpuScene:
 
     @property
     def _occluded(self) -> bool:
-        """Whether meshes are wanted at the pixel centres: splats are drawn as well, or there are no other samples."""
+        """Whether meshes are drawn at the pixel centres: splats are drawn as well, or there is one sample a pixel."""
         return bool(self._placed_meshes) and (self._samples == 1 or self.arena.shown_splats > 0)
 
     @staticmethod
@@ -173,7 +171,7 @@ class GpuScene:
         return ordinal >= PASSES - 1
 
     def pipeline(self, views: Sequence[Camera], ordinal: int, depth: bool = False) -> Pipeline:
-        """Return what draws these views as pass number ``ordinal`` of the call."""
+        """Return the pipeline that draws these views as pass number ``ordinal`` of the call."""
         arena = self.arena
         variant = variant_for(
             len(views),
@@ -193,18 +191,17 @@ class GpuScene:
             lit=self.light is not None and arena.surfaced,
         )
         key = variant, (views[0].width, views[0].height), min(ordinal, PASSES - 1)
-        made: Pipeline = arena.pipelines.get(
-            key, lambda: Pipeline(self._context, self._programs, variant, arena, self._config)
-        )
+        made = arena.pipelines.get(key, lambda: Pipeline(self._context, self._programs, variant, arena, self._config))
+        assert isinstance(made, Pipeline)
         return made
 
     def shade(self, item: Item, factors: NDArray[np.float32] | None) -> None:
-        """Light the vertices of a visible mesh by ``factors`` [N, 3] from now on; None for no light."""
+        """Set the light factors [N, 3] of a visible mesh's vertices; None: the mesh is not lit."""
         self._meshes[item].shade(factors)
         self._meshes_version += 1
 
     def add_costs(self, pipeline: Pipeline, costs: dict[Item, int]) -> int:
-        """Add what a pipeline counted for each item to ``costs``, if it did; return what it counted for all."""
+        """Add a pipeline's cost of each item to ``costs``, if it was counted; return the pipeline's total cost."""
         for index, cost in zip(self.arena.shown, pipeline.item_costs, strict=False):
             item = self._visible[self.arena.parts[index][0]]
             costs[item] = costs.get(item, 0) + cost
@@ -222,24 +219,24 @@ class GpuScene:
         for one in buffers.values():
             one.release()
 
-    def _look(self, layers: int) -> None:
-        """Note the scene's items, place and light, once a frame, as other threads may change them meanwhile."""
+    def _read_scene(self, layers: int) -> None:
+        """Read the scene's items, transform and light once a frame, as other threads may change them during it."""
         items, self.light, self._transform = self.scene.items, self.scene.light, self.scene.transform
         if self.light is not None and not self._unplaced:
             self.light = self.light.turned(self._transform[:3, :3].T / self.size)
         self._present = frozenset(items)
         visible = [item for item in items if item.visible]
-        self._hidden = frozenset(item for item in visible if not item.layers & layers)  # in none of the views' layers
+        self._hidden = frozenset(item for item in visible if not item.layers & layers)  # by their layers
         self._visible = [item for item in visible if not isinstance(item.content, RiggedMesh)]
         self._visible_meshes = [item for item in visible if isinstance(item.content, RiggedMesh)]
 
-    def _stage(self, levels: Sequence[int], places: Sequence[Placement]) -> None:
+    def _stage(self, levels: Sequence[int], placements: Sequence[Placement]) -> None:
         """Upload new items, and use an arena that holds the visible ones at these levels of detail.
 
-        Nothing is released before its replacement is there.
+        Nothing is released before its replacement exists.
         """
         visible, parts = self._visible, self._arena_parts(levels)
-        posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or places[0].moved
+        posed = len(visible) != 1 or isinstance(visible[0].content, Avatar) or placements[0].moved
         arenas_of = (posed, *visible)
         if arenas_of != self._arenas_of or self._arena is None:
             made = self._made(parts, posed)
@@ -255,7 +252,7 @@ class GpuScene:
             del self._levels[item]
 
     def _arena_parts(self, levels: Sequence[int]) -> tuple[Part, ...]:
-        """Return what an arena for these levels holds: of several items all levels, if that is not too much."""
+        """Return the parts of an arena for these levels; of several items all levels, up to _MAX_SHARED_SPLATS."""
         if len(self._visible) > 1 and not self._fixed:
             of_items = [self._levels_of(item) for item in self._visible]
             together = tuple((i, level) for i, one in enumerate(of_items) for level in range(one.coarsest + 1))
@@ -268,7 +265,8 @@ class GpuScene:
         if config.cull_hidden is True and levels and not any(one.has_cones for one in levels):
             raise GlsplatError(
                 "cull_hidden needs splats with visibility cones, this scene has none; "
-                "make them (glsplat avatar cones, glsplat.extras.authoring.cones.with_cones) or leave cull_hidden off"
+                "make them (glsplat avatar cones, glsplat.extras.authoring.finish.cones.with_cones) "
+                "or leave cull_hidden off"
             )
         items = [self._buffers_of(self._visible[number], level) for number, level in parts]
         self.arenas += 1
@@ -318,13 +316,16 @@ class GpuScene:
         """Whether levels do not depend on the view."""
         return self._config.level != "auto" or not any(self._first_level(item) for item in self._visible)
 
-    def _choose(self, places: Sequence[Placement], views: Sequence[Camera], selector: Selector) -> list[int]:
+    def _choose(self, placements: Sequence[Placement], views: Sequence[Camera], selector: Selector) -> list[int]:
         """Return the level of each visible item for these views."""
         self._coarsest = True
         if self._fixed:
             return [self._first_level(item) for item in self._visible]
-        items = zip(map(self._levels_of, self._visible), places, strict=True)
-        seen = [(one.number, one.densities, one.density(views, place.to_world, place.bones)) for one, place in items]
+        items = zip(map(self._levels_of, self._visible), placements, strict=True)
+        seen = [
+            (one.number, one.densities, one.density(views, None if at.unmoved else at.transform, at.bones))
+            for one, at in items
+        ]
         levels = selector.choose(seen, self._config.lod_bias)
         self._coarsest = selector.coarsest
         return levels
@@ -339,8 +340,8 @@ class GpuScene:
                     self._meshes[item] = MeshBuffers(self._context, item.content, self._config.debug.mesh_anisotropy)
                 placed.append((self._meshes[item], self._placement(item, pose)))
         same = len(placed) == len(self._placed_meshes) and all(
-            mesh is old and place.same(before)
-            for (mesh, place), (old, before) in zip(placed, self._placed_meshes, strict=True)
+            mesh is old and placement.same(before)
+            for (mesh, placement), (old, before) in zip(placed, self._placed_meshes, strict=True)
         )
         self._meshes_version += not same
         self._placed_meshes = placed
@@ -348,9 +349,6 @@ class GpuScene:
             self._meshes.pop(gone).release()
 
     def _placement(self, item: Item, pose: Pose | None) -> Placement:
-        transform = item.transform
-        linear = transform[:3, :3]
-        size = 1.0 if np.array_equal(transform, np.eye(4)) else float(np.cbrt(np.linalg.det(linear)))
         bones = weights = None
         if not isinstance(item.content, Splats):
             skeleton = item.content.skeleton
@@ -359,7 +357,7 @@ class GpuScene:
             bones = posed.bones(skeleton)
             if isinstance(item.content, Avatar):
                 weights = item.content.weights(posed)
-        return Placement(linear / size, transform[:3, 3], size, bones, item.opacity, weights)
+        return Placement(item.transform, bones, item.opacity, weights)
 
 
 def _culled(splats: Splats, config: RenderConfig) -> bool:

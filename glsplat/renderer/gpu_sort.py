@@ -8,8 +8,9 @@ import moderngl
 import numpy as np
 
 from glsplat.errors import ContextError
+from glsplat.renderer.owned import owned
 from glsplat.renderer.sort import CULL_REASONS
-from glsplat.shaders import Programs
+from glsplat.shaders import Programs, set_uniforms
 
 __all__ = ["GpuSorter"]
 
@@ -42,12 +43,10 @@ class GpuSorter:
         self._shifts = range(32 - bits, 32, DIGIT_BITS)
         self._buffers = (keys, order, scratch)
         self._groups = max(1, -(-count // BLOCK_KEYS))
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self._histogram = ctx.buffer(reserve=16 * self._groups * 4)
-            stack.callback(self._histogram.release)
+        with ExitStack() as stack:  # releases everything if an allocation fails
+            self._histogram = owned(stack, ctx.buffer(reserve=16 * self._groups * 4))
             # indirect draw (4 uints), counts by cull code (8), cost (2), 2 to spare
-            self.indirect: moderngl.Buffer = ctx.buffer(reserve=64)
-            stack.callback(self.indirect.release)
+            self.indirect: moderngl.Buffer = owned(stack, ctx.buffer(reserve=64))
             self._stages = {name: programs.compute(f"radix_{name}") for name in ("init", "count", "scan", "scatter")}
             self._owned = stack.pop_all()
 
@@ -85,10 +84,7 @@ class GpuSorter:
 
     def _dispatch(self, name: str, groups: int, **settings: int | bool) -> None:
         program = self._stages[name]
-        for key, value in {"count": self._count, "groups": self._groups, **settings}.items():
-            uniform = program.get(key, None)  # a stage keeps only the uniforms it reads
-            if isinstance(uniform, moderngl.Uniform):
-                uniform.value = value
+        set_uniforms(program, {"count": self._count, "groups": self._groups, **settings})
         program.run(groups)
         self._ctx.memory_barrier()
 

@@ -23,8 +23,8 @@ _ROW_BYTES = 12  # key, tiles, cost
 class KeyPass:
     """Writes a key per splat, the tiles that it touches and its cost.
 
-    The GPU sorter gets two buffers. The host gets one, row by row: of two, Mesa's softpipe (22.3.6) leaves the second
-    unwritten if it was drawn from in between.
+    The GPU sorter reads two buffers. The host reads one, with a row a splat, as Mesa's softpipe (22.3.6) leaves the
+    second of two unwritten if it was drawn from in between.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class KeyPass:
     def read(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32]]:
         """Read back keys [N], packed tiles [N] and covered blocks of 4x4 pixels [N] (0: not drawn).
 
-        Of the N splats of the ranges, in their order. Call it before the records are written; the next call reuses the
+        N are the splats of the ranges, in their order. Call it before the records are written; the next call reuses the
         arrays.
         """
         rows, columns = self._rows[: self._found], self._columns[:, : self._found]

@@ -1,10 +1,10 @@
-"""Levels of detail: coarser stand-ins of an item, and which of them a view gets.
+"""Levels of detail: coarser versions of an item, and the choice of one for a view.
 
-Levels are chosen by how densely a view shows an item, and were measured at such densities
-(``extras.authoring.detail``). A density is the focal length in pixels over the depth in metres, averaged over the
-pixels that the item covers. A few points stand for the item (``Proxy``), so that it takes microseconds. Nothing jumps:
-points fade at the picture's rim, and are as blurred as the splats around them are spread, so that an eye may stand
-among them. From outside, the density is close to the focal length over the distance of the near side.
+A level is chosen by the density at which a view shows the item: the focal length in pixels over the depth in metres,
+averaged over the pixels that the item covers. ``extras.authoring.finish`` measures levels at such densities. A few
+points represent the item (``Proxy``), so that a density takes microseconds. Densities are continuous: points fade at
+the picture's rim and are blurred by the spread of their splats, so that an eye may be among them. From outside, the
+density is close to the focal length over the distance of the near side.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ __all__ = ["HYSTERESIS", "ItemLevels", "Proxy", "Selector", "cells", "chosen"]
 F64 = NDArray[np.float64]
 
 HYSTERESIS = 1.05
-"""A level is kept until the view's density is above this factor of its own, or of that of the coarser level below."""
+"""Factor by which the view's density has to pass the limit between two levels before the level changes."""
 
 _STATIC_POINTS = 256  # of splats without a skeleton
 _AVATAR_POINTS = 96  # posed each frame
-_SAMPLED_SPLATS = 65536  # that place the points
-_FADE = 0.25  # of a cosine, over which points fade beyond the corners of the picture
+_SAMPLED_SPLATS = 65536  # the points are means of these
+_FADE = 0.25  # range of the cosine over which points fade beyond the corners of the picture
 
-_numbers = itertools.count()  # of the whole process: a Selector may follow its viewer from one renderer to another
+_numbers = itertools.count()  # unique in the process, as a Selector may follow its viewer to another renderer
 
 
 def cells(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
@@ -61,20 +61,20 @@ def cells(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Proxy:
-    """A few points that stand for the splats of a scene (at most 256) or an avatar, in its own space.
+    """A few points that represent splats (at most 256 points) or an avatar, in its own space.
 
-    Those of an avatar each move with one joint: 96, and at least one a joint that moves splats.
+    Each point of an avatar moves with one joint: 96 points, and at least one for each joint that moves splats.
 
     >>> proxy = Proxy.of(glsplat.default_avatar())
     >>> camera = glsplat.Camera(glsplat.look_at((0, 0, 4), (0, 0, 0)), glsplat.pinhole(1024, 1024, 90), 1024, 1024)
-    >>> round(proxy.density(camera))  # 512 px over 4 m and less
+    >>> round(proxy.density(camera))  # 512 px over 4 m; nearer points raise the mean
     129
     """
 
-    points: F64  # [P, 4] metres and a 1: zero pose, or where static splats are
+    points: F64  # [P, 4] metres and a 1, in the zero pose
     spread: F64  # [P] metres: standard deviation of the splats' places
     area: F64  # [P] metres^2 that its splats cover, as seen from their flat side
-    joints: NDArray[np.intp] | None = None  # [P] that each point moves with
+    joints: NDArray[np.intp] | None = None  # [P] joint of each point; None: static
 
     @classmethod
     def of(cls, scene: Splats | Avatar) -> Proxy:
@@ -146,7 +146,7 @@ class Proxy:
 class Selector:
     """Chooses levels for one viewer and remembers them against flicker. Each of several viewers has its own.
 
-    ``bias`` is added to ``RenderConfig.lod_bias``, in halvings, -8 to 8. See ``Renderer.selector``.
+    ``bias`` is added to ``RenderConfig.lod_bias``; -8 to 8. See ``Renderer.selector``.
     """
 
     def __init__(self, bias: float = 0.0) -> None:
@@ -156,7 +156,7 @@ class Selector:
 
     @property
     def bias(self) -> float:
-        """Halvings of the density: above 0 for finer levels than suffice, below for coarser. -8 to 8."""
+        """Log2 of a factor of the density: above 0 for finer levels, below 0 for coarser ones; -8 to 8."""
         return self._bias
 
     @bias.setter
@@ -221,7 +221,7 @@ class ItemLevels:
 
     @property
     def has_cones(self) -> bool:
-        """Whether hidden splats can be left out of any level."""
+        """Whether any level has visibility cones."""
         return any(splats_of(content).cones is not None for content in self.contents)
 
     def splats(self, level: int) -> int:

@@ -1,29 +1,32 @@
-"""LruCache: keeps owners of GL objects by key and releases those that were not used for longest."""
+"""LruCache: keeps owners of GL objects by key and releases the least recently used ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
 from typing import Generic, Protocol, TypeVar
 
-__all__ = ["LruCache"]
+from glsplat.renderer.owned import Owner
+
+__all__ = ["LruCache", "Sized"]
 
 
-class _Owner(Protocol):
+class Sized(Owner, Protocol):
+    """An owner of GL objects that take ``nbytes`` on the GPU."""
+
     @property
-    def nbytes(self) -> int: ...
-
-    def release(self) -> None: ...
+    def nbytes(self) -> int:
+        """GPU bytes."""
 
 
 K = TypeVar("K", bound=Hashable)
-V = TypeVar("V", bound=_Owner)
+V = TypeVar("V", bound=Sized)
 
 
 class LruCache(Generic[K, V]):
     """Owners of GL objects by key. A call that is interrupted at any line leaves it consistent."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
-        self._most, self.most_bytes = most, most_bytes  # owners, and bytes of those that are not in use
+        self._most, self.most_bytes = most, most_bytes  # owners, and bytes of owners that are not in use
         self._owners: dict[K, V] = {}
         self._last_use: dict[K, int] = {}
         self._uses = 0
@@ -36,7 +39,7 @@ class LruCache(Generic[K, V]):
 
     @property
     def nbytes(self) -> int:
-        """GPU bytes of all that is kept."""
+        """GPU bytes of all owners."""
         return sum(owner.nbytes for owner in self._owners.values())
 
     def get(self, key: K, make: Callable[[], V]) -> V:

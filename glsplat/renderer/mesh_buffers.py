@@ -1,4 +1,4 @@
-"""MeshBuffers: a rigged mesh of a scene on the GPU, and where it is."""
+"""MeshBuffers: a rigged mesh of a scene on the GPU, and its placement."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
@@ -23,7 +24,7 @@ INFLUENCES = 4
 """Joints a vertex, as for splats."""
 
 _ALPHA_TO_COVERAGE = 0x809E  # GL_SAMPLE_ALPHA_TO_COVERAGE; moderngl has no name for either
-_ALPHA_TO_ONE = 0x809F  # GL_SAMPLE_ALPHA_TO_ONE: the target keeps how much is covered, not how much alpha
+_ALPHA_TO_ONE = 0x809F  # GL_SAMPLE_ALPHA_TO_ONE: alpha of the target is coverage
 
 _ATTRIBUTES, _NAMES = "3f 2f 4u2 4f", ("vertex", "uv", "joints0", "weights0")  # of mesh.vert.glsl, skin.glsl
 _VERTEX = np.dtype([("vertex", "f4", 3), ("uv", "f4", 2), ("joints", "u2", 4), ("weights", "f4", 4)])
@@ -54,18 +55,12 @@ class MeshBuffers:
         self._cutouts = [part.cutout for part in mesh.parts]
         self._shade: moderngl.Buffer | None = None
         self.shaded = False
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self._vertices: moderngl.Buffer = ctx.buffer(np.concatenate(vertices))
-            stack.callback(self._vertices.release)
-            self._faces: moderngl.Buffer = ctx.buffer(np.concatenate(triangles).astype(np.uint32))
-            stack.callback(self._faces.release)
-            self._textures: list[moderngl.Texture] = []
-            for part in mesh.parts:
-                self._textures.append(_texture(ctx, part, min(anisotropy, ctx.max_anisotropy)))
-                stack.callback(self._textures[-1].release)
-            self._bones: moderngl.Texture = ctx.texture((3, len(mesh.skeleton)), 4, dtype="f4")
-            stack.callback(self._bones.release)
-            self._bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        with ExitStack() as stack:  # releases everything if an allocation fails
+            self._vertices: moderngl.Buffer = owned(stack, ctx.buffer(np.concatenate(vertices)))
+            self._faces: moderngl.Buffer = owned(stack, ctx.buffer(np.concatenate(triangles).astype(np.uint32)))
+            most = min(anisotropy, ctx.max_anisotropy)
+            self._textures = [owned(stack, _texture(ctx, part, most)) for part in mesh.parts]
+            self._bones = data_texture(stack, ctx, (3, len(mesh.skeleton)), 4)
             self._owned = stack.pop_all()
 
     @property
@@ -76,37 +71,36 @@ class MeshBuffers:
         bones = self._bones.width * self._bones.height * 16
         return self._vertices.size + self._faces.size + bones + shade + texels * 4 // 3
 
-    def place(self, place: Placement, origin: NDArray[np.float64]) -> None:
+    def place(self, placement: Placement, origin: NDArray[np.float64]) -> None:
         """Write the bones about ``origin`` [3], in the world."""
-        assert place.bones is not None
-        self._placed = place.size * (place.turn @ place.bones)
-        self._placed[:, :, 3] += place.offset - origin
+        assert placement.bones is not None
+        self._placed = placement.size * (placement.turn @ placement.bones)
+        self._placed[:, :, 3] += placement.offset - origin
         self._bones.write(self._placed.astype(np.float32))
 
     def shade(self, factors: NDArray[np.float32] | None) -> None:
-        """Multiply the linear colours of the mesh's vertices by ``factors`` [N, 3] from now on; None: not at all."""
+        """Multiply the linear colours of the mesh's vertices by ``factors`` [N, 3] ; None: the mesh is not lit."""
         self.shaded = factors is not None
         if factors is not None:
             values = np.ascontiguousarray(factors[self._indices])
             if self._shade is None:
-                self._shade = self._ctx.buffer(reserve=values.nbytes, dynamic=True)
-                self._owned.callback(self._shade.release)
+                self._shade = owned(self._owned, self._ctx.buffer(reserve=values.nbytes, dynamic=True))
             self._shade.write(values)
 
     def depths(self, camera: Camera, origin: NDArray[np.float64]) -> tuple[float, float]:
         """Return the least and largest camera z in metres that the placed mesh may have; the first may be negative.
 
-        A vertex is a mean of where its joints move it, so it lies within the balls around the posed joints.
+        A vertex is a weighted mean of positions around its posed joints, so it lies within balls around these.
         """
         bones = self._placed
-        places = np.einsum("jik,jk->ji", bones[:, :, :3], self._rest) + bones[:, :, 3] + origin
-        depth = places @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+        centres = np.einsum("jik,jk->ji", bones[:, :, :3], self._rest) + bones[:, :, 3] + origin
+        depth = centres @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
         size = self._reach * np.linalg.norm(bones[:, :, :3], ord=2, axis=(1, 2))
         used = self._reach >= 0
         return float((depth - size)[used].min()), float((depth + size)[used].max())
 
     def draw(self, programs: Programs, variant: MeshVariant, samples: int) -> None:
-        """Draw all parts into the bound framebuffer of ``samples`` a pixel, which soften the edges of cut-outs."""
+        """Draw all parts into the bound framebuffer of ``samples`` a pixel, which antialias the edges of cut-outs."""
         array = self._array(programs, replace(variant, shaded=int(self.shaded)))
         self._bones.use(UNITS["bones"])
         switches = (_ALPHA_TO_COVERAGE, _ALPHA_TO_ONE) if samples > 1 else ()
@@ -139,7 +133,7 @@ class MeshBuffers:
 
 
 def fitted(camera: Camera, least: float, largest: float) -> Camera:
-    """Return the camera with near and far drawn in to these depths in metres."""
+    """Return the camera with near and far moved inwards to these depths in metres."""
     near, far = max(camera.near, least * 0.99), min(camera.far, largest * 1.01)
     return replace(camera, near=near, far=max(far, near * 1.001))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -20,6 +20,7 @@ from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.mesh_buffers import INFLUENCES, MeshBuffers, fitted
+from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement, near_eye
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
@@ -28,20 +29,20 @@ __all__ = ["MeshPass", "MeshPassKind"]
 
 _NO_MESH_Z = 3e38  # camera z where no mesh is: behind every splat
 _LINEAR, _LOGARITHMIC = (MeshVariant(influences=INFLUENCES, logarithmic=n) for n in (0, 1))
-_LINEAR_RANGE = 1000.0  # of far to near, up to which 24 bits of 1 / z are a 17,000th of z or finer
+_LINEAR_RANGE = 1000.0  # far / near up to which 24 bits of 1 / z resolve z to a 17,000th
 _SAMPLE_DTYPE = "f1"  # as textures; floats would be 16 bytes a sample to clear, blend and average
 
 
 class MeshPassKind(NamedTuple):
-    """What a frame needs of its meshes."""
+    """The pictures of its meshes that a frame needs."""
 
-    centres: bool  # colour and z at the pixel centres: what splats are tested against, and all there is of one sample
-    samples: int  # above 1: colour by so many samples a pixel
-    depth: bool  # without centres: z as well, its mean over the pixel times coverage
+    centres: bool  # colour and z at the pixel centres; splats are tested against this z
+    samples: int  # a pixel, for the colour; 1: the centres alone
+    depth: bool  # without centres: also the mean z of a pixel, times coverage
 
 
 class MeshPass:
-    """Owns the targets of one size and number of views; keeps what was drawn while nothing moves."""
+    """Owns the targets of one size and number of views; keeps its pictures while nothing moves."""
 
     def __init__(
         self, context: Context, programs: Programs, size: tuple[int, int], views: int, kind: MeshPassKind, dtype: str
@@ -52,10 +53,9 @@ class MeshPass:
         self._centres: list[_Centres] = []
         self._samples: _Samples | None = None
         self._frames: list[FrameBlock] = []
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             for _ in range(views):
-                self._frames.append(FrameBlock(ctx, 1))
-                stack.callback(self._frames[-1].release)
+                self._frames.append(owned(stack, FrameBlock(ctx, 1)))
                 if kind.centres:
                     self._centres.append(_Centres(ctx, size, dtype, stack))
             if kind.samples > 1:
@@ -72,10 +72,10 @@ class MeshPass:
         if state == self._drawn:
             return
         self._drawn = None
-        anchors = np.array([place.anchor() for _, place in items])
+        anchors = np.array([placement.anchor() for _, placement in items])
         origin = near_eye(anchors[0], anchors, cameras[0].position)  # float32 has no bits left far from zero
-        for item, place in items:
-            item.place(place, origin)
+        for item, placement in items:
+            item.place(placement, origin)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         try:
             for view, camera in enumerate(cameras):
@@ -120,12 +120,12 @@ class _Centres:
     """Colour and camera z at the pixel centres of one view."""
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int], dtype: str, stack: ExitStack) -> None:
-        self.colour = _texture(ctx, size, 4, dtype, stack)
-        self.z = _texture(ctx, size, 1, "f4", stack)
-        depth = _own(stack, ctx.depth_renderbuffer(size))
+        self.colour = data_texture(stack, ctx, size, 4, dtype=dtype)
+        self.z = data_texture(stack, ctx, size, 1)
+        depth = owned(stack, ctx.depth_renderbuffer(size))
         # two framebuffers: clear() gives every colour attachment the same value
-        self._both = _own(stack, ctx.framebuffer([self.colour, self.z], depth))
-        self._far = _own(stack, ctx.framebuffer([self.z]))
+        self._both = owned(stack, ctx.framebuffer([self.colour, self.z], depth))
+        self._far = owned(stack, ctx.framebuffer([self.z]))
         self.nbytes: int = size[0] * size[1] * (_BYTES[dtype] + 4 + 4)
 
     def begin(self) -> None:
@@ -142,14 +142,14 @@ class _Samples:
         self, ctx: moderngl.Context, size: tuple[int, int], views: int, kind: MeshPassKind, stack: ExitStack
     ) -> None:
         formats = [(4, _SAMPLE_DTYPE)] + ([(1, "f4")] if kind.depth and not kind.centres else [])
-        drawn = [_own(stack, ctx.renderbuffer(size, n, samples=kind.samples, dtype=dtype)) for n, dtype in formats]
-        depth = _own(stack, ctx.depth_renderbuffer(size, samples=kind.samples))
-        self._drawn = _own(stack, ctx.framebuffer(drawn, depth))
+        drawn = [owned(stack, ctx.renderbuffer(size, n, samples=kind.samples, dtype=dtype)) for n, dtype in formats]
+        depth = owned(stack, ctx.depth_renderbuffer(size, samples=kind.samples))
+        self._drawn = owned(stack, ctx.framebuffer(drawn, depth))
         self.averaged: list[list[moderngl.Texture]] = []
         self._into: list[moderngl.Framebuffer] = []
         for _ in range(views):
-            self.averaged.append([_texture(ctx, size, n, dtype, stack) for n, dtype in formats])
-            self._into.append(_own(stack, ctx.framebuffer(self.averaged[-1])))
+            self.averaged.append([data_texture(stack, ctx, size, n, dtype=dtype) for n, dtype in formats])
+            self._into.append(owned(stack, ctx.framebuffer(self.averaged[-1])))
         pixel = sum(_BYTES[dtype] * n // 4 for n, dtype in formats)
         self.nbytes: int = size[0] * size[1] * (pixel * views + (pixel + 4) * kind.samples)
 
@@ -163,19 +163,6 @@ class _Samples:
         ctx.copy_framebuffer(self._into[view], self._drawn)
 
 
-_NO_SPLATS = RenderConfig()  # the frame block has room for what only splats need
+_NO_SPLATS = RenderConfig()  # for the fields of the frame block that meshes do not read
 _BYTES = {"f1": 4, "f2": 8, "f4": 16}  # of four components
 _ENDINGS = ("", "_2")  # of the samplers of each view (mesh_layer.glsl)
-
-
-def _own(stack: ExitStack, item: Any) -> Any:
-    stack.callback(item.release)
-    return item
-
-
-def _texture(
-    ctx: moderngl.Context, size: tuple[int, int], components: int, dtype: str, stack: ExitStack
-) -> moderngl.Texture:
-    texture: moderngl.Texture = _own(stack, ctx.texture(size, components, dtype=dtype))
-    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-    return texture

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -22,23 +22,17 @@ from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.gpu_sort import GpuSorter
 from glsplat.renderer.key import BLOCK_PIXELS, KeyPass
 from glsplat.renderer.mesh_pass import MeshPass
+from glsplat.renderer.owned import owned
 from glsplat.renderer.project import ProjectPass
 from glsplat.renderer.read_back import read_bytes, read_floats
 from glsplat.renderer.resolve import ResolvePass, ResolveStep
 from glsplat.renderer.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
-from glsplat.renderer.stats import FrameStats
-from glsplat.renderer.targets import Box, ByteTarget, Target
+from glsplat.renderer.stats import Box, FrameStats
+from glsplat.renderer.targets import ByteTarget, Target
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
 __all__ = ["Pipeline", "view_state"]
-
-
-class _Owner(Protocol):
-    def release(self) -> None: ...
-
-
-P = TypeVar("P", bound=_Owner)
 
 
 class Pipeline:
@@ -51,7 +45,7 @@ class Pipeline:
     ) -> None:
         automatic = config.sorter == "auto" and context.compute and not context.software
         by_gpu = config.sorter == "gpu" or automatic
-        ctx, count = context.ctx, arena.count if by_gpu else arena.most  # the GPU sorts what is not shown, too
+        ctx, count = context.ctx, arena.count if by_gpu else arena.most  # the GPU sorts hidden parts, too
         if variant.pulled and not fits(ctx, variant, count):
             variant = replace(variant, pulled=0)
         self._arena, self._config, self.variant = arena, config, variant
@@ -60,33 +54,28 @@ class Pipeline:
         self._counted = True
         self._order: NDArray[np.uint32] = np.empty(0, np.uint32)  # indices among the shown ranges, far to near
         self._recorded = self._order  # those of them that have records
-        self._shown: tuple[int, ...] = ()  # parts of the arena that the order is of
+        self._shown: tuple[int, ...] = ()  # parts of the arena that are in the order
         self._order_age = config.debug.sort_period  # moved frames since the sort; at first more than allowed
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
         self.cost: int | None = None  # covered pixels of the current records, if counted
         self.item_costs: tuple[int, ...] = ()  # the same of each shown item
         self._costs: NDArray[np.uint32] | None = None  # blocks of each shown splat, if the host sorts
-        with ExitStack() as stack:  # releases what was made if a later pass cannot be
-
-            def own(item: P) -> P:
-                stack.callback(item.release)
-                return item
-
-            self._frame = own(FrameBlock(ctx, variant.views))
-            self._project = own(ProjectPass(context, programs, variant, count))
+        with ExitStack() as stack:  # releases everything if an allocation fails
+            self._frame = owned(stack, FrameBlock(ctx, variant.views))
+            self._project = owned(stack, ProjectPass(context, programs, variant, count))
             records, order = self._project.records, self._project.order
             self._keys: moderngl.Buffer | None = None
             if by_gpu and (config.sorter == "gpu" or GpuSorter.fits(ctx, records)):
-                self._keys = own(ctx.buffer(reserve=max(16, count * 4)))
-            self._key = own(KeyPass(ctx, programs, variant, arena, self._keys, records))
+                self._keys = owned(stack, ctx.buffer(reserve=max(16, count * 4)))
+            self._key = owned(stack, KeyPass(ctx, programs, variant, arena, self._keys, records))
             self._sorter: GpuSorter | None = None
             if self._keys is not None:
                 settings = (count, variant.views, config.debug.sort_bits, corners_of(variant), bool(variant.pulled))
-                self._sorter = own(GpuSorter(ctx, programs, self._keys, order, records, *settings))
-            self._draw = own(DrawPass(context, programs, variant, self._project.records))
-            self._background = own(BackgroundPass(ctx, programs, variant))
-            self._resolve = own(ResolvePass(ctx, programs, variant))
+                self._sorter = owned(stack, GpuSorter(ctx, programs, self._keys, order, records, *settings))
+            self._draw = owned(stack, DrawPass(context, programs, variant, self._project.records))
+            self._background = owned(stack, BackgroundPass(ctx, programs, variant))
+            self._resolve = owned(stack, ResolvePass(ctx, programs, variant))
             self._owned = stack.pop_all()
 
     @property
@@ -105,7 +94,7 @@ class Pipeline:
         views: Sequence[Camera],
         sort_viewmat: NDArray[np.float64],
         timer: StageTimer,
-        costed: int = 0,  # 1: count what drawing costs; 2: also of each item, even if that waits for the GPU
+        costed: int = 0,  # 1: count the cost; 2: also of each item, even if that waits for the GPU
         shared: bool = False,  # other passes of the frame use this pipeline, too: an old order may be theirs
         light: Light | None = None,  # of the scene
     ) -> bool:
@@ -134,7 +123,7 @@ class Pipeline:
             or bool(self._sorter and costed)  # the sorter adds up the costs
         )
         age = 0 if resort else self._order_age + 1
-        # set again when the records are there, so that an interrupted frame leaves nothing to go by
+        # set again when the records exist, so that an interrupted frame is not taken for a complete one
         self._seen, self._order_age = None, self._config.debug.sort_period
         self.cost, self._costs, self.item_costs = None, None, ()
         self._shown = arena.shown
@@ -163,7 +152,7 @@ class Pipeline:
 
     def _sort_on_host(self, view: Camera, timer: StageTimer, resort: bool, costed: bool) -> None:
         ranges = self._arena.ranges
-        self._key.run(ranges)  # also with an old order: keys know the covered box
+        self._key.run(ranges)  # also with an old order: the covered box comes from the keys
         timer.mark("key")
         keys, tiles, costs = self._key.read()
         if costed:
@@ -188,7 +177,7 @@ class Pipeline:
     ) -> None:
         """Do step 4: draw backgrounds (``boxed``: inside the covered box only), then every record.
 
-        Raises what ``slices.between`` raises.
+        Raises the exceptions of ``slices.between``.
         """
         if mesh_pass is not None:
             mesh_pass.use()
@@ -197,7 +186,7 @@ class Pipeline:
         if slices is not None and slices.between is not None and (self.cost or 0) > slices.cost:
             self._draw.run_slices(target, self._slices(slices.cost), slices.between)
         else:
-            self._draw.run(target, self._project.count, self._sorter.indirect if self._sorter else None)
+            self._draw.run(target, self._project.count, indirect=self._sorter.indirect if self._sorter else None)
         timer.mark("draw")
 
     def resolve(
@@ -234,7 +223,7 @@ class Pipeline:
         timer.mark("read")
 
     def added(self, stats: FrameStats) -> FrameStats:
-        """Return ``stats`` plus what this pass did."""
+        """Return ``stats`` plus the counts of this pass."""
         return stats.plus(self.drawn, self.culled, self.covered, self.cost or 0)
 
     def _itemised(self, costs: NDArray[np.uint32]) -> tuple[int, ...]:
@@ -245,7 +234,7 @@ class Pipeline:
         return tuple((BLOCK_PIXELS * blocks).tolist())
 
     def _count(self) -> None:
-        """Read back what the GPU sorter counted."""
+        """Read back the counts of the GPU sorter."""
         assert self._sorter is not None
         self._project.count, culled, blocks = self._sorter.counts()
         self.culled = self._without_padding(culled)
@@ -280,5 +269,5 @@ def _in_arena(order: NDArray[np.uint32], ranges: Sequence[tuple[int, int]]) -> N
 
 
 def view_state(camera: Camera) -> tuple[object, ...]:
-    """Return everything of a camera that decides records."""
+    """Return the parts of a camera that records depend on."""
     return camera.viewmat.tobytes(), camera.K.tobytes(), camera.width, camera.height, camera.near, camera.far

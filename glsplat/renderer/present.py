@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from glsplat.gl.context import Context
 from glsplat.gl.owner import ContextGuard, owner_of
 from glsplat.renderer.targets import Target
-from glsplat.shaders import Variant, flatten, link
+from glsplat.shaders import Variant, flatten, link, set_uniforms
+from glsplat.shaders.slots import UNITS
 
 __all__ = ["Layout", "Present", "view_size"]
 
 Layout = Literal["mono", "side-by-side", "anaglyph"]
-
-_TARGET_UNIT, _TEXT_UNIT = 0, 1
 
 
 def view_size(window: tuple[int, int], layout: Layout) -> tuple[int, int]:
@@ -38,7 +37,7 @@ class Present:
         self._box = (0, 0, 0, 0)
 
     def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
-        """Set what lies over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window, or None."""
+        """Set the text over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window; None removes it."""
         if image is None:
             self._box = (0, 0, 0, 0)
             return
@@ -63,19 +62,16 @@ class Present:
         framebuffer.viewport = (0, 0, *size)
         framebuffer.use()
         self._ctx.enable_only(moderngl.NOTHING)
-        values: dict[str, Any] = {"target": _TARGET_UNIT, "window": size, "view_width": width}
-        target.texture.use(_TARGET_UNIT)
+        values: dict[str, Any] = {"window": size, "view_width": width}
+        target.texture.use(UNITS["target"])
         has_text = self._box[2] > 0
         if has_text:
-            self._text.use(_TEXT_UNIT)
-            values |= {"text": _TEXT_UNIT, "text_box": self._box}
+            self._text.use(UNITS["text"])
+            values["text_box"] = self._box
         if target.lift is not None:
             values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
         array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
-        for name, value in values.items():
-            uniform = array.program.get(name, None)
-            if isinstance(uniform, moderngl.Uniform):
-                uniform.value = value
+        set_uniforms(array.program, values)
         array.render(moderngl.TRIANGLES, vertices=3)
 
     def _array(self, anaglyph: int, text: int, lifted: int) -> moderngl.VertexArray:

@@ -1,4 +1,4 @@
-"""Probe: a renderer whose inside can be measured: what was posed, what drawing alone takes, another order."""
+"""Probe: a renderer for measurements: posed splats, the time of the draw alone, pictures in another order."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["Probe"]
 
 
 class Probe(Renderer):
-    """Made, used and released as a Renderer."""
+    """Make, use and release it as a Renderer."""
 
     _sorting: NDArray[np.float64] | None = None
 
     def in_order(self, viewmat: ArrayLike, views: Iterable[Camera], pose: Pose | None = None) -> NDArray[Any]:
-        """The images of ``render()``, the splats of all views ordered by the z of ``viewmat`` [4, 4].
+        """Return the images of ``render()``, with the splats of all views ordered by the z of ``viewmat`` [4, 4].
 
-        An eye in the order of its pair (``sorting_camera``) is the pair's, bit for bit. Raises GlsplatError.
+        An eye in the order of its pair (``sorting_camera``) equals the pair's picture bit for bit. Raises GlsplatError.
         """
         order = own(viewmat, np.float64, "viewmat", GlsplatError)
         if not (order.shape == (4, 4) and np.isfinite(order).all()):
@@ -44,32 +44,31 @@ class Probe(Renderer):
         return super()._order(views) if self._sorting is None else self._sorting
 
     def redraw(self, views: Iterable[Camera]) -> float:
-        """Step 4 alone on the records the last call left, for one view or a pair: milliseconds until the GPU is done.
+        """Draw the last call's records again (step 4); return the milliseconds until the GPU has finished.
 
-        The draw floor: what the picture costs once everything before it is known (``glsplat bench``). Raises
-        GlsplatError for views that are not drawn in one pass.
+        ``glsplat bench`` reports this as the draw floor. ``views`` are one view or a pair of the last call. Raises
+        GlsplatError for views of several passes.
         """
-        asked = self._views(views)
-        if len(self._passes(asked)) > 1:
+        cameras = self._views(views)
+        if len(self._passes(cameras)) > 1:
             raise GlsplatError("redraw() takes views of one pass: one view, or a pair that looks the same way")
         with self._entered("redraw"):
-            pipeline, target = self._scene.pipeline(asked, 0), self._targets.float_target(self.size, len(asked))
-            mesh_pass = self._scene.mesh_pass(asked, 0, self.target_dtype, self.timer)
+            pipeline, target = self._scene.pipeline(cameras, 0), self._targets.float_target(self.size, len(cameras))
+            mesh_pass = self._scene.mesh_pass(cameras, 0, self.target_dtype, self.timer)
             self.context.ctx.finish()
             timer = StageTimer(self.context.ctx.finish)
             timer.start()
-            pipeline.draw(target, asked, timer, self.config.output == "uint8", mesh_pass=mesh_pass)
+            pipeline.draw(target, cameras, timer, self.config.output == "uint8", mesh_pass=mesh_pass)
             return timer.ms["draw"]
 
     def posed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """What the skin pass made of the last pose: world means [N, 3] and shapes M [N, 3, 3], Sigma = M M^T.
+        """Read back the splats in the last pose: world means [N, 3] and shapes M [N, 3, 3], Sigma = M M^T.
 
-        Read back for measurements. N leaves out the splats in ``stats.skipped``. Raises GlsplatError for a scene that
-        is not skinned or not rendered yet.
+        The splats counted in ``stats.skipped`` are not among the N. Raises GlsplatError for a scene that is not skinned
+        or not rendered yet.
         """
         with self._entered("posed"):
             arena = self._scene.arena
-            if not (arena.posed and arena.written()):
-                why = "this scene is not skinned or not rendered yet"
-                raise GlsplatError(f"posed() needs an avatar that was rendered; {why}")
+            if not (arena.posed and arena.written):
+                raise GlsplatError("posed() needs an avatar; this scene is not skinned or not rendered yet")
             return arena.read()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.gl.context import Context
 from glsplat.light.light import Light
+from glsplat.renderer.owned import owned
 from glsplat.shaders import Programs, Variant, record_layout
 
 __all__ = ["ProjectPass"]
@@ -23,13 +24,11 @@ class ProjectPass:
         program = programs.feedback("project", variant, [name for name, _ in record_layout(variant)])
         self.count: int = 0
         self._orphans = not context.software  # a GPU may still read the last order; software has finished
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self.order: moderngl.Buffer = ctx.buffer(reserve=max(16, count * 4), dynamic=True)
-            stack.callback(self.order.release)
-            self.records: moderngl.Buffer = ctx.buffer(reserve=max(16, count * variant.record_floats * 4))
-            stack.callback(self.records.release)
-            self._array = ctx.vertex_array(program, [(self.order, "1u4", "order")])
-            stack.callback(self._array.release)
+        with ExitStack() as stack:  # releases everything if an allocation fails
+            self.order: moderngl.Buffer = owned(stack, ctx.buffer(reserve=max(16, count * 4), dynamic=True))
+            size = max(16, count * variant.record_floats * 4)
+            self.records: moderngl.Buffer = owned(stack, ctx.buffer(reserve=size))
+            self._array = owned(stack, ctx.vertex_array(program, [(self.order, "1u4", "order")]))
             self._owned = stack.pop_all()
 
     def write_order(self, order: NDArray[np.uint32]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.renderer.targets import Box, ByteTarget, Target
+from glsplat.renderer.stats import Box
+from glsplat.renderer.targets import ByteTarget, Target
 
 __all__ = ["read_bytes", "read_depth", "read_floats"]
 

@@ -182,7 +182,7 @@ class Renderer:
         return (images, depths) if depth else images
 
     def prepare(self, views: Views, pose: Pose | None = None, itemised: bool = False) -> Prepared:
-        """Do the steps of ``render()`` before the draw; return what drawing costs, in total or per item (``itemised``).
+        """Do the steps of ``render()`` before the draw; return the picture with its cost, also ``itemised`` by item.
 
         >>> with glsplat.Renderer(glsplat.default_avatar(), size=(32, 24), views=2) as renderer:
         ...     prepared = renderer.prepare(glsplat.stereo_cameras(np.eye(4), size=(32, 24)))
@@ -281,7 +281,7 @@ class Renderer:
         return sorting_camera(cameras)
 
     def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> list[Camera]:
-        """Begin a frame: upload, pose and place what changed. Return the cameras in the scene's own space."""
+        """Begin a frame: upload, pose and place the items that changed. Return the cameras in the scene's own space."""
         self.timer.start()
         selector = instance(self.selector, Selector, "selector", GlsplatError)
         placed, self.stats = self._scene.update(cameras, pose, selector, self.timer)
@@ -369,7 +369,8 @@ class Prepared:
         self,
         *,
         out: NDArray[Pixel] | None = None,  # as of Renderer.render()
-        between: Callable[[], None] | None = None,  # called between two slices; what it raises ends the picture
+        between: Callable[[], None]
+        | None = None,  # called between two slices; an exception that it raises ends the picture
         slice_cost: float = math.inf,  # covered pixels of a pass; a costlier pass is drawn in slices of about that
     ) -> NDArray[Pixel]:
         """Return the images of ``Renderer.render()``, the same bytes whatever the slices."""

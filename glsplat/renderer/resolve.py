@@ -13,18 +13,19 @@ from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.renderer.lru_cache import LruCache
-from glsplat.renderer.targets import Box, ByteTarget, Target
-from glsplat.shaders import Programs, ResolveVariant, Variant
+from glsplat.renderer.stats import Box
+from glsplat.renderer.targets import ByteTarget, Target
+from glsplat.shaders import Programs, ResolveVariant, Variant, set_uniforms
 from glsplat.shaders.slots import UNITS
 
 __all__ = ["ResolvePass", "ResolveStep", "StepTextures", "checked_step"]
 
 MAX_TEXTURES = 64
-"""Textures of steps; of 16 KiB each, as many sessions can take turns without any being made anew."""
+"""Textures of steps, 16 KiB each: so many sessions can take turns without uploads."""
 
 
 class ResolveStep(Protocol):
-    """Draws into 8-bit pictures before rounding (``Renderer.step``). A hashable value: equal ones draw alike."""
+    """Draws into 8-bit pictures before rounding (``Renderer.step``). A hashable value: equal steps draw alike."""
 
     @property
     def source(self) -> str:
@@ -34,7 +35,7 @@ class ResolveStep(Protocol):
         """
 
     def tile(self) -> NDArray[np.float32]:
-        """Return what ``step_texture`` holds [H, W], row 0 first; not filtered."""
+        """Return the content [H, W] of ``step_texture``, row 0 first; it is not filtered."""
 
     def __hash__(self) -> int: ...
 
@@ -53,7 +54,7 @@ def checked_step(step: ResolveStep | None, boxed: bool) -> ResolveStep | None:
 
 
 class StepTextures:
-    """Owns a texture for each of the steps used last."""
+    """Owns the textures of recently used steps."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -111,11 +112,8 @@ class ResolvePass:
         self._ctx.enable_only(moderngl.NOTHING)
         source.texture.use(UNITS["target"])
         views, rows, _, _ = into.shape
-        background = program.get("background", None)
         for view in range(views):
-            if isinstance(background, moderngl.Uniform):
-                background.value = cameras[view].background
-            program["view"] = view, 0, view * rows
+            set_uniforms(program, {"background": cameras[view].background, "view": (view, 0, view * rows)})
             self._ctx.viewport = (x, view * rows + y, width, height)
             array.render(moderngl.TRIANGLES, vertices=3)
         self._ctx.viewport = (0, 0, into.shape[2], views * rows)

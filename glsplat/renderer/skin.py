@@ -1,12 +1,12 @@
 """Skin: write an item's splats into the arena, posed and placed, by transform feedback.
 
-skin.vert.glsl blends an avatar's bones; place.vert.glsl moves splats without a skeleton. An item is written once a
-movement, whatever the number of views.
+skin.vert.glsl blends an avatar's bones; place.vert.glsl moves splats without a skeleton. An item is written once
+per movement, for any number of views.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import moderngl
 import numpy as np
@@ -15,62 +15,56 @@ from numpy.typing import NDArray
 from glsplat.gl.context import Context
 from glsplat.renderer.stage import ROW, ItemBuffers, rows_of
 from glsplat.rotations import is_rigid, rodrigues_parameters
-from glsplat.shaders import SkinVariant
+from glsplat.shaders import SkinVariant, set_uniforms
 from glsplat.shaders.slots import UNITS
 
 __all__ = ["Placement", "SkinPass", "near_eye"]
 
-_BATCH_ROWS = 64  # written at a time: bounds the scratch buffer to 4 MB
+_BATCH_ROWS = 64  # rows written at a time; limits the scratch buffer to 4 MB
 _POSED_BYTES = 64  # a splat
 
 _FAR_M = 1000.0
-"""Metres from their common origin within which float32 places items finer than anybody sees: 0.06 mm."""
+"""Metres from the common origin up to which float32 positions are exact enough: to 0.06 mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """Where an item stands: x -> size * turn x + offset, and the bones of its pose in its own space."""
+    """Transform of an item, x -> size * turn x + offset, and the bones of its pose in its own space."""
 
-    turn: NDArray[np.float64]  # [3, 3] rotation
-    offset: NDArray[np.float64]  # [3] metres
-    size: float
+    transform: NDArray[np.float64]  # [4, 4] scene from item
     bones: NDArray[np.float64] | None = None  # [J, 3, 4] skinning matrices; None: no skeleton
     opacity: float = 1.0  # factor of all opacities
     weights: NDArray[np.float64] | None = None  # [T] of the avatar's shapes; None: all 0
+    unmoved: bool = field(init=False)  # the item stands where it was loaded
+    size: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        unmoved = np.array_equal(self.transform, np.eye(4))
+        object.__setattr__(self, "unmoved", unmoved)
+        object.__setattr__(self, "size", 1.0 if unmoved else float(np.cbrt(np.linalg.det(self.transform[:3, :3]))))
 
     @property
-    def unmoved(self) -> bool:
-        """Whether the item stands where it was loaded."""
-        return self.size == 1 and not self.offset.any() and np.array_equal(self.turn, np.eye(3))
+    def turn(self) -> NDArray[np.float64]:
+        """Rotation [3, 3]."""
+        return self.transform[:3, :3] / self.size
+
+    @property
+    def offset(self) -> NDArray[np.float64]:
+        """Translation [3] in metres."""
+        return self.transform[:3, 3]
 
     @property
     def moved(self) -> bool:
-        """Whether splats without a skeleton look different from what was loaded."""
+        """Whether splats without a skeleton differ from the loaded ones."""
         return self.opacity != 1 or not self.unmoved
 
-    @property
-    def to_world(self) -> NDArray[np.float64] | None:
-        """[4, 4] from the item's space to the world; None if unmoved."""
-        if self.unmoved:
-            return None
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.size * self.turn, self.offset
-        return matrix
-
     def same(self, other: Placement | None) -> bool:
-        """Return whether the other one puts every splat at the same place."""
-        if other is None or (self.size, self.opacity) != (other.size, other.opacity):
-            return False
-        pairs = [(self.turn, other.turn), (self.offset, other.offset)]
-        for mine, theirs in ((self.bones, other.bones), (self.weights, other.weights)):
-            if (mine is None) != (theirs is None):
-                return False
-            if mine is not None and theirs is not None:
-                pairs.append((mine, theirs))
-        return all(np.array_equal(a, b) for a, b in pairs)
+        """Return whether the other placement puts every splat at the same position."""
+        names = ("transform", "bones", "opacity", "weights")
+        return other is not None and all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
 
     def anchor(self, centre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """Return the world position [3] near which the item lies: its root joint, or its ``centre`` [3]."""
+        """Return a scene position [3] near the item: its root joint, or its ``centre`` [3]."""
         local = centre if self.bones is None else self.bones[0, :, 3]
         assert local is not None
         return self.size * (self.turn @ local) + self.offset
@@ -97,7 +91,7 @@ class SkinPass:
     def run(
         self,
         item: ItemBuffers,
-        place: Placement,
+        placement: Placement,
         into: moderngl.Texture,
         first_row: int,
         origin: NDArray[np.float64],  # [3] world position of the scene's zero
@@ -106,8 +100,12 @@ class SkinPass:
         opacity: float,  # factor; negative marks splats that ask for opacity compensation
     ) -> None:
         """Write the item's splats, and zeros to the end of their last row."""
-        array = _skinned(item, place, origin, turned) if place.bones is not None else _placed(item, place, origin)
-        array.program["size"], array.program["signed_opacity"] = place.size, opacity
+        array = (
+            _skinned(item, placement, origin, turned)
+            if placement.bones is not None
+            else _placed(item, placement, origin)
+        )
+        array.program["size"], array.program["signed_opacity"] = placement.size, opacity
         self._framebuffer.use()  # without a complete framebuffer transform feedback silently writes nothing
         for start in range(0, max(item.count, 1), _BATCH_ROWS * ROW):
             count = min(_BATCH_ROWS * ROW, item.count - start)
@@ -132,25 +130,25 @@ def near_eye(
     return origin
 
 
-def _placed(item: ItemBuffers, place: Placement, origin: NDArray[np.float64]) -> moderngl.VertexArray:
+def _placed(item: ItemBuffers, placement: Placement, origin: NDArray[np.float64]) -> moderngl.VertexArray:
     array = item.array(item.variant)
-    array.program["turn"] = tuple(place.turn.T.ravel())  # columns
-    array.program["rodrigues"] = tuple(rodrigues_parameters(place.turn))
-    array.program["offset"] = tuple(place.anchor(item.centre) - origin)
+    array.program["turn"] = tuple(placement.turn.T.ravel())  # columns
+    array.program["rodrigues"] = tuple(rodrigues_parameters(placement.turn))
+    array.program["offset"] = tuple(placement.anchor(item.centre) - origin)
     assert item.rest is not None
     item.rest.use(UNITS["splats"])
     return array
 
 
-def _skinned(item: ItemBuffers, place: Placement, origin: NDArray[np.float64], turned: bool) -> moderngl.VertexArray:
-    assert isinstance(item.variant, SkinVariant) and place.bones is not None
-    shapes = item.shapes if place.weights is not None else None
+def _skinned(
+    item: ItemBuffers, placement: Placement, origin: NDArray[np.float64], turned: bool
+) -> moderngl.VertexArray:
+    assert isinstance(item.variant, SkinVariant) and placement.bones is not None
+    shapes = item.shapes if placement.weights is not None else None
     array = item.array(replace(item.variant, turned=int(turned), shaped=int(shapes is not None)))
-    shift = array.program.get("shift", None)
-    if isinstance(shift, moderngl.Uniform):
-        shift.value = 1.0 if is_rigid(place.bones) else 3.0
-    item.bones.write(place.local_bones(item.centre, origin).astype(np.float32))
+    set_uniforms(array.program, {"shift": 1.0 if is_rigid(placement.bones) else 3.0})
+    item.bones.write(placement.local_bones(item.centre, origin).astype(np.float32))
     item.bones.use(UNITS["bones"])
-    if shapes is not None and place.weights is not None:
-        shapes.use(place.weights)
+    if shapes is not None and placement.weights is not None:
+        shapes.use(placement.weights)
     return array

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.renderer.stats import Box
+
 __all__ = ["CULL_REASONS", "FIRST_CULLED", "NOT_SHOWN", "count_culled", "covered_box", "sorted_indices"]
 
 FIRST_CULLED = 0xFFFFFF00
@@ -35,8 +37,8 @@ def covered_box(
     tiles: NDArray[np.uint32],  # [N] of the splats that are drawn: x0, y0, x1, y1 of key.vert.glsl, a byte each
     width: int,
     height: int,
-) -> tuple[int, int, int, int]:
-    """Return the box (x, y, width, height; pixels) outside of which every view shows only its background.
+) -> Box:
+    """Return the box outside of which every view shows only its background.
 
     Never empty, and with a rim of background wherever it does not reach the picture's edge (read_back.read_bytes).
     """

@@ -1,7 +1,7 @@
 """Stage: upload the splats of an item, once for each level of detail that is drawn.
 
-Splats without a skeleton go into a texture that is drawn from as it is while they stand alone and unmoved. The skin
-pass (skin.py) reads all others and writes them posed into the arena.
+Splats without a skeleton go into a texture. A single unmoved item is drawn from it directly; the skin pass (skin.py)
+writes all others posed into the arena.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
+from glsplat.renderer.owned import data_texture, owned
 from glsplat.rotations import signed_axes
 from glsplat.shaders import Programs, SkinVariant, Variant
 from glsplat.shaders.slots import UNITS
@@ -29,7 +30,7 @@ ROW = 1 << ROW_BITS["330"]
 """Splats per row of the arena's textures (arena.glsl)."""
 
 NEAR_M = 16.0
-"""Metres from the origin within which float32 coordinates are kept as they are."""
+"""Metres from the origin up to which float32 coordinates need no offset."""
 
 _ENTRIES_PER_ROW = 1024  # of the texture of shapes (shapes.glsl)
 _SMALLEST = 16  # bytes: OpenGL has no empty buffers
@@ -67,12 +68,11 @@ class ItemBuffers:
         self._arrays: dict[SkinVariant | Variant, moderngl.VertexArray] = {}
         self._buffers: list[moderngl.Buffer] = []
         self._content: list[tuple[object, ...]] = []
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
+        with ExitStack() as stack:  # releases everything if an allocation fails
             if skin is None:
                 self.rest = upload_rows(context.ctx, self._static(12), 3, 4, stack)
                 if not context.vertex_ids:
-                    self._buffers.append(numbers_of(context.ctx, self.count))
-                    stack.callback(self._buffers[0].release)
+                    self._buffers.append(owned(stack, numbers_of(context.ctx, self.count)))
                     self._content = [(self._buffers[0], "1u4", "number")]
             else:
                 self.variant = SkinVariant(influences=skin.influences, raw=int(raw))
@@ -80,12 +80,9 @@ class ItemBuffers:
                 arrays: list[NDArray[Any]] = [self._static(11), skin.joints[kept], skin.weights[kept]]
                 for array in arrays:
                     content = np.ascontiguousarray(array) if array.size else bytes(_SMALLEST)
-                    self._buffers.append(context.ctx.buffer(content))
-                    stack.callback(self._buffers[-1].release)
+                    self._buffers.append(owned(stack, context.ctx.buffer(content)))
                 self._content = _attributes(self._buffers, skin.influences)
-                self.bones = context.ctx.texture((3, joints), 4, dtype="f4")
-                stack.callback(self.bones.release)
-                self.bones.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                self.bones = data_texture(stack, context.ctx, (3, joints), 4)
                 if shapes is not None and len(shapes.targets):
                     self.shapes = ShapeBuffers(context.ctx, shapes.take(usable) if self.skipped else shapes, stack)
             self._owned = stack.pop_all()
@@ -98,7 +95,7 @@ class ItemBuffers:
         return rest + shapes + sum(buffer.size for buffer in self._buffers)
 
     def array(self, variant: SkinVariant | Variant) -> moderngl.VertexArray:
-        """Return what draws the splats through the program of ``variant``, a form of ``self.variant``."""
+        """Return the vertex array of the splats for the program of ``variant``, a form of ``self.variant``."""
         if variant not in self._arrays:
             skinned = isinstance(variant, SkinVariant)
             program = self._programs.feedback("skin" if skinned else "place", variant, _POSED)
@@ -155,15 +152,10 @@ class ShapeBuffers:
         padded = np.zeros((height * _ENTRIES_PER_ROW, 4), np.uint32)
         padded[: len(entries)] = entries
         self._shapes = shapes
-        self._entries = ctx.texture((_ENTRIES_PER_ROW, height), 4, padded, dtype="u4")
-        stack.callback(self._entries.release)
-        self._amounts = ctx.texture((len(shapes), 1), 2, dtype="f4")
-        stack.callback(self._amounts.release)
-        for texture in (self._entries, self._amounts):
-            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        self._entries = data_texture(stack, ctx, (_ENTRIES_PER_ROW, height), 4, padded, "u4")
+        self._amounts = data_texture(stack, ctx, (len(shapes), 1), 2)
         ranges = np.stack([shapes.starts[:-1], shapes.starts[1:]], axis=1).astype(np.uint32)
-        self._ranges = ctx.buffer(ranges)
-        stack.callback(self._ranges.release)
+        self._ranges: moderngl.Buffer = owned(stack, ctx.buffer(ranges))
 
     @property
     def nbytes(self) -> int:
@@ -201,9 +193,7 @@ def upload_rows(
     height: int = 0,  # rows of the texture, if more than the splats need
 ) -> moderngl.Texture:
     """Return a texture of ``texels`` a splat, ROW splats a row; the rest of the last row is zero."""
-    texture = ctx.texture((ROW * texels, max(height, rows_of(len(rows)))), components, dtype="f4")
-    stack.callback(texture.release)
-    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    texture = data_texture(stack, ctx, (ROW * texels, max(height, rows_of(len(rows)))), components)
     write_rows(texture, 0, rows, texels, components)
     return texture
 

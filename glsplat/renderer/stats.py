@@ -1,35 +1,38 @@
-"""FrameStats: what one call of render() did, added up over its passes."""
+"""FrameStats: counts of one call of render(), summed over its passes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-__all__ = ["FrameStats", "union"]
+__all__ = ["Box", "FrameStats", "union"]
+
+Box = tuple[int, int, int, int]
+"""Pixels: x, y, width, height, from the top left corner."""
 
 
 @dataclass(frozen=True)
 class FrameStats:
-    """What one call of render() did."""
+    """Counts of one call of render(), summed over its passes."""
 
     splats: int  # in the scene, at the levels of detail that were drawn
     drawn: int  # of these, summed over the passes of the call
     skipped: int  # splats that are not finite or have no rotation: never uploaded
     culled: dict[str, int] = field(default_factory=dict)  # splats by reason
     sorted: bool = True  # False: the previous order was used again
-    covered: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, width, height in pixels; only background outside
+    covered: Box = (0, 0, 0, 0)  # only background outside
     cost: int = 0  # covered pixels, if counted by Renderer.prepare()
     posed: int = 0  # items that were skinned or placed, each level of detail counted
     levels: tuple[int, ...] = ()  # of detail, one per shown item of splats; 0 is the finest
     coarsest: bool = True  # every visible item was drawn at its coarsest level
 
-    def plus(self, drawn: int, culled: dict[str, int], covered: tuple[int, int, int, int], cost: int) -> FrameStats:
+    def plus(self, drawn: int, culled: dict[str, int], covered: Box, cost: int) -> FrameStats:
         """Return the sums with one more pass."""
         sums = {reason: self.culled.get(reason, 0) + count for reason, count in culled.items()}
         box = union(self.covered, covered)
         return replace(self, drawn=self.drawn + drawn, culled=sums, covered=box, cost=self.cost + cost)
 
 
-def union(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+def union(a: Box, b: Box) -> Box:
     """Return the smallest box that holds both boxes; an empty one adds nothing."""
     if not (a[2] and a[3]):
         return b

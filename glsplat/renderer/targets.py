@@ -11,8 +11,9 @@ import numpy as np
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.owned import owned
 
-__all__ = ["FORMATS", "Box", "ByteTarget", "Target", "TargetPool"]
+__all__ = ["FORMATS", "ByteTarget", "Target", "TargetPool"]
 
 FORMATS = {"8": "f1", "16f": "f2", "32f": "f4"}
 """RenderConfig.target -> moderngl dtype."""
@@ -21,10 +22,7 @@ MAX_SIZES = 4
 """Sizes whose targets are kept."""
 
 MAX_BYTES = 256 * 2**20
-"""Of targets of sizes other than the current one."""
-
-Box = tuple[int, int, int, int]
-"""Pixels: x, y, width, height, from the top left corner."""
+"""Bytes of targets of sizes other than the current one."""
 
 _NUMPY = {"f1": np.uint8, "f2": np.float16, "f4": np.float32}
 
@@ -43,18 +41,16 @@ class Target:
         self.depth_unit: float = 1.0  # metres of the cameras' world a unit of ``depth``
         # background of each layer, where hidden splats were left out (lift.glsl)
         self.lift: tuple[tuple[float, float, float], ...] | None = None
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self.texture: moderngl.TextureArray = ctx.texture_array((width, height, views), 4, dtype=dtype)
-            stack.callback(self.texture.release)
-            self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        with ExitStack() as stack:  # releases everything if an allocation fails
+            size = width, height, views
+            self.texture: moderngl.TextureArray = owned(stack, ctx.texture_array(size, 4, dtype=dtype))
             self.depth: moderngl.TextureArray | None = None
             if depth:
-                self.depth = ctx.texture_array((width, height, views), 1, dtype="f4")
-                stack.callback(self.depth.release)
-                self.depth.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                self.depth = owned(stack, ctx.texture_array(size, 1, dtype="f4"))
             attached = [self.texture] if self.depth is None else [self.texture, self.depth]
-            self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, *attached)
-            stack.callback(self.framebuffer.release)
+            for texture in attached:
+                texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self.framebuffer: moderngl.Framebuffer = owned(stack, _framebuffer(ctx, *attached))
             self._owned = stack.pop_all()
 
     def copy_layer(self, ctx: moderngl.Context, layer: int, single: Target) -> None:
@@ -85,11 +81,9 @@ class ByteTarget:
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int) -> None:
         self.shape: tuple[int, int, int, int] = (views, height, width, 4)
-        with ExitStack() as stack:  # releases what was made if a later allocation fails
-            self.texture: moderngl.Texture = ctx.texture((width, height * views), 4)
-            stack.callback(self.texture.release)
-            self.framebuffer: moderngl.Framebuffer = _framebuffer(ctx, self.texture)
-            stack.callback(self.framebuffer.release)
+        with ExitStack() as stack:  # releases everything if an allocation fails
+            self.texture: moderngl.Texture = owned(stack, ctx.texture((width, height * views), 4))
+            self.framebuffer: moderngl.Framebuffer = owned(stack, _framebuffer(ctx, self.texture))
             self._owned = stack.pop_all()
 
     @property
@@ -103,10 +97,10 @@ class ByteTarget:
 
 
 class TargetPool:
-    """Targets of the sizes used last, so that clients of several sizes that take turns do not make them anew.
+    """Targets of the recently used sizes, so that clients of several sizes can take turns without allocations.
 
-    moderngl restores the bound framebuffer when it makes or deletes another. That must not be one that goes, so the
-    scratch framebuffer is bound before.
+    moderngl restores the bound framebuffer when it makes or deletes another, and fails if that one was deleted. So the
+    scratch framebuffer is bound first.
     """
 
     def __init__(self, context: Context, dtype: str) -> None:
@@ -119,7 +113,7 @@ class TargetPool:
         return self._sizes.nbytes
 
     def float_target(self, size: tuple[int, int], views: int, depth: bool = False) -> Target:
-        """Return the float target of ``size`` (width, height); releases sizes that were not used for longest."""
+        """Return the float target of ``size`` (width, height); releases the least recently used sizes."""
         made = self._of(size).floats
         if (views, depth) not in made:
             self._context.scratch.use()

@@ -1,5 +1,6 @@
 from .programs import Programs as Programs
 from .programs import link as link
+from .programs import set_uniforms as set_uniforms
 from .source import Source as Source
 from .source import flatten as flatten
 from .variant import MeshVariant as MeshVariant

@@ -12,11 +12,11 @@ from typing import Any
 import moderngl
 
 from glsplat.errors import ShaderError
-from glsplat.shaders.slots import bind_slots
+from glsplat.shaders.slots import FRAME_BLOCK, UNITS
 from glsplat.shaders.source import STORAGE_VERSION, Source, flatten
 from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, Variant
 
-__all__ = ["Programs", "link"]
+__all__ = ["Programs", "link", "set_uniforms"]
 
 
 class Programs:
@@ -63,7 +63,7 @@ class Programs:
         sources = {stage: flatten(file, variant.defines(), overrides=overrides) for stage, file in stages.items()}
         key = (*(source.text for source in sources.values()), *varyings, separate)
         if key not in self._cache:
-            self._cache[key] = bind_slots(link(self._ctx, name, sources, varyings, separate))
+            self._cache[key] = link(self._ctx, name, sources, varyings, separate)
         program = self._cache[key]
         assert isinstance(program, moderngl.Program)
         return program
@@ -96,10 +96,13 @@ def link(
     varyings: Sequence[str] = (),
     separate: bool = False,
 ) -> moderngl.Program:
-    """Return the compiled and linked program. Raises ShaderError, which names the chunk and its line."""
+    """Return the linked program, its samplers and Frame block bound to their slots.
+
+    Raises ShaderError, which names the chunk and its line.
+    """
     try:
         with _deferred_signals():
-            return ctx.program(
+            program: moderngl.Program = ctx.program(
                 vertex_shader=stages["vertex_shader"].text,
                 fragment_shader=stages["fragment_shader"].text if "fragment_shader" in stages else None,
                 geometry_shader=stages["geometry_shader"].text if "geometry_shader" in stages else None,
@@ -108,6 +111,19 @@ def link(
             )
     except moderngl.Error as error:
         raise ShaderError(_message(name, stages, str(error))) from None
+    block = program.get("Frame", None)
+    if isinstance(block, moderngl.UniformBlock):
+        block.binding = FRAME_BLOCK
+    set_uniforms(program, UNITS)
+    return program
+
+
+def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, values: Mapping[str, Any]) -> None:
+    """Set uniforms by name; the compiler removes those that the program does not read."""
+    for name, value in values.items():
+        uniform = program.get(name, None)
+        if isinstance(uniform, moderngl.Uniform):
+            uniform.value = value
 
 
 @contextmanager

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import moderngl
-
-__all__ = ["FRAME_BLOCK", "UNITS", "bind_slots"]
+__all__ = ["FRAME_BLOCK", "UNITS"]
 
 FRAME_BLOCK = 0
 """Slot of the uniform block Frame (frame.glsl)."""
@@ -33,17 +28,3 @@ UNITS = {
     "text": 1,  # over a window (present.frag.glsl)
 }
 """Sampler -> texture unit. Two samplers share a unit only if no program has both."""
-
-
-def bind_slots(program: moderngl.Program) -> moderngl.Program:
-    """Bind a program's samplers and its Frame block to their slots; the compiler may have removed unused ones."""
-    import moderngl  # here: UNITS are also read without OpenGL
-
-    block = program.get("Frame", None)
-    if isinstance(block, moderngl.UniformBlock):
-        block.binding = FRAME_BLOCK
-    for name, unit in UNITS.items():
-        sampler = program.get(name, None)
-        if isinstance(sampler, moderngl.Uniform):
-            sampler.value = unit
-    return program

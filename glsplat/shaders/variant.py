@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
-from glsplat.config import RenderConfig
+from glsplat.config import MAX_SIGMA, RenderConfig
 from glsplat.errors import ShaderError
 
 __all__ = [
@@ -183,7 +183,7 @@ def variant_for(
         pulled=int(pulled),
         cull_hidden=int(cones),
         lit=int(lit),
-        cut=int(config.max_sigma < 3.33),
+        cut=int(config.max_sigma < MAX_SIGMA),
         depth=int(depth),
         occluded=int(occluded),
         sampled=sampled,

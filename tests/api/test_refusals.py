@@ -221,6 +221,8 @@ MANY: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "a debug setting": (lambda: RenderConfig(debug={"fetch": "auto"}), ("debug needs a DebugConfig",)),  # type: ignore[arg-type]
     "targets": (lambda: RenderConfig(target=["8"]), ("target",)),  # type: ignore[arg-type]
     "a level": (lambda: RenderConfig(level=17), ("level",)),
+    "no sigma": (lambda: RenderConfig(max_sigma=0), ("max_sigma needs a number above 0, at most 3.33, not 0",)),
+    "a large sigma": (lambda: RenderConfig(max_sigma=4), ("max_sigma needs a number above 0, at most 3.33, not 4",)),
     "half a level": (lambda: RenderConfig(level=1.5), ("level",)),  # type: ignore[arg-type]
     "a bias": (lambda: RenderConfig(lod_bias=-9), ("lod_bias",)),
     "a scene of splats": (lambda: Scene(cloud(5)), ("Item",)),  # type: ignore[arg-type]

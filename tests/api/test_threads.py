@@ -119,7 +119,7 @@ def test_what_was_dropped_is_freed_and_named() -> None:
     kind = KINDS[0]
     for make, name in (
         (kind.make, "a Renderer .500 splats, 64x64."),
-        (KINDS[-1].make, "a MeshTruth .0 splats, 128x128."),
+        (KINDS[-1].make, "a _MeshTruthRenderer .0 splats, 128x128."),
     ):
         with pytest.warns(ResourceWarning, match=name + " was never released"):
             make()

@@ -8,6 +8,7 @@ import pickle
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from glsplat.formats.camera_file import camera_from_json, read_cameras
 from glsplat.meshes import RiggedMesh
 from glsplat.net.reply import Reply
 from tests.api.variants import sheet
+from tests.scene.worlds import upright
 
 VIEW = glsplat.look_at((0, 0, 3), (0, 0, 0))
 K = glsplat.pinhole(64, 64, 50)
@@ -175,6 +177,25 @@ def test_numpy_scalars_are_numbers() -> None:
     assert right.position[0] - left.position[0] == 0.5
     assert RenderConfig(antialias=np.True_).antialias is True  # type: ignore[arg-type]
     assert type(DebugConfig(sort_bits=np.int64(16)).sort_bits) is int  # type: ignore[arg-type]
+
+
+def test_choices_may_be_enums() -> None:
+    choice = Enum("choice", {"NARROW": "16f", "AUTO": "auto"}, type=str)
+    config = RenderConfig(target=choice.NARROW, level=choice.AUTO)  # type: ignore[arg-type, attr-defined]
+    assert (type(config.target), config.target, config.level) == (str, "16f", "auto")
+    assert repr(config) == "RenderConfig(target='16f', level='auto')"
+
+
+def test_fields_of_a_config_and_of_its_debug_change_together() -> None:
+    changed = with_fields(RenderConfig(), debug=DebugConfig(eps2d=0.2), sort_bits=16, target="8")
+    assert changed == RenderConfig(target="8", debug=DebugConfig(eps2d=0.2, sort_bits=16))
+    with pytest.raises(GlsplatError, match="debug needs a DebugConfig"):
+        with_fields(RenderConfig(), debug=5, sort_bits=16)
+
+
+def test_a_mesh_prints_its_counts() -> None:
+    mesh = upright(0, 1, (9, 9, 9))
+    assert repr(mesh) == "RiggedMesh(4 vertices, 2 triangles, 1 joints)"
 
 
 def test_quaternions_of_any_length_draw_the_same(renderer_of: Any) -> None:

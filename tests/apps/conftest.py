@@ -32,7 +32,7 @@ class Stripes:
         camera = request.cameras[0]
         out = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
         out[:, :, 16:48] = (200, (request.frame_id * 9) % 256, 40, 255)
-        return Rendered(out, {"skin": 0.1, "draw": 0.2, "total": 0.3}, "numpy")
+        return Rendered(out, {"skin": 0.1, "draw": 0.2, "total": 0.3})
 
     def close(self) -> None:
         pass
@@ -69,9 +69,9 @@ def _no_log_of_commands() -> Iterator[None]:
 def quickly_made(monkeypatch: pytest.MonkeyPatch) -> None:
     """Avatars of meshes by few rays, and levels in few steps: what is tested is the command."""
     from apps.avatar import making
-    from glsplat.extras.authoring.detail.make import with_levels
+    from glsplat.extras.authoring.finish.levels import with_levels
     from glsplat.extras.authoring.light import surfaces
-    from glsplat.extras.authoring.surface import SamplerConfig, make_avatar
+    from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar
 
     def made(mesh, splats, seed, **more):
         return make_avatar(mesh, splats, seed, SamplerConfig(probe=96), **more)

@@ -8,10 +8,10 @@ import pytest
 
 import apps.cli as cli
 from apps.avatar.making import counts_of
-from glsplat.extras.authoring.cones import ConeConfig
-from glsplat.extras.authoring.detail.fitted import FittedConfig
-from glsplat.extras.authoring.detail.measure import MeasureConfig
-from glsplat.extras.authoring.optimize.pictures import ViewConfig
+from glsplat.extras.authoring.finish.cones import ConeConfig
+from glsplat.extras.authoring.finish.fitted_levels import FittedConfig
+from glsplat.extras.authoring.finish.level_measure import MeasureConfig
+from glsplat.extras.authoring.optimize.target_pictures import ViewConfig
 from glsplat.formats import all_formats, load, save
 from tests.formats.scenes import random_avatar
 from tests.scene.people import boxes, save_person

@@ -13,11 +13,11 @@ import pytest
 import apps.cli as cli
 from apps.avatar import making as made
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.detail import make as making
-from glsplat.extras.authoring.detail.fitted import FittedConfig
-from glsplat.extras.authoring.detail.merge import merged
-from glsplat.extras.authoring.optimize.compiled import MISSING
-from glsplat.extras.authoring.posed import posed_splats
+from glsplat.extras.authoring.compute.compiled import MISSING
+from glsplat.extras.authoring.finish import levels as making
+from glsplat.extras.authoring.finish.fitted_levels import FittedConfig
+from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.formats import load, save
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level

@@ -17,9 +17,9 @@ from apps.avatar import photo_folder
 from apps.serve import command as serve
 from apps.serve.agreed import policy_of
 from glsplat.errors import CaptureError, FormatError, GlsplatError
-from glsplat.extras.authoring.cones import ConeConfig
+from glsplat.extras.authoring.check.capture import Finding
+from glsplat.extras.authoring.finish.cones import ConeConfig
 from glsplat.extras.authoring.models import store
-from glsplat.extras.authoring.photo.capture import Finding
 from glsplat.extras.authoring.reconstruct import mesh_from_photos, registry
 from glsplat.extras.consent.file import on_file
 from glsplat.extras.consent.policy import ConsentPolicy

@@ -14,7 +14,7 @@ import apps.avatar.video as video
 import apps.cli as cli
 from glsplat.data import default_avatar
 from glsplat.errors import CaptureError
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.formats import load
 from glsplat.meshes import MeshPart, RiggedMesh

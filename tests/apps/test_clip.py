@@ -58,21 +58,27 @@ def test_an_opencv_without_vp9_says_what_it_wrote(tmp_path, monkeypatch):
 
 
 @pytest.mark.check
-def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
-    """VP9 writes when it ends, so few frames are enough."""
+@pytest.mark.parametrize(
+    ("name", "kibibytes", "samples"),
+    [("a.webm", 1, 0), pytest.param("a.mp4", 200, 500_000, marks=pytest.mark.extra(name="speech"))],
+)
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, name, kibibytes, samples):
+    """VP9 writes when it ends, so few frames are enough; the sound alone does not fit behind the .mp4."""
+    sound = f"sound.Sound(noise.uniform(-1, 1, {samples}).astype('f4'), 48000)" if samples else None
     script = (
         "import sys, numpy as np; from apps import clip; from glsplat.errors import FormatError\n"
+        f"{'from glsplat.extras.speech import sound' if samples else ''}\n"
         "noise = np.random.default_rng(1)\n"
         "try:\n"
-        "    with clip.Clip(sys.argv[1], 30) as made:\n"
+        f"    with clip.Clip(sys.argv[1], 30, {sound}) as made:\n"
         "        for _ in range(6): made.add(noise.integers(0, 255, (128, 128, 3), dtype=np.uint8))\n"
         "except FormatError as error: print(error)\n"
     )
-    limited = f'ulimit -f 1; exec {sys.executable} -c "$1" "$2"'
-    command = ["bash", "-c", limited, "sh", script, tmp_path / "a.webm"]
+    limited = f'ulimit -f {kibibytes}; exec {sys.executable} -c "$1" "$2"'
+    command = ["bash", "-c", limited, "sh", script, tmp_path / name]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=120)
     assert done.stderr == "" and done.returncode == 0
-    assert done.stdout.count("\n") == 1 and done.stdout.startswith(f"{tmp_path}/a.webm: ")
+    assert done.stdout.count("\n") == 1 and done.stdout.startswith(f"{tmp_path}/{name}: ")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,7 +15,7 @@ from apps import cli
 from apps.avatar import detail
 from glsplat import reference
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.detail.measure import MeasureConfig
+from glsplat.extras.authoring.finish.level_measure import MeasureConfig
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import load, save

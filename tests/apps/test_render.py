@@ -11,11 +11,12 @@ import pytest
 
 from apps.cli import joined, main
 from glsplat import reference
-from glsplat.extras.speech.sound import Sound, read_wav, wav_bytes
+from glsplat.extras.speech.sound import Sound, read_wav
 from glsplat.formats import save
 from glsplat.skinning.pose import Pose
 from tests.apps.cli import mistake
 from tests.compare import assert_contract
+from tests.extras.speech.sounds import wav_bytes
 from tests.scenes import camera, cloud, eyes, limb, one_splat
 from tests.skinning.faces import expressive
 

@@ -18,7 +18,7 @@ import simplejpeg
 from apps.replay import command as replay
 from apps.replay import link as link_module
 from apps.replay.link import Link, link, over
-from apps.replay.stage_table import table_markdown
+from apps.replay.stage_table import comparison_markdown, table_text
 from apps.replay.streaming import POLICIES, STAGES, Result, observer
 from glsplat.errors import GlsplatError
 from glsplat.net.reply import pack_reply, parse_reply
@@ -87,13 +87,16 @@ def test_the_observer_sees_the_whole_avatar():
                 assert z > 1 and 0 < x / z < 400 and 0 < y / z < 300
 
 
-def test_the_markdown_table_has_a_column_pair_a_run():
+def test_tables_of_runs_have_medians_and_say_where_they_were_measured():
     result = Result(sent=2, received=2, shown=2, seconds=0.5, driver="llvmpipe", nbytes=[1000, 3000], ages=[10.0, 12.0])
     result.times = {"render": [20.0, 30.0], "render/draw": [15.0, 16.0], "end_to_end": [40.0, 41.0]}
-    text = table_markdown([("512x512", result), ("1024x1024", result)])
+    stages = [line.split() for line in table_text(result).splitlines()]
+    assert ["stereo", "rendering", "server", "25.00", "29.50"] in stages
+    result.replies, result.waits = [24.0, 35.0], [1.0, 2.0]
+    text = comparison_markdown([("loopback", "newest", result), ("20 ms", "newest", result)])
     rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert len({row.count("|") for row in rows}) == 1
-    assert "| stereo rendering | server | 25.00 | 29.50 | 25.00 | 29.50 |" in rows
+    assert len({row.count("|") for row in rows}) == 1 and len(rows) == 4
+    assert rows[2].startswith("| loopback | newest | 4.0 | 25.0 | 0.10 | 4.5 |")
     assert "llvmpipe" in text and "simplejpeg" in text
 
 

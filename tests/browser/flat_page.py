@@ -5,10 +5,11 @@ from __future__ import annotations
 import mimetypes
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-WEB = Path(__file__).resolve().parents[2] / "glsplat" / "net" / "web"
+from glsplat.net.pages.site import page_files
+
+WEB = page_files()
 ORIGIN = "http://localhost:8000"
 CSP = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; worker-src 'self'; "
@@ -16,9 +17,9 @@ CSP = (
 )
 
 
-def answer_file(route: Any, file: Path, **headers: str) -> None:
-    kind = mimetypes.guess_type(file)[0] or "application/octet-stream"
-    route.fulfill(body=file.read_bytes(), content_type=kind, headers=headers)
+def answer_file(route: Any, name: str, body: bytes, **headers: str) -> None:
+    kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
+    route.fulfill(body=body, content_type=kind, headers=headers)
 
 
 @contextmanager
@@ -29,11 +30,11 @@ def flat_page(chromium: Any, main: str = "", ready: str = "true", **options: Any
 
     def answer(route: Any) -> None:
         path = route.request.url.removeprefix(ORIGIN).split("?")[0]
-        file = WEB / ("index.html" if path == "/vr/" else path.removeprefix("/vr/"))
+        name = "index.html" if path == "/vr/" else path.removeprefix("/vr/")
         if path == "/vr/main.js":
             route.fulfill(body=main, content_type="text/javascript")
-        elif path.startswith("/vr/") and file.is_file():
-            answer_file(route, file, **{"Content-Security-Policy": CSP})
+        elif path.startswith("/vr/") and name in WEB:
+            answer_file(route, name, WEB[name], **{"Content-Security-Policy": CSP})
         else:
             complaints.append(f"asked for {route.request.url}")
             route.fulfill(status=404)

@@ -48,7 +48,7 @@ class Markers:
             for colour, place in self._places(request).items():
                 draw_blob(images[eye], camera, np.asarray(place, float), self._radius, COLOURS[colour])
         time.sleep(max(0.0, end - time.monotonic()))
-        return Rendered(images, {"total": 0.0}, "blobs")
+        return Rendered(images, {"total": 0.0})
 
     def close(self) -> None: ...
 

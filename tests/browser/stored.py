@@ -49,7 +49,7 @@ class StoredPairs:
             self.paint(images, request)
         for eye, image in enumerate(images):
             stamp(image, request.frame_id or 0, eye)
-        return Rendered(images, {"total": 0.0}, "stored pictures")
+        return Rendered(images, {"total": 0.0})
 
     def close(self) -> None: ...
 

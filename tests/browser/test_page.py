@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
 from glsplat.data import default_avatar
 from glsplat.extras.operations.certificate import kept_certificate
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.state_dir import kept_token, state_folder
+from glsplat.net.pages.site import page_folders, read_folder
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
@@ -73,8 +76,12 @@ def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: O
     served = serve(make=lambda config: gl_server(default_avatar(), config))
     page = open_page(None, xr=False)
     page.page.add_init_script("""
-      const look = () => window.glsplat?.stats().shown > 0 ? (window.seen = performance.getEntriesByType('resource')
-        .map(({ name }) => name)) : requestAnimationFrame(look);
+      let before = [];  // at the frame before that of the first picture
+      const look = () => {
+        if (window.glsplat?.stats().shown > 0) return (window.seen = before);
+        before = performance.getEntriesByType('resource').map(({ name }) => name);
+        return requestAnimationFrame(look);
+      };
       requestAnimationFrame(look);""")
     page.page.goto(served.page)
     seen = {name.split("?")[0].removeprefix(served.origin) for name in page.until("window.seen")}
@@ -85,9 +92,22 @@ def test_nothing_but_the_page_itself_comes_before_the_first_picture(open_page: O
     html = page.page.request.get(f"{served.page}/").text()
     preloaded = {f"/vr/{part.split(chr(34))[0]}" for part in html.split('modulepreload" href="')[1:]}
     # the decoder's worker starts by itself; all other modules are known from the page's first bytes
-    assert {name for name in seen if name.endswith(".js")} == preloaded and len(preloaded) > 30
+    assert {name for name in seen if name.endswith(".js")} == {*preloaded, "/vr/stream/decoder.js"}
+    assert 30 < len(preloaded) < 50
     unwanted = ("emulate", "study", "avatars/", "thumbnails", "programs.json")
     assert not [name for name in seen if any(word in name for word in unwanted)]
+
+
+def test_the_core_s_page_works_without_the_files_of_extras(
+    open_page: OpenPage, serve: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core = dict(read_folder(page_folders()[""]))
+    monkeypatch.setattr("glsplat.net.pages.routes.page_files", lambda: core)
+    page = visit(open_page, serve(StoredPairs()))
+    page.until("window.glsplat.stats().shown > 5")
+    time.sleep(1)  # what extras bring would be asked for by now; a file that is not there fails the test
+    assert page.js("document.querySelector('#voice, #photo')") is None
+    assert page.stats()["drawn"]["by"] == "server"
 
 
 DOC = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"

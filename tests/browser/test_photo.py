@@ -61,7 +61,7 @@ def taking(serve: Any, tmp_path: Path) -> Any:
 def opened(open_page: OpenPage, served: Any, **options: Any) -> Opened:
     """The page with its panel open."""
     page = visit(open_page, served, **options)
-    page.until("!document.querySelector('#photo').hidden")
+    page.until("document.querySelector('#photo')?.hidden === false")
     page.page.click("#photo summary")
     return page
 
@@ -94,7 +94,7 @@ def test_a_picture_is_sent_watched_and_worn_and_the_avatar_deleted(
     page.until("document.querySelector('#photo-said').textContent === 'Looking at the picture…'")
     assert page.page.is_visible("#photo-share") and page.page.is_hidden("#photo-form")
     page.page.reload()  # a page that is loaded again goes on watching
-    page.until("!document.querySelector('#photo-work').hidden")
+    page.until("document.querySelector('#photo-work')?.hidden === false")
     page.js("document.querySelector('#photo').open = true")
     (tmp_path / "go on").touch()
     page.until("!document.querySelector('#photo-wear').hidden")

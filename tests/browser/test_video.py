@@ -11,6 +11,7 @@ import pytest
 
 from glsplat.extras.far_links.video import CODECS, VideoStream
 from glsplat.net.codec.encoded import Encoded
+from glsplat.net.pages.site import page_files
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import offered
@@ -107,10 +108,13 @@ def test_what_is_shown_is_what_was_coded(open_page: OpenPage, serve: Any, coded:
     assert page.stats()["bitmaps"] <= 4
 
 
-def test_a_browser_whose_decoder_fails_gets_jpegs(open_page: OpenPage, serve: Any, coded: list[dict[str, Any]]) -> None:
-    served = serve(StoredPairs(), ServerConfig(port=0, video=True), offered=offered)
-    broken = "VideoDecoder.prototype.decode = () => { throw new Error('no') };"
-    page = open_page(f"{served.page}?decode=main", init=broken)
+def test_a_browser_whose_decoder_fails_gets_jpegs(
+    open_page: OpenPage, serve: Any, coded: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = page_files()
+    files["stream/video.js"] += b"VideoDecoder.prototype.decode = () => { throw new Error('no') };"
+    monkeypatch.setattr("glsplat.net.pages.routes.page_files", lambda: files)
+    page = visit(open_page, serve(StoredPairs(), ServerConfig(port=0, video=True), offered=offered))
     page.until("window.glsplat?.stats().shown > 5", timeout=60)
     assert sum(one["key"] for one in coded) >= 3
 

@@ -111,3 +111,15 @@ def test_a_plain_format_says_what_it_drops(scene: Splats | Avatar, words: list[s
     said = list(losses(scene, "a.ply"))
     assert all(any(word in line for line in said) for word in words), said
     assert not list(losses(scene, "a.glb"))
+
+
+def test_the_name_of_an_embedded_avatar_is_not_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FormatError, match=r'^anna: no such file; an embedded avatar is glsplat.data.person\("anna"\)$'):
+        load("anna")
+    for name in ("nobody", "anna.glb", "./anna"):
+        with pytest.raises(FormatError, match="cannot be read"):
+            load(name)
+    save(random_splats(3), Path("anna.ply"))
+    Path("anna.ply").rename("anna")
+    assert len(splats_of(load("anna"))) == 3

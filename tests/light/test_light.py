@@ -12,7 +12,7 @@ import pytest
 from apps.serve.rooms import lit_rooms
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.visibility import sphere
+from glsplat.extras.authoring.geometry.visibility import sphere
 from glsplat.formats.scene_file import SceneFile
 from glsplat.light.light import Light
 from glsplat.net.backends.renderer_pool import RendererPool

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.detail.merge import merged
-from glsplat.extras.authoring.posed import posed_splats
+from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.formats.transform import transformed
 from glsplat.light.surface import Surface, decoded_shades, encoded_shades
 from glsplat.scene import similarity

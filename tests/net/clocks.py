@@ -40,5 +40,4 @@ class Ahead:
 
 def given_to_servers(clock: Stopped | Ahead, patch: pytest.MonkeyPatch) -> None:
     """Servers that are made from now on look at this clock."""
-    for module in ("server", "conversation"):
-        patch.setattr(f"glsplat.net.{module}.clock", clock)
+    patch.setattr("glsplat.net.served_scene.clock", clock)

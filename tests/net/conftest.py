@@ -50,13 +50,13 @@ class FakeBackend:
         out = np.zeros((len(request.cameras), height, width, 4), np.uint8)
         if self.noise:
             out[:] = np.random.default_rng(0).integers(0, 255, out.shape, np.uint8)
-            return Rendered(out, {"draw": 1.0, "total": 1.0}, "numpy <fake>")
+            return Rendered(out, {"draw": 1.0, "total": 1.0})
         y, x = np.mgrid[:height, :width]
         for view, camera in enumerate(request.cameras):
             cx = width * (0.5 - 2 * camera.viewmat[0, 3])
             inside = ((x - cx) / (width / 5)) ** 2 + ((y - height / 2) / (height / 3)) ** 2 < 1
             out[view, inside] = (*(((request.frame_id or 0) % 200 + 50,) * 3), 255)
-        return Rendered(out, {"draw": 1.0, "total": 1.0}, "numpy <fake>")
+        return Rendered(out, {"draw": 1.0, "total": 1.0})
 
     def close(self) -> None:
         self.threads.add(threading.get_ident())

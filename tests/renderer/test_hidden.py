@@ -13,8 +13,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.authoring.cones import ConeConfig, hidden, with_cones
-from glsplat.extras.authoring.posed import posed_splats
+from glsplat.extras.authoring.finish.cones import ConeConfig, hidden, with_cones
+from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.renderer.present import Layout, Present

@@ -134,7 +134,7 @@ def test_load_that_fails_leaves_the_old_scene(driver: tuple[Context, Short], sta
 @pytest.mark.parametrize("depth", [False, True], ids=["colour", "depth"])
 @pytest.mark.parametrize("shown", EACH)
 def test_a_frame_that_fails_is_drawn_the_next_time(driver: tuple[Context, Short], shown: str, depth: bool) -> None:
-    """First frames make pipelines, grounds and targets; each attempt begins with a renderer that has none."""
+    """First frames make pipelines, mesh passes and targets; each attempt begins with a renderer that has none."""
     context, short = driver
 
     def frame(renderer: Renderer) -> list[NDArray[Any]]:
@@ -176,7 +176,7 @@ def test_an_item_that_does_not_fit_can_be_taken_out_again(driver: tuple[Context,
             scene.add(extra)
             renderer.render(eyes(SIZE))
 
-        for _ in range(3):  # vertex arrays and grounds are kept for the next time, but never twice
+        for _ in range(3):  # vertex arrays and mesh passes are kept for the next time, but never twice
             counts = []
             for times in short.each(added):
                 scene.remove(extra)

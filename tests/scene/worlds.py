@@ -11,7 +11,7 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
-from glsplat.extras.authoring.raster import mesh_picture_and_depth
+from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.scene import Scene
 from glsplat.skinning.pose import Pose

@@ -10,7 +10,7 @@ import pytest
 from glsplat import reference
 from glsplat.camera import look_at, stereo_cameras
 from glsplat.config import RenderConfig, with_fields
-from glsplat.extras.authoring.cones import hidden
+from glsplat.extras.authoring.finish.cones import hidden
 from glsplat.extras.watermark.mark import Watermark, marked
 from glsplat.extras.watermark.pattern import TILE
 from glsplat.gl.context import Context

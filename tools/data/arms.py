@@ -122,7 +122,9 @@ def write_mixture(mixture: ArmMixture, path: Path, made_from: str) -> None:
         }
         for k in np.argsort(-mixture.shares, kind="stable")
     ]
-    what = "how people who stand hold their arms: shoulder (axis-angle), elbow (about y), radians, as left arms turn"
+    what = (
+        "how people who stand hold their arms: shoulder (axis-angle), elbow (about y), radians, as the left arm turns"
+    )
     head = json.dumps({"what": what, "made_from": made_from, "credit": CREDIT}, indent=1)[:-2]
     rows = ",\n".join("  " + json.dumps(kind) for kind in kinds)
     path.write_text(f'{head},\n "kinds": [\n{rows}\n ]\n}}\n', encoding="utf-8")

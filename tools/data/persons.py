@@ -1,8 +1,8 @@
-"""Makes the embedded people: MakeHuman's, with the open body's expressions, new eyes, teeth, lashes and a mended skin.
+"""Make the embedded people from MakeHuman's: add expressions, eyes, teeth and lashes, mend the skin, fit splats.
 
 python -m tools.data.persons anna PERSON.npz -o glsplat/data/people/anna.glb
 
-PEOPLE says from which archive each is made.
+``PEOPLE`` names the archive of each; docs/faces.md describes the steps.
 """
 
 from __future__ import annotations
@@ -17,18 +17,21 @@ from numpy.typing import NDArray
 
 from apps.avatar.writing import progress_bar
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.cells import SamplerConfig
-from glsplat.extras.authoring.cones import with_cones, worth_cones
-from glsplat.extras.authoring.detail.make import with_levels
+from glsplat.extras.authoring.body.open_face import matched, with_expressions, with_mouth
 from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
 from glsplat.extras.authoring.faces.eyeballs import eyeballs, with_eyeballs
-from glsplat.extras.authoring.faces.open_face import matched, with_expressions, with_mouth
+from glsplat.extras.authoring.faces.lashes_and_hair import with_brow_hairs, with_lashes, with_strands
 from glsplat.extras.authoring.faces.openings import openings
-from glsplat.extras.authoring.faces.trimmings import with_brow_hairs, with_lashes, with_strands
+from glsplat.extras.authoring.finish.cones import with_cones, worth_cones
+from glsplat.extras.authoring.finish.levels import with_levels
+from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.geometry.visibility import EYES, HEAD
 from glsplat.extras.authoring.light.surfaces import with_surface
-from glsplat.extras.authoring.optimize.mesh import fitted_to_mesh
-from glsplat.extras.authoring.surface import make_avatar
-from glsplat.extras.authoring.visibility import EYES
+from glsplat.extras.authoring.optimize.mesh_fit import fitted_to_mesh
+from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
+from glsplat.extras.authoring.optimize.target_pictures import ViewConfig, pictures_of
+from glsplat.extras.authoring.sample.cells import SamplerConfig
+from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.extras.formats.person import read_person
 from glsplat.formats.gltf.morphs import SHORT
 from glsplat.formats.registry import save
@@ -36,53 +39,48 @@ from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import BEND, Shapes
+from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import normalised
-from tools.data.around import fitted_around
-from tools.data.brows import raised_brows
 from tools.data.lids import even_lids
 from tools.data.touched import calmer, darker_palms, fair_ends, plain_sleeves, toned, without_dots
 
 Touch = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 SAMPLER = SamplerConfig(hand_share=0.097, head_share=0.32, face_boost=3.5, eye_boost=12.0, probe=400)
-"""Faces are what one looks at: a third of the splats instead of a fifth."""
+"""A third of the splats for the face, instead of a fifth: viewers look at faces."""
 AT_REST = {"mouthClose": 0.035}
-"""What closes lips that MakeHuman leaves a little open."""
+"""Expression that closes MakeHuman's slightly open lips."""
 LEVEL_STEPS = 150
 LASHES, BROWS, STRANDS = 342, 360, 2_000
-"""Splats of those, of the 40,000; strands take what the others leave."""
-RESTING = "still face"
-"""Of a file's notes: the expression of MakeHuman's face that it has at rest."""
-BLINK = "blink"
-"""Of a file's notes: the share of the open body's blink that closes its lids."""
-EYES_OF = "eyes"
-"""Of a file's notes: how bright their whites are, and the colour of their irises."""
-_BENT = 0.2  # of an axis; what a shape bends less stays straight in the file
+"""Splats of each kind, of the 40,000; strands take what the others leave."""
+AROUND_VIEWS = ViewConfig(body=30, poses=60, each=2, up=(-75, -40, 0, 40, 75), spread=45.0)
+AROUND_STEPS, AROUND_RATE = 300, 0.6  # rate: share of a first fit's rates, as most of the body is right by then
+_BENT = 0.2  # share of an axis; smaller bends of a shape are stored as none
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """How a person is made."""
+    """Archive and settings of one person."""
 
-    archive: str  # of the reference data, which glsplat does not have
+    archive: str  # file of the reference data, which is not in the repository
     iris: str
     source: str  # official MakeHuman names
-    touches: tuple[tuple[str, Touch], ...] = ()  # end of a part's name, and what is done to its texture
-    left_out: tuple[str, ...] = ("eyelashes",)  # parts by the end of their names; lashes are splats of their own
-    rest: tuple[tuple[str, float], ...] = ()  # the face at rest, both sides by a name that has sides
-    brows: tuple[float, float] = (0.0, 0.0)  # metres by which their inner and outer ends are raised
-    lashes: float = 1.0  # how long
-    white: float = 1.0  # of eyes, how bright: beside a dark face the white of a fair one shines
-    lids: float = 0.85  # how far their colours become those of the skin around
-    fair: float = 0.7  # of the skin around, by its light: what is less fair is taken for shade
+    touches: tuple[tuple[str, Touch], ...] = ()  # end of a part's name, edit of its texture
+    left_out: tuple[str, ...] = ("eyelashes",)  # ends of names of dropped parts
+    rest: tuple[tuple[str, float], ...] = ()  # resting face; a name without a side sets both sides
+    brows: tuple[float, float] = (0.0, 0.0)  # metres to raise their inner and outer ends
+    lashes: float = 1.0  # length, as a factor
+    white: float = 1.0  # brightness of the eyes' white, as a factor: full white glows in a dark face
+    lids: float = 0.85  # weight of the surrounding skin's colour
+    fair: float = 0.7  # quantile of the surrounding skin's brightness below which it counts as shade
 
     def resting(self) -> dict[str, float]:
-        """The expression that is baked into the mesh: MakeHuman's faces look stern."""
+        """Return the expression to bake into the mesh: MakeHuman's own faces look stern."""
         sides = {name + side: weight for name, weight in self.rest for side in ("", "Left", "Right")}
         return AT_REST | {name: weight for name, weight in sides.items() if name in ARKIT}
 
     def touched(self, part: MeshPart) -> MeshPart:
-        """The part with what is done to its texture."""
+        """Return the part with its texture edited."""
         for end, touch in self.touches:
             part = replace(part, texture=touch(part.texture)) if part.name.endswith(end) else part
         return part
@@ -125,7 +123,7 @@ PEOPLE = {
 
 
 def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
-    """The person with all that a face needs; what share of the open body's blink closes its eyes."""
+    """Return the person with a moving face, and the share of the open body's blink that closes its eyes."""
     parts = [recipe.touched(part) for part in mesh.parts if not part.name.endswith(recipe.left_out)]
     mesh = replace(mesh, parts=tuple(parts))
     same, count = matched(mesh), len(mesh.vertices)
@@ -142,24 +140,41 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
     return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids, fair=recipe.fair), blink
 
 
+def raised_brows(mesh: RiggedMesh, part: MeshPart, inner: float, outer: float = 0.0) -> RiggedMesh:
+    """Return the mesh with the ends of ``part`` raised by metres, at its old distance from the skin.
+
+    Brows that slope down to the nose look angry.
+    """
+    skin = next(one for one in mesh.parts if one.name == "body").faces
+    own = np.unique(part.faces)
+    points = mesh.vertices[own]
+    aside = np.abs(points[:, 0])
+    share = ((aside - aside.min()) / np.ptp(aside))[:, None]
+    lifted = points + (inner * (1 - share) ** 1.5 + outer * share) * np.array([0, 1.0, 0])
+    before, after = (nearest_on(mesh.vertices, skin, at)[0] for at in (points, lifted))
+    vertices = mesh.vertices.copy()
+    vertices[own] = after + (points - before)
+    return replace(mesh, vertices=vertices)
+
+
 def about(recipe: Recipe, blink: float) -> dict[str, str]:
-    """What the file says of itself."""
+    """Return the file's notes."""
     return {
         "source": f"MakeHuman system assets: {recipe.source}",
         "body_model": "SMPL-X joints (55)",
         "consent": "synthetic person, no real likeness",
         "licence": LICENCE,
-        RESTING: ", ".join(f"{name} {weight:g}" for name, weight in recipe.resting().items()),
-        EYES_OF: f"{recipe.white:g} {recipe.iris}",
-        BLINK: f"{blink:.4f}",
+        "still face": ", ".join(f"{name} {weight:g}" for name, weight in recipe.resting().items()),
+        "eyes": f"{recipe.white:g} {recipe.iris}",
+        "blink": f"{blink:.4f}",
     }
 
 
 def small(avatar: Avatar, density: float | None = None) -> Avatar:
-    """The avatar in numbers that a file holds in few bits: weights in 255ths, rotations and moves in 32767ths.
+    """Return the avatar quantised for a small file: weights in 255ths, rotations and moves in 32767ths.
 
-    Of shapes goes what moves a splat by less than six tenths of its size, or one millimetre, whichever is less, and of
-    levels what moves less than seven tenths of a pixel where they begin, at ``density`` pixels a metre.
+    Drops moves of shapes below six tenths of the splat's size, or below a millimetre if that is less. In a level, drops
+    moves below seven tenths of a pixel at ``density`` pixels a metre.
     """
     skin, splats = avatar.skin, avatar.splats
     parts = skin.weights.astype(np.float64) / skin.weights.sum(axis=1, keepdims=True, dtype=np.float64) * 255
@@ -180,34 +195,59 @@ def small(avatar: Avatar, density: float | None = None) -> Avatar:
         shapes = Shapes.create(names, count, splats=rows, targets=targets, moves=moves, bends=axes, sizes=sizes)
     levels = tuple(replace(level, content=small(level.content, level.density)) for level in avatar.levels)
     quats = splats.quats
-    for _ in range(4):  # what is rounded is no unit, and what is made one rounds to another in one of sixty
+    for _ in range(4):  # rounding and normalising settle after a few turns
         quats = normalised(np.rint(quats * np.float32(32767)) / np.float32(32767))
     splats = replace(splats, quats=quats)
     return replace(avatar, splats=splats, skin=replace(skin, weights=weights), shapes=shapes, levels=levels)
 
 
 def made(mesh: RiggedMesh, splats: int, steps: int, recipe: Recipe, show: Callable[[str, float], None]) -> Avatar:
-    """``splats`` splats fitted to the furnished person, with lashes, and strands on its hair."""
+    """Return an avatar of ``splats`` splats fitted to the furnished person, with lashes and strands of hair."""
     avatar = make_avatar(mesh, splats - STRANDS - BROWS - LASHES, config=SAMPLER, progress=show)
     avatar = trimmed(fitted_to_mesh(avatar, mesh, steps=steps, progress=show), mesh, recipe)
     return with_strands(avatar, mesh, part_of(mesh, "hair").name, splats - len(avatar.splats))
 
 
+def fitted_around(avatar: Avatar, mesh: RiggedMesh, progress: Callable[[str, float], None]) -> Avatar:
+    """Return the avatar with its body fitted once more, from above and below too, without levels and cones.
+
+    A first fit hardly sees the upper and lower sides of stretched arms, or the crotch, so gaps in the clothes remain
+    there. The head's splats stay. Deterministic.
+    """
+    bare = replace(avatar, levels=(), splats=replace(avatar.splats, cones=None, cones_psnr=None, surface=None))
+    still = [one for one in pictures_of(mesh, 1, AROUND_VIEWS, progress) if one.pose is None or not one.pose.expression]
+    usual = FitConfig()
+    rates = {
+        name: AROUND_RATE * getattr(usual, name) for name in ("mean_rate", "scale_rate", "turn_rate", "opacity_rate")
+    }
+    fit = FitConfig(steps=AROUND_STEPS, recycled=0.0, thrift=0.0, colour_rate=AROUND_RATE * usual.colour_rate, **rates)
+    made = fitted(bare, still, 1, fit, progress)
+    head = np.array([name.startswith(HEAD) for name in avatar.skeleton.names])
+    kept = head[strongest_joint(avatar.skin.joints, avatar.skin.weights)]
+
+    def mixed(new: NDArray[np.float32], old: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.where(kept.reshape(-1, *[1] * (new.ndim - 1)), old, new)
+
+    new, old = made.splats, bare.splats
+    splats = replace(
+        old,
+        means=mixed(new.means, old.means),
+        quats=mixed(new.quats, old.quats),
+        scales=mixed(new.scales, old.scales),
+        opacities=mixed(new.opacities, old.opacities),
+        sh=mixed(new.sh, old.sh),
+    )
+    return replace(bare, splats=splats)
+
+
 def trimmed(avatar: Avatar, mesh: RiggedMesh, recipe: Recipe) -> Avatar:
-    """The avatar with hairs on its brows, lashes, shadows under lids and lights in the eyes."""
+    """Return the avatar with hairs on its brows, lashes, shadows under lids and catch lights."""
     avatar = with_brow_hairs(avatar, mesh, part_of(mesh, "eyebrow").name, BROWS)
     return with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, *EYES)), length=recipe.lashes)
 
 
-def measures(avatar: Avatar) -> list[str]:
-    """A line for the cones and for each level: what they keep."""
-    kept = [(avatar.splats, "")] + [(one.content.splats, f", {one.psnr:.1f} dB up to {one.density:.0f} px/m")
-                                    for one in avatar.levels]  # fmt: skip
-    return [f"{len(splats)} splats{level}, {splats.cones_psnr} dB without what is hidden" for splats, level in kept]
-
-
 def part_of(mesh: RiggedMesh, word: str) -> MeshPart:
-    """The part whose name, or one of its path, begins so."""
+    """Return the part whose name, or a folder of it, starts with ``word``."""
     return next(part for part in mesh.parts if any(one.startswith(word) for one in part.name.split("/")))
 
 

@@ -1,4 +1,4 @@
-"""glsplat/extras/speech/visemes.json: how visemes look, chosen by hand, and the network that hears them, learned here.
+"""Make visemes.json of extras/speech: shapes chosen by hand, and the network that hears them, learned here.
 
     python -m tools.data.visemes            # ten minutes; needs espeak-ng and flite
 
@@ -185,5 +185,5 @@ def table_of(net: list[F32]) -> dict[str, Any]:
 if __name__ == "__main__":
     generator = np.random.default_rng(36)
     made = table_of(learned(*examples(generator), generator))
-    with resources.as_file(resources.files("glsplat.extras.speech") / "visemes.json") as path:
+    with resources.as_file(resources.files("glsplat.extras.speech") / "web" / "voice" / "visemes.json") as path:
         Path(path).write_text(json.dumps(made, separators=(",", ":")) + "\n", encoding="utf-8")

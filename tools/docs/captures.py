@@ -2,7 +2,7 @@
 
     python -m tools.docs.captures [docs/images]
 
-The bad ones are those of tests/extras/authoring/photo/test_capture.py. Look at both sheets.
+The bad ones are those of tests/extras/authoring/check/test_capture.py. Look at both sheets.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from glsplat.extras.authoring.photo.capture import check_capture
+from glsplat.extras.authoring.check.capture import check_capture
 from glsplat.extras.authoring.photo.photo_file import photo_of
 from tests.extras.authoring.captures import Capture, capture
-from tests.extras.authoring.photo.test_capture import BAD
+from tests.extras.authoring.check.test_capture import BAD
 
 TILE, CAPTION, COLUMNS = (190, 270), 20, 6
 GOOD = {

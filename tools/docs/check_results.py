@@ -18,10 +18,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from glsplat.extras.authoring.check.capture import Capture, check_capture
+from glsplat.extras.authoring.check.photos import check_photos
 from glsplat.extras.authoring.networks.people import find_person
-from glsplat.extras.authoring.photo.capture import Capture, check_capture
 from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
-from glsplat.extras.authoring.reconstruct.photos import check_photos
 from tests.extras.authoring.captures import capture
 
 Image = np.ndarray

@@ -1,27 +1,26 @@
-"""Makes an avatar of each participant's capture and holds it against the participant, for docs/photo-results.md.
+"""Make avatars of participants' photographs and compare them with the participants: tables of docs/photo-results.md.
 
-    python -m tools.docs.photo_results OUT [--avatars DIR] [--steps N] [p01 p02 ...]
+    python -m tools.docs.photo_results [--steps N] [p01 p02 ...]
+    python -m tools.docs.photo_results --poses "A-pose" "crossed" ... p14 p15
 
-With --avatars, DIR/p01.glb ... are shown instead of made; --steps are those of fitting splats, 0 for none.
-OUT gets photo-results-1.jpg and -2.jpg (of everybody the photograph, then the avatar from the front, the left and the
-back, and the participant below) and photo-worst.jpg (those that are farthest from the truth); tables are printed: of
-each person PSNR by side and overlap, then the four figures over all sides.
+``--steps`` are those of fitting splats. Avatar and participant are seen from four sides of 320 pixels, in the pose and
+the light of the participant's photograph. With ``--poses`` a photograph is drawn in each pose, lit as the participant's
+own, without shadow on the floor, before the same room; percentages compare LPIPS with the person's own A-pose.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at
+from glsplat.extras.authoring.check.capture import check_capture
+from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.mesh_truth import MeshTruth
-from glsplat.extras.authoring.photo.capture import check_capture
 from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
@@ -29,124 +28,143 @@ from glsplat.extras.evaluate.light import CaptureLight, shade_of
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import l1, psnr
 from glsplat.extras.evaluate.metrics.structure import ssim
-from glsplat.formats import load
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA
-from tests.extras.authoring.captures import capture
-from tools.docs.filmed import SIZE, VIEWS, views_of
+from tests.extras.authoring.captures import Capture, capture
+from tools.docs.poses import POSES, standing
 
-CROP = 0.66  # share of the square's width that the sheets show
-SHOWN = ("front", "left", "back")
-WORST, DOZEN = 5, 12
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What one photograph gave; the pictures are RGB in [0, 1] by view."""
-
-    name: str
-    photograph: np.ndarray
-    truth: dict[str, np.ndarray]
-    drawn: dict[str, np.ndarray]
-
-    def mean(self, measure: Callable[[np.ndarray, np.ndarray], float], *views: str) -> float:
-        """Of these views, over the whole squares."""
-        return float(np.mean([measure(self.drawn[view], self.truth[view]) for view in views]))
-
-    def psnr(self, *views: str) -> float:
-        """dB."""
-        return self.mean(psnr, *views)
-
-    def overlap(self, view: str) -> float:
-        """Intersection over union of the two figures."""
-        a, b = (pictures[view].max(axis=2) > 0.02 for pictures in (self.truth, self.drawn))
-        return float((a & b).sum() / (a | b).sum())
+SIZE = 320  # pixels
+SIDES = (0, 90, 180, 270)  # degrees to the person's left
+A_POSE, BAG, GLASSES = "A-pose", "a bag in a hand", "sunglasses"
+MAX_TURN, BEND_SD = 4.0, 1.0  # degrees that a capture is turned and its joints are bent
+DARK = (22, 20, 24)
 
 
-def avatar_of(name: str, steps: int) -> Avatar:
+def posed(person: Capture, pose: str, rng: np.random.Generator) -> Pose:
+    """Return a pose of this name for the participant, with small random bends."""
+    if pose in (A_POSE, GLASSES):
+        taken = Pose(person.pose, person.trans)
+    else:
+        taken = standing(person, "arms at 3 degrees" if pose == BAG else pose)
+    turns = (
+        taken.rotations + np.radians(BEND_SD) * rng.normal(size=taken.rotations.shape) * (np.arange(55) < 22)[:, None]
+    )
+    turns[0] = taken.rotations[0] + (0.0, np.radians(rng.uniform(-MAX_TURN, MAX_TURN)), 0.0)
+    return Pose(turns, taken.trans)
+
+
+def photographed(person: Capture, pose: str, taken: Pose) -> np.ndarray:
+    """Draw the lit participant before their room, RGB uint8; bags and glasses are painted on."""
+    camera = person.camera
+    vertices = person.mesh.posed(taken)
+    shade = shade_of(person.mesh, vertices, CaptureLight.of_note(person.light))
+    with MeshTruth(person.mesh, size=(camera.width, camera.height)) as renderer:
+        drawn = renderer.render([camera], taken, shade=shade)[0]
+    room, solid = person.room(), visible_faces(person.mesh, vertices, camera)[0] >= 0
+    soft = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), 0.7)[..., None]
+    picture = np.ascontiguousarray((soft * drawn[..., :3] + (1 - soft) * room).astype(np.uint8))
+
+    frames = person.mesh.skeleton.forward(taken.rotations, taken.trans)
+
+    def at(joint: str, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[int, int]:
+        frame = frames[person.mesh.skeleton.names.index(joint)]
+        point = camera.viewmat[:3, :3] @ (frame[:3, :3] @ offset + frame[:3, 3]) + camera.viewmat[:3, 3]
+        x, y = point[:2] / point[2] * camera.K[0, 0] + camera.K[:2, 2]
+        return round(x), round(y)
+
+    scale = float(np.hypot(*np.subtract(at("left_hip"), at("left_knee"))))
+    if pose == GLASSES:
+        for eye in ("left_eye_smplhf", "right_eye_smplhf"):
+            centre, axes = at(eye, (0.0, 0.0, 0.02)), (round(0.07 * scale), round(0.05 * scale))
+            cv2.ellipse(picture, centre, axes, 0, 0, 360, DARK, -1, cv2.LINE_AA)
+        ends = at("left_eye_smplhf"), at("right_eye_smplhf")
+        cv2.line(picture, *ends, DARK, max(round(0.015 * scale), 1), cv2.LINE_AA)
+    if pose == BAG:
+        x, y = at("right_middle3")
+        top, width, height = y + round(0.1 * scale), round(0.33 * scale), round(0.5 * scale)
+        cv2.rectangle(picture, (x - width, top), (x + width, y + height), (120, 52, 40), -1)
+        axes = round(0.18 * scale), round(0.12 * scale)
+        cv2.ellipse(picture, (x, top), axes, 0, 180, 360, (80, 34, 26), 4, cv2.LINE_AA)
+    return picture
+
+
+def avatar_of(name: str, pose: str | None = None, steps: int = 0) -> Avatar | str:
+    """Return the avatar of the participant's photograph, or of one drawn in ``pose``, or why there is none."""
     folder = SHARED_DATA / "participants"
     people = json.loads((folder / "participants.json").read_text())["participants"]
     height = next(float(person["height_m"]) for person in people if person["id"] == name)
-    photo = read_photo(folder / "capture" / f"{name}.jpg")
-    seen = check_capture(photo.picture)
-    if seen.person is None:
-        raise SystemExit(f"{name}: {seen.findings[0].text}")
-    pictures = {"front": Picture(photo.picture, photo.focal, seen.person)}
+    if pose is None:
+        photo = read_photo(folder / "capture" / f"{name}.jpg")
+        picture, focal = photo.picture, photo.focal
+    else:
+        person = capture(name)
+        rng = np.random.default_rng(int(name[1:]) * 100 + sum(map(ord, pose)))
+        picture, focal = photographed(person, pose, posed(person, pose, rng)), float(person.camera.K[0, 0])
+    seen = check_capture(picture)
+    if seen.refused or seen.person is None:
+        return "; ".join(f"{finding.code}: {finding.text}" for finding in seen.findings if finding.refusal)
+    pictures = {"front": Picture(picture, focal, seen.person)}
     return Builtin().reconstruct(pictures, {"front": seen.mask}, Options(height=height, steps=steps))
 
 
-def result_of(name: str, avatar: Avatar) -> Result:
+def cameras_around(vertices: np.ndarray) -> list[Camera]:
+    """Return cameras on ``SIDES`` of the person, who fills 88 % of the height."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle, extent, focal = (low + high) / 2, float((high - low)[:2].max()), 1.37 * SIZE
+    k = [[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]]
+    away = focal * extent / (0.88 * SIZE)
+    eyes = [middle + away * np.array([np.sin(turn), 0, np.cos(turn)]) for turn in np.radians(SIDES)]
+    return [Camera(look_at(eye, middle), k, SIZE, SIZE) for eye in eyes]
+
+
+def measured(name: str, avatar: Avatar, network: Lpips) -> np.ndarray:
+    """Return the means of L1, PSNR, SSIM and LPIPS over the four sides."""
     person = capture(name)
-    pose = Pose(person.pose)
+    pose = Pose(person.pose, person.trans)
     vertices = person.mesh.posed(pose)
-    cameras = views_of(vertices)
+    cameras = cameras_around(vertices)
     with Renderer(avatar, size=(SIZE, SIZE), views=len(cameras)) as renderer:
-        drawn = renderer.render(list(cameras.values()), pose)[..., :3] / 255.0
+        drawn = renderer.render(cameras, pose)[..., :3] / 255.0
     shade = shade_of(person.mesh, vertices, CaptureLight.of_note(person.light))
     with MeshTruth(person.mesh, size=(SIZE, SIZE)) as renderer:
-        truth = renderer.render(list(cameras.values()), pose, shade=shade)[..., :3] / 255.0
-    by_view = [dict(zip(cameras, pictures, strict=True)) for pictures in (truth, drawn)]
-    return Result(name, person.picture / 255.0, *by_view)
-
-
-def block(result: Result) -> np.ndarray:
-    """The photograph, then the views: the avatar above, the participant below."""
-    edge = round(SIZE * (1 - CROP) / 2)
-    rows = [np.hstack([views[view][:, edge:-edge] for view in SHOWN]) for views in (result.drawn, result.truth)]
-    views = np.vstack(rows)
-    scale = len(views) / len(result.photograph)
-    photograph = cv2.resize(result.photograph, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    whole = np.ascontiguousarray(255 * np.hstack([photograph[: len(views)], views])).astype(np.uint8)
-    label = f"{result.name}  {result.psnr(*VIEWS):.1f} dB"
-    cv2.putText(whole, label, (10, 34), cv2.FONT_HERSHEY_SIMPLEX, 1.0, (0, 0, 0), 2, cv2.LINE_AA)
-    return whole
-
-
-def sheet(path: Path, results: list[Result], columns: int, scale: float) -> None:
-    blocks = [block(result) for result in results]
-    width = max(part.shape[1] for part in blocks)
-    blocks = [np.pad(part, ((0, 6), (0, width - part.shape[1] + 6), (0, 0)), constant_values=255) for part in blocks]
-    blocks += [np.full_like(blocks[0], 255)] * (-len(blocks) % columns)
-    rows = [np.hstack(blocks[index : index + columns]) for index in range(0, len(blocks), columns)]
-    small = cv2.resize(np.vstack(rows), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    cv2.imwrite(str(path), small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82])
-    print(path, path.stat().st_size // 1024, "kB")
-
-
-def main(folder: Path, names: list[str], avatars: Path | None, steps: int) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    results = []
-    print("| | front | sides | back | overlap: front | left | back |")
-    for name in names:
-        avatar = load(str(avatars / f"{name}.glb")) if avatars else avatar_of(name, steps)
-        assert isinstance(avatar, Avatar)
-        one = result_of(name, avatar)
-        results.append(one)
-        levels = [one.psnr("front"), one.psnr("left", "right"), one.psnr("back")]
-        figures = [*(f"{level:.1f}" for level in levels), *(f"{one.overlap(view):.2f}" for view in SHOWN)]
-        print("|", " | ".join([name, *figures]), "|", flush=True)
-    for number, first in enumerate(range(0, len(results), DOZEN), 1):
-        sheet(folder / f"photo-results-{number}.jpg", results[first : first + DOZEN], 4, 0.32)
-    sheet(folder / "photo-worst.jpg", sorted(results, key=lambda one: one.psnr(*VIEWS))[:WORST], 2, 0.56)
-    network = Lpips("alex")
+        truth = renderer.render(cameras, pose, shade=shade)[..., :3] / 255.0
 
     def distance(a: np.ndarray, b: np.ndarray) -> float:
         return network.distance(network.features(a), network.features(b))
 
-    print("| | L1 | PSNR dB | SSIM | LPIPS |")
-    table = np.array([[one.mean(measure, *VIEWS) for measure in (l1, psnr, ssim, distance)] for one in results])
-    for label, row in zip([*names, "mean"], [*table, table.mean(axis=0)], strict=True):
-        print(f"| {label} | {row[0]:.4f} | {row[1]:.2f} | {row[2]:.4f} | {row[3]:.4f} |")
-    for label, views in (("front", ("front",)), ("sides", ("left", "right")), ("back", ("back",))):
-        print(label, round(float(np.mean([one.psnr(*views) for one in results])), 2))
+    pairs = list(zip(drawn, truth, strict=True))
+    return np.array([np.mean([measure(a, b) for a, b in pairs]) for measure in (l1, psnr, ssim, distance)])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", default=[f"p{number:02d}" for number in range(1, 25)])
+    parser.add_argument("--poses", nargs="+", choices=[A_POSE, *POSES, BAG, GLASSES], default=[])
+    parser.add_argument("--steps", type=int, default=0)
+    given = parser.parse_intermixed_args()
+    network = Lpips("alex")
+    usual: dict[str, float] = {}  # LPIPS of each person's A-pose
+    print("| pose | person | L1 | PSNR dB | SSIM | LPIPS | against the A-pose's |\n|---|---|---|---|---|---|---|")
+    for pose in given.poses or (None,):
+        rows = {}
+        for name in given.names:
+            avatar = avatar_of(name, pose, given.steps)
+            if isinstance(avatar, str):
+                print(f"{name}, {pose or 'photograph'}: {avatar}", flush=True)
+                continue
+            rows[name] = measured(name, avatar, network)
+            if pose == A_POSE:
+                usual[name] = rows[name][3]
+        if not rows:
+            continue
+        rows["mean"] = np.mean(list(rows.values()), axis=0)
+        worse = [rows[name][3] / usual[name] - 1 for name in rows if name in usual]
+        for name, row in rows.items():
+            change = f"{np.mean(worse):+.0%}" if name == "mean" and worse else ""
+            figures = f"{row[0]:.4f} | {row[1]:.2f} | {row[2]:.4f} | {row[3]:.4f} | {change}"
+            print(f"| {pose or 'photograph'} | {name} | {figures} |", flush=True)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--avatars", type=Path)
-    parser.add_argument("--steps", type=int, default=Options().steps)
-    parser.add_argument("names", nargs="*", default=[f"p{number:02d}" for number in range(1, 25)])
-    given = parser.parse_intermixed_args()
-    main(given.out, given.names, given.avatars, given.steps)
+    main()

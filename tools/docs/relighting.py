@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from apps.output import save_png
 from glsplat import Camera, Item, Pose, Renderer, Scene
+from glsplat.extras.authoring.check.photos import check_photos
 from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.reconstruct.builtin import PHONE
-from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruct
+from glsplat.extras.authoring.reconstruct.photos import reconstruct
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
 from glsplat.extras.evaluate.light import CaptureLight, shade_of

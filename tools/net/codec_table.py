@@ -69,10 +69,7 @@ def sequence(motion: str) -> list[Pair]:
         for index in range(COUNT):
             pose = moves.at(index / RATE)
             images = renderer.render(observer(index / RATE, pose.trans, (SIDE, SIDE)), pose).copy()
-            x, y, w, h = (np.array([covered_box(image) for image in images]).T).tolist()
-            left, top = min(x), min(y)
-            right, low = max(map(sum, zip(x, w, strict=True))), max(map(sum, zip(y, h, strict=True)))
-            out.append((images, (left, top, right - left, low - top)))
+            out.append((images, covered_box(np.maximum(*images))))
     return out
 
 

@@ -1,9 +1,9 @@
-"""Pictures by datagrams against those over the WebSocket, over a relay with delay, rate and loss; real sockets.
+"""Compare pictures by datagrams with pictures over the WebSocket: real sockets over a relay with delay, rate and loss.
 
     python -m tools.net.datagram_links --link 60,20,1 --link 150,5,3 --seconds 15
 
-Server, relay and client are processes of their own. The pictures are those of tools/net/real_link.py: drawn
-before, each shown after the 50 ms (at full size) of the simulation.
+Server, relay and client are processes of their own. The pictures are drawn beforehand; each is shown after the time
+that the simulation assumes (50 ms at full size), so other work on the machine does not slow the renderer.
 """
 
 from __future__ import annotations
@@ -14,33 +14,81 @@ import json
 import multiprocessing
 import sys
 import time
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 import aiohttp
 import numpy as np
+from numpy.typing import NDArray
 
 from apps.replay.link import Link, link
+from apps.replay.streaming import observer
+from glsplat.data import default_avatar
+from glsplat.formats.motion_files import load_embedded_motion
+from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.codec.encode import covered_box
+from glsplat.net.codec.encoded import Box
 from glsplat.net.options import ServerConfig
+from glsplat.net.pace.ladder import SCALES
 from glsplat.net.reply import parse_reply
 from glsplat.net.served_scene import server_of
 from glsplat.net.session import SessionConfig
+from glsplat.renderer import Renderer
 from tests.extras.far_links.datagrams.client import open_path
-from tools.net.lossy_relay import relay, roomy
+from tools.net.lossy_relay import enlarge_buffer, relay
+from tools.net.simulated_link import draw_time
 
-__all__ = ["Shown", "main"]
-
-SIDE = 1024
+SIDE = 1024  # pixels
+MOMENTS = 6
 EYES = [
     {"viewmat": [1, 0, 0, x, 0, -1, 0, 1.2, 0, 0, -1, 2, 0, 0, 0, 1], "K": [803.6, 803.6, 512, 512]}
     for x in (0.03, -0.03)
 ]
-WARM_UP = 5.0
+WARM_UP_S = 5.0
+
+Pair = tuple[NDArray[np.uint8], Box]  # images [2, H, W, 4] and their covered box
+
+
+@dataclass
+class StoredPictures:
+    """A backend that returns stored pairs in turn, in the size of the job."""
+
+    pairs: dict[int, list[Pair]]  # by side
+    numbers: Iterator[int] = field(default_factory=count)
+
+    def open(self) -> str:
+        return "drawn before"
+
+    def render(self, job: RenderJob) -> Rendered:
+        side = job.cameras[0].width
+        pairs = self.pairs.get(side) or self.pairs[SIDE]
+        time.sleep(draw_time(side / SIDE))
+        images, box = pairs[next(self.numbers) % len(pairs)]
+        return Rendered(images[: len(job.cameras)], covered=box)
+
+    def close(self) -> None: ...
+
+
+def drawn() -> dict[int, list[Pair]]:
+    """Return pairs of the embedded avatar by side, at some moments of a motion."""
+    avatar = default_avatar()
+    motion = load_embedded_motion("wave-and-turn", avatar.skeleton)
+    pairs: dict[int, list[Pair]] = {}
+    with Renderer(avatar) as renderer:
+        for scale in SCALES:
+            side = round(SIDE * scale)
+            renderer.resize(side, side)
+            for moment in range(MOMENTS):
+                pose = motion.at(0.5 * moment)
+                images = renderer.render(observer(0.5 * moment, pose.trans, (side, side)), pose).copy()
+                pairs.setdefault(side, []).append((images, covered_box(np.maximum(*images))))
+    return pairs
 
 
 class Shown:
-    """Ages at each refresh, behind the warm-up."""
+    """Ages at each refresh, after the warm-up."""
 
     def __init__(self) -> None:
         self.ages: list[float] = []  # seconds
@@ -51,12 +99,11 @@ class Shown:
 
 
 def serving(pairs: Any, port: Any, stop: Any, webtransport: bool) -> None:
-    """A process: the server. Tells its port; once stopped its CPU seconds, the 99 % of its loop's lag, and its ways."""
-    from tools.net.real_link import Drawn
+    """Run the server in this process; send its port, and once stopped (CPU seconds, 99 % of loop lag, links)."""
 
     async def run() -> None:
         config = ServerConfig(port=0, session=SessionConfig(adapt=True), webtransport=webtransport)
-        server = server_of(Drawn(pairs), config)
+        server = server_of(StoredPictures(pairs), config)
         await server.start()
         port.send(server.port)
         loop, cpu = asyncio.get_running_loop(), time.process_time()
@@ -74,7 +121,7 @@ def serving(pairs: Any, port: Any, stop: Any, webtransport: bool) -> None:
 
 
 def relaying(simulated: Link, there: int, port: Any, stop: Any) -> None:
-    """A process: the relay."""
+    """Run the relay in this process; send its port."""
 
     async def run() -> None:
         port.send(await relay(simulated, there))
@@ -86,12 +133,12 @@ def relaying(simulated: Link, there: int, port: Any, stop: Any) -> None:
 
 async def _opened(url: str, offer: dict[str, str], take: Any) -> Any:
     path = await open_path(url, offer, take)
-    roomy(path._transport)
+    enlarge_buffer(path._transport)
     return path
 
 
 async def watch(url: str, seconds: float, datagrams: bool) -> Shown:
-    """A client: asks at 72 Hz, shows the newest picture at its refresh."""
+    """Run a client that asks at 72 Hz and shows the newest picture at each refresh."""
     out, refresh = Shown(), 1 / 72
     sent: dict[int, float] = {}
     newest = shown = 0
@@ -109,7 +156,7 @@ async def watch(url: str, seconds: float, datagrams: bool) -> Shown:
                 return
             newest = reply.frame_id
             arrival = now - sent[newest], now
-            if now - begin > WARM_UP:
+            if now - begin > WARM_UP_S:
                 out.by_datagrams += by
                 out.nbytes += len(data)
                 out.qualities.append(reply.info.get("detail", {}).get("quality", 80) * reply.info["size"][0] / SIDE)
@@ -141,13 +188,13 @@ async def watch(url: str, seconds: float, datagrams: bool) -> Shown:
 
         tasks: set[Any] = {asyncio.ensure_future(read())}
         number, due = 0, begin
-        while (now := time.perf_counter()) - begin < WARM_UP + seconds:
+        while (now := time.perf_counter()) - begin < WARM_UP_S + seconds:
             number += 1
             sent[number] = now
             sent.pop(number - 500, None)
             more = {"datagrams": True} if datagrams else {}
             say({"v": 1, "frame_id": number, **ack(), "eyes": EYES, "size": [SIDE, SIDE], **more})
-            if now - begin > WARM_UP and newest:
+            if now - begin > WARM_UP_S and newest:
                 out.pictures += newest != shown
                 out.ages.append(now - sent.get(newest, 0.0))
             shown = newest
@@ -161,7 +208,7 @@ async def watch(url: str, seconds: float, datagrams: bool) -> Shown:
 
 
 def row(simulated: Link | None, pairs: Any, seconds: float, datagrams: bool) -> tuple[Shown, Any]:
-    """One stream: what was shown, and what the server says."""
+    """Return the pictures shown in one stream, and the server's figures."""
     spawn = multiprocessing.get_context("spawn")
     ours, theirs = spawn.Pipe()
     server = spawn.Process(target=serving, args=(pairs, theirs, theirs, datagrams), daemon=True)
@@ -187,19 +234,8 @@ def row(simulated: Link | None, pairs: Any, seconds: float, datagrams: bool) -> 
     return shown, said
 
 
-def stored(path: Path) -> Any:
-    """The pictures, drawn once."""
-    from tools.net.real_link import drawn
-
-    if path.exists():
-        return np.load(path, allow_pickle=True)["pairs"][()]
-    pairs = drawn().pairs
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(path, pairs=np.array(pairs, dtype=object))
-    return pairs
-
-
-def main(links: Sequence[Link | None], seconds: float, pairs: Any) -> None:
+def main(links: Sequence[Link | None], seconds: float) -> None:
+    pairs = drawn()
     names = "link | pictures by | shown a second | age, ms | 95 % | goal | kB | quality x scale | so | cores | lag, ms"
     print(f"| {names} |\n|---|---|" + "--:|" * 9)
     for simulated in links:
@@ -213,7 +249,7 @@ def main(links: Sequence[Link | None], seconds: float, pairs: Any) -> None:
                 f"| {shown.pictures / seconds:.1f} | {np.median(ages):.0f} | {np.quantile(ages, 0.95):.0f} "
                 f"| {goal:.0f} {'met' if np.quantile(ages, 0.95) <= goal else 'missed'} "
                 f"| {shown.nbytes / count / 1e3:.1f} | {np.mean(shown.qualities or [0]):.0f} "
-                f"| {shown.by_datagrams / count:.2f} | {cpu / (seconds + WARM_UP):.2f} | {late * 1e3:.1f} | {ways}",
+                f"| {shown.by_datagrams / count:.2f} | {cpu / (seconds + WARM_UP_S):.2f} | {late * 1e3:.1f} | {ways}",
                 flush=True,
             )
 
@@ -223,6 +259,5 @@ if __name__ == "__main__":
     parser.add_argument("--link", type=link, action="append", default=[])
     parser.add_argument("--loopback", action="store_true")
     parser.add_argument("--seconds", type=float, default=15.0)
-    parser.add_argument("--pairs", type=Path, default=Path("out") / "measured" / "pairs.npz")
     arguments = parser.parse_args()
-    main([*([None] if arguments.loopback else []), *arguments.link], arguments.seconds, stored(arguments.pairs))
+    main([*([None] if arguments.loopback else []), *arguments.link], arguments.seconds)

@@ -1,23 +1,20 @@
-"""How long after navigation the page shows the first picture of the avatar, and what it has loaded by then.
+"""Measure the time from navigation to the first picture of the avatar, and the bytes loaded by then.
 
     python -m tools.net.first_picture                 # six launches of Chromium against `glsplat serve`
     python -m tools.net.first_picture --launches 12 -- --avatar ben
 
-A server of its own on localhost, in its default settings and those after `--`; a browser that has never seen it at each
-launch. The clock is the page's own, from navigation to the first of its frames that begins after a picture was drawn.
+The server runs on localhost, with its default settings and those after `--`. Each launch has a new browser. The page's
+own clock runs from navigation to the first frame that starts after a picture was drawn.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import subprocess
-import sys
 import time
 from typing import Any
 
-from tools.docs.chromium import launched
+from tools.docs.chromium import launched, serving
 
 SEEN = """
 (() => {
@@ -33,7 +30,7 @@ LOADED = "performance.getEntriesByType('navigation')[0].domContentLoadedEventEnd
 
 
 def one(play: Any, address: str) -> tuple[float, float, float]:
-    """Milliseconds until the page is loaded, until its first picture, and the bytes until then."""
+    """Return ms until the page is loaded and until its first picture, and the bytes loaded by then."""
     browser = launched(play)
     try:
         page = browser.new_context(bypass_csp=True, viewport={"width": 1280, "height": 720}).new_page()
@@ -46,7 +43,6 @@ def one(play: Any, address: str) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """A line for each launch, then the median."""
     from playwright.sync_api import sync_playwright
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -54,16 +50,9 @@ def main() -> None:
     parser.add_argument("--settle", type=float, default=4.0, help="seconds between the server's start and the first")
     parser.add_argument("options", nargs="*", help="of glsplat serve, after --")
     args = parser.parse_args()
-    words = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", *args.options]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
-        try:
-            assert server.stdout is not None
-            address = json.loads(server.stdout.readline())["page"]
-            time.sleep(args.settle)
-            with sync_playwright() as play:
-                found = [one(play, address) for _ in range(args.launches)]
-        finally:
-            server.terminate()
+    with serving(args.options) as address, sync_playwright() as play:
+        time.sleep(args.settle)
+        found = [one(play, address) for _ in range(args.launches)]
     for loaded, seen, size in found:
         print(f"loaded {loaded:5.0f} ms, first picture {seen:5.0f} ms, {size / 1e3:.0f} kB before it")
     middle = statistics.median(seen for _, seen, _ in found)

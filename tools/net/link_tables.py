@@ -1,7 +1,4 @@
-"""Tables of streams over simulated links: before, after, and who knows the link. Seconds of a core, no sockets.
-
-python -m tools.net.link_tables        # docs/measured/links.md holds them
-"""
+"""Tables of streams over simulated links, for ``python -m tools.docs.measured links``: no sockets, seconds of CPU."""
 
 from __future__ import annotations
 
@@ -11,16 +8,16 @@ from statistics import median
 from glsplat.extras.far_links.link_control import LinkControl
 from tools.net.simulated_link import FULL, Fixed, Link, Oracle, Outcome, Policy, play
 
-__all__ = ["alone", "busy", "falling", "shared", "video"]
+__all__ = ["alone", "busy", "datagrams", "falling", "shared", "video"]
 
 RATES = (100, 20, 10, 5, 2)  # Mbit/s
 TRIPS = (20, 60, 150)  # ms
 LOSSES = (0, 1, 3)  # percent
-FALL = 20.0, 3.0, 20.0, 40.0  # Mbit/s before, then; from and to which second behind the warm-up
+FALL = 20.0, 3.0, 20.0, 40.0  # Mbit/s before, and during a fall; its start and end, seconds after the warm-up
 
 
 def goal(trip: float) -> float:
-    """Milliseconds that 95 % of what is on show may be old at most."""
+    """Return the goal for the 95th percentile of the age on show, ms; ``trip`` is the round trip in ms."""
     return 1.3 * (trip + 120)
 
 
@@ -33,7 +30,7 @@ def _cells(outcome: Outcome, rate: float) -> str:
 
 
 def alone() -> Iterator[str]:
-    """One client, 60 s behind a warm-up of 5."""
+    """One client for 60 s: fixed policy, link control, and an oracle that knows the link."""
     names = "shown/s | age | 95 % | used | LPIPS"
     yield f"| Mbit/s | ms | loss | {names} | {names} | {names} | goal, ms | met by |"
     yield "|" + "--:|" * 19 + "---|"
@@ -49,12 +46,12 @@ def alone() -> Iterator[str]:
 
 
 def falling() -> Iterator[str]:
-    """A rate that falls and comes back: how long ages are beyond the goal afterwards."""
+    """A rate that falls and recovers: seconds for which ages miss the goal afterwards."""
     before, then, start, end = FALL
     yield "| ms | | beyond the goal after the fall, s | 95 % from 2 s on, ms | oldest, ms | after it came back, s |"
     yield "|--:|---|--:|--:|--:|--:|"
     for trip in TRIPS:
-        # the clock begins with the warm-up
+        # the clock starts with the warm-up
         link = Link(lambda now: then if start <= now - 5.0 < end else before, trip / 1e3)
         policies: dict[str, Policy] = {"before": Fixed(), "after": LinkControl(), "oracle": Oracle(link)}
         policies["after, datagrams"] = LinkControl()
@@ -69,7 +66,7 @@ def falling() -> Iterator[str]:
 
 
 def shared() -> Iterator[str]:
-    """Two clients behind one bottleneck; the second comes 8 s after the first, or at once."""
+    """Two clients behind one bottleneck; the second starts at once, or 8 s after the first."""
     yield "| Mbit/s | ms | second after, s | parts of what is sent | of the rate | 95 %, ms | goal, ms |"
     yield "|--:|--:|--:|--:|--:|--:|--:|"
     for rate in (20, 10, 5, 2):
@@ -85,14 +82,14 @@ def shared() -> Iterator[str]:
 
 
 class Unanswered(LinkControl):
-    """Hears of arrivals from the client alone."""
+    """Link control without pings behind pictures: only the client reports arrivals."""
 
     def follow(self, number: int) -> bytes:
         return b""
 
 
 def busy() -> Iterator[str]:
-    """A client whose page draws for so long, on a fast link: what of its pictures is taken away."""
+    """A client that reads its socket only every so many ms, on a fast link."""
     yield "| the client looks every, ms | arrivals from | as asked for | LPIPS | shown/s |"
     yield "|--:|---|--:|--:|--:|"
     for every in (0, 100, 150, 300, 400):
@@ -103,11 +100,11 @@ def busy() -> Iterator[str]:
 
 
 VIDEO = 6400
-"""Bytes of a pair: VP9 as good as JPEG of quality 80, of a motion that was set aside (docs/measured/codec.md)."""
+"""Bytes of a pair in VP9, as good as JPEG of quality 80 (docs/measured/codec.md, the motion set aside)."""
 
 
 def video() -> Iterator[str]:
-    """Pictures of a tenth of the bytes. Neither key frames nor how the ladder differs for video is modelled."""
+    """Pictures of a tenth of the bytes; key frames and a ladder for video are not modelled."""
     yield "| Mbit/s | ms | loss | JPEG: shown/s | 95 % | LPIPS | video: shown/s | 95 % | LPIPS | goal, ms |"
     yield "|" + "--:|" * 10
     for rate, trip, loss in ((2, 20, 0), (2, 150, 0), (20, 60, 1), (5, 60, 1), (20, 150, 1), (5, 150, 1), (20, 150, 3)):
@@ -120,7 +117,7 @@ def video() -> Iterator[str]:
 
 
 def datagrams() -> Iterator[str]:
-    """By datagrams, beside the same over TCP."""
+    """Pictures by datagrams, and over TCP."""
     names = "shown/s | age | 95 % | LPIPS"
     yield f"| Mbit/s | ms | loss | {names} | {names} | goal, ms | met by |"
     yield "|" + "--:|" * 12 + "---|"
@@ -136,8 +133,3 @@ def datagrams() -> Iterator[str]:
                     met += [name] * (late <= goal(trip))
                 by = ", ".join(met) or "none"
                 yield f"| {rate} | {trip} | {loss} % | {' | '.join(cells)} | {goal(trip):.0f} | {by} |"
-
-
-if __name__ == "__main__":
-    for table in (alone, falling, shared, busy, video, datagrams):
-        print("\n".join(table()), end="\n\n", flush=True)

@@ -1,15 +1,12 @@
-"""A relay in user space for one TCP and one UDP port of the same number: delay, rate and loss, each way.
+"""Relay one TCP and one UDP port of the same number in user space, with delay, rate and loss in each direction.
 
-    python -m tools.net.lossy_relay 9000 8000 --link 60,20,1     # listens on 9000, for a server on 8000
-
-TCP is relayed as ``glsplat replay --link`` does it (a lost packet holds back all behind it for a round trip; TCP's
-slowing down after a loss is not there, so its rows are better than a real link's). A lost UDP datagram is lost, and so
-is one for which the queue before the link has no room.
+TCP is relayed as by ``glsplat replay --link``: a lost packet delays all later ones by a round trip, but TCP does not
+slow down after a loss, so its rows are better than a real link's. UDP datagrams are dropped by loss, and when the
+queue before the link is full.
 """
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import heapq
@@ -20,28 +17,29 @@ from itertools import count
 from random import Random
 from typing import Any
 
-from apps.replay.link import _QUEUE_BYTES, Link, _Relay, link
+from apps.replay.link import _QUEUE_BYTES, Link, _Relay
 
-__all__ = ["DatagramRelay", "relay", "roomy"]
+__all__ = ["DatagramRelay", "enlarge_buffer", "relay"]
 
-_HEADERS = 28  # bytes of IP and UDP
+_HEADER_BYTES = 28  # of IP and UDP
+_SO_RCVBUFFORCE = 33  # Linux, for root
 
 
-def roomy(transport: Any) -> None:
-    """Let the system keep more than a picture and a half, where it lets us: a process that waits loses none then."""
+def enlarge_buffer(transport: Any) -> None:
+    """Let the socket buffer several pictures, where the system allows it, so a busy process loses no datagram."""
     sock = transport.get_extra_info("socket")
-    for option in (33, socket.SO_RCVBUF):  # SO_RCVBUFFORCE, of Linux, for root
+    for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
         with contextlib.suppress(OSError):
             sock.setsockopt(socket.SOL_SOCKET, option, 1 << 22)
             return
 
 
 class _Pipe:
-    """One direction."""
+    """One direction of the link."""
 
     def __init__(self, simulated: Link, seed: int) -> None:
         self._link, self._chance = simulated, Random(seed)
-        self._free = 0.0  # when the link has sent what it was given
+        self._free = 0.0  # time at which the link has sent all it was given
         self._heap: list[tuple[float, int, Callable[[], None]]] = []
         self._order = count()
         self._timer: asyncio.TimerHandle | None = None
@@ -51,7 +49,7 @@ class _Pipe:
         if self._link.rate < 1e5:
             if (max(self._free, now) - now) * self._link.rate * 1e6 / 8 > _QUEUE_BYTES:
                 return
-            self._free = max(self._free, now) + (nbytes + _HEADERS) * 8e-6 / self._link.rate
+            self._free = max(self._free, now) + (nbytes + _HEADER_BYTES) * 8e-6 / self._link.rate
         if self._chance.random() * 100 < self._link.loss:
             return
         heapq.heappush(self._heap, (max(self._free, now) + self._link.round_trip / 2e3, next(self._order), deliver))
@@ -68,7 +66,7 @@ class _Pipe:
 
 
 class DatagramRelay(asyncio.DatagramProtocol):
-    """UDP, for any number of clients."""
+    """Relay UDP for any number of clients."""
 
     def __init__(self, simulated: Link, there: tuple[str, int]) -> None:
         self._link, self._there = simulated, there
@@ -78,7 +76,7 @@ class DatagramRelay(asyncio.DatagramProtocol):
 
     def connection_made(self, transport: Any) -> None:
         self._transport = transport
-        roomy(transport)
+        enlarge_buffer(transport)
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
         end = self._ends.get(addr)
@@ -91,7 +89,7 @@ class DatagramRelay(asyncio.DatagramProtocol):
 
         class Back(asyncio.DatagramProtocol):
             def connection_made(self, transport: Any) -> None:
-                roomy(transport)
+                enlarge_buffer(transport)
 
             def datagram_received(self, data: bytes, _: Any) -> None:
                 relay._down.put(len(data), lambda: relay._transport.sendto(data, addr))
@@ -101,7 +99,7 @@ class DatagramRelay(asyncio.DatagramProtocol):
 
 
 async def relay(simulated: Link, there: int, port: int = 0) -> int:
-    """Begin; the port it listens on, TCP and UDP."""
+    """Start relaying to the local port ``there``; return the port that it listens on, TCP and UDP."""
     pipe = _Relay(simulated, "127.0.0.1", there)
     server = await asyncio.start_server(pipe.connected, "127.0.0.1", port, limit=4096)
     here: int = server.sockets[0].getsockname()[1]
@@ -110,17 +108,3 @@ async def relay(simulated: Link, there: int, port: int = 0) -> int:
         lambda: DatagramRelay(simulated, ("127.0.0.1", there)), local_addr=("127.0.0.1", here)
     )
     return here
-
-
-async def _main(simulated: Link, port: int, there: int) -> None:
-    print(await relay(simulated, there, port), flush=True)
-    await asyncio.Event().wait()
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("port", type=int)
-    parser.add_argument("there", type=int)
-    parser.add_argument("--link", type=link, required=True)
-    arguments = parser.parse_args()
-    asyncio.run(_main(arguments.link, arguments.port, arguments.there))

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 import glsplat
 from glsplat.extras.browser.poses.responder import PoseResponder
 from glsplat.extras.rooms.member import Member
-from glsplat.extras.rooms.person import Moved
+from glsplat.extras.rooms.person import PoseSample
 from glsplat.extras.rooms.room import Room
 from glsplat.net.backend import AvatarInfo, PoseSolver, Solved
 from glsplat.net.client_stream import ClientStream
@@ -242,7 +242,7 @@ def listeners(count: int, seconds: float, rate: float) -> None:
         while now < end:
             now = 1000.0 + tick / rate
             start = time.thread_time()
-            hall.moved(speaker, Moved(poses[tick % 72], now, tick * 1e3 / rate, tick))
+            hall.add_sample(speaker, PoseSample(poses[tick % 72], now, tick * 1e3 / rate, tick))
             tick += 1
             for i in np.flatnonzero(due <= now):
                 client = clients[i]

@@ -1,42 +1,32 @@
-"""How far the picture of a mouth is behind the sound, in Chromium with a microphone that plays a file.
+"""Measure the delay from a sound to the picture of its mouth, in Chromium with a microphone that plays a file.
 
     python -m tools.net.voice_delay                          # pictures of what `glsplat serve` draws
     python -m tools.net.voice_delay --here                   # drawn by the page from poses
-    python -m tools.net.voice_delay --beside ../before --turns 4     # another checkout, in turns with this one
     python -m tools.net.voice_delay -- --config exact.toml   # the server's options
 
-The microphone says "aa" for half a second, then nothing for a second, again and again. A listener of its own in the
-page, which hears nothing but how loud a piece of 128 samples is, notes when each begins; what is sent is looked at for
-a jaw that opens, and the page's own numbers for the picture of that request, or of a newer one that was drawn instead.
-Where the page draws by itself, it is the first frame that it draws with a jaw that opens.
+The microphone plays "aa" for half a second, then silence for a second, in turns. An audio worklet of its own notes
+when each sound begins. The script looks for a jaw that opens in the requests, and takes the page's own numbers for the
+picture of that request, or of a newer one that was drawn instead. If the page draws by itself, it takes the first frame
+with a jaw that opens.
 
-Told are also the parts of the way, and the whole in times of a picture (from one to the next): what is many pictures
-long waits in a queue, what is one or two and long in milliseconds waits for a slow renderer.
+Printed are the whole delay, in ms and in periods of a picture, and its parts. A delay of many periods is a queue.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from glsplat.extras.speech.sound import Sound, wav_bytes
-from tests import needs
-from tests.browser.conftest import _FLAGS
-from tests.extras.speech.sounds import vowels
+from glsplat.extras.speech.sound import Sound
+from tests.extras.speech.sounds import vowels, wav_bytes
+from tools.docs.chromium import launched, serving
 
-_HERE = Path(__file__).resolve().parents[2]
-_LATEST = 700.0  # ms after a sound in which its jaw opens, or it was not heard
+MAX_DELAY_MS = 700.0  # from a sound to a request with an open jaw; later: the sound was missed
 
 WATCH = """
 (() => {
@@ -111,21 +101,8 @@ WATCH = """
 """
 
 
-@contextmanager
-def serving(tree: Path, options: Sequence[str]) -> Iterator[str]:
-    """The address of the page of a server of that checkout, in a process of its own."""
-    words = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", *options]
-    where: dict[str, Any] = {"cwd": tree, "env": os.environ | {"PYTHONPATH": str(tree)}}
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, **where) as server:
-        try:
-            assert server.stdout is not None
-            yield json.loads(server.stdout.readline())["page"]
-        finally:
-            server.terminate()
-
-
 def watched(address: str, here: bool, seconds: float, size: int) -> dict[str, Any]:
-    """What the page was seen to do, and its figures."""
+    """Return the events of the page (``WATCH``), and its figures."""
     from playwright.sync_api import sync_playwright
 
     rate = 48000
@@ -133,10 +110,13 @@ def watched(address: str, here: bool, seconds: float, size: int) -> dict[str, An
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         file = Path(folder) / "said.wav"
         file.write_bytes(wav_bytes(Sound(said, rate)))
-        flags = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
-        flags += [f"--use-file-for-fake-audio-capture={file}", "--autoplay-policy=no-user-gesture-required"]
-        flags += [flag for flag in _FLAGS if not flag.startswith("--js-flags")]
-        browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=flags)
+        browser = launched(
+            play,
+            "--use-fake-device-for-media-stream",
+            "--use-fake-ui-for-media-stream",
+            f"--use-file-for-fake-audio-capture={file}",
+            "--autoplay-policy=no-user-gesture-required",
+        )
         context = browser.new_context(viewport={"width": size, "height": size}, bypass_csp=True)
         context.add_init_script(WATCH)
         drawn = "here" if here else "server"
@@ -171,7 +151,7 @@ HERE = ("heard, and sent", "drawn here, and shown with the next frame of the pag
 
 
 def measured(found: dict[str, Any]) -> tuple[list[float], list[list[float]]]:
-    """Milliseconds that each sound's picture is behind it, and the parts of those of which all are known."""
+    """Return the delay of each sound's picture in ms, and its parts where all are known."""
     came = {number: (arrived, asked, times) for number, arrived, asked, times in found["came"]}
     decoded = {number: t for t, number in found["decoded"]}
     local = found["stats"]["drawn"]["by"] == "here" and found["drawn"]
@@ -180,12 +160,12 @@ def measured(found: dict[str, Any]) -> tuple[list[float], list[list[float]]]:
         opens, frame = next(((t, frame) for t, frame in found["sent"] if t >= begin), (np.inf, 0))
         if local:
             shows = next((t for t, _ in found["drawn"] if t >= begin), np.inf)
-            if shows - begin < _LATEST:
+            if shows - begin < MAX_DELAY_MS:
                 behind.append(shows - begin)
                 parts.append([opens - begin, shows - opens])
             continue
         shows, number = next(((t, shown) for t, shown in found["shown"] if shown >= frame), (None, 0))
-        if opens - begin > _LATEST or shows is None:
+        if opens - begin > MAX_DELAY_MS or shows is None:
             continue
         behind.append(shows - begin)
         if number in came and number in decoded:
@@ -197,49 +177,25 @@ def measured(found: dict[str, Any]) -> tuple[list[float], list[list[float]]]:
     return behind, parts
 
 
-def tell(name: str, runs: list[dict[str, Any]]) -> float:
-    """Print what all runs of a checkout came to; returns the median."""
-    behind, parts = [], []
-    for found in runs:
-        some, more = measured(found)
-        behind += some
-        parts += more
-    spread = np.percentile(behind, [10, 50, 90]).round().tolist() if behind else []
-    fps = statistics.mean(found["rate"] for found in runs)
-    frames = statistics.mean(found["stats"]["frameRate"] for found in runs)
-    print(f"{name}: {len(behind)} sounds, ms behind at 10, 50, 90 %: {spread}")
-    by = runs[-1]["stats"]["drawn"]["by"]
-    print(f"drawn by {by}, {fps:.1f} pictures and {frames:.1f} frames of the page a second")
-    for what, values in zip(HERE if by == "here" else PARTS, zip(*parts, strict=True), strict=False):
-        print(f"{statistics.median(values):7.0f} ms  {what}")
-    median = statistics.median(behind) if behind else np.nan
-    print(f"median: {median:.0f} ms, {median * fps / 1000:.2f} pictures", flush=True)
-    return float(median)
-
-
 def main() -> None:
-    """Runs in turns, then what they came to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--here", action="store_true")
-    parser.add_argument("--seconds", type=float, default=40, help="of each turn")
+    parser.add_argument("--here", action="store_true", help="let the page draw")
+    parser.add_argument("--seconds", type=float, default=40)
     parser.add_argument("--size", type=int, default=512, help="of the window, pixels")
-    parser.add_argument("--beside", type=Path, help="another checkout, whose server and page take turns with these")
-    parser.add_argument("--turns", type=int, default=1, help="of each checkout")
     parser.add_argument("options", nargs="*", help="of `glsplat serve`, behind --")
     args = parser.parse_args()
-    trees = [_HERE] if args.beside is None else [args.beside.resolve(), _HERE]
-    runs: dict[Path, list[dict[str, Any]]] = {tree: [] for tree in trees}
-    for turn in range(args.turns):
-        for tree in trees if turn % 2 == 0 else trees[::-1]:
-            with serving(tree, args.options) as address:
-                found = watched(address, args.here, args.seconds, args.size)
-            runs[tree].append(found)
-            behind, _ = measured(found)
-            said = f"{statistics.median(behind or [np.nan]):.0f} ms, {found['rate']:.1f} pictures a second"
-            print(f"turn {turn + 1}, {tree.name}: {said}; load {os.getloadavg()[0]:.1f}", flush=True)
-    medians = [tell(tree.name, runs[tree]) for tree in trees]
-    if len(medians) == 2:
-        print(f"{medians[1] / medians[0]:.2f} of the time")
+    with serving(args.options) as address:
+        found = watched(address, args.here, args.seconds, args.size)
+    behind, parts = measured(found)
+    if not behind:
+        raise SystemExit("no sound's picture was seen")
+    by, median = found["stats"]["drawn"]["by"], statistics.median(behind)
+    frames = found["stats"]["frameRate"]
+    print(f"{len(behind)} sounds, ms behind at 10, 50, 90 %: {np.percentile(behind, [10, 50, 90]).round().tolist()}")
+    print(f"drawn by {by}, {found['rate']:.1f} pictures and {frames:.1f} frames of the page a second")
+    for name, values in zip(HERE if by == "here" else PARTS, zip(*parts, strict=True), strict=False):
+        print(f"{statistics.median(values):7.0f} ms  {name}")
+    print(f"median: {median:.0f} ms, {median * found['rate'] / 1000:.2f} pictures")
 
 
 if __name__ == "__main__":

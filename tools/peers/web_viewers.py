@@ -27,11 +27,11 @@ from playwright.sync_api import sync_playwright
 
 import glsplat
 from apps.webpage.command import baked
-from glsplat.extras.authoring.posed import posed_splats
+from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.browser.web_format.write import encode_avatar
-from glsplat.extras.browser.web_shaders import programs_json
 from glsplat.formats.motion_files import load_motion
 from glsplat.net.codec.encode import encode_picture
+from glsplat.net.pages.site import page_files
 from glsplat.views import view_of
 from tests import needs
 
@@ -99,7 +99,7 @@ def files() -> dict[str, bytes]:
         "/data/avatar.splats": encode_avatar(avatar),
         "/data/walk.json": json.dumps(baked(walk)).encode(),
         "/data/pose.json": json.dumps(baked(walk)["frames"][STANDING]).encode(),
-        "/vr/draw/programs.json": programs_json(),
+        **{f"/vr/{path}": body for path, body in page_files().items()},
     }
 
 
@@ -172,8 +172,7 @@ def main(folder: Path, sides: list[int]) -> None:
     """Print a table."""
     if not (folder / "node_modules").is_dir():
         subprocess.run(["npm", "install", "--silent", "--prefix", str(folder), *PACKAGES], check=True)
-    web = Path(glsplat.__file__).parent / "net" / "web"
-    _Handler.roots = {"vr": web, "npm": folder / "node_modules"}
+    _Handler.roots = {"npm": folder / "node_modules"}
     _Handler.data = files()
     server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Handler))
     threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -1,7 +1,7 @@
-"""Accounts: who may come in by name, which avatars each may drive, and which rooms enter. Kept in a JSON file.
+"""Accounts in a JSON file: names, hashes of tokens, and the avatars and rooms that each may use.
 
-A token is NAME.SECRET, so that one account is looked up and one hash is taken; of a name that is not there as well, so
-that the time an answer takes tells nothing. The file holds hashes (scrypt, RFC 7914) and is read again when it changes.
+A token is NAME.SECRET, so one hash is computed per check; unknown names are hashed too, so timing reveals nothing. The
+file holds hashes (scrypt, RFC 7914) and is read again when it changes.
 """
 
 from __future__ import annotations
@@ -29,27 +29,28 @@ from glsplat.io.secret_files import warn_if_exposed
 __all__ = ["ANY", "Accounts", "User", "new_user", "read_users", "write_users"]
 
 ANY = "*"
-"""In a list of avatars or rooms: all of them."""
+"""Stands for all avatars or rooms."""
 
 _VERSION = 1
-_N, _R, _P, _SALT, _HASH = 2**14, 8, 1, 16, 32  # of scrypt: 16 MiB, some 50 ms; all accounts alike, so that all take it
-_SECRET = 18  # bytes of chance in a token, 144 bits
+_N, _R, _P = 2**14, 8, 1  # scrypt: 16 MiB and about 50 ms, equal for all accounts
+_SALT_BYTES, _HASH_BYTES = 16, 32
+_SECRET_BYTES = 18  # of randomness in a token, 144 bits
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_~-]{0,31}")
-_LONGEST = 64  # characters of an avatar's or a room's name
-_LARGEST = 1 << 20  # bytes of the file, read and written
-_MOST_KNOWN = 1024  # tokens that were verified and are remembered
-_LOOK = 1.0  # seconds between two looks at the file while nobody comes in, and between two tries to read it
-_CLOCK_STEP = 2.0  # seconds in which two changes of a file may bear the same time
+MAX_NAME = 64  # characters of an avatar's or a room's name
+MAX_FILE_BYTES = 1 << 20
+MAX_CACHED = 1024  # verified tokens
+CHECK_S = 1.0  # between checks of the file without logins, and between attempts to read it
+_CLOCK_STEP_S = 2.0  # two changes of a file within it may have the same time stamp
 
 _Stamp = tuple[int, int, int, int]
-"""Of a file: when its bytes and when anything of it changed (ns), its bytes, its inode."""
+"""Identifies a version of a file: st_mtime_ns, st_ctime_ns, st_size, st_ino."""
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 
 @dataclass(frozen=True, slots=True)
 class User:
-    """One account. ``avatars`` and ``rooms`` are names, or ``ANY``."""
+    """One account; ``avatars`` and ``rooms`` are names, or ``ANY``."""
 
     name: str
     avatars: tuple[str, ...] = (ANY,)
@@ -58,11 +59,11 @@ class User:
     hash: bytes = field(default=b"", repr=False)  # scrypt of the whole token
 
     def may_drive(self, avatar: str) -> bool:
-        """Whether the account may be shown, and drive, the avatar of that name."""
+        """Return whether the account may see and drive the avatar."""
         return ANY in self.avatars or avatar in self.avatars
 
     def may_enter(self, room: str) -> bool:
-        """Whether the account may enter the room of that name; a name that looks like a path is none."""
+        """Return whether the account may enter the room; names that look like paths are refused."""
         return _is_name(room) and (ANY in self.rooms or room in self.rooms)
 
 
@@ -80,26 +81,26 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def new_user(name: str, avatars: Iterable[str] = (ANY,), rooms: Iterable[str] = (ANY,)) -> tuple[User, str]:
-    """An account and its token, which is nowhere else. Raises GlsplatError for names that cannot be."""
-    token = f"{name}.{secrets.token_urlsafe(_SECRET)}"
-    salt = secrets.token_bytes(_SALT)
-    user = User(name, tuple(dict.fromkeys(avatars)), tuple(dict.fromkeys(rooms)), salt, _hashed(token, salt))
+    """Return an account and its token, which is stored nowhere. Raises GlsplatError for invalid names."""
+    token = f"{name}.{secrets.token_urlsafe(_SECRET_BYTES)}"
+    salt = secrets.token_bytes(_SALT_BYTES)
+    user = User(name, tuple(dict.fromkeys(avatars)), tuple(dict.fromkeys(rooms)), salt, _hash_token(token, salt))
     _check(user)
     return user, token
 
 
 def read_users(path: Path) -> dict[str, User]:
-    """The accounts in a file, by name. Raises FormatError naming it, in a line that says nothing of any hash."""
+    """Return the accounts in a file, by name. Raises FormatError naming the file, without any hash."""
     return _parsed(path, _read(path)[0])
 
 
 def _read(path: Path) -> tuple[bytes, _Stamp]:
-    """The bytes of the file, and its stamp from before they were read: a later change has another one."""
+    """Return the file's bytes, and its stamp from before reading, so that a later change has another stamp."""
     with naming(path), open_regular(path) as (file, size):
-        if size > _LARGEST:
-            raise FormatError(f"a file of accounts has at most {_LARGEST} bytes, this one {size}")
+        if size > MAX_FILE_BYTES:
+            raise FormatError(f"a file of accounts has at most {MAX_FILE_BYTES} bytes, this one {size}")
         stamp = _stamp(os.fstat(file.fileno()))
-        return file.read(_LARGEST + 1), stamp
+        return file.read(MAX_FILE_BYTES + 1), stamp
 
 
 def _parsed(path: Path, data: bytes) -> dict[str, User]:
@@ -112,7 +113,7 @@ def _parsed(path: Path, data: bytes) -> dict[str, User]:
             raise FormatError(f"expected accounts of version {_VERSION}, found {held.version}")
         users: dict[str, User] = {}
         for entry in held.users:
-            salt, hashed = _bytes(entry.salt, _SALT), _bytes(entry.scrypt, _HASH)
+            salt, hashed = _bytes(entry.salt, _SALT_BYTES), _bytes(entry.scrypt, _HASH_BYTES)
             if salt is None or hashed is None:
                 raise FormatError("an account's salt or hash is damaged; remove it and add it again")
             user = User(entry.name, tuple(entry.avatars), tuple(entry.rooms), salt, hashed)
@@ -124,75 +125,76 @@ def _parsed(path: Path, data: bytes) -> dict[str, User]:
 
 
 def write_users(path: Path, users: Mapping[str, User]) -> None:
-    """Write a file of accounts that nobody else can read. Raises FormatError; then it is as it was."""
+    """Write a file of accounts, private to its owner, atomically. Raises FormatError."""
     entries = [
         _Entry(u.name, base64.b64encode(u.salt).decode(), base64.b64encode(u.hash).decode(), [*u.avatars], [*u.rooms])
         for u in users.values()
     ]
     text = msgspec.json.format(msgspec.json.encode(_File(_VERSION, entries)), indent=1) + b"\n"
-    if len(text) > _LARGEST:
-        raise FormatError(f"{path}: a file of accounts has at most {_LARGEST} bytes, not {len(text)}; remove some")
+    if len(text) > MAX_FILE_BYTES:
+        found = f"{len(text)}; remove some"
+        raise FormatError(f"{path}: a file of accounts has at most {MAX_FILE_BYTES} bytes, not {found}")
     replace_file(path, [text], private=True)
 
 
 class Accounts:
-    """The accounts of a running server. Belongs to one event loop. Raises GlsplatError where the file is broken."""
+    """The accounts of a running server. Used on one event loop. Raises GlsplatError for a broken file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._users: dict[str, User] = {}
-        self._data: bytes | None = None  # of the file, as it was read last ...
-        self._seen: _Stamp | None = None  # ... with this stamp ...
-        self._read_at = 0.0  # ... at this time of day, which stamps are in
-        self._looked = self._tried = time.monotonic()
-        self._failed: tuple[_Stamp | None, str] | None = None  # stamp and error of the last try, if that failed
-        self._secret = secrets.token_bytes(32)  # of this process: what is remembered of tokens is no use elsewhere
-        self._known: OrderedDict[bytes, str] = OrderedDict()
-        self._nobody = User("", (), (), secrets.token_bytes(_SALT), secrets.token_bytes(_HASH))
+        self._data: bytes | None = None  # of the file at the last successful reading ...
+        self._stamp: _Stamp | None = None  # ... its stamp ...
+        self._read_at = 0.0  # ... and the time of day, as in stamps
+        self._checked_at = self._tried_at = time.monotonic()
+        self._failed: tuple[_Stamp | None, str] | None = None  # stamp and error of the last attempt, if it failed
+        self._secret = secrets.token_bytes(32)  # random per process, so that cached marks are useless elsewhere
+        self._verified: OrderedDict[bytes, str] = OrderedDict()
+        self._nobody = User("", (), (), secrets.token_bytes(_SALT_BYTES), secrets.token_bytes(_HASH_BYTES))
         self._load()
 
     def __repr__(self) -> str:
         return f"Accounts({len(self._users)} of {self._path})"
 
     def known(self, token: str) -> User | None:
-        """Whose token it is, if it was verified before and the file is the same since."""
+        """Return the user of a token that was verified before, if the file is unchanged."""
         self._refresh()
-        name = self._known.get(self._mark(token))
+        name = self._verified.get(self._cache_key(token))
         return None if name is None else self._users.get(name)
 
     async def verified(self, token: str) -> User | None:
-        """Whose token it is, by its hash, taken on a thread; None: nobody's."""
+        """Return the user of a token by its hash, computed on a thread; None for an invalid token."""
         name = token.partition(".")[0]
         asked = self._users.get(name, self._nobody)
-        hashed = await asyncio.to_thread(_hashed, token, asked.salt)
+        hashed = await asyncio.to_thread(_hash_token, token, asked.salt)
         right = hmac.compare_digest(hashed, asked.hash)
         user = self._users.get(name)
         if not right or user is None or user.hash != asked.hash:  # the file may have changed meanwhile
             return None
-        self._known[self._mark(token)] = name
-        if len(self._known) > _MOST_KNOWN:
-            self._known.popitem(last=False)
+        self._verified[self._cache_key(token)] = name
+        if len(self._verified) > MAX_CACHED:
+            self._verified.popitem(last=False)
         return user
 
     def holds(self, user: User) -> bool:
-        """False once the account was removed, or its token or rights are others. Looks at the file now and then."""
-        if time.monotonic() - self._looked > _LOOK:
+        """Return False once the account was removed or changed. Checks the file at intervals."""
+        if time.monotonic() - self._checked_at > CHECK_S:
             self._refresh()
         return self._users.get(user.name) == user
 
     def _refresh(self) -> None:
-        """Read the file again if it may have changed. What cannot be read is tried again: it may remove somebody."""
-        self._looked = time.monotonic()
+        """Read the file again if it may have changed. Failures are retried, as the change may remove an account."""
+        self._checked_at = time.monotonic()
         try:
             stamp = _stamp(os.stat(self._path))
         except OSError:
             stamp = None
-        if stamp is not None and stamp == self._seen and abs(self._read_at - max(stamp[:2]) / 1e9) > _CLOCK_STEP:
-            self._failed = None  # it was away, and is back as it was
+        if stamp is not None and stamp == self._stamp and abs(self._read_at - max(stamp[:2]) / 1e9) > _CLOCK_STEP_S:
+            self._failed = None  # the file was missing and is back unchanged
             return
-        if self._failed is not None and self._failed[0] == stamp and self._looked - self._tried < _LOOK:
+        if self._failed is not None and self._failed[0] == stamp and self._checked_at - self._tried_at < CHECK_S:
             return
-        self._tried = self._looked
+        self._tried_at = self._checked_at
         try:
             self._load()
         except GlsplatError as error:
@@ -205,22 +207,22 @@ class Accounts:
         self._failed = None
 
     def _load(self) -> None:
-        """Raises GlsplatError; then everything is as it was."""
+        """Read the file. On GlsplatError nothing is changed."""
         now = time.time()
         data, stamp = _read(self._path)
         if data != self._data:
             self._users = _parsed(self._path, data)
-            self._known.clear()
-        if stamp != self._seen:
+            self._verified.clear()
+        if stamp != self._stamp:
             warn_if_exposed(self._path)
-        self._data, self._seen, self._read_at = data, stamp, now
+        self._data, self._stamp, self._read_at = data, stamp, now
 
-    def _mark(self, token: str) -> bytes:
+    def _cache_key(self, token: str) -> bytes:
         return hmac.digest(self._secret, token.encode(errors="replace"), "sha256")
 
 
-def _hashed(token: str, salt: bytes) -> bytes:
-    return hashlib.scrypt(token.encode(errors="replace"), salt=salt, n=_N, r=_R, p=_P, dklen=_HASH)
+def _hash_token(token: str, salt: bytes) -> bytes:
+    return hashlib.scrypt(token.encode(errors="replace"), salt=salt, n=_N, r=_R, p=_P, dklen=_HASH_BYTES)
 
 
 def _check(user: User) -> None:
@@ -233,8 +235,8 @@ def _check(user: User) -> None:
 
 
 def _is_name(name: str) -> bool:
-    """Names as servers give them to avatars and rooms: printable, and never a path."""
-    whole = 0 < len(name) <= _LONGEST and name.isprintable() and name.strip() == name
+    """Return whether a name is valid for an avatar or a room: printable, and never a path."""
+    whole = 0 < len(name) <= MAX_NAME and name.isprintable() and name.strip() == name
     return whole and not name.startswith(".") and "/" not in name and "\\" not in name
 
 

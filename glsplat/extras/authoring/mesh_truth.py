@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, own
+from glsplat.arrays import count, instance, own, pixels
 from glsplat.camera import Camera
 from glsplat.config import DebugConfig, Output, RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
-from glsplat.renderer.checks import Views, checked_pose, checked_views
+from glsplat.renderer.checks import Views, checked_views
 from glsplat.scene import Item
 from glsplat.skinning.pose import Pose
 
 __all__ = ["MeshTruth"]
 
 
-class MeshTruth(Renderer):
+class MeshTruth:
     """Draws one mesh in larger pictures and box-filters them: ``samples * supersample ** 2`` points a pixel.
 
-    Made, used and released as a Renderer.
+    Make, use and release it on one thread, as a Renderer.
     """
 
     def __init__(
@@ -35,11 +35,10 @@ class MeshTruth(Renderer):
         *,
         size: tuple[int, int] = (1024, 1024),  # width, height of the pictures
         supersample: int = 2,  # larger by this factor, 1 to 8
-        samples: Literal[1, 4] = 4,  # of the renderer; 1 where the driver has no more
-        anisotropy: Literal[1, 2, 4, 8, 16] = 16,  # at most what the driver has
+        samples: Literal[1, 4] = 4,  # of the renderer; 1 if the driver supports no more
+        anisotropy: Literal[1, 2, 4, 8, 16] = 16,  # at most the driver's maximum
         output: Output = "uint8",
         context: Context | None = None,
-        timed: bool = False,
     ) -> None:
         factor = count(supersample, "supersample", GlsplatError)
         if not 1 <= factor <= 8:
@@ -50,16 +49,19 @@ class MeshTruth(Renderer):
             target="8" if samples == 1 else "32f",
             debug=DebugConfig(mesh_samples=samples, mesh_anisotropy=anisotropy),
         )
-        self.mesh, self.picture_size = mesh, size
+        self.mesh: RiggedMesh = instance(mesh, RiggedMesh, "MeshTruth", GlsplatError)
+        self.size: tuple[int, int] = pixels(size, error=GlsplatError)
         self._output = RenderConfig(output=output).output
         self._factor, self._item = factor, Item(mesh)
-        self._factors: NDArray[np.float32] | None = None
-        width, height = size
-        super().__init__(
-            self._item, size=(width * factor, height * factor), config=config, context=context, timed=timed
-        )
+        large = (self.size[0] * factor, self.size[1] * factor)
+        self._renderer = _MeshTruthRenderer(self._item, size=large, config=config, context=context)
 
-    def render(  # type: ignore[override]
+    @property
+    def context(self) -> Context:
+        """The context in which the mesh is drawn."""
+        return self._renderer.context
+
+    def render(
         self,
         views: Views,
         pose: Pose | None = None,
@@ -71,21 +73,37 @@ class MeshTruth(Renderer):
         uint8, or float32 in [0, 1]. Colours are those of the textures; with ``shade`` they are taken for sRGB and
         multiplied in linear light. Raises PoseError for a pose that does not fit, GlsplatError for all else.
         """
-        cameras = checked_views(views, self.picture_size)
-        self._item.pose = checked_pose(pose, len(self.mesh.skeleton), "mesh")
-        self._factors = None if shade is None else own(shade, np.float32, "shade", GlsplatError)
-        if self._factors is not None and not (
-            self._factors.shape == self.mesh.vertices.shape and np.isfinite(self._factors).all()
-        ):
-            raise GlsplatError(f"shade needs {self.mesh.vertices.shape} finite factors, not {self._factors.shape}")
-        (width, height), factor = self.picture_size, self._factor
+        cameras = checked_views(views, self.size)
+        self._item.pose = pose
+        factors = None if shade is None else own(shade, np.float32, "shade", GlsplatError)
+        if factors is not None and not (factors.shape == self.mesh.vertices.shape and np.isfinite(factors).all()):
+            raise GlsplatError(f"shade needs {self.mesh.vertices.shape} finite factors, not {factors.shape}")
+        self._renderer.factors = factors
+        (width, height), factor = self.size, self._factor
         out = np.empty((len(cameras), height, width, 4), np.float32)
         for camera, image in zip(cameras, out, strict=True):  # one by one: large pictures take much memory
-            large = super().render([camera.resized(width * factor, height * factor)])
+            large = self._renderer.render([camera.resized(width * factor, height * factor)])
             image[:] = cv2.resize(large[0], (width, height), interpolation=cv2.INTER_AREA)  # the mean, by whole factors
         return out if self._output == "float32" else np.rint(255 * np.clip(out, 0, 1)).astype(np.uint8)
 
+    def release(self) -> None:
+        """Delete every GL object, and the context if it was made here. May be called twice."""
+        self._renderer.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
+class _MeshTruthRenderer(Renderer):
+    """Renderer of one mesh, whose vertices are lit by ``factors`` [N, 3]."""
+
+    factors: NDArray[np.float32] | None = None
+
     def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> list[Camera]:
         placed = super()._update(cameras, pose)
-        self._scene.shade(self._item, self._factors)
+        (item,) = self._scene.scene
+        self._scene.shade(item, self.factors)
         return placed

@@ -1,6 +1,6 @@
 """Every program that a page can ask for, as one object of JSON: the same chunks, assembled for WebGL2 (GLSL ES 3.00).
 
-A program's variants share its text: what differs is their #defines. ``net/web/draw/programs.js`` puts head, defines and
+A program's variants share its text: what differs is their #defines. ``web/draw/programs.js`` puts head, defines and
 body together; the text is what ``flatten`` gives, byte for byte.
 """
 

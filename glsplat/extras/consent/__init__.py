@@ -1,3 +1,6 @@
-"""Consent in avatar files: who is shown, who agreed, for what and until when, who may drive (docs/consent.md)."""
+"""Signed consent in avatar files: the person shown, the purpose, the dates and the permitted drivers (docs/consent.md).
+
+`policy.ConsentPolicy` plugs into the server by `ServerConfig.consent`; `glsplat avatar consent` signs files.
+"""
 
 REQUIRES = ()

@@ -1,4 +1,4 @@
-"""SHA-256 of the arrays that a file shows: what a person looks like close by."""
+"""SHA-256 of the arrays of a file's finest level, which show a person's appearance."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _TYPES = ("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4")
 
 
 def level_digest(container: Container) -> tuple[str, bool]:
-    """SHA-256 (hex) of the attribute arrays of level 0, and whether the file shows anything besides.
+    """Return the SHA-256 (hex) of the attribute arrays of level 0, and whether the file shows anything else.
 
-    Of each primitive with splats, in the order in which the default scene shows them, the bytes of each attribute in
-    the order in which the file lists them, each element at its place in the array and without padding; of splats in
-    SPZ the packed bytes; of an accessor without data, which is zeros (glTF 2.0, 5.1.1), "zeros TYPE CODE COUNT".
-    Without splats the same of the triangles. Raises FormatError for arrays that are not there.
+    Hashed are the primitives with splats in the order of the default scene, their attributes in the file's order,
+    elements packed without padding; SPZ: its packed bytes; an accessor without data, which means zeros (glTF 2.0,
+    5.1.1): "zeros TYPE CODE COUNT". A file without splats is hashed by its triangles. Raises FormatError for missing
+    arrays.
     """
     gltf = container.gltf
     graph = graph_of(gltf)
@@ -32,12 +32,12 @@ def level_digest(container: Container) -> tuple[str, bool]:
         raise FormatError("shows nothing that could be hashed")
     digest, seen = hashlib.sha256(), set()
     for one in found:
-        if id(one.primitive) not in seen:  # two nodes may show one mesh
+        if id(one.primitive) not in seen:  # two nodes may share a mesh
             seen.add(id(one.primitive))
             for part in _arrays(container, one):
                 digest.update(part)
-    alone = len(found) == len(every) and bool(splats) and not any(LOD in one.node.extensions for one in found)
-    return digest.hexdigest(), not alone
+    only_finest = len(found) == len(every) and bool(splats) and not any(LOD in one.node.extensions for one in found)
+    return digest.hexdigest(), not only_finest
 
 
 def _arrays(container: Container, one: Instance) -> list[bytes]:

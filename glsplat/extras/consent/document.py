@@ -1,4 +1,4 @@
-"""The record of a consent: what it says, the bytes that are signed, and whether a signature fits. Values, no files.
+"""The record of a consent: its fields, the signed bytes and the check of its signature. No I/O.
 
 ::
 
@@ -21,21 +21,22 @@ from glsplat.extras.consent.record import canonical
 __all__ = ["ANYBODY", "Consent", "read_record", "signed_record"]
 
 ANYBODY = "*"
-"""Among the drivers: everybody may drive, also who has no account."""
+"""Driver that stands for everybody, with or without an account."""
 
 _TEXT = ("subject", "given_by", "purpose")
 _HEX = {"splats_sha256": 64, "file_sha256": 64, "key": 64, "signature": 128}
 _FILE, _HAND_OUT = "file_sha256", "hand_out"
 _OPTIONAL = {_FILE, _HAND_OUT}
 _KEYS = {*_TEXT, "from", "until", "drivers", _HAND_OUT, *_HEX}
-_LONGEST, _MOST_DRIVERS = 1000, 1000
+MAX_TEXT = 1000  # characters of a field or a name
+MAX_DRIVERS = 1000
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY = timedelta(days=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Consent:
-    """A record whose signature fits. ``begins`` and ``ends`` are seconds since 1970 (UTC); the last day counts."""
+    """A record with a valid signature. ``begins`` and ``ends`` are seconds since 1970 (UTC); the last day counts."""
 
     subject: str
     given_by: str
@@ -46,16 +47,16 @@ class Consent:
     splats_sha256: str
     file_sha256: str | None
     key: str  # the public key, 64 hexadecimal digits (RFC 8032, 5.1.5)
-    hand_out: bool = False  # the splats themselves may be given to those who are shown them
+    hand_out: bool = False  # viewers may receive the splats themselves
 
-    def late(self, now: float) -> str:
-        """Why it does not hold at ``now`` (seconds since 1970); "" while it does."""
+    def reason_invalid(self, now: float) -> str:
+        """Return why the consent is not valid at ``now`` (seconds since 1970); "" while it is."""
         if now < self.begins:
             return f"its consent begins on {_day(self.begins)}"
         return f"its consent ended on {_day(self.ends - 1)}" if now >= self.ends else ""
 
     def lets(self, driver: str) -> bool:
-        """Whether an account may drive; "" is who has none."""
+        """Return whether an account may drive; "" is a user without one."""
         return ANYBODY in self.drivers or (bool(driver) and driver in self.drivers)
 
 
@@ -72,9 +73,9 @@ def signed_record(
     file_sha256: str | None,
     hand_out: bool = False,
 ) -> dict[str, Any]:
-    """A record with its signature (Ed25519, RFC 8032). Raises FormatError naming the field that cannot stand in one.
+    """Return a record with its signature (Ed25519, RFC 8032). Raises FormatError naming an invalid field.
 
-    Only a record that lets the splats be handed out says so: any other is read by older versions, too.
+    ``hand_out`` is written only if true, so that older versions read all other records.
     """
     record: dict[str, Any] = {
         "subject": subject,
@@ -96,9 +97,9 @@ def signed_record(
 
 
 def read_record(record: Any) -> Consent:
-    """The record of a file. Raises FormatError for one that is damaged, incomplete, or that its key did not sign.
+    """Return the consent of a file's record. Raises FormatError if it is damaged, incomplete or not signed by its key.
 
-    Keys that are not known are refused: what they restrict must not be overlooked.
+    Unknown fields are refused, as they may restrict the consent.
     """
     if not isinstance(record, dict):
         raise FormatError("the consent is no record, which is a JSON object")
@@ -117,8 +118,8 @@ def read_record(record: Any) -> Consent:
     if last < begins:
         raise FormatError(f"the consent ends ({last}) before it begins ({begins})")
     drivers = record["drivers"]
-    if not isinstance(drivers, list) or not 0 < len(drivers) <= _MOST_DRIVERS:
-        raise FormatError(f"the consent's drivers need a list of 1 to {_MOST_DRIVERS} names, or of {ANYBODY!r} alone")
+    if not isinstance(drivers, list) or not 0 < len(drivers) <= MAX_DRIVERS:
+        raise FormatError(f"the consent's drivers need a list of 1 to {MAX_DRIVERS} names, or of {ANYBODY!r} alone")
     for name in drivers:
         _checked_text(name, "drivers")
     if not isinstance(record.get(_HAND_OUT, False), bool):
@@ -139,8 +140,8 @@ def read_record(record: Any) -> Consent:
 
 
 def _checked_text(value: Any, name: str) -> None:
-    if not (isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable() and value.strip() == value):
-        raise FormatError(f"the consent's {name} needs 1 to {_LONGEST} printable characters, not {value!r:.40}")
+    if not (isinstance(value, str) and 0 < len(value) <= MAX_TEXT and value.isprintable() and value.strip() == value):
+        raise FormatError(f"the consent's {name} needs 1 to {MAX_TEXT} printable characters, not {value!r:.40}")
 
 
 def _date(value: Any, name: str) -> date:

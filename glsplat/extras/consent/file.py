@@ -1,4 +1,4 @@
-"""The record in a file: read and checked against what the file shows, and written without touching anything else."""
+"""The consent record in a .glb: read, checked against the content, and written without changing anything else."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from glsplat.io.files import naming, open_regular, replace_file
 __all__ = ["NONE", "OnFile", "on_file", "on_file_data", "sign_data", "sign_file"]
 
 NONE = "no consent on file"
-"""What is said, also in pictures, where there is none."""
+"""Shown, also in pictures, where a consent is missing."""
 
 _ONLY_GLB = "a consent is kept in .glb files alone; convert it first (glsplat convert IN OUT.glb)"
 _DAMAGED = "its consent is for something else: the file was changed after it was signed"
@@ -33,30 +33,27 @@ _DAMAGED = "its consent is for something else: the file was changed after it was
 
 @dataclass(frozen=True, slots=True)
 class OnFile:
-    """What a file says of consent: a record that holds for what the file shows, or what is wrong."""
+    """The consent of a file, or the reason why it has none."""
 
     consent: Consent | None = None
-    fault: str = ""  # why there is none that holds; "" where there is, or where nobody is shown
-    nobody: bool = False  # a file that comes with glsplat, of synthetic people: nobody has to agree
+    fault: str = ""  # why no consent is valid; "" with a valid one, or where nobody is shown
+    nobody: bool = False  # a file of glsplat that shows a synthetic person, who need not agree
 
     @property
     def hands_out(self) -> bool:
-        """Whether the splats themselves may be given away: by the record, or because nobody is shown."""
+        """Whether viewers may receive the splats themselves."""
         return self.nobody or (self.consent is not None and self.consent.hand_out)
 
 
 def on_file(path: str | Path) -> OnFile:
-    """What an avatar's file says. Anything that is wrong with the record is ``fault``.
-
-    Raises FormatError where the file itself cannot be read.
-    """
+    """Return the consent in an avatar's file; an invalid record is its ``fault``. Raises FormatError."""
     with naming(path), open_regular(path) as (file, _):
         data = file.read()
-    return OnFile(nobody=True) if _comes_with_glsplat(data) else on_file_data(data)
+    return OnFile(nobody=True) if _is_own_file(data) else on_file_data(data)
 
 
 def on_file_data(data: bytes) -> OnFile:
-    """The same of a file in memory, whoever made it."""
+    """Return the consent in the bytes of a file; files of glsplat are not recognised."""
     if not data.startswith(b"glTF"):
         return OnFile(fault=f"{NONE} ({_ONLY_GLB})")
     try:
@@ -88,9 +85,9 @@ def sign_data(
     drivers: list[str],
     hand_out: bool = False,
 ) -> bytes:
-    """A .glb with a record in the place of any it had; its binary chunk is the same to the byte, its JSON otherwise.
+    """Return a .glb with a new record. The binary chunk keeps its bytes; the JSON is written anew.
 
-    Raises FormatError for what is no .glb, needs further files, shows nothing, or for a field that cannot be.
+    Raises FormatError for other files, for a .glb that needs further files or shows nothing, and for invalid fields.
     """
     if not data.startswith(b"glTF"):
         raise FormatError(_ONLY_GLB)
@@ -112,7 +109,7 @@ def sign_data(
 
 
 def sign_file(path: Path, out: Path, key: PrivateKey, **fields: Any) -> None:
-    """``sign_data`` of a file, to a file (which may be the same one): whole, or as it was. Raises FormatError."""
+    """Apply ``sign_data`` to a file and write ``out``, which may be the same, atomically. Raises FormatError."""
     with naming(path):
         with open_regular(path) as (file, _):
             data = file.read()
@@ -125,7 +122,7 @@ class _Glb:
 
     def __init__(self, data: bytes) -> None:
         self._data = data
-        container = self.container()  # which checks what is said of lengths
+        container = self.container()  # checks the lengths
         text, _ = chunks(io.BytesIO(data), len(data))
         try:
             document = json.loads(text.part(0, len(text)))
@@ -135,7 +132,7 @@ class _Glb:
         self._rest = data[text.start + len(text) : glb_length(data)]
         if any(buffer.uri is not None and not buffer.uri.startswith("data:") for buffer in container.gltf.buffers):
             raise FormatError(f"its buffers are files of their own; {_ONLY_GLB}")
-        if any(isinstance(one, dict) and not _within(one.get("uri")) for one in container.gltf.images):
+        if any(isinstance(one, dict) and not _is_embedded(one.get("uri")) for one in container.gltf.images):
             raise FormatError(
                 "its textures are files of their own; put them into the .glb, so that a consent covers them"
             )
@@ -160,18 +157,18 @@ class _Glb:
         yield self._rest
 
 
-def _within(uri: Any) -> bool:
+def _is_embedded(uri: Any) -> bool:
     return uri is None or (isinstance(uri, str) and uri.startswith("data:"))
 
 
-def _comes_with_glsplat(data: bytes) -> bool:
+def _is_own_file(data: bytes) -> bool:
     own = _own_files(len(data))
     return bool(own) and hashlib.sha256(data).digest() in own
 
 
 @cache
 def _own_files(size: int) -> frozenset[bytes]:
-    """SHA-256 of the avatars and bodies of so many bytes in the package: synthetic people, their licences say so."""
+    """Return the SHA-256 of the package's own avatars and bodies of ``size`` bytes: synthetic people."""
     found, folders = set(), [resources.files("glsplat.data")]
     while folders:
         for one in folders.pop().iterdir():

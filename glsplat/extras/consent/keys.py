@@ -1,4 +1,4 @@
-"""Ed25519 keys (RFC 8032) in PEM files. ``cryptography`` is imported where it is used: it takes its time."""
+"""Ed25519 keys (RFC 8032) in PEM files. ``cryptography`` is imported on first use, as it is slow to load."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ if TYPE_CHECKING:
 
 __all__ = ["PrivateKey", "new_key", "private_key", "public_key", "public_path", "short", "signature_of", "signed_by"]
 
-_LARGEST = 1 << 14  # bytes of a key file
+MAX_KEY_FILE_BYTES = 1 << 14
 _HEX = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, slots=True)
 class PrivateKey:
-    """What signs; ``public`` is what its signatures are checked with, 64 hexadecimal digits."""
+    """A private key; ``public`` checks its signatures (64 hexadecimal digits)."""
 
     public: str
     secret: Ed25519PrivateKey = field(repr=False)
 
 
 def short(key: str) -> str:
-    """The beginning of a public key, for a line in which the whole would not be read."""
+    """Return the beginning of a public key, for messages."""
     return f"{key[:16]}..."
 
 
 def public_path(path: Path) -> Path:
-    """Where the public key of a private key lies: beside it."""
+    """Return the path of the public key, beside its private key."""
     return path.with_name(f"{path.name}.pub")
 
 
 def new_key(path: Path) -> PrivateKey:
-    """Make a key: the private one (PEM, PKCS #8) for nobody else to read, the public one (PEM) beside it.
+    """Make a key: the private one (PEM, PKCS #8) readable by its owner only, the public one (PEM) beside it.
 
-    Raises FormatError where one of the two files is there already, or cannot be written.
+    Raises FormatError if one of the files exists or cannot be written.
     """
     require_package("a key that signs consent", "cryptography", "server")
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -56,7 +56,7 @@ def new_key(path: Path) -> PrivateKey:
     secret = Ed25519PrivateKey.generate()
     text = secret.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)  # of two that start, one is refused
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)  # exclusive: two processes may race
         with os.fdopen(descriptor, "wb") as file:
             file.write(text)
     except OSError as error:
@@ -66,7 +66,7 @@ def new_key(path: Path) -> PrivateKey:
 
 
 def private_key(path: Path) -> PrivateKey:
-    """The key in a file. Raises FormatError for anything but an Ed25519 private key in PEM without a passphrase."""
+    """Return the key in a file. Raises FormatError unless it is an Ed25519 private key in PEM without a passphrase."""
     require_package("a key that signs consent", "cryptography", "server")
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -74,7 +74,7 @@ def private_key(path: Path) -> PrivateKey:
 
     try:
         key = load_pem_private_key(_read(path), None)
-    except (ValueError, TypeError, UnsupportedAlgorithm):  # no PEM, a passphrase, a curve that is not known
+    except (ValueError, TypeError, UnsupportedAlgorithm):  # not PEM, a passphrase, an unknown curve
         key = None
     if not isinstance(key, Ed25519PrivateKey):
         raise FormatError(
@@ -85,7 +85,7 @@ def private_key(path: Path) -> PrivateKey:
 
 
 def public_key(path: Path) -> str:
-    """The public key in a file (PEM, or its 64 hexadecimal digits), as digits. Raises FormatError naming the file."""
+    """Return the public key in a file (PEM or 64 hexadecimal digits) as digits. Raises FormatError."""
     data = _read(path)
     text = data.decode("ascii", "replace").strip()
     if _HEX.fullmatch(text):
@@ -107,19 +107,19 @@ def public_key(path: Path) -> str:
 
 
 def signature_of(key: PrivateKey, data: bytes) -> str:
-    """128 hexadecimal digits."""
+    """Return the signature of ``data`` as 128 hexadecimal digits."""
     return key.secret.sign(data).hex()
 
 
 def signed_by(key: str, signature: str, data: bytes) -> bool:
-    """Whether the private key of the public ``key`` made ``signature``, both hexadecimal, over ``data``."""
+    """Return whether ``signature`` over ``data`` was made by the private key of ``key``; both are hexadecimal."""
     require_package("checking a signature of consent", "cryptography", "server")
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
     try:
         Ed25519PublicKey.from_public_bytes(bytes.fromhex(key)).verify(bytes.fromhex(signature), data)
-    except (InvalidSignature, ValueError):  # also a key that is no point of the curve
+    except (InvalidSignature, ValueError):  # ValueError: a key that is not a point of the curve
         return False
     return True
 
@@ -130,6 +130,6 @@ def _private(secret: Ed25519PrivateKey) -> PrivateKey:
 
 def _read(path: Path) -> bytes:
     with naming(path), open_regular(path) as (file, size):
-        if size > _LARGEST:
-            raise FormatError(f"a key file has at most {_LARGEST} bytes, this one {size}")
+        if size > MAX_KEY_FILE_BYTES:
+            raise FormatError(f"a key file has at most {MAX_KEY_FILE_BYTES} bytes, this one {size}")
         return file.read()

@@ -1,4 +1,4 @@
-"""Who of those that a server offers may be shown, and who may drive them, asked at every picture. No I/O."""
+"""Decide which avatars may be shown, and who may drive them; asked for every picture. No I/O."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ["ConsentPolicy"]
 
 
 class ConsentPolicy:
-    """What is on file for each avatar of a server, by the name that clients choose it by.
+    """Consents of a server's avatars, by name.
 
-    ``trusted`` are the public keys (hexadecimal digits) whose signatures count; None: everybody's, as long as they fit.
-    ``without``: everything is shown, and ``label`` says in its pictures what has no consent that holds.
+    ``trusted`` are the public keys (hexadecimal) whose signatures count; None: any valid signature. ``without`` shows
+    every avatar, with a ``label`` in the pictures of those without a valid consent.
     """
 
     def __init__(self, *, trusted: Collection[str] | None = None, without: bool = False) -> None:
@@ -27,33 +27,30 @@ class ConsentPolicy:
         self._driven: dict[str, bool] = {}
 
     def trust_own(self, key: str) -> None:
-        """Trust the server's own key as well: what clients have made here is signed with it."""
+        """Trust also the server's own key, which signs the avatars that clients make."""
         self._own = key
 
     def add(self, avatar: str, people: Sequence[OnFile], *, driven: bool = True) -> None:
-        """``people`` are all that the avatar, or the scene of that name, shows; none for scenery.
+        """Set the consents of all people that an avatar or scene shows; empty for scenery.
 
-        ``driven`` is false for scenes in which clients pose nobody: then the drivers are not asked for.
+        ``driven`` is false for scenes that clients do not pose: their drivers are not checked.
         """
         self._people[avatar], self._driven[avatar] = tuple(people), driven
 
     def refusal(self, avatar: str, driver: str, now: float) -> str | None:
-        """Why ``avatar`` may not be shown to the account ``driver`` ("": without one) at ``now``; None where it may.
+        """Return why ``avatar`` may not be shown to the account ``driver`` ("": none); None if it may.
 
-        ``now`` is in seconds since 1970. Takes about a microsecond a person.
+        ``now`` is in seconds since 1970. Takes about a microsecond per person.
         """
         return None if self.without else self._refusal(avatar, driver, now)
 
     def lets(self, avatar: str, driver: str) -> bool:
-        """Whether the records of ``avatar`` let the account ``driver`` drive it, whoever signed them and until when."""
+        """Return whether the account may drive ``avatar``, regardless of signer and dates."""
         consents = [one.consent for one in self._people.get(avatar, ()) if one.consent is not None]
         return self.without or not self._driven.get(avatar) or all(one.lets(driver) for one in consents)
 
     def withheld(self, avatar: str, now: float) -> str | None:
-        """Why the splats of ``avatar`` may not be given to those who are shown it; None where they may.
-
-        That is a right of its own, which ``without`` does not give.
-        """
+        """Return why viewers may not receive the splats of ``avatar``; None if they may. ``without`` does not count."""
         if why := self._refusal(avatar, None, now):
             return why
         if not all(one.hands_out for one in self._people[avatar]):
@@ -61,13 +58,13 @@ class ConsentPolicy:
         return None
 
     def label(self, avatar: str, driver: str = "", now: float | None = None) -> str:
-        """What has to stand in every picture of ``avatar``; "" for nothing."""
+        """Return the text for every picture of ``avatar``; "" for none."""
         if not self.without:
             return ""
         return NONE if self._refusal(avatar, driver, time.time() if now is None else now) else ""
 
     def check(self, avatar: str, now: float) -> None:
-        """Raises GlsplatError in one line where nobody may be shown ``avatar``, whoever drives."""
+        """Raise GlsplatError if ``avatar`` may be shown to nobody."""
         if not self.without and (why := self._refusal(avatar, None, now)):
             raise GlsplatError(
                 f"{why}; sign one (glsplat avatar consent), or serve it with without-consent = true, which says so in "
@@ -75,20 +72,20 @@ class ConsentPolicy:
             )
 
     def doubts(self, avatar: str, *, accounts: bool) -> list[str]:
-        """What an operator should know of the records of ``avatar``, a line each."""
-        said = []
+        """Return warnings for the operator about the consents of ``avatar``, one line each."""
+        lines = []
         for consent in [one.consent for one in self._people.get(avatar, ()) if one.consent is not None]:
             if self.trusted is None and consent.key != self._own:
-                said.append(
+                lines.append(
                     f'"{avatar}": its consent is signed by {short(consent.key)}, which nobody told this server to '
                     "trust (trust = KEY.pub)"
                 )
             if self._driven[avatar] and not accounts and not consent.lets(""):
-                said.append(f'"{avatar}": its consent names who may drive it, and without --users nobody has a name')
-        return said
+                lines.append(f'"{avatar}": its consent names who may drive it, and without --users nobody has a name')
+        return lines
 
     def maker(self, avatar: str) -> str:
-        """The account that had it made here, by the record that this server signed; "" where there is none."""
+        """Return the account that ordered an avatar from this server; "" if another key signed it."""
         consents = [one.consent for one in self._people.get(avatar, ())]
         return next((c.given_by for c in consents if c is not None and c.key == self._own), "")
 
@@ -104,7 +101,7 @@ class ConsentPolicy:
             consent = one.consent
             if self.trusted is not None and consent.key not in self.trusted and consent.key != self._own:
                 return f'"{avatar}": its consent is signed by {short(consent.key)}, which this server does not trust'
-            if why := consent.late(now):
+            if why := consent.reason_invalid(now):
                 return f'"{avatar}": {why}'
             if driver is not None and self._driven[avatar] and not consent.lets(driver):
                 return f'"{avatar}": its consent names who may drive it, and that is not you'

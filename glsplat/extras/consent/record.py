@@ -1,6 +1,6 @@
-"""The signed record in a .glb: the bytes that are signed, and what is hashed of the file.
+"""The place of the consent record in a .glb, the signed bytes and the hash of the file.
 
-What the record says is consent's; here it is an object that goes with one content, which its file_sha256 names.
+The record is an opaque object here; `document` reads its fields.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["CONSENT", "canonical", "file_digest", "is_of", "record_of", "without
 
 
 def canonical(value: Any) -> bytes:
-    """JSON with sorted keys, without spaces, in UTF-8. Raises FormatError for text that is not Unicode."""
+    """Return JSON with sorted keys, without spaces, in UTF-8. Raises FormatError for text that is not Unicode."""
     try:
         return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
     except (UnicodeEncodeError, RecursionError):
@@ -25,17 +25,17 @@ def canonical(value: Any) -> bytes:
 
 
 def file_digest(document: dict[str, Any], rest: bytes) -> str:
-    """SHA-256 (hex) of ``canonical`` of a .glb's JSON without its record, a zero byte, and ``rest``, all behind it."""
+    """Return the SHA-256 (hex) of the ``canonical`` JSON without its record, a zero byte, and ``rest`` of the .glb."""
     return hashlib.sha256(canonical(without_record(document)) + b"\0" + rest).hexdigest()
 
 
 def is_of(record: dict[str, Any], document: dict[str, Any], rest: bytes) -> bool:
-    """Whether a record was signed for the .glb of that JSON and, behind it, ``rest``."""
+    """Return whether a record was signed for the .glb with that JSON and ``rest``."""
     return bool(record.get("file_sha256") == file_digest(document, rest))
 
 
 def record_of(document: dict[str, Any]) -> Any:
-    """The record in the JSON of a file; a line of text in some, None where there is neither."""
+    """Return the record in a file's JSON; it may be a line of text. None without one."""
     found: Any = document
     for key in ("asset", "extras", "glsplat", CONSENT):
         found = found.get(key) if isinstance(found, dict) else None
@@ -43,7 +43,7 @@ def record_of(document: dict[str, Any]) -> Any:
 
 
 def without_record(document: dict[str, Any]) -> dict[str, Any]:
-    """A copy of the JSON that has neither the record nor what is empty without it."""
+    """Return a copy of the JSON without the record and without objects that held nothing else."""
     out = dict(document)
     asset = out.get("asset")
     if isinstance(asset, dict) and isinstance(asset.get("extras"), dict):

@@ -1,4 +1,4 @@
-"""The key that signs consents, kept in the folder of the server's state."""
+"""The server's key that signs consents, in its state folder."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _KEY = "consent-key"
 
 
 def kept_key(folder: Path) -> PrivateKey:
-    """Return the key in the folder, made at the first call. Raises GlsplatError naming the file."""
+    """Return the key in the folder, created at the first call. Raises GlsplatError naming the file."""
     path = folder / _KEY
     with lock_of(folder):
         return private_key(path) if path.exists() else new_key(path)
 
 
 def known_key(folder: Path) -> PrivateKey | None:
-    """Return the key in the folder; None where none was made. Raises GlsplatError naming the file."""
+    """Return the key in the folder; None if none was created. Raises GlsplatError naming the file."""
     path = folder / _KEY
     return private_key(path) if path.exists() else None

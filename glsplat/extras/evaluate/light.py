@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.raster import mesh_picture_and_depth
+from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh, vertex_normals
 
 __all__ = ["CaptureLight", "shade_of"]

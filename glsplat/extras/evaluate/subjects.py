@@ -14,9 +14,9 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.authoring.detail.merge import merged
-from glsplat.extras.authoring.importers import nearest_weights
-from glsplat.extras.authoring.surface import SamplerConfig, make_avatar
+from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.geometry.nearest import nearest_weights
+from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar
 from glsplat.extras.evaluate.frames import FOV
 from glsplat.extras.formats.person import read_person
 from glsplat.formats import load_splats

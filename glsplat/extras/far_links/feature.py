@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from glsplat.extras.far_links.datagrams.feature import Datagrams
 from glsplat.net.feature import Feature
 from glsplat.net.options import ServerConfig
@@ -12,5 +10,5 @@ __all__ = ["features"]
 
 
 def features(config: ServerConfig) -> list[Feature]:
-    """Return WebTransport where ``config`` has it. Raises GlsplatError where aioquic is not installed."""
-    return [Datagrams(time.perf_counter)] if config.webtransport else []
+    """Return WebTransport where ``config`` has it. Raises GlsplatError without a suitable aioquic."""
+    return [Datagrams()] if config.webtransport else []

@@ -1,4 +1,8 @@
-"""Wavefront OBJ: vertices, polygons as fans, texture coordinates, and the colours of the material file beside it."""
+"""Wavefront OBJ: vertices, polygons as fans, texture coordinates, and the colours of the material file beside it.
+
+trimesh's reader is not used: it fails on negative indices, takes index 0 for the last vertex, and drops the names of
+materials without a file.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""PNG files made safe for the decoder: only the parts that pixels need, checked, so that it never complains."""
+"""PNG files made safe for OpenCV's decoder: only the parts that pixels need, checked.
+
+libpng inside OpenCV prints to stderr for most damaged files. Pillow does not, but meshes load without it.
+"""
 
 from __future__ import annotations
 

@@ -15,14 +15,13 @@ from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.gl.functions import gl_functions
 from glsplat.renderer.targets import Target
-from glsplat.shaders import Variant, flatten, link
+from glsplat.shaders import Variant, flatten, link, set_uniforms
 from glsplat.shaders.slots import UNITS
 
 __all__ = ["DepthRange", "EyeImages", "EyePass", "Surroundings"]
 
 _FRAMEBUFFER, _COLOUR, _DEPTH, _COMPLETE = 0x8D40, 0x8CE0, 0x8D00, 0x8CD5
 _ALWAYS, _LEQUAL = 0x0207, 0x0203
-_TARGET_UNIT, _DEPTH_UNIT = UNITS["target"], UNITS["depth_sum"]
 _U, _I = ctypes.c_uint, ctypes.c_int
 
 
@@ -89,11 +88,11 @@ class EyePass:
             array = self._array(eyes, self._linear, bool(images.depth), target.lift is not None, around is not None)
             self._set(array.program, target, depth, around)
             array.program["corner"] = 0.0, 0.0, 1.0
-            target.texture.use(_TARGET_UNIT)
+            target.texture.use(UNITS["target"])
             if images.depth:
                 if target.depth is None or depth is None:
                     raise ContextError("images of depth need a picture with depth and the range of their numbers")
-                target.depth.use(_DEPTH_UNIT)
+                target.depth.use(UNITS["depth_sum"])
             self._ctx.enable_only(moderngl.DEPTH_TEST if images.depth else moderngl.NOTHING)
             if images.depth:  # a test is needed for depths to be written at all
                 self._gl["DepthFunc"](_ALWAYS)
@@ -134,7 +133,7 @@ class EyePass:
             framebuffer.use()
             framebuffer.clear()
             self._ctx.enable_only(moderngl.NOTHING)
-            target.texture.use(_TARGET_UNIT)
+            target.texture.use(UNITS["target"])
             self._gl["Viewport"](left, low, *shown)
             array.render(moderngl.TRIANGLES, vertices=3)
             self._context.scratch.use()
@@ -159,7 +158,7 @@ class EyePass:
     def _set(
         self, program: moderngl.Program, target: Target, depth: DepthRange | None, around: Surroundings | None
     ) -> None:
-        values: dict[str, Any] = {"target": _TARGET_UNIT, "depth_sum": _DEPTH_UNIT, "rows": target.shape[1]}
+        values: dict[str, Any] = {"rows": target.shape[1]}
         if target.lift is not None:
             values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
         if depth is not None:
@@ -172,10 +171,7 @@ class EyePass:
                 "extent": around.extent,
                 "eye": [tuple(row) for row in around.eyes.tolist()],
             }
-        for name, value in values.items():
-            uniform = program.get(name, None)
-            if isinstance(uniform, moderngl.Uniform):
-                uniform.value = value
+        set_uniforms(program, values)
 
     def _array(self, eyes: int, linear: bool, depth: bool, lifted: bool, room: bool) -> moderngl.VertexArray:
         """The program of what is on show, compiled when it is first needed."""

@@ -34,14 +34,14 @@ from glsplat.tracking.tracker import Tracker
 __all__ = ["LocalShow"]
 
 FAR = 100.0
-"""Metres; depth beyond it is not told apart."""
+"""Far plane of submitted depths in metres; larger depths are clamped to it."""
 
 
 class LocalShow:
     """A ``Show`` of one scene. Release it before its context.
 
-    The scene's one avatar is driven by the wearer (``Tracker``); a scene without one, or with several, is looked at
-    from within. Splats are drawn as ``Renderer.render`` draws them with the same cameras, to the bit.
+    The wearer drives the scene's one avatar (``Tracker``). A scene without an avatar, or with several, is viewed from
+    within. Splats equal those of ``Renderer.render`` with the same cameras bit for bit.
     """
 
     def __init__(
@@ -55,11 +55,11 @@ class LocalShow:
         scale: float = 1.0,  # of the size that the runtime recommends
         depth: bool = True,  # submit depth where the runtime takes it
         floor: bool = True,  # draw a floor in the dark
-        transparent: bool = False,  # what is behind shows: passthrough
-        calibration: Calibration | None = None,  # default: the wearer's size is found as they move
+        transparent: bool = False,  # passthrough: the background shows the room
+        calibration: Calibration | None = None,  # default: measure the wearer's size as they move
         solver: SolverName = SOLVERS[0],
-        advance: Callable[[float], None] = lambda _: None,  # seconds: what else moves in the scene
-        timed: bool = False,  # wait for the GPU, so that drawing times are its own
+        advance: Callable[[float], None] = lambda _: None,  # moves the rest of the scene by seconds
+        timed: bool = False,  # wait for the GPU, so that drawing times are exact
     ) -> None:
         file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
         self._context = context
@@ -68,8 +68,8 @@ class LocalShow:
         self._advance, self._finish = advance, context.ctx.finish if timed else None
         self._background = (0.0, 0.0, 0.0) if transparent else background or file.background
         self._source = file.avatar
-        self._place = file.scene.transform
-        self._scene = Scene(file.scene, light=file.scene.light, transform=self._place)
+        self._transform = file.scene.transform
+        self._scene = Scene(file.scene, light=file.scene.light, transform=self._transform)
         self._tracker: Tracker | None = None
         self._idle = IdleFace()
         if self._source is not None and is_rigged(self._source.content):
@@ -77,39 +77,41 @@ class LocalShow:
             if not why_not_tracked(skeleton):
                 known = calibration or Calibration(automatic=True)
                 self._tracker = Tracker(skeleton, known, solver=solver)
-        self._own: Scene | None = None  # the scene as its wearer sees it from within: without the avatar's head
+        self._own: Scene | None = None  # the scene without the avatar's head, for its own view
         self._own_item: Item | None = None
         self._loaded: ViewName | None = None
         self._eyes: EyeSwapchains | None = None
         self._last: Projection | None = None
         self._time: float | None = None
-        self._target: Target | None = None  # what was drawn last,
-        self._around: Surroundings | None = None  # ... what stands around it,
-        self.cameras: list[Camera] = []  # ... by which,
-        self.views: Sequence[ViewPose] = ()  # ... and for which eyes
+        self._target: Target | None = None  # of the last frame, as are the next three
+        self._around: Surroundings | None = None
+        self.cameras: list[Camera] = []
+        self.views: Sequence[ViewPose] = ()
         self.copy_ms = 0.0  # of the last pair into the images
-        config = replace(config or RenderConfig(), output="float32")  # nothing is read back: the images round
+        config = replace(
+            config or RenderConfig(), output="float32"
+        )  # nothing is read back; copying to the images rounds
         self._renderer = Renderer(self._scene, size=(64, 64), views=2, config=config, context=context)
         self._renderer.timer = StageTimer(self._finish)
 
     @property
     def renderer(self) -> Renderer:
-        """What draws."""
+        """Renderer of both eyes."""
         return self._renderer
 
     @property
     def context(self) -> Context:
-        """Where it is drawn."""
+        """Context of the renderer."""
         return self._context
 
     @property
     def eyes(self) -> EyeSwapchains | None:
-        """The runtime's images, while there is one."""
+        """Swapchains of the attached runtime; None if there is none."""
         return self._eyes
 
     @property
     def scene(self) -> Scene:
-        """What is drawn just now."""
+        """Scene of the current view."""
         return self._own if self._loaded == "own" and self._own is not None else self._scene
 
     @property
@@ -125,20 +127,20 @@ class LocalShow:
         self._renderer.resize(*size)
 
     def detach(self) -> None:
-        """Give them back."""
+        """Close the swapchains."""
         eyes, self._eyes, self._last, self._target = self._eyes, None, None, None
         if eyes is not None:
             eyes.close()
         self.recentred()
 
     def recentred(self) -> None:
-        """Place the view anew; whoever comes back is another user, or another place."""
+        """Place the view again and reset tracking: the user or their position may have changed."""
         self.wearer.recentred()
         if self._tracker is not None:
             self._tracker.reset()
 
     def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
-        """Track, solve, locate the eyes at last, draw, and hand over."""
+        """Track and solve the wearer, locate the eyes as late as possible, draw, and fill the swapchains."""
         eyes = self._eyes
         assert eyes is not None
         now = timing.display_time * 1e-9
@@ -149,13 +151,13 @@ class LocalShow:
         if self._tracker is not None and self._source is not None and moment is not None:
             self._source.pose = self._tracker.update(self._idle.fill(moment.sample))
             known = self._tracker.calibration
-            self._scene.transform = similarity((0.0, known.floor, 0.0), scale=known.scale) @ self._place
+            self._scene.transform = similarity((0.0, known.floor, 0.0), scale=known.scale) @ self._transform
         if moment is not None:
             self._show(moment.place)
         views = sighted(runtime.views(timing.display_time))
         located = time.perf_counter()
         if views is None or moment is None:
-            return Shown(self._last, located, 0.0)  # the device is lost: the last picture stays where it was
+            return Shown(self._last, located, 0.0)  # tracking is lost: show the last picture at its pose
         place = moment.place
         background = (0.0, 0.0, 0.0) if place.glass is not None else self._background
         self.views = views
@@ -173,7 +175,7 @@ class LocalShow:
         return Shown(self._last, located, drawing + copying)
 
     def look(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], eye: int = 0) -> bool:
-        """Show in a window what the wearer saw last; False if that was nothing."""
+        """Show the wearer's last picture in a window; return False if there is none."""
         if self._eyes is None or self._target is None:
             return False
         self._eyes.show(self._target, framebuffer, size, self._around, eye)
@@ -185,7 +187,7 @@ class LocalShow:
         self._renderer.release()
 
     def _show(self, place: Place) -> None:
-        """What is drawn for the view: from within, an avatar has no head."""
+        """Load the scene of a view: seen from within, the avatar has no head."""
         own = place.view == "own" and self._tracker is not None
         if own and self._own is None:
             self._headless()

@@ -1,7 +1,7 @@
-"""A certificate that the server signs itself and keeps: for a headset's browser, which wants https and asks once.
+"""Self-signed certificates, stored between runs: browsers of headsets require https and ask once per certificate.
 
-Key and certificate are one file, so that they are replaced together or not at all; what clients are given to trust
-(``--tls-ca``) is a second one, without the key. Imported only when it is used: ``cryptography`` takes its time.
+Key and certificate share one file, so that they are replaced together; a second file holds only the certificate, for
+clients to trust (``--tls-ca``). Imported on first use, as ``cryptography`` is slow to load.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from glsplat.errors import GlsplatError
 from glsplat.io.files import open_regular, replace_file
 from glsplat.net.guard.state_dir import lock_of
 
-__all__ = ["CERTIFICATE", "KEY", "StoredCertificate", "holds", "kept_certificate", "passing_certificate"]
+__all__ = ["CERTIFICATE", "KEY", "StoredCertificate", "holds", "kept_certificate", "short_lived_certificate"]
 
 KEY, CERTIFICATE = "key-and-certificate.pem", "certificate.pem"
 """The names of the files in the folder."""
-_LASTS = timedelta(days=730)  # Apple's systems refuse more than 825
-_SOON = timedelta(days=30)
-_EARLY = timedelta(days=1)  # a headset's clock may be behind
-_ALWAYS = ("localhost", "127.0.0.1", "::1")
-_MOST_ADDRESSES = 32
-_LARGEST = 1 << 16  # bytes; a file that is larger is not ours
-_DAMAGED = (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm, x509.InvalidVersion, x509.ExtensionNotFound)
+_LIFETIME = timedelta(days=730)  # Apple's systems refuse more than 825 days
+_RENEW_BEFORE = timedelta(days=30)  # the end
+_BACKDATED = timedelta(days=1)  # a headset's clock may be slow
+_LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
+MAX_ADDRESSES = 32
+MAX_FILE_BYTES = 1 << 16
+_INVALID = (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm, x509.InvalidVersion, x509.ExtensionNotFound)
 _NAME = re.compile(r"(?:\*\.)?[a-z0-9_-]{1,63}(?:\.[a-z0-9_-]{1,63})*")
 
 
@@ -42,18 +42,18 @@ class StoredCertificate(NamedTuple):
     """A certificate on disk."""
 
     path: Path  # key and certificate, PEM
-    fingerprint: str  # SHA-256 of the certificate, as browsers and openssl show it: AB:CD:...
-    remade: str  # why it took another one's place; "" if it did not
+    fingerprint: str  # SHA-256 as shown by browsers and openssl: AB:CD:...
+    remade: str  # why it replaced another one; "" if it did not
 
 
 def kept_certificate(folder: Path, names: Iterable[str]) -> StoredCertificate:
-    """The certificate in ``folder`` for localhost and ``names`` (DNS names, ``*.lab.example``, addresses).
+    """Return the certificate in ``folder`` for localhost and ``names`` (DNS names, ``*.lab.example``, addresses).
 
-    It is made where there is none, and anew when it ends within 30 days, lacks a name or is damaged. Addresses that it
-    had before stay in it: a laptop that goes to and fro between two networks keeps one certificate. Raises
-    GlsplatError for a name that no certificate can hold and for files that cannot be read or written.
+    It is made if it is missing, ends within 30 days, lacks a name or is damaged. Earlier addresses stay in it, so a
+    laptop that moves between two networks keeps one certificate. Raises GlsplatError for invalid names and for files
+    that cannot be read or written.
     """
-    wanted = tuple(dict.fromkeys(_normal(name) for name in (*_ALWAYS, *names)))
+    wanted = tuple(dict.fromkeys(_normalised(name) for name in (*_LOCAL_NAMES, *names)))
     path = folder / KEY
     with lock_of(folder):
         remade = ""
@@ -63,26 +63,26 @@ def kept_certificate(folder: Path, names: Iterable[str]) -> StoredCertificate:
                 remade = "the one that was kept is damaged"
             else:
                 held = _names_of(certificate)
-                remade = _fault(certificate, held, wanted)
+                remade = _renewal_reason(certificate, held, wanted)
                 earlier = [name for name in held if _address(name) and name not in wanted]
-                wanted += tuple(earlier[:_MOST_ADDRESSES])
+                wanted += tuple(earlier[:MAX_ADDRESSES])
         if remade or not path.exists():
-            certificate, data = _made(wanted)
+            certificate, data = _generate(wanted)
             replace_file(path, [data], private=True)
         assert certificate is not None
         public = certificate.public_bytes(Encoding.PEM)
-        if not _same(folder / CERTIFICATE, public):
+        if not _has_content(folder / CERTIFICATE, public):
             replace_file(folder / CERTIFICATE, [public])
     return StoredCertificate(path, certificate.fingerprint(hashes.SHA256()).hex(":").upper(), remade)
 
 
 def holds(name: str) -> bool:
-    """True for a DNS name that a certificate can hold; systems may call themselves otherwise."""
+    """Return whether a certificate can hold the DNS name; host names may be invalid."""
     return len(name) <= 253 and _NAME.fullmatch(name.lower()) is not None
 
 
-def _normal(name: str) -> str:
-    """A name as it is compared. Raises GlsplatError if it is none."""
+def _normalised(name: str) -> str:
+    """Return a name in lower case without a final dot. Raises GlsplatError for an invalid name."""
     plain = name.strip().lower().removesuffix(".")
     if (address := _address(plain.strip("[]"))) is not None:
         return str(address)
@@ -100,14 +100,14 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _read(path: Path) -> x509.Certificate | None:
-    """What the file holds; None unless it is one certificate and its key. Raises FormatError if it cannot be read."""
+    """Return the certificate in a file; None unless it is a certificate with its key. Raises FormatError."""
     with open_regular(path) as (file, size):
-        data = file.read(_LARGEST) if size <= _LARGEST else b""
+        data = file.read(MAX_FILE_BYTES) if size <= MAX_FILE_BYTES else b""
     try:
         key, certificate = load_pem_private_key(data, None), x509.load_pem_x509_certificate(data)
         certificate.verify_directly_issued_by(certificate)
         _names_of(certificate)
-    except _DAMAGED:
+    except _INVALID:
         return None
     return certificate if key.public_key() == certificate.public_key() else None
 
@@ -117,10 +117,10 @@ def _names_of(certificate: x509.Certificate) -> tuple[str, ...]:
     return (*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress)))
 
 
-def _fault(certificate: x509.Certificate, held: Sequence[str], wanted: Sequence[str]) -> str:
-    """Why this certificate will not do; "" if it will."""
+def _renewal_reason(certificate: x509.Certificate, held: Sequence[str], wanted: Sequence[str]) -> str:
+    """Return why a certificate has to be replaced; "" if it is valid for all names."""
     now = datetime.now(UTC)
-    if certificate.not_valid_after_utc < now + _SOON:
+    if certificate.not_valid_after_utc < now + _RENEW_BEFORE:
         return f"the one that was kept ends on {certificate.not_valid_after_utc:%Y-%m-%d}"
     if certificate.not_valid_before_utc > now:
         return f"the one that was kept begins on {certificate.not_valid_before_utc:%Y-%m-%d}"
@@ -128,22 +128,22 @@ def _fault(certificate: x509.Certificate, held: Sequence[str], wanted: Sequence[
     return f"the one that was kept lacks {', '.join(missing)}" if missing else ""
 
 
-def passing_certificate(lasts: timedelta) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
-    """A certificate for those who are told its SHA-256, and its key; nothing of it is kept.
+def short_lived_certificate(lasts: timedelta) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    """Return a certificate for localhost and its key, to be trusted by its SHA-256; nothing is stored.
 
-    Browsers take such ones with keys on P-256 and for 14 days at most (WebTransport, W3C, "serverCertificateHashes").
+    Browsers require keys on P-256 and at most 14 days (WebTransport, W3C, "serverCertificateHashes").
     """
-    return _signed(_ALWAYS, lasts)
+    return _self_signed(_LOCAL_NAMES, lasts)
 
 
-def _made(names: Sequence[str]) -> tuple[x509.Certificate, bytes]:
-    """A new certificate, and it with its key as PEM."""
-    certificate, key = _signed(names, _LASTS)
+def _generate(names: Sequence[str]) -> tuple[x509.Certificate, bytes]:
+    """Return a new certificate, and it with its key as PEM."""
+    certificate, key = _self_signed(names, _LIFETIME)
     private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     return certificate, private + certificate.public_bytes(Encoding.PEM)
 
 
-def _signed(names: Sequence[str], lasts: timedelta) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+def _self_signed(names: Sequence[str], lasts: timedelta) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
     issuer = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "glsplat (signed by this server itself)")])
     alternatives = [x509.IPAddress(at) if (at := _address(name)) else x509.DNSName(name) for name in names]
@@ -156,10 +156,10 @@ def _signed(names: Sequence[str], lasts: timedelta) -> tuple[x509.Certificate, e
         .issuer_name(issuer)
         .public_key(public)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _EARLY)
+        .not_valid_before(now - _BACKDATED)
         .not_valid_after(now + lasts)
         .add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)  # it vouches for nobody else
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)  # it signs no others
         .add_extension(x509.KeyUsage(digital_signature=True, **usage), critical=True)
         .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
@@ -169,7 +169,7 @@ def _signed(names: Sequence[str], lasts: timedelta) -> tuple[x509.Certificate, e
     return certificate, key
 
 
-def _same(path: Path, data: bytes) -> bool:
+def _has_content(path: Path, data: bytes) -> bool:
     try:
         return path.read_bytes() == data
     except OSError:

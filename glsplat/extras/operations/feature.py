@@ -1,4 +1,4 @@
-"""The status page, metrics, curves and QR codes of a server (docs/deploying.md)."""
+"""The status page, metrics, curves and QR codes of a server as features (docs/deploying.md)."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ __all__ = ["StatusPages", "features"]
 
 
 def features(config: ServerConfig) -> list[Feature]:
-    """Return the features of this extra that every server has."""
+    """Return the features of this extra."""
     history = History()
     return [StatusPages(history), Previews(history)]
 
 
 class StatusPages(Feature):
-    """The status page and what it shows; keeps ``history`` while the server runs."""
+    """The status page and its data; records ``history`` while the server runs."""
 
     def __init__(self, history: History) -> None:
         self.history = history
         self._codes = QrCodes()
 
     async def start(self, server: ServerView) -> None:
-        """Begin the curves of the status page."""
+        """Start recording the curves of the status page."""
         self._server, self._host, self._tls = server, server.config.access.host, server.config.tls is not None
         self.history.start(lambda: server.stats(None))
 
     async def stop(self) -> None:
-        """End the curves."""
+        """Stop recording."""
         await self.history.stop()
 
     def routes(self) -> list[web.RouteDef]:
-        """Return the four addresses."""
+        """Return the routes of the status page, /metrics, /history and /reach."""
         return [
             web.get("/", self._status),
             web.get("/metrics", self._metrics),
@@ -59,7 +59,7 @@ class StatusPages(Feature):
     async def _status(self, request: web.Request) -> web.Response:
         secure = "s" if self._tls else ""
         url, viewer = f"ws{secure}://{request.host}/ws", f"http{secure}://{request.host}/vr"
-        if is_loopback(request.url.host or "localhost"):  # which is another machine to a phone
+        if is_loopback(request.url.host or "localhost"):  # another device cannot use this address
             viewer = "" if is_loopback(self._host) else self._outward(request)
         code = await self._codes.svg(viewer) if viewer else ""
         headers = {"Content-Security-Policy": STATUS_POLICY}
@@ -70,11 +70,11 @@ class StatusPages(Feature):
         return web.json_response(self.history.fields())
 
     async def _reach(self, request: web.Request) -> web.Response:
-        """The page's address for another device, as a QR code with the token that came with the request, if one did."""
+        """Return the page's URL for another device, with a QR code that includes the token of the request."""
         local = is_loopback(self._host)
         page = self._outward(request)
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
-        # the gate has checked it, where the server has tokens at all
+        # the gate has checked the token of a server with tokens
         token = token.strip() if kind.lower() == "bearer" and self._server.stats(user_of(request))["token"] else ""
         if local:
             code = ""
@@ -86,7 +86,7 @@ class StatusPages(Feature):
         return web.json_response({"page": page, "local": local, "svg": code}, headers=headers)
 
     def _outward(self, request: web.Request) -> str:
-        """The page's address by the name it was asked by; for localhost the machine's own, where it has one."""
+        """Return the page's URL under the request's host; for loopback, under this machine's name if it has one."""
         name = request.url.host or "localhost"
         if is_loopback(name) and not is_loopback(self._host):
             name = next(iter(reachable_at(self._host) + machine_names()[-1:]), name)

@@ -1,4 +1,4 @@
-"""The last five minutes of a server in numbers, for the curves of its status page."""
+"""Numbers of the last five minutes, for the curves of the status page."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ __all__ = ["History"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
-STEP = 2.0
-"""Seconds between two values."""
-_LENGTH = 150  # values: five minutes
+STEP_S = 2.0
+"""Time between two values."""
+MAX_VALUES = 150  # five minutes
 
 
 class History:
-    """Three numbers of /stats, taken every STEP seconds."""
+    """Three values of /stats, recorded every STEP_S seconds."""
 
     def __init__(self) -> None:
-        self._values: deque[tuple[float, float, float]] = deque(maxlen=_LENGTH)
+        self._values: deque[tuple[float, float, float]] = deque(maxlen=MAX_VALUES)
         self._task: asyncio.Task[None] | None = None
 
     def start(self, stats: Callable[[], Mapping[str, Any]]) -> None:
-        """Take the numbers of ``stats`` from now on."""
+        """Start recording ``stats``."""
         self._task = asyncio.create_task(self._run(stats), name="history")
 
     async def stop(self) -> None:
-        """What was taken stays."""
+        """Stop recording; the values stay."""
         if self._task is not None:
             self._task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._task
 
     def add(self, stats: Mapping[str, Any], load: float) -> None:
-        """One value each: pictures a second, the median of their ms at the server (0 without any), ``load``."""
+        """Record pictures per second, the median of their ms on the server (0 without any) and the CPU ``load``."""
         total = stats["stages"].get("total", {}).get("median", 0.0) if stats["fps"] else 0.0
         self._values.append((float(stats["fps"]), float(total), round(load, 3)))
 
     def fields(self) -> dict[str, Any]:
-        """JSON of /history, the oldest first."""
+        """Return the object of /history, oldest values first."""
         fps, age, load = (list(column) for column in zip(*self._values, strict=True)) if self._values else ([], [], [])
-        return {"step": STEP, "most": _LENGTH, "fps": fps, "age": age, "load": load}
+        return {"step": STEP_S, "most": MAX_VALUES, "fps": fps, "age": age, "load": load}
 
     async def _run(self, stats: Callable[[], Mapping[str, Any]]) -> None:
         failing = False
@@ -53,15 +53,15 @@ class History:
             try:
                 self.add(stats(), machine_load())
                 failing = False
-            except Exception:  # a curve with a hole is better than none from here on
+            except Exception:  # record further values after a gap
                 if not failing:
                     log.exception("the numbers of the status page cannot be taken just now")
                 failing = True
-            await asyncio.sleep(STEP)
+            await asyncio.sleep(STEP_S)
 
 
 def machine_load() -> float:
-    """Processes that want a core, per core, over the last minute; 0 where the system does not say."""
+    """Return the runnable processes per core over the last minute; 0 if the system does not report them."""
     try:
         return os.getloadavg()[0] / (os.cpu_count() or 1)
     except (AttributeError, OSError):

@@ -1,4 +1,4 @@
-"""Numbers of a server in Prometheus' text format: /metrics."""
+"""/metrics: numbers of a server in Prometheus' text format."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _COUNTERS = {
 
 
 def metrics_text(stats: Mapping[str, Any]) -> str:
-    """The statistics in Prometheus' text exposition format 0.0.4."""
+    """Return the statistics in Prometheus' text exposition format 0.0.4."""
     lines = [
         *_metric("clients", "gauge", "connected clients", [("", stats["connected"])]),
         *_metric("up_seconds", "gauge", "seconds since the start", [("", stats["uptime"])]),

@@ -1,4 +1,4 @@
-"""The status page, plain HTML that a script of glsplat/net/web/status brings to life where scripts run."""
+"""The status page as plain HTML; web/status updates it where scripts run."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ STATUS_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob: data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""The Content-Security-Policy of the page."""
+"""Content-Security-Policy of the page."""
 
 
-_ALONE = (
+_LOOPBACK_ONLY = (
     'alone: <a href="vr/">the viewer</a>. This server listens on this computer alone: no phone and no headset in the '
     "network reaches it. For those start it with <code>glsplat serve --host 0.0.0.0 --self-signed</code>."
 )
 
 
 def page_html(stats: Mapping[str, Any], url: str, viewer: str, code: str = "") -> str:
-    """The page as it is without scripts, where it reloads itself; with them glsplat/net/web/status keeps it new.
+    """Return the page, which reloads itself without scripts.
 
-    ``url`` is the WebSocket's address, ``viewer`` the other page's for other devices ("": they cannot reach it), and
-    ``code`` the latter as a QR code (an element).
+    ``url`` is the WebSocket's, ``viewer`` the viewer's for other devices ("": not reachable), ``code`` its QR code as
+    an HTML element.
     """
     url, viewer = html.escape(url), html.escape(viewer)
     options = " --token-file FILE" if stats["token"] else ""
     token = ', token="..."' if stats["token"] else ""
     asks = " It asks for the token." if stats["token"] else ""
     options += " --tls-ca PEM" if url.startswith("wss:") else ""
-    see = f'or in a headset: <a href="vr/">the viewer</a>, <code>{viewer}</code>.{asks}' if viewer else _ALONE
+    see = f'or in a headset: <a href="vr/">the viewer</a>, <code>{viewer}</code>.{asks}' if viewer else _LOOPBACK_ONLY
     scene = f"{html.escape(stats['scene'])} on " if stats["scene"] else ""
     stages = [(name, f"{t['median']:.2f}", f"{t['p95']:.2f}") for name, t in stats["stages"].items()]
     counts = ("sent", "dropped", "stale", "malformed", "failed", "unacknowledged", "window")

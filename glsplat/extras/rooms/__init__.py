@@ -1,3 +1,6 @@
-"""Rooms: people of one scene, each of whom sees the others from their own eyes."""
+"""Rooms: people in one scene, each of whom sees the others through their own eyes (docs/deploying.md).
+
+`rooms.Rooms` is a `Feature` of the server; `glsplat serve --room NAME:SEATS` adds it by `feature.features`.
+"""
 
 REQUIRES = ()

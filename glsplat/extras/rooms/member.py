@@ -1,4 +1,4 @@
-"""Member: a client in a room. Turns what it sends into where its person is, and what it asks for into its view."""
+"""Member: a client in a room. Adapts its requests to the room's methods."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from glsplat.camera import Camera
 from glsplat.errors import PoseError
-from glsplat.extras.rooms.person import Moved, Person
+from glsplat.extras.rooms.person import Person, PoseSample
 from glsplat.extras.rooms.room import Room
 from glsplat.net.backend import Solved
 from glsplat.net.codec.body import PoseHistory, Poses
@@ -21,7 +21,7 @@ __all__ = ["Member"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Member:
-    """One client's person in its room, in the pose ``rest`` where requests say none."""
+    """One client's person in its room; ``rest`` is the pose of requests without one."""
 
     room: Room
     person: Person
@@ -29,30 +29,30 @@ class Member:
 
     @property
     def resume(self) -> str:
-        """The token by which the person comes back on another connection."""
+        """Token that brings the person back on another connection."""
         return self.person.resume
 
     def solved(self, request: Request, solved: Solved, at: float) -> None:
-        """Tracking that came ``at`` seconds was solved. Raises PoseError for what the others cannot be shown."""
-        self.room.moved(self.person, self._moved(request, solved, at))
+        """Record the solution of tracking that arrived at ``at`` seconds. Raises PoseError if it cannot be drawn."""
+        self.room.add_sample(self.person, self._sample(request, solved, at))
 
     def meeting(self, request: Request) -> Request:
-        """A request with tracking, and in it where the others' faces are.
+        """Return a request with tracking, with the faces of the others for gaze.
 
-        Without what its client says of its own pictures: how late others are is the room's to make up for.
+        Without the arrival time: the room itself makes up for the lateness of others.
         """
         assert request.tracking is not None
         faces = self.room.faces(self.person, request.tracking.head)
         return replace(request, faces=(*request.faces, *faces), arrival=None)
 
     def received(self, request: Request, at: float) -> None:
-        """A request came ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""
-        self.room.heard(self.person, at)
+        """Record a request that arrived at ``at`` seconds; its tracking is solved elsewhere, perhaps much later."""
+        self.room.touch(self.person, at)
         if request.tracking is None:
-            self.room.moved(self.person, self._moved(request, None, at))
+            self.room.add_sample(self.person, self._sample(request, None, at))
 
     def options(self, request: Request) -> PictureOptions:
-        """How a request wants its picture, in the room's space."""
+        """Return the picture options of a request in the room's space."""
         light = request.options.light
         if light is None:
             return request.options
@@ -61,34 +61,34 @@ class Member:
     def look(
         self, request: Request, cameras: Sequence[Camera], solved: Solved | None, at: float, now: float
     ) -> tuple[tuple[Camera, ...], RoomView]:
-        """The ``cameras`` of a request that came ``at`` seconds, in the room's space, and everybody in it.
+        """Return the ``cameras`` in the room's space and the view of everybody in it, at time ``now``.
 
-        Raises PoseError for a solution that the others cannot be shown.
+        ``at`` is the arrival of the request in seconds. Raises PoseError for a solution that cannot be drawn.
         """
-        return self.room.look(self.person, cameras, self._moved(request, solved, at), now)
+        return self.room.look(self.person, cameras, self._sample(request, solved, at), now)
 
     def poses(self, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
-        """How everybody stands of whom the client has not been told so yet, by its ``history``."""
+        """Return the poses that changed since the client's last reply, by its ``history``."""
         return self.room.poses(self.person, history, sha256, now)
 
     def posed(self, count: int) -> None:
-        """Count people who were skinned anew for a picture."""
+        """Count people skinned for a picture."""
         self.room.posed(count)
 
     def fair_cost(self, seconds: float) -> float:
-        """Return the seconds that a picture counts for its viewer: those of a mean picture of this room."""
+        """Return the seconds charged to a viewer for a picture: the mean of this room."""
         return self.room.fair_cost(seconds)
 
     def end(self, goodbye: bool) -> None:
-        """The connection is over; ``goodbye``: as the client wanted it."""
+        """Handle the end of the connection; ``goodbye``: the client closed it on purpose."""
         if goodbye:
-            self.room.left(self.person)
+            self.room.leave(self.person)
         else:
-            self.room.lost(self.person)
+            self.room.disconnect(self.person)
 
-    def _moved(self, request: Request, solved: Solved | None, at: float) -> Moved:
+    def _sample(self, request: Request, solved: Solved | None, at: float) -> PoseSample:
         if solved is None:
-            return Moved(self.rest if request.pose is None else request.pose, at, request.t, request.frame_id)
+            return PoseSample(self.rest if request.pose is None else request.pose, at, request.t, request.frame_id)
         if (found := len(solved.pose.rotations)) != len(self.rest.rotations):
             raise PoseError(f"the solver's pose has {found} joints, the avatar {len(self.rest.rotations)}")
-        return Moved(solved.pose, at, request.t, request.frame_id, solved.scale, solved.floor)
+        return PoseSample(solved.pose, at, request.t, request.frame_id, solved.scale, solved.floor)

@@ -1,8 +1,8 @@
-"""Room: who is in it, and what each of them is shown. May be used by several threads; times are seconds that come in.
+"""Room: its people and each person's view. Thread-safe; times are seconds, passed in.
 
-Time in a room goes by ticks: a tick ends when somebody is to be shown a second picture. In each, everybody's pose
-changes once, so that everybody is skinned once however many look at them: with their own picture, at the pose it was
-asked for, so that nobody's own hands lag behind; who asked for none in the last tick at the beginning of the next.
+Time passes in ticks: a tick ends when a person asks for a second picture. Poses change once per tick, so each person is
+skinned once for all viewers. A viewer's own pose is that of the request, so own hands do not lag; people without a
+request in the last tick are extrapolated at the start of the next.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.extras.rooms.person import Moved, Person, people_fields
+from glsplat.extras.rooms.person import Person, PoseSample, people_fields
 from glsplat.extras.rooms.seats import free_seat, seat
 from glsplat.net.codec.body import MAX_BODIES, PoseHistory, Poses, for_recipient
 from glsplat.net.options import RoomError
@@ -28,59 +28,58 @@ from glsplat.net.wire_schema import Position
 __all__ = ["Room"]
 
 
-_TOKEN_BYTES = 16  # of randomness in the token that brings a person back
-_SWEEP = 0.03  # seconds
-_LEARN = 0.1  # how far each picture moves what one is expected to take
+_TOKEN_BYTES = 16
+_SWEEP_INTERVAL_S = 0.03
+_COST_SMOOTHING = 0.1  # weight of the newest picture in the mean drawing time
 
 
 @dataclass(slots=True, eq=False)
 class _Guest:
     person: Person
-    seat: int | None  # None: chose a place
-    leave: Callable[[], None]  # ends the connection of somebody who comes back on another one
+    seat: int | None  # None: at a place of their choice
+    leave: Callable[[], None]  # ends the connection when the person comes back on another one
     shown: VisiblePerson
-    faded: int = 255  # opacity that the others were told
+    sent_opacity: int = 255  # last one sent to the others
 
 
 class Room:
-    """People by name. ``seats`` bounds their number."""
+    """At most ``seats`` people, by name."""
 
     def __init__(self, name: str, seats: int = 8) -> None:
         self.name, self.seats = name, seats
         self._guests: dict[str, _Guest] = {}
         self._lock = Lock()
         self._keys = 0
-        self._version = 0  # of who is there
-        self._worn: tuple[int, tuple[str, ...]] = (-1, ())  # their avatars, each once, at that version
-        self._change = 0  # of how somebody stands
-        self._news: dict[int, tuple[int, Person]] = {}  # by key: the last change of each, the newest last
-        self._swept = float("-inf")
+        self._version = 0  # counts changes of the list of people
+        self._avatars: tuple[int, tuple[str, ...]] = (-1, ())  # distinct avatars at a version
+        self._change = 0  # counts changes of poses and opacities
+        self._changes: dict[int, tuple[int, Person]] = {}  # last change by key, newest last
+        self._last_sweep = float("-inf")
         self._tick = 0
-        self._seconds = 0.0  # that a picture takes
-        self._drawn: set[int] = set()  # keys of who was shown a picture in this tick
-        self._posed = 0  # poses drawn anew, for all viewers together
+        self._seconds = 0.0  # mean drawing time of a picture
+        self._viewers: set[int] = set()  # keys of people who asked for a picture in this tick
+        self._posed = 0  # skinned poses, summed over viewers
 
     def join(
         self,
         name: str,  # "": a free "guest N", counted from ``guest``
         avatar: str,
         now: float,
-        resume: str = "",  # token of the person to come back as, "": a newcomer
-        place: NDArray[np.float64] | None = None,  # [4, 4] room from user; None: the place they had, or a free seat
+        resume: str = "",  # token of a person who comes back; "": a newcomer
+        place: NDArray[np.float64] | None = None,  # [4, 4] room from user; None: the previous place, or a free seat
         leave: Callable[[], None] = lambda: None,
-        notice: str = "",  # over their head, beside the name
+        notice: str = "",  # shown over the head, beside the name
         guest: int = 1,
     ) -> Person:
-        """Add a person, or bring one back: a name belongs to the connection that has it, however silent that is.
+        """Add a person, or bring one back. Raises RoomError if the name is taken or the room is full.
 
-        Its token alone brings the person back, at once, to their place, on another connection; ``leave`` of the one
-        before is called. After a connection that broke the name stays taken until its person has faded.
-
-        Raises RoomError: the name is taken, the room is full.
+        A name belongs to its connection, however silent. Only the token brings the person back on another one, at once;
+        ``leave`` of the previous connection is called. After a broken connection the name stays taken until the person
+        has faded.
         """
         with self._lock:
-            self._forget(now)
-            before = self._whose(resume, name)
+            self._remove_gone(now)
+            before = self._guest_by_token(resume, name)
             if before is None and name in self._guests:
                 raise RoomError(f'there is somebody called "{name}" in this room; choose another name', 409)
             if before is None and len(self._guests) >= self.seats:
@@ -94,7 +93,7 @@ class Room:
             else:
                 name, number, token = before.person.name, before.seat, before.person.resume
                 place = before.person.seat if place is None else place
-                self._news.pop(before.person.key, None)
+                self._changes.pop(before.person.key, None)
             self._keys += 1
             self._version += 1
             person = Person(self._keys, name, avatar, place, token, now, driven_by(name, notice))
@@ -104,52 +103,52 @@ class Room:
             before.leave()
         return person
 
-    def left(self, person: Person) -> None:
-        """They said goodbye: gone at once."""
+    def leave(self, person: Person) -> None:
+        """Remove a person who closed the connection on purpose."""
         with self._lock:
             person.connected = False
-            if self._is_here(person):
+            if self._is_present(person):
                 del self._guests[person.name]
-                self._news.pop(person.key, None)
+                self._changes.pop(person.key, None)
                 self._version += 1
 
-    def lost(self, person: Person) -> None:
-        """Their connection broke: they stay for a while, fade, and may come back."""
+    def disconnect(self, person: Person) -> None:
+        """Mark a person's connection as broken: the person fades, and may come back."""
         with self._lock:
             person.connected = False
 
-    def heard(self, person: Person, now: float) -> None:
-        """Somebody is there, whether or not they move."""
+    def touch(self, person: Person, now: float) -> None:
+        """Record a sign of life of a person."""
         with self._lock:
-            person.heard(now)
+            person.touch(now)
 
-    def moved(self, person: Person, sample: Moved) -> None:
-        """A sample of somebody's tracking was solved, or a pose of theirs came. PoseError: it is none to be shown."""
+    def add_sample(self, person: Person, sample: PoseSample) -> None:
+        """Add a pose sample of a person. Raises PoseError if it cannot be drawn."""
         with self._lock:
             last = person.newest
-            person.moved(sample)
-            # who only listens is at rest in each request, which is no news
+            person.add_sample(sample)
+            # a person who only listens sends the same pose in every request
             if last is None or (last.pose, last.scale, last.floor) != (sample.pose, sample.scale, sample.floor):
                 self._changed(person)
 
     def faces(self, person: Person, head: Sequence[float] | None) -> list[Position]:
-        """Between the eyes of all others whose tracking came, in the space of a ``person`` whose own head is there."""
+        """Set the ``head`` of a person; return the points between the eyes of all others, in that person's space."""
         with self._lock:
-            person.looked(head)
+            person.set_head(head)
             others = [one.person.face for one in self._guests.values() if one.person is not person]
-        from_room = person.from_room()
+        from_room = person.from_room
         places = [face for face in others if face is not None]
         return [] if not places else list(map(tuple, (places @ from_room[:3, :3].T + from_room[:3, 3]).tolist()))
 
     def look(
-        self, person: Person, cameras: Sequence[Camera], own: Moved, now: float
+        self, person: Person, cameras: Sequence[Camera], own: PoseSample, now: float
     ) -> tuple[tuple[Camera, ...], RoomView]:
-        """The ``cameras`` of a ``person`` in the room's space, and everybody in it; ``own`` is their own pose then."""
+        """Return the ``cameras`` in the room's space and the view of everybody; ``own`` is the viewer's pose."""
         with self._lock:
-            self._forget(now)
-            if person.key in self._drawn:
+            self._remove_gone(now)
+            if person.key in self._viewers:
                 self._next_tick(now)
-            self._drawn.add(person.key)
+            self._viewers.add(person.key)
             guest = self._guests.get(person.name)
             if guest is not None and guest.person is person:
                 transform = person.place(own)[1]
@@ -159,26 +158,26 @@ class Room:
                 for guest in self._guests.values()
                 if guest.shown.pose is not None
             )
-            view = RoomView(self.name, self._tick, person.key, people, person.from_room())
-        from_room = person.from_room()
-        return tuple(_moved(camera, from_room) for camera in cameras), view
+            view = RoomView(self.name, self._tick, person.key, people, person.from_room)
+        from_room = person.from_room
+        return tuple(_in_room(camera, from_room) for camera in cameras), view
 
     def poses(self, person: Person, history: PoseHistory, sha256: Callable[[str], bytes | None], now: float) -> Poses:
-        """How everybody stands of whom a ``person`` was not told yet, and who is there where that changed.
+        """Return the poses changed since ``history``, and the list of people if it changed.
 
-        ``sha256`` is of the file of an avatar; who wears one that is not handed out (None) has no body.
+        ``sha256(avatar)`` is the hash of an avatar's file; people whose file is not handed out (None) have no pose.
         """
         with self._lock:
             self._sweep(now)
-            if self._worn[0] != self._version:
+            if self._avatars[0] != self._version:
                 names = dict.fromkeys(guest.person.avatar for guest in self._guests.values())
-                self._worn = self._version, tuple(names)
-            hashes = {name: sha256(name) for name in self._worn[1]}
+                self._avatars = self._version, tuple(names)
+            hashes = {name: sha256(name) for name in self._avatars[1]}
             room = None
             if history.room != (self._version, *hashes.values()):
                 history.room, history.change = (self._version, *hashes.values()), 0
                 room = people_fields(self.name, person, [guest.person for guest in self._guests.values()], hashes)
-            fresh = list(takewhile(lambda news: news[0] > history.change, reversed(self._news.values())))
+            fresh = list(takewhile(lambda news: news[0] > history.change, reversed(self._changes.values())))
             bodies = []
             for change, one in fresh[: -MAX_BODIES - 1 : -1]:
                 history.change = change
@@ -189,26 +188,26 @@ class Room:
         return Poses(bodies, room)
 
     def posed(self, count: int) -> None:
-        """A picture took so many people to be skinned anew."""
+        """Count the people skinned for a picture."""
         with self._lock:
             self._posed += count
 
     def fair_cost(self, seconds: float) -> float:
-        """Return the seconds that a picture counts for its viewer: those of a mean picture of this room.
+        """Return the seconds charged to a viewer for a picture: the mean of this room.
 
-        So a viewer who sees more people than the others does not get fewer pictures.
+        So a viewer of many people does not get fewer pictures than the others.
         """
         with self._lock:
-            self._seconds += (seconds - self._seconds) * (_LEARN if self._seconds else 1.0)
+            self._seconds += (seconds - self._seconds) * (_COST_SMOOTHING if self._seconds else 1.0)
             return self._seconds
 
     def status(self, now: float) -> dict[str, Any]:
-        """Numbers for /stats."""
+        """Return the room's object of /stats."""
         with self._lock:
-            self._forget(now)
+            self._remove_gone(now)
             people = [
                 {"name": g.person.name, "avatar": g.person.avatar, "connected": g.person.connected}
-                | {"silent": round(g.person.silent(now), 2)}
+                | {"silent": round(g.person.silence(now), 2)}
                 for g in self._guests.values()
             ]
             return {
@@ -220,24 +219,24 @@ class Room:
             }
 
     def worn(self) -> list[str]:
-        """The avatars of those who are here."""
+        """Return the avatars of the people in the room."""
         with self._lock:
             return [guest.person.avatar for guest in self._guests.values()]
 
     def count(self, now: float) -> int:
-        """People in the room."""
+        """Return the number of people in the room."""
         with self._lock:
-            self._forget(now)
+            self._remove_gone(now)
             return len(self._guests)
 
     def _next_tick(self, now: float) -> None:
-        """Who asked for no picture in the last tick is shown where they should be by now."""
+        """Begin a tick: extrapolate the people without a request in the last one."""
         self._tick += 1
         for guest in self._guests.values():
             person = guest.person
-            if person.key in self._drawn:
+            if person.key in self._viewers:
                 continue
-            found, newest = person.at(now), person.newest
+            found, newest = person.extrapolated(now), person.newest
             if found is not None and newest is not None:
                 pose, ahead = found
                 guest.shown = replace(
@@ -247,44 +246,44 @@ class Room:
                     frame_id=newest.frame_id,
                     ahead=round(ahead * 1e3, 1),
                 )
-        self._drawn.clear()
+        self._viewers.clear()
 
-    def _forget(self, now: float) -> None:
+    def _remove_gone(self, now: float) -> None:
         for name in [name for name, guest in self._guests.items() if guest.person.gone(now)]:
-            self._news.pop(self._guests.pop(name).person.key, None)
+            self._changes.pop(self._guests.pop(name).person.key, None)
             self._version += 1
 
     def _changed(self, person: Person) -> None:
-        if self._is_here(person):
+        if self._is_present(person):
             self._change += 1
-            self._news.pop(person.key, None)
-            self._news[person.key] = self._change, person
+            self._changes.pop(person.key, None)
+            self._changes[person.key] = self._change, person
 
     def _sweep(self, now: float) -> None:
-        """Now and then, however many ask: who is gone, and who fades or is back."""
-        if now - self._swept < _SWEEP:
+        """Remove people who are gone and record changed opacities, at most once per interval."""
+        if now - self._last_sweep < _SWEEP_INTERVAL_S:
             return
-        self._swept = now
-        self._forget(now)
+        self._last_sweep = now
+        self._remove_gone(now)
         for guest in self._guests.values():
             byte = round(255 * guest.person.opacity(now))
-            if byte != guest.faded:
-                guest.faded = byte
+            if byte != guest.sent_opacity:
+                guest.sent_opacity = byte
                 self._changed(guest.person)
 
-    def _whose(self, resume: str, name: str) -> _Guest | None:
-        """Whom a token belongs to, if they are here under that name; "" is any name."""
+    def _guest_by_token(self, resume: str, name: str) -> _Guest | None:
+        """Return the guest with that token and name; "" matches any name."""
         for one in self._guests.values():
             if secrets.compare_digest(one.person.resume.encode(), resume.encode(errors="replace")):
                 return one if name in ("", one.person.name) else None
         return None
 
-    def _is_here(self, person: Person) -> bool:
+    def _is_present(self, person: Person) -> bool:
         guest = self._guests.get(person.name)
         return guest is not None and guest.person is person
 
 
-def _moved(camera: Camera, from_room: NDArray[np.float64]) -> Camera:
-    viewmat = np.eye(4)  # the last row of a client's may be off by rounding, which a place far away would multiply
+def _in_room(camera: Camera, from_room: NDArray[np.float64]) -> Camera:
+    viewmat = np.eye(4)  # exact last row: rounding of a client's would be multiplied by a far place
     viewmat[:3] = camera.viewmat[:3] @ from_room
     return replace(camera, viewmat=viewmat)

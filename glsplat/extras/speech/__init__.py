@@ -1,4 +1,8 @@
-"""Speech: sound to the weights of a speaking mouth, the same in Python and in the page (docs/speech.md)."""
+"""Speech: mouth shapes from sound, tracked faces, and idle eyes (docs/speech.md).
+
+`glsplat render --speech` and the page move mouths; `serve` takes faces by OSC (`face-osc`) and idle eyes by the plugin
+`speech.idle`.
+"""
 
 import lazy_loader
 

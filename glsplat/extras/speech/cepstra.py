@@ -1,6 +1,6 @@
-"""Sound to mel-frequency cepstra, frame by frame, at any sample rate (Davis & Mermelstein 1980).
+"""Mel-frequency cepstra of sound, frame by frame, at any sample rate (Davis & Mermelstein 1980).
 
-Levels count from the loudest of the last seconds, so that a quiet microphone speaks as clearly as a loud one.
+Levels are relative to the peak of the last seconds, so that quiet and loud microphones work equally.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.speech.table import Framing
 
-__all__ = ["SLOWEST", "Cepstra"]
+__all__ = ["MIN_RATE_HZ", "Cepstra"]
 
-SLOWEST = 16000
-"""Samples a second that are needed: below there are no sibilants."""
-_FASTEST = 384000
+MIN_RATE_HZ = 16000
+"""Lower rates have no sibilants."""
+MAX_RATE_HZ = 384000
 
 
 class Cepstra:
-    """A stream of sound at ``rate`` samples a second. Feed it pieces of any length: the pieces make no difference.
+    """A stream of sound at ``rate`` samples per second, fed in pieces of any length.
 
     Raises FormatError for a rate below 16 or above 384 kHz.
     """
 
     def __init__(self, framing: Framing, rate: float) -> None:
-        if not SLOWEST <= rate <= _FASTEST:
-            raise FormatError(f"speech needs {SLOWEST} to {_FASTEST} samples a second, not {rate:g}")
+        if not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
+            raise FormatError(f"speech needs {MIN_RATE_HZ} to {MAX_RATE_HZ} samples a second, not {rate:g}")
         self._framing = f = framing
         self._rate = rate
         self._length = n = floor(f.window * rate + 0.5)
@@ -40,20 +40,20 @@ class Cepstra:
         self._cosines = scale * np.cos(pi * np.arange(f.coefficients)[:, None] * (np.arange(f.bands) + 0.5) / f.bands)
         self._decay = 0.5 ** (f.hop / f.half_life)
         self._sound = np.zeros(n)  # silence before the first sample
-        self._heard = self._frames = 0  # samples, frames
+        self._received = self._frames = 0  # samples, frames
         self._peak = f.start
 
     def add(self, samples: NDArray[np.floating]) -> list[tuple[NDArray[np.float64], float]]:
-        """Of each frame that ends within ``samples`` [N] (full scale is 1), its cepstrum, and decibels below the peak.
+        """Return cepstrum and decibels below the peak for each frame that ends within ``samples`` [N], full scale 1.
 
-        Frame k ends k hops after the first sample. What is not finite is silence.
+        Frame k ends k hops after the first sample. Values that are not finite count as silence.
         """
         fresh = np.nan_to_num(np.asarray(samples, np.float64), nan=0.0, posinf=0.0, neginf=0.0).clip(-4, 4)
         self._sound = np.concatenate([self._sound, fresh])
-        self._heard += len(fresh)
+        self._received += len(fresh)
         out = []
-        while (end := floor(self._frames * self._framing.hop * self._rate + 0.5)) <= self._heard:
-            stop = len(self._sound) - (self._heard - end)
+        while (end := floor(self._frames * self._framing.hop * self._rate + 0.5)) <= self._received:
+            stop = len(self._sound) - (self._received - end)
             out.append(self._of(self._sound[stop - self._length : stop]))
             self._frames += 1
         self._sound = self._sound[-(self._length + ceil(self._framing.hop * self._rate) + 1) :]
@@ -70,7 +70,7 @@ class Cepstra:
 
 
 def _bank(f: Framing, rate: float, size: int) -> NDArray[np.float64]:
-    """[bands, size / 2 + 1] triangles that are even on the mel scale."""
+    """Return triangular filters [bands, size / 2 + 1], evenly spaced on the mel scale."""
     low, high = (2595 * np.log10(1 + hertz / 700) for hertz in (f.low, f.high))
     edges = 700 * (10 ** (np.linspace(low, high, f.bands + 2) / 2595) - 1)
     hertz = np.arange(size // 2 + 1) * rate / size

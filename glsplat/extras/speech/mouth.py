@@ -1,6 +1,6 @@
-"""Visemes to the weights of ARKit's shapes: mixed, the jaw by loudness, lips that close in time and open slowly.
+"""Weights of ARKit's shapes from visemes: smoothed, the jaw by loudness, lips that close at once and open slowly.
 
-``net/web/voice/mouth.js`` is the same.
+Twin: ``web/voice/mouth.js``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["Mouth"]
 
 
 class Mouth:
-    """One mouth. It is at rest in silence."""
+    """One mouth, at rest in silence."""
 
     def __init__(self) -> None:
         self._table = t = table()
@@ -25,19 +25,15 @@ class Mouth:
         self._shapes = np.array([[w.get(name, 0.0) for name in self._names] for w in t.visemes.values()])
         self._closing = list(t.visemes).index(t.closes)
         self._jaw = self._names.index("jawOpen")
-        self._nearer = 1 - exp(-t.framing.hop / t.smooth)
-        self.reset()
-
-    def reset(self) -> None:
-        """At rest."""
-        self._mixed = np.zeros(len(self._table.visemes))
+        self._smoothing = 1 - exp(-t.framing.hop / t.smooth)
+        self._mixed = np.zeros(len(t.visemes))
         self._mixed[0] = 1.0
         self._closed = 0.0
 
     def add(self, visemes: NDArray[np.float64], level: float) -> Mapping[str, float]:
-        """The weights after one more frame of ``Analysis``, all that the visemes have, 0 to 1."""
+        """Return the weights of all shapes, 0 to 1, after a further frame of ``Analysis``."""
         t = self._table
-        self._mixed = self._mixed + (visemes - self._mixed) * self._nearer
+        self._mixed = self._mixed + (visemes - self._mixed) * self._smoothing
         begins, full = t.closed
         now = min(1.0, max(0.0, (float(visemes[self._closing]) - begins) / (full - begins)))
         self._closed = max(now, self._closed - t.framing.hop / t.opens)

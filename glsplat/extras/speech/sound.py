@@ -1,7 +1,7 @@
-"""Sound files: RIFF WAVE of whole numbers or floats, read with every size checked; written as 16 bits.
+"""Sound files: read RIFF WAVE of integers or floats with all sizes checked.
 
-The chunks are those of "Multimedia Programming Interface and Data Specifications 1.0" (IBM & Microsoft 1991), the
-extensible form that of Microsoft's mmreg.h.
+Chunks: "Multimedia Programming Interface and Data Specifications 1.0" (IBM & Microsoft 1991); the extensible format:
+Microsoft's mmreg.h.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular
 
-__all__ = ["MAX_BYTES", "MAX_SECONDS", "Sound", "read_wav", "wav_bytes"]
+__all__ = ["MAX_BYTES", "MAX_SECONDS", "Sound", "read_wav"]
 
 MAX_BYTES = 512 * 2**20
 MAX_SECONDS = 3600.0
-_MOST = 1 << 28  # numbers, of all channels: an hour of stereo at 37 kHz, or of one channel at 74
-_BLOCK = 1 << 20  # samples converted at once
-_CHUNKS = 1000
+MAX_VALUES = 1 << 28  # of all channels: an hour of stereo at 37 kHz
+_BLOCK_SAMPLES = 1 << 20  # converted at once
+MAX_CHUNKS = 1000
 
 _INTEGER, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _KINDS = {(_INTEGER, 8): "u1", (_INTEGER, 16): "<i2", (_INTEGER, 24): "", (_INTEGER, 32): "<i4"}
@@ -31,50 +31,42 @@ _KINDS |= {(_FLOAT, 32): "<f4", (_FLOAT, 64): "<f8"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sound:
-    """One channel: ``samples`` [N], full scale is 1, ``rate`` of them a second."""
+    """One channel: ``samples`` [N], full scale 1, at ``rate`` samples per second."""
 
     samples: NDArray[np.float32]
     rate: int
 
     @property
     def seconds(self) -> float:
-        """How long it is."""
+        """Duration in seconds."""
         return len(self.samples) / self.rate
 
 
 def read_wav(path: str | Path) -> Sound:
-    """A .wav, its channels averaged. Raises FormatError for what is none, other codecs, and more than an hour."""
+    """Return the mean of a .wav's channels. Raises FormatError for other files and codecs, and above an hour."""
     with naming(path), open_regular(path) as (file, size):
         if size > MAX_BYTES:
             raise FormatError(f"a sound file needs at most {MAX_BYTES >> 20} MiB, not {size >> 20}")
         return _parsed(file.read(size))
 
 
-def wav_bytes(sound: Sound) -> bytes:
-    """The same as a .wav of 16 bits."""
-    body = np.rint(sound.samples.clip(-1, 1) * 32767).astype("<i2").tobytes()
-    form = struct.pack("<HHIIHH", _INTEGER, 1, sound.rate, 2 * sound.rate, 2, 16)
-    chunks = b"fmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", len(body)) + body
-    return b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WAVE" + chunks
-
-
 def _parsed(data: bytes) -> Sound:
     if data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise FormatError("expected a .wav (RIFF WAVE), found something else; ffmpeg -i IT it.wav makes one")
     form: tuple[int, int, int, int] | None = None
-    place = 12
-    for _ in range(_CHUNKS):
-        if place + 8 > len(data):
+    position = 12
+    for _ in range(MAX_CHUNKS):
+        if position + 8 > len(data):
             break
-        name, size = data[place : place + 4], int.from_bytes(data[place + 4 : place + 8], "little")
-        body = data[place + 8 : place + 8 + size]
+        name, size = data[position : position + 4], int.from_bytes(data[position + 4 : position + 8], "little")
+        body = data[position + 8 : position + 8 + size]
         if name == b"fmt ":
             form = _form(body)
         if name == b"data":
             if form is None:
                 raise FormatError("a .wav whose sound comes before its format")
-            return _sound(body, *form)  # a stream's length is a lie: what is there counts
-        place += 8 + size + size % 2
+            return _sound(body, *form)  # streams have a wrong length; use the bytes that there are
+        position += 8 + size + size % 2
     raise FormatError("a .wav without sound in it")
 
 
@@ -100,18 +92,18 @@ def _sound(body: bytes, kind: int, channels: int, rate: int, bits: int) -> Sound
         raise FormatError("a .wav without a sample in it")
     if count > MAX_SECONDS * rate:
         raise FormatError(f"a .wav of {count / rate:.0f} s; {MAX_SECONDS:.0f} are read")
-    if count * channels > _MOST:
-        raise FormatError(f"a .wav of {count * channels} numbers; {_MOST} are read (ffmpeg -ar 48000 -ac 1)")
+    if count * channels > MAX_VALUES:
+        raise FormatError(f"a .wav of {count * channels} numbers; {MAX_VALUES} are read (ffmpeg -ar 48000 -ac 1)")
     samples = np.empty(count, np.float32)
-    for first in range(0, count, _BLOCK):  # as float64 all of it would take many times the file
-        part = body[first * width : min(first + _BLOCK, count) * width]
+    for first in range(0, count, _BLOCK_SAMPLES):  # limits the memory of the conversion to float64
+        part = body[first * width : min(first + _BLOCK_SAMPLES, count) * width]
         whole = _numbers(part, kind, bits).reshape(-1, channels)
         samples[first : first + len(whole)] = whole.mean(axis=1).clip(-4, 4)
     return Sound(samples, rate)
 
 
 def _numbers(body: bytes, kind: int, bits: int) -> NDArray[np.float64]:
-    """Full scale 1; what is no number 0."""
+    """Return samples with full scale 1; NaN and infinity as 0."""
     if bits == 24:
         bytes3 = np.frombuffer(body, np.uint8).reshape(-1, 3).astype(np.int32)
         return (bytes3[:, 0] << 8 | bytes3[:, 1] << 16 | bytes3[:, 2] << 24) / 2.0**31

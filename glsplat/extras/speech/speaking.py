@@ -1,4 +1,4 @@
-"""A whole sound as a face: the weights of a speaking mouth at any second of it."""
+"""Weights of a speaking mouth over a whole sound."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from glsplat.extras.speech.table import table
 
 __all__ = ["Speaking"]
 
-_PIECE = 1 << 16  # samples
-_AFTER = 0.5  # seconds of silence in which the mouth comes to rest
+_BLOCK_SAMPLES = 1 << 16
+_REST_S = 0.5  # silence in which the mouth comes to rest
 
 
 class Speaking:
@@ -28,9 +28,9 @@ class Speaking:
     def __init__(self, sound: Sound) -> None:
         analysis, mouth = Analysis(sound.rate), Mouth()
         times, rows = [], []
-        heard = np.concatenate([sound.samples, np.zeros(round(_AFTER * sound.rate), np.float32)])
-        for first in range(0, len(heard), _PIECE):
-            for time, visemes, level in analysis.add(heard[first : first + _PIECE]):
+        padded = np.concatenate([sound.samples, np.zeros(round(_REST_S * sound.rate), np.float32)])
+        for first in range(0, len(padded), _BLOCK_SAMPLES):
+            for time, visemes, level in analysis.add(padded[first : first + _BLOCK_SAMPLES]):
                 times.append(time)
                 weights = mouth.add(visemes, level)
                 self.names: tuple[str, ...] = tuple(weights)
@@ -40,7 +40,7 @@ class Speaking:
         self._weights = np.array(rows)
 
     def at(self, seconds: float) -> Mapping[str, float]:
-        """The weights then; those of the first frame before the sound and of its last after it."""
+        """Return the weights at that time; those of the first or last frame outside the sound."""
         i = min(max(int(np.searchsorted(self._times, seconds)) - 1, 0), len(self._times) - 1)
         weights = self._weights[i]
         return dict(zip(self.names, np.where(weights < self._least, 0.0, weights).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""The one table of all that turns sound into a mouth: visemes.json, which the page reads too (``net/web/voice``)."""
+"""Parameters of speech analysis: web/voice/visemes.json, shared with the page."""
 
 from __future__ import annotations
 
@@ -12,49 +12,47 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Framing", "Table", "table", "table_json"]
-
-_FILE = "visemes.json"
+__all__ = ["Framing", "Table", "table"]
 
 
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """How sound is cut and counted. Seconds, hertz; levels are powers, 1 is that of full scale."""
+    """Framing of sound. Times in seconds, frequencies in hertz; levels are powers relative to full scale."""
 
     hop: float  # seconds from frame to frame
     window: float  # seconds of a frame
-    bands: int  # of the mel scale, from ``low`` to ``high``
+    bands: int  # on the mel scale from ``low`` to ``high``
     low: float
     high: float
     coefficients: int  # of the cosine transform over the bands
-    tiny: float  # of the peak; what is quieter is silence
-    start: float  # level of the peak that is expected before any sound came
-    least: float  # ... and below which it never falls
+    tiny: float  # fraction of the peak below which sound counts as silence
+    start: float  # initial level of the peak ...
+    least: float  # ... and its minimum
     half_life: float  # seconds in which the peak falls by half
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """What ``tools/data/visemes.py`` found and chose."""
+    """Parameters made by ``tools/data/visemes.py``."""
 
     framing: Framing
-    ahead: int  # frames that are heard before a frame is judged
-    offsets: tuple[int, ...]  # of the frames that are looked at, from the newest
+    ahead: int  # later frames used for a frame
+    offsets: tuple[int, ...]  # of the frames used, from the newest
     hidden: tuple[NDArray[np.float64], NDArray[np.float64]]  # [offsets * coefficients, H], [H]
     output: tuple[NDArray[np.float64], NDArray[np.float64]]  # [H, V], [V]
-    visemes: Mapping[str, Mapping[str, float]]  # weights of ARKit's shapes, by the names of visemes
+    visemes: Mapping[str, Mapping[str, float]]  # weights of ARKit's shapes by viseme
     closes: str  # the viseme with closed lips
-    closed: tuple[float, float]  # its probability at which lips begin to close, and at which they are
-    opens: float  # seconds in which lips that were closed open again
-    smooth: float  # seconds, time constant of the others
-    least: float  # weight that counts: what is below is no mouth that moves but doubt
-    jaw: tuple[float, float]  # share of jawOpen in silence, and decibels below the peak that count as silence
+    closed: tuple[float, float]  # its probability at which lips begin to close, and are closed
+    opens: float  # seconds in which closed lips open
+    smooth: float  # seconds, time constant of all other movements
+    least: float  # weights below it are noise
+    jaw: tuple[float, float]  # share of jawOpen in silence, and decibels below the peak of silence
 
 
 @cache
 def table() -> Table:
-    """The table."""
-    found = json.loads(table_json())
+    """Return the parsed table."""
+    found = json.loads((resources.files("glsplat.extras.speech") / "web" / "voice" / "visemes.json").read_bytes())
     sound, net, mouth = found["sound"], found["network"], found["mouth"]
     return Table(
         framing=Framing(**sound),
@@ -70,9 +68,3 @@ def table() -> Table:
         least=mouth["least"],
         jaw=tuple(mouth["jaw"]),
     )
-
-
-@cache
-def table_json() -> bytes:
-    """The file as it is served to pages."""
-    return (resources.files("glsplat.extras.speech") / _FILE).read_bytes()

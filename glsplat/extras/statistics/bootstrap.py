@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
+from scipy.stats import bootstrap
+
+from glsplat.extras.statistics.ranks import TIE
 
 __all__ = ["LEVEL", "RESAMPLES", "interval_of_mean"]
 
@@ -15,19 +17,11 @@ LEVEL = 0.95
 
 
 def interval_of_mean(sample: F64, seed: int = 0) -> tuple[float | None, float | None]:
-    """95 % bootstrap interval (BCa, Efron 1987; 10,000 resamples) of the mean of [N]; (None, None) for fewer than 2."""
-    n = len(sample)
-    if n < 2:
+    """Return the 95 % bootstrap interval (BCa, Efron 1987; 10,000 resamples) of the mean of [N]; None for N < 2."""
+    if len(sample) < 2:
         return None, None
-    if sample.min() == sample.max():
+    if np.ptp(sample) <= TIE * np.abs(sample).max():  # they differ by rounding at most
         return float(sample[0]), float(sample[0])
-    mean = sample.mean()
-    away = sample - mean
-    drawn = np.random.default_rng(seed).integers(0, n, (RESAMPLES, n))
-    means = away[drawn].mean(axis=1)
-    below = ((means < 0).mean() + (means <= 0).mean()) / 2
-    bias = ndtri(np.clip(below, 0.5 / RESAMPLES, 1 - 0.5 / RESAMPLES))
-    skew = (away**3).sum() / (6 * (away**2).sum() ** 1.5)  # of the means without one participant
-    normal = bias + ndtri(np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
-    low, high = np.quantile(means, ndtr(bias + normal / (1 - skew * normal)))
-    return float(mean + low), float(mean + high)
+    rng = np.random.default_rng(seed)
+    found = bootstrap((sample,), np.mean, n_resamples=RESAMPLES, confidence_level=LEVEL, method="BCa", rng=rng)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)

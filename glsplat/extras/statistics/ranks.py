@@ -1,9 +1,14 @@
-"""Ranks with mean ranks for ties, and what rests on them alone: Wilcoxon's signed-rank test and its effect size."""
+"""Ranks with mean ranks for ties, Wilcoxon's signed-rank test and its effect size.
+
+scipy.stats.wilcoxon is not used: with ties and more than 13 differences it is the normal approximation, whose p was up
+to 0.06 off in 400 samples; trying all signs takes 2^N steps, the sums of ranks only N^3.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import rankdata
 
 __all__ = ["average_ranks", "rank_biserial", "wilcoxon"]
 
@@ -14,31 +19,23 @@ TIE = 1e-9
 
 
 def average_ranks(values: F64) -> F64:
-    """Ranks from 1 along the last axis of [..., N]; of equal values, their mean rank.
+    """Return ranks from 1 along the last axis of [..., N], mean ranks for ties.
 
-    Equal is what differs by rounding alone (:data:`TIE`): aligned values come from sums, and a tie has to stay one.
+    Values that differ by rounding alone (:data:`TIE`) are tied, because aligned values come from sums.
     """
     order = np.argsort(values, axis=-1, kind="stable")
     ordered = np.take_along_axis(values, order, -1)
-    count = values.shape[-1]
     tolerance = TIE * np.abs(values).max(axis=-1, keepdims=True, initial=0.0)
-    begins = np.ones(values.shape, bool)
-    begins[..., 1:] = np.diff(ordered, axis=-1) > tolerance
-    ends = np.ones(values.shape, bool)
-    ends[..., :-1] = begins[..., 1:]
-    places = np.arange(count)
-    first = np.maximum.accumulate(np.where(begins, places, 0), axis=-1)
-    last = np.minimum.accumulate(np.where(ends, places, count)[..., ::-1], axis=-1)[..., ::-1]
-    ranks = np.empty(values.shape)
-    np.put_along_axis(ranks, order, (first + last) / 2 + 1, -1)
-    return ranks
+    levels = np.empty(values.shape, np.intp)
+    steps = np.diff(ordered, axis=-1, prepend=ordered[..., :1]) > tolerance
+    np.put_along_axis(levels, order, steps.cumsum(axis=-1), -1)
+    return np.asarray(rankdata(levels, axis=-1), np.float64)
 
 
 def wilcoxon(differences: F64) -> float:
-    """Two-sided p of the signed-rank test, exact: over all signs that the differences [N] could have had.
+    """Return the exact two-sided p of the signed-rank test, over all signs of the differences [N].
 
-    Zeros are left out, as Wilcoxon did; equal sizes share their mean rank. scipy's own test is exact without equal
-    sizes only, and what it does instead depends on its version.
+    Zeros are left out, as Wilcoxon did; equal sizes share their mean rank.
     """
     ranks, signs = _ranked(differences)
     doubled = np.rint(2 * ranks).astype(int)  # mean ranks are halves at worst

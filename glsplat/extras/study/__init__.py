@@ -1,3 +1,6 @@
-"""User studies: a design in a file, orders, a server that leads a participant through, data on disk, tidy tables."""
+"""User studies: a design file, balanced orders, a server for one participant, and tidy tables (docs/study.md).
+
+`serving.lead.StudyLead` is a `Feature` of the server; `glsplat study` checks, plans, runs, exports and analyses.
+"""
 
 REQUIRES = ("statistics",)

@@ -1,4 +1,4 @@
-"""``study.toml``: what a study compares, what its participants do, and what they are asked. Immutable values."""
+"""The design of a study, read from ``study.toml``. Immutable values."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from glsplat.errors import FormatError
 from glsplat.extras.study.questionnaires import Questionnaire, questionnaire_of
 from glsplat.extras.study.tables import Table, read_toml
 
-__all__ = ["MOST", "Condition", "Factor", "Order", "Study", "Task", "read_study"]
+__all__ = ["MAX_PARTICIPANTS", "Condition", "Factor", "Order", "Study", "Task", "read_study"]
 
-MOST = 999
-"""Participants of a study: their numbers have three digits."""
+MAX_PARTICIPANTS = 999
+"""Participant numbers have three digits."""
 
 View = Literal["mirror", "facing", "own"]
 _VIEWS = ("mirror", "facing", "own")
-_KEYS = ("view", "light", "latency", "hands")
-_WORDS = (
+_CONDITION_KEYS = ("view", "light", "latency", "hands")
+_RESERVED_COLUMNS = (
     "participant",
     "condition",
     "position",
@@ -38,7 +38,7 @@ _WORDS = (
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """What is varied. ``between``: each participant has one level of it, else everybody has all of them."""
+    """A factor of the design. ``between``: each participant has one level, else all levels."""
 
     name: str
     levels: tuple[str, ...]
@@ -47,37 +47,37 @@ class Factor:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What a participant sees and drives for a while."""
+    """What a participant sees and drives in one part of the session."""
 
     name: str
     levels: Mapping[str, str]  # by within-subject factor
     avatar: str  # "default", or a file; {participant} stands for sub-007
     view: View = "mirror"
-    light: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factor on the light that is baked in, linear RGB
+    light: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factor on the baked light, linear RGB
     latency: float = 0.0  # milliseconds added to each picture
-    hands: bool = True  # False: the head alone drives the avatar
+    hands: bool = True  # False: only the head drives the avatar
 
     def file(self, participant: str) -> str:
-        """The avatar's file for one participant."""
+        """Return the avatar's file for one participant."""
         return self.avatar.replace("{participant}", participant)
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a participant does for ``seconds``, once they have read or heard ``text``."""
+    """What a participant does for ``seconds`` after reading or hearing ``text``."""
 
     name: str
     text: str
     seconds: float
     speak: bool = True
-    ready: bool = True  # wait until the participant says so; else for ``reading`` seconds
+    ready: bool = True  # wait until the participant is ready, else for ``reading`` seconds
     reading: float = 6.0
     countdown: int = 3  # seconds
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How conditions are ordered (orders.py). ``block``: a factor whose levels stand together."""
+    """Order of conditions (orders.py). ``block``: a factor whose levels stay together."""
 
     scheme: Literal["williams", "random", "fixed"] = "williams"
     block: str = ""
@@ -85,7 +85,7 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """A whole design. Equal designs have equal ``digest``s, wherever their file lies."""
+    """A design. Equal designs have equal ``digest``s, regardless of their file's path."""
 
     name: str
     title: str
@@ -100,31 +100,31 @@ class Study:
     each: tuple[str, ...]  # after each condition
     after: tuple[str, ...]
     questionnaires: Mapping[str, Questionnaire]
-    rest: float = 0.0  # seconds between two conditions, at least
+    rest: float = 0.0  # least seconds between two conditions
     path: Path = field(default=Path("study.toml"), compare=False)
 
     @property
     def within(self) -> tuple[Factor, ...]:
-        """The factors of which everybody has all levels."""
+        """Within-subject factors."""
         return tuple(factor for factor in self.factors if not factor.between)
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Items whose texts are still to come, as questionnaire.item."""
-        return tuple(f"{name}.{item}" for name, one in self.questionnaires.items() for item in one.untold)
+    def items_without_text(self) -> tuple[str, ...]:
+        """Items without a text, as questionnaire.item."""
+        return tuple(f"{name}.{item}" for name, one in self.questionnaires.items() for item in one.items_without_text)
 
     @property
-    def absent(self) -> tuple[tuple[str, ...], ...]:
-        """Combinations of within levels that no condition has: ART, of full factorial designs, cannot do without."""
+    def missing_cells(self) -> tuple[tuple[str, ...], ...]:
+        """Combinations of within-subject levels without a condition; ART requires full factorial designs."""
         there = {tuple(one.levels.values()) for one in self.conditions}
         return tuple(cell for cell in product(*(factor.levels for factor in self.within)) if cell not in there)
 
     def condition(self, name: str) -> Condition:
-        """A condition by its name."""
+        """Return a condition by its name."""
         return next(one for one in self.conditions if one.name == name)
 
     def to_json(self) -> dict[str, Any]:
-        """All that decides what participants see and are asked, JSON-able."""
+        """Return the whole design as JSON."""
         found: dict[str, Any] = json.loads(json.dumps(_plain(self)))
         return found
 
@@ -136,7 +136,7 @@ class Study:
 
 
 def read_study(path: str | Path) -> Study:
-    """The design in a file. Raises FormatError in one line that names the file and the key."""
+    """Return the design in a file. Raises FormatError naming the file and the key."""
     path = Path(path)
     table = read_toml(path)
     table.known(
@@ -148,20 +148,20 @@ def read_study(path: str | Path) -> Study:
     asked = table.table("questionnaires")
     asked.known("before", "each", "after")
     questionnaires: dict[str, Questionnaire] = {}
-    stages = tuple(_named(asked, stage, path.parent, questionnaires) for stage in ("before", "each", "after"))
+    stages = tuple(_read_stage(asked, stage, path.parent, questionnaires) for stage in ("before", "each", "after"))
     texts = table.table("text")
     texts.known(*questionnaires)
     for name in texts.keys:
         questionnaires[name] = questionnaires[name].with_texts(texts.table(name))
     conditions = _conditions(table, within)
     tasks = tuple(_task(one) for one in table.tables("task"))
-    _once(table, "task", [task.name for task in tasks])
+    _check_unique(table, "task", [task.name for task in tasks])
     if not tasks and not stages[1]:
         raise table.error("task", "expected a [[task]], or a questionnaire after each condition; found neither")
     return Study(
         name=table.name("name"),
         title=table.text("title", most=200),
-        participants=table.count("participants", 1, MOST),
+        participants=table.count("participants", 1, MAX_PARTICIPANTS),
         seed=table.count("seed", 0, 2**31 - 1),
         consent=table.text("consent"),
         factors=factors,
@@ -183,7 +183,7 @@ def _factors(table: Table) -> tuple[Factor, ...]:
         levels = table.table(key)
         for name in levels.keys:
             levels.checked_name(name, name)
-            if name in _WORDS or any(other.name == name for other in found):
+            if name in _RESERVED_COLUMNS or any(other.name == name for other in found):
                 raise levels.error(name, "this name is taken; choose another one")
             for level in levels.texts(name, 2, 20):
                 levels.checked_name(name, level)
@@ -195,10 +195,10 @@ def _factors(table: Table) -> tuple[Factor, ...]:
 
 def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ...]:
     usual = table.table("usual")
-    usual.known(*_KEYS, "avatar")
+    usual.known(*_CONDITION_KEYS, "avatar")
     found = []
     for one in table.tables("condition"):
-        one.known("name", "avatar", *_KEYS, *(factor.name for factor in within))
+        one.known("name", "avatar", *_CONDITION_KEYS, *(factor.name for factor in within))
         levels = {factor.name: one.choice(factor.name, factor.levels) for factor in within}
         avatar = one.text("avatar", usual.text("avatar", "default", 300), 300)
         view: Any = one.choice("view", _VIEWS, usual.choice("view", _VIEWS, "mirror"))
@@ -215,7 +215,7 @@ def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ..
         )
     if not 1 <= len(found) <= 20:
         raise table.error("condition", f"expected 1 to 20 [[condition]], found {len(found)}")
-    _once(table, "condition", [one.name for one in found])
+    _check_unique(table, "condition", [one.name for one in found])
     cells = [tuple(one.levels.values()) for one in found]
     twice = next((name for one, name in zip(cells, found, strict=True) if cells.count(one) > 1), None)
     if twice is not None:
@@ -224,7 +224,7 @@ def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ..
 
 
 def _light(table: Table, usual: tuple[float, float, float]) -> tuple[float, float, float]:
-    """One number from 0 to 1, or one a colour."""
+    """Return the light as RGB; the file has one number from 0 to 1, or three."""
     value = table["light"] if "light" in table else list(usual)
     values = value if isinstance(value, list) else [value] * 3
     good = all(isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1 for v in values)
@@ -253,8 +253,8 @@ def _order(table: Table, within: tuple[Factor, ...]) -> Order:
     return Order(scheme, table.choice("block", ("", *(factor.name for factor in within)), ""))
 
 
-def _named(table: Table, stage: str, folder: Path, into: dict[str, Questionnaire]) -> tuple[str, ...]:
-    """The names of a stage's questionnaires, which are read on the way."""
+def _read_stage(table: Table, stage: str, folder: Path, into: dict[str, Questionnaire]) -> tuple[str, ...]:
+    """Read a stage's questionnaires into ``into`` and return their names."""
     names = []
     for entry in table.texts(stage):
         try:
@@ -267,14 +267,14 @@ def _named(table: Table, stage: str, folder: Path, into: dict[str, Questionnaire
     return tuple(names)
 
 
-def _once(table: Table, key: str, names: list[str]) -> None:
+def _check_unique(table: Table, key: str, names: list[str]) -> None:
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise table.error(key, f"there are two called {twice[0]!r}; rename one")
 
 
 def _plain(value: Any) -> Any:
-    """Dataclasses and mappings as JSON has them, without paths."""
+    """Return dataclasses and mappings as JSON values, without paths."""
     if hasattr(value, "__dataclass_fields__"):
         return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "path"}
     if isinstance(value, Mapping):

@@ -1,8 +1,8 @@
-"""From the participants' folders to tidy tables: a CSV each with a sidecar in JSON that says what its columns are.
+"""Export the participants' folders as tidy CSV tables, each with a JSON sidecar that describes its columns.
 
-Rows are participant x condition x measure; what is missing has no row. Logs are read line by line; memory holds what
-the tables need of them. The sidecars follow BIDS (1.9, tabular files): a key a column with Description, Units and
-Levels, and one key ``Study`` for analyses.
+A row is participant x condition x measure; missing values have no row. Logs are read line by line; memory holds only
+what the tables need. Sidecars follow BIDS (1.9, tabular files): per column Description, Units and Levels, and one key
+``Study`` for analyses.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from glsplat.io.files import naming, open_regular, replace_file
 __all__ = ["BEFORE", "Exported", "export"]
 
 BEFORE = ".before"
-"""Behind the measures of questionnaires that come before the first condition."""
+"""Suffix of the measures of questionnaires before the first condition."""
 
 Row = dict[str, Any]
 _RUNNING = ("phase", "running")
@@ -37,7 +37,7 @@ _FIGURES = ("fps", "age_ms", "age_p95_ms")  # of the page's reports
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written: rows by file, and what has to be known of the data."""
+    """Rows by file, and remarks about the data."""
 
     rows: Mapping[str, int]
     remarks: tuple[str, ...]
@@ -45,30 +45,30 @@ class Exported:
 
 @dataclass(slots=True)
 class _Person:
-    """What the tables need of a participant's files; ``see`` every event of the log, in order."""
+    """Data of a participant for the tables; ``add`` takes each event of the log in order."""
 
     number: int
     session: Session
     group: Mapping[str, str]
-    last: float | None = None  # seconds, of the last event
-    opened: int = 0  # times that a server took the session up
+    last: float | None = None  # seconds of the last event
+    opened: int = 0  # times that a server opened the session
     notes: int = 0
     torn: int = 0  # bytes at the log's end
-    took: dict[tuple[str, str], float | None] = field(default_factory=dict)  # seconds, by step and item
-    begun: dict[str, float] = field(default_factory=dict)  # when a task began to run last, by step
-    spans: dict[str, _Span] = field(default_factory=dict)  # of tasks that were done, by step
+    answer_times: dict[tuple[str, str], float | None] = field(default_factory=dict)  # seconds, by step and item
+    begun: dict[str, float] = field(default_factory=dict)  # last start of a task, by step
+    spans: dict[str, _Span] = field(default_factory=dict)  # finished tasks, by step
 
     @property
     def label(self) -> str:
         return label(self.number)
 
-    def see(self, event: Event) -> None:
+    def add(self, event: Event) -> None:
         self.session.replay(event)
         self.last = event.t
         self.opened += event.kind == "open"
         self.notes += event.kind == "note"
         if event.kind == "answer":
-            self.took[event.step, event.values["item"]] = event.values["seconds"]
+            self.answer_times[event.step, event.values["item"]] = event.values["seconds"]
         elif (event.kind, event.values.get("phase")) == _RUNNING:
             self.begun[event.step] = event.t
         elif event.kind == "done" and event.step in self.begun:
@@ -77,7 +77,7 @@ class _Person:
 
 @dataclass(slots=True)
 class _Span:
-    """A task's last attempt, and what the page reported during it."""
+    """A task's last attempt, and the page's reports during it."""
 
     start: float  # seconds
     end: float
@@ -89,9 +89,9 @@ class _Span:
 def export(
     study: Study, plan: Plan, data: Path, out: Path, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> Exported:
-    """Write participants.csv, answers.csv, scores.csv and frames.csv with their sidecars into the folder ``out``.
+    """Write participants.csv, answers.csv, scores.csv and frames.csv with their sidecars into ``out``.
 
-    Raises FormatError naming the file that cannot be read or written.
+    Raises FormatError naming the file.
     """
     people: list[_Person] = []
     found = folders(data)
@@ -122,7 +122,7 @@ def export(
         "scores": ([*place, "measure", "value"], [row for one in people for row in _scores(study, one)]),
         "frames": (
             [*place, "task", "attempt", "samples", "fps", "age_ms", "age_p95_ms"],
-            [row for one in people for row in _shown(study, one)],
+            [row for one in people for row in _frame_rows(study, one)],
         ),
     }
     try:
@@ -134,7 +134,7 @@ def export(
         replace_file(out / f"{name}.csv", [_csv(keys, rows)])
         sidecar: dict[str, Any] = {key: columns[key] for key in keys}
         if name == "scores":
-            sidecar["Study"] = _described(study, plan)
+            sidecar["Study"] = _study_fields(study, plan)
         replace_file(out / f"{name}.json", [json.dumps(sidecar, indent=1).encode() + b"\n"])
     return Exported({name: len(rows) for name, (_, rows) in tables.items()}, tuple(_remarks(people, plan)))
 
@@ -144,7 +144,7 @@ def _read(study: Study, plan: Plan, number: int, folder: Path) -> _Person:
     log = Log(folder / SESSION)
     with naming(log.path):
         for event in log:
-            one.see(event)
+            one.add(event)
     one.torn = log.torn
     for line in _frames(folder / FRAMES):
         span = one.spans.get(line["step"])
@@ -175,8 +175,8 @@ def _place(study: Study, one: _Person, step: Step) -> Row:
     return {"participant": one.label, "position": position, "condition": step.condition or None, **levels, **one.group}
 
 
-def _questioned(one: _Person) -> Iterator[tuple[Step, Mapping[str, Answer], bool]]:
-    """Questionnaires with their answers, in the order of steps, and whether they are finished."""
+def _questionnaires(one: _Person) -> Iterator[tuple[Step, Mapping[str, Answer], bool]]:
+    """Yield questionnaires with answers in the order of steps, and whether they are finished."""
     for at, step in enumerate(one.session.steps):
         if step.kind == "questionnaire" and step.name in one.session.state.given:
             yield step, one.session.state.given[step.name], True
@@ -185,7 +185,7 @@ def _questioned(one: _Person) -> Iterator[tuple[Step, Mapping[str, Answer], bool
 
 
 def _answers(study: Study, one: _Person) -> Iterator[Row]:
-    for step, answers, _ in _questioned(one):
+    for step, answers, _ in _questionnaires(one):
         questionnaire = study.questionnaires[step.questionnaire]
         for item in questionnaire.items:
             if item.name in answers:
@@ -195,15 +195,15 @@ def _answers(study: Study, one: _Person) -> Iterator[Row]:
                     "item": item.name,
                     "value": answers[item.name],
                     "reversed": int(item.reversed),
-                    "seconds": one.took.get((step.name, item.name)),
+                    "seconds": one.answer_times.get((step.name, item.name)),
                 }
 
 
 def _scores(study: Study, one: _Person) -> Iterator[Row]:
-    """Of finished questionnaires; where one comes before and after, its measure says so."""
+    """Yield the scores of finished questionnaires; measures before the first condition end with BEFORE."""
     first = next(at for at, step in enumerate(one.session.steps) if step.condition)
     before = {step.name for step in one.session.steps[:first]}
-    for step, answers, finished in _questioned(one):
+    for step, answers, finished in _questionnaires(one):
         questionnaire = study.questionnaires[step.questionnaire]
         for score in questionnaire.scores:
             value = score.of(questionnaire, answers) if finished else None
@@ -212,8 +212,8 @@ def _scores(study: Study, one: _Person) -> Iterator[Row]:
                 yield _place(study, one, step) | {"measure": measure, "value": round(value, 6)}
 
 
-def _shown(study: Study, one: _Person) -> Iterator[Row]:
-    """Frame rate and age of pictures for each task that was done, in its last attempt."""
+def _frame_rows(study: Study, one: _Person) -> Iterator[Row]:
+    """Yield frame rate and picture age for the last attempt of each finished task."""
     steps = {step.name: step for step in one.session.steps}
     for name, span in one.spans.items():
         yield (
@@ -224,7 +224,7 @@ def _shown(study: Study, one: _Person) -> Iterator[Row]:
 
 
 def _frames(path: Path) -> Iterator[Row]:
-    """The lines of a file that is written without waiting for the disk: what is torn or odd is left out."""
+    """Yield the valid lines of a file that is written without syncing."""
     if not path.exists():
         return
     with open_regular(path) as (file, _):
@@ -259,20 +259,20 @@ def _csv(keys: Sequence[str], rows: Iterable[Row]) -> bytes:
 
 
 def _cell(value: Any) -> Any:
-    """Empty for None; words that a spreadsheet would take for a formula keep a ' in front."""
+    """Return a cell's value: "" for None; a ' protects text that a spreadsheet would take for a formula."""
     if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
         return f"'{value}"
     return "" if value is None else value
 
 
-def _described(study: Study, plan: Plan) -> dict[str, Any]:
+def _study_fields(study: Study, plan: Plan) -> dict[str, Any]:
     measures: dict[str, Any] = {}
     for name, one in study.questionnaires.items():
         for score in one.scores:
             scale = one[score.items[0]].scale
             measure = {
                 "items": [f"{name}.{item}" for item in score.items],
-                "reversed": [f"{name}.{item}" for item in score.against(one)],
+                "reversed": [f"{name}.{item}" for item in score.reversed_items(one)],
                 "range": [scale.low, scale.high],
                 "how": score.how,
                 "text": score.text or score.name,

@@ -1,23 +1,23 @@
-"""The order of conditions for each participant: balanced Latin squares, blocked, random or fixed.
+"""Orders of conditions for each participant: balanced Latin squares, blocked, random or fixed.
 
-Williams (1949), Australian Journal of Scientific Research A 2, 149-168: every condition stands once in each row and as
-often in each position, and follows each other one equally often. An even number k takes k rows, an odd one 2k.
+Williams (1949), Australian Journal of Scientific Research A 2, 149-168: each condition occurs once per row, equally
+often in each position and equally often after each other one. An even number k needs k rows, an odd one 2k.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
 from glsplat.extras.study.design import Study
 
-__all__ = ["carryover", "cycle", "groups_of", "orders_of", "positions", "williams"]
+__all__ = ["cycle", "groups_of", "orders_of", "williams"]
 
 
 def williams(count: int) -> list[list[int]]:
-    """Rows of numbers 0 to count - 1, balanced for position and for the one before.
+    """Return rows of the numbers 0 to count - 1, balanced for position and predecessor.
 
     >>> glsplat.extras.study.orders.williams(4)
     [[0, 3, 1, 2], [1, 0, 2, 3], [2, 1, 3, 0], [3, 2, 0, 1]]
@@ -30,9 +30,9 @@ def williams(count: int) -> list[list[int]]:
 
 
 def orders_of(study: Study) -> list[tuple[str, ...]]:
-    """For each participant the names of the conditions in their order. The same study gives the same orders.
+    """Return the condition names in order, for each participant. Deterministic for a study.
 
-    Balanced within each group of participants where their number allows it, else over all of them.
+    Balanced within each group of participants if their number permits, else over all of them.
     """
     rng = np.random.default_rng([study.seed, 1])
     blocks = _blocks(study)
@@ -40,14 +40,14 @@ def orders_of(study: Study) -> list[tuple[str, ...]]:
     out: list[tuple[str, ...]] = []
     names = [_shuffled(rng, block) if study.order.scheme == "williams" else block for block in blocks]
     groups = [tuple(group.values()) for group in groups_of(study)]
-    apart = study.participants % (len(rows) * len(set(groups))) == 0
-    decks: dict[tuple[str, ...], list[int]] = {}  # rows that a group has not had in this round
+    by_group = study.participants % (len(rows) * len(set(groups))) == 0
+    decks: dict[tuple[str, ...], list[int]] = {}  # rows that a group has left in this round
     for group in groups:
         if study.order.scheme == "random":
             shown = [names[number] for number in rng.permutation(len(names))]
             out.append(tuple(name for block in shown for name in _shuffled(rng, block)))
             continue
-        deck = decks.setdefault(group if apart else (), [])
+        deck = decks.setdefault(group if by_group else (), [])
         if not deck:
             deck += rng.permutation(len(rows)).tolist() if study.order.scheme == "williams" else range(len(rows))
         out.append(tuple(names[block][place] for block, place in rows[deck.pop(0)]))
@@ -55,7 +55,7 @@ def orders_of(study: Study) -> list[tuple[str, ...]]:
 
 
 def groups_of(study: Study) -> list[dict[str, str]]:
-    """For each participant the levels of the factors between participants: as many of each, in chance order."""
+    """Return the between-subject levels of each participant: equally many of each, in random order."""
     factors = [factor for factor in study.factors if factor.between]
     cells = list(product(*(factor.levels for factor in factors)))
     rng = np.random.default_rng([study.seed, 2])
@@ -67,28 +67,12 @@ def groups_of(study: Study) -> list[dict[str, str]]:
 
 
 def cycle(study: Study) -> int:
-    """After how many participants the orders are balanced; 1 where chance orders them, or nothing does."""
+    """Return the number of participants after which orders are balanced; 1 for random and fixed orders."""
     return len(_rows(study, _blocks(study))) if study.order.scheme == "williams" else 1
 
 
-def positions(orders: Sequence[Sequence[str]]) -> dict[str, list[int]]:
-    """How often each condition stands in each position."""
-    names = sorted({name for order in orders for name in order})
-    return {name: [sum(order[at] == name for order in orders) for at in range(len(orders[0]))] for name in names}
-
-
-def carryover(orders: Sequence[Sequence[str]]) -> dict[tuple[str, str], int]:
-    """How often each condition (second) comes right after each other one (first)."""
-    names = sorted({name for order in orders for name in order})
-    counts = {(a, b): 0 for a in names for b in names if a != b}
-    for order in orders:
-        for pair in pairwise(order):
-            counts[pair] += 1
-    return counts
-
-
 def _blocks(study: Study) -> list[list[str]]:
-    """The conditions that stand together."""
+    """Return the conditions by block."""
     block = study.order.block
     if not block:
         return [[one.name for one in study.conditions]]
@@ -98,7 +82,7 @@ def _blocks(study: Study) -> list[list[str]]:
 
 
 def _rows(study: Study, blocks: list[list[str]]) -> list[list[tuple[int, int]]]:
-    """Orders as (block, number in it). Of several blocks each goes through all of its rows for each order of blocks."""
+    """Return orders as (block, number in block). Each order of blocks is combined with all rows within blocks."""
     if study.order.scheme != "williams":
         return [[(block, place) for block, names in enumerate(blocks) for place in range(len(names))]]
     inner = [williams(len(names)) for names in blocks]

@@ -1,4 +1,4 @@
-"""The plan: who has which order, written before the first participant comes, and never changed after."""
+"""The plan: each participant's order of conditions, written once before the first participant."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from glsplat.io.files import open_regular
 __all__ = ["PLAN", "Plan", "checked_plan", "label", "make_plan", "read_plan", "write_plan"]
 
 PLAN = "plan.json"
-"""Its name in the data folder."""
+"""File name in the data folder."""
 
 _VERSION = 1
-_LARGEST = 16 << 20  # bytes, read and written
+MAX_PLAN_BYTES = 16 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """``orders`` and ``groups`` by participant, the first is number 1. ``study`` is the whole design, for later."""
+    """``orders`` and ``groups`` of participants 1, 2, ...; ``study`` is the whole design."""
 
     digest: str
     made: str  # UTC
@@ -36,14 +36,14 @@ class Plan:
 
 
 def label(participant: int) -> str:
-    """A participant's pseudonym, and the name of the folder: sub-007 (BIDS)."""
+    """Return a participant's pseudonym, also the folder's name: sub-007 (BIDS)."""
     return f"sub-{participant:03d}"
 
 
 def make_plan(study: Study, now: datetime | None = None) -> Plan:
-    """The plan of a study. Raises FormatError while items want their texts."""
-    if study.untold:
-        first, count = study.untold[0], len(study.untold)
+    """Return the plan of a study. Raises FormatError if items have no text."""
+    if study.items_without_text:
+        first, count = study.items_without_text[0], len(study.items_without_text)
         name, _, item = first.partition(".")
         raise FormatError(
             f"{study.path}: {count} items have no text yet, the first is {first}: put it under [text.{name}] as "
@@ -54,7 +54,7 @@ def make_plan(study: Study, now: datetime | None = None) -> Plan:
 
 
 def write_plan(folder: Path, plan: Plan) -> Path:
-    """Write the plan into the data folder, which is made. Raises FormatError where one is there: it stays."""
+    """Write the plan into the data folder. Raises FormatError if there is a plan already."""
     path = folder / PLAN
     fields = {
         "version": _VERSION,
@@ -67,8 +67,10 @@ def write_plan(folder: Path, plan: Plan) -> Path:
         "study": plan.study,
     }
     text = json.dumps(fields, indent=1).encode()
-    if len(text) > _LARGEST:
-        raise FormatError(f"{path}: a plan has at most {_LARGEST >> 20} MiB, not {len(text) >> 20}; shorten the texts")
+    if len(text) > MAX_PLAN_BYTES:
+        raise FormatError(
+            f"{path}: a plan has at most {MAX_PLAN_BYTES >> 20} MiB, not {len(text) >> 20}; shorten the texts"
+        )
     partial = folder / f".{PLAN}.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -89,13 +91,13 @@ def write_plan(folder: Path, plan: Plan) -> Path:
 
 
 def read_plan(folder: Path) -> Plan:
-    """The plan of a data folder. Raises FormatError naming it."""
+    """Return the plan in a data folder. Raises FormatError naming it."""
     path = folder / PLAN
     if not path.exists():
         raise FormatError(f"{path}: there is no plan yet; make it by glsplat study plan")
     with open_regular(path) as (file, size):
-        if size > _LARGEST:
-            raise FormatError(f"{path}: expected a plan of at most {_LARGEST >> 20} MiB, not {size >> 20}")
+        if size > MAX_PLAN_BYTES:
+            raise FormatError(f"{path}: expected a plan of at most {MAX_PLAN_BYTES >> 20} MiB, not {size >> 20}")
         data = file.read()
     try:
         fields = json.loads(data)
@@ -111,7 +113,7 @@ def read_plan(folder: Path) -> Plan:
 
 
 def checked_plan(folder: Path, study: Study) -> Plan:
-    """The plan, if it was made of this very study. Raises FormatError that names what is different."""
+    """Return the plan if it was made from this design. Raises FormatError naming the first difference."""
     plan = read_plan(folder)
     if plan.digest != study.digest:
         where = _difference(dict(plan.study), study.to_json(), "") or "its contents"
@@ -122,16 +124,16 @@ def checked_plan(folder: Path, study: Study) -> Plan:
     return plan
 
 
-def _difference(old: Any, new: Any, way: str) -> str:
-    """The way to the first value that differs; "" if none does."""
+def _difference(old: Any, new: Any, path: str) -> str:
+    """Return the path to the first different value; "" if all are equal."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(key for key in new if key not in old)]:
             if key not in old or key not in new:
-                return f"{way}.{key}".strip(".")
-            if found := _difference(old[key], new[key], f"{way}.{key}"):
+                return f"{path}.{key}".strip(".")
+            if found := _difference(old[key], new[key], f"{path}.{key}"):
                 return found
         return ""
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         pairs = zip(old, new, strict=True)
-        return next((f for n, (a, b) in enumerate(pairs, 1) if (f := _difference(a, b, f"{way} {n}"))), "")
-    return "" if old == new else way.strip(".")
+        return next((f for n, (a, b) in enumerate(pairs, 1) if (f := _difference(a, b, f"{path} {n}"))), "")
+    return "" if old == new else path.strip(".")

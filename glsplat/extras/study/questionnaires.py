@@ -1,7 +1,7 @@
-"""Questionnaires: items with their scales, and the scores that are made of the answers. Read from TOML files.
+"""Questionnaires: items with scales, and scores over the answers. Read from TOML files.
 
-The wording of many instruments is not free. Their files here have the structure (items, subscales, reversal, scoring)
-and the source; the texts come from whoever owns a copy (``[text.NAME]`` of the study file).
+The wording of many instruments is not free. Their files here have structure, scoring and source; the texts come from
+a licensed copy (``[text.NAME]`` of the study file).
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ __all__ = [
 ]
 
 Answer = float | str
-"""A number on a scale, the option of a choice, or words."""
+"""A number on a scale, an option of a choice, or free text."""
 
 Kind = Literal["points", "slider", "choice", "text"]
 _KINDS = ("points", "slider", "choice", "text")
-_LONGEST = 4000  # characters of an answer in words
-_MOST_POINTS = 11  # what fits side by side
+MAX_ANSWER = 4000  # characters of free text
+MAX_POINTS = 11  # that fit side by side
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How an item is answered: ``points`` and ``slider`` are numbers from ``low`` to ``high`` in steps of ``step``."""
+    """Scale of an item: ``points`` and ``slider`` are numbers from ``low`` to ``high`` in steps of ``step``."""
 
     kind: Kind
     low: float = 1
     high: float = 7
     step: float = 1
-    labels: tuple[str, ...] = ()  # of the ends, or one a point; of a choice its options
+    labels: tuple[str, ...] = ()  # of both ends, or of each point; the options of a choice
 
     def check(self, value: Any) -> str:
-        """Why ``value`` is no answer; "" if it is one."""
+        """Return why ``value`` is not a valid answer; "" if it is."""
         if self.kind == "text":
-            good = isinstance(value, str) and len(value) <= _LONGEST and is_text(value)
-            return "" if good else f"expected words of at most {_LONGEST} characters"
+            good = isinstance(value, str) and len(value) <= MAX_ANSWER and is_text(value)
+            return "" if good else f"expected words of at most {MAX_ANSWER} characters"
         if self.kind == "choice":
             return "" if isinstance(value, str) and value in self.labels else f"expected one of {self.labels}"
         if isinstance(value, bool) or not isinstance(value, int | float) or not self.low <= value <= self.high:
@@ -62,49 +62,49 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One question. A ``reversed`` one counts low + high - value in scores."""
+    """One question. A ``reversed`` one is scored as low + high - value."""
 
     name: str
-    text: str  # "": still to come
+    text: str  # "": not set yet
     scale: Scale
     reversed: bool = False
     required: bool = True
 
-    def counted(self, value: float) -> float:
-        """The answer as scores have it."""
+    def scored(self, value: float) -> float:
+        """Return the value used in scores."""
         return self.scale.low + self.scale.high - value if self.reversed else value
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """A number made of answers: ``factor`` times the sum, or the mean, of weighted items."""
+    """A score: ``factor`` times the sum or the mean of weighted items."""
 
     name: str
     items: tuple[str, ...]
     how: Literal["mean", "sum"] = "mean"
-    weights: tuple[float, ...] = ()  # one an item; empty: all 1
+    weights: tuple[float, ...] = ()  # by item; empty: all 1
     factor: float = 1.0
-    text: str = ""  # what it stands for
+    text: str = ""  # description
 
     def of(self, questionnaire: Questionnaire, answers: Mapping[str, Answer]) -> float | None:
-        """The score; None where an item of it was not answered."""
+        """Return the score; None if an item was not answered."""
         total = 0.0
         for name, weight in zip(self.items, self.weights or (1.0,) * len(self.items), strict=True):
             value = answers.get(name)
             if not isinstance(value, int | float):
                 return None
-            total += weight * questionnaire[name].counted(value)
+            total += weight * questionnaire[name].scored(value)
         return self.factor * (total / len(self.items) if self.how == "mean" else total)
 
-    def against(self, questionnaire: Questionnaire) -> tuple[str, ...]:
-        """The items whose answers lower the score as they grow: reversed, or weighed below 0, not both."""
+    def reversed_items(self, questionnaire: Questionnaire) -> tuple[str, ...]:
+        """Return the items whose answers lower the score: either reversed, or with a negative weight."""
         weights = zip(self.items, self.weights or (1.0,) * len(self.items), strict=True)
         return tuple(item for item, weight in weights if questionnaire[item].reversed != (weight < 0))
 
 
 @dataclass(frozen=True, slots=True)
 class Questionnaire:
-    """Items in their order, and the scores over them."""
+    """Ordered items, and scores over them."""
 
     name: str
     title: str
@@ -118,19 +118,19 @@ class Questionnaire:
         return next(one for one in self.items if one.name == item)
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Names of the items that still want a text."""
+    def items_without_text(self) -> tuple[str, ...]:
+        """Names of items without a text."""
         return tuple(item.name for item in self.items if not item.text.strip())
 
     def with_texts(self, texts: Table) -> Questionnaire:
-        """The same with these texts, by item. Raises FormatError for an item that is not there."""
+        """Return a copy with texts by item. Raises FormatError for unknown items."""
         texts.known(*(item.name for item in self.items))
-        told = {name: texts.text(name, most=1000) for name in texts.keys}
-        return replace(self, items=tuple(replace(one, text=told.get(one.name, one.text)) for one in self.items))
+        given = {name: texts.text(name, most=1000) for name in texts.keys}
+        return replace(self, items=tuple(replace(one, text=given.get(one.name, one.text)) for one in self.items))
 
 
 def is_text(value: str) -> bool:
-    """Whether it can be written down: JSON knows halves of characters that no file in UTF-8 does."""
+    """Return whether UTF-8 can hold the text; JSON may contain lone surrogates."""
     try:
         value.encode()
     except UnicodeEncodeError:
@@ -139,13 +139,13 @@ def is_text(value: str) -> bool:
 
 
 def embedded() -> tuple[str, ...]:
-    """Names of the instruments that come with glsplat."""
+    """Return the names of the included instruments."""
     folder = resources.files("glsplat.extras.study") / "instruments"
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
 def questionnaire_of(name: str, folder: Path) -> Questionnaire:
-    """An embedded one by its name, or a file, whose path ends in .toml and begins at ``folder``."""
+    """Return an included questionnaire by name, or a .toml file relative to ``folder``."""
     if name.endswith(".toml"):
         return read_questionnaire(folder / name)
     if name not in embedded():
@@ -156,7 +156,7 @@ def questionnaire_of(name: str, folder: Path) -> Questionnaire:
 
 
 def read_questionnaire(path: str | Path) -> Questionnaire:
-    """A questionnaire's file. Raises FormatError naming file and key."""
+    """Return the questionnaire in a file. Raises FormatError naming file and key."""
     table = read_toml(path)
     table.known("name", "title", "source", "licence", "intro", "scale", "item", "score")
     usual = _scale(table.table("scale"), Scale("points"))
@@ -214,8 +214,8 @@ def _scale(table: Table, usual: Scale) -> Scale:
         raise table.error(
             "step", f"expected {low:g} to {high:g} to be a whole number of steps of {step:g}, at most 1000"
         )
-    if kind == "points" and steps + 1 > _MOST_POINTS:
-        raise table.error("to", f"at most {_MOST_POINTS} points fit side by side, not {steps + 1:g}; use a slider")
+    if kind == "points" and steps + 1 > MAX_POINTS:
+        raise table.error("to", f"at most {MAX_POINTS} points fit side by side, not {steps + 1:g}; use a slider")
     if len(labels) not in (0, 2, round(steps) + 1):
         raise table.error(
             "labels", f"expected 2 labels for the ends or {steps + 1:g} for the points, not {len(labels)}"

@@ -1,14 +1,13 @@
-"""Where a participant is and what comes next: a state that events change, without files, sockets and clocks.
+"""The state machine of a session: events change it, without files, sockets and clocks.
 
-What somebody does comes in by a method, which returns the events to be written down, or refuses. Only ``apply``
-changes the state, once an event is on disk; whoever applies a log again is where the log ends. Times are seconds since
-the session began.
+Each method for an action returns the events to write, or refuses. ``apply`` changes the state once an event is on disk;
+applying a log restores its last state. Times are seconds since the session began.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,7 +18,7 @@ from glsplat.extras.study.steps import Step
 
 __all__ = ["Event", "Session", "State"]
 
-_LONGEST_NOTE = 10_000  # characters
+MAX_NOTE = 10_000  # characters
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,30 +33,28 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """``at`` counts the steps that are behind. Phases of a task: instruction, countdown, running; others have one."""
+    """State of a session. Tasks have the phases instruction, countdown, running; other steps have one phase."""
 
-    at: int = 0
+    at: int = 0  # number of finished steps
     phase: str = ""
-    since: float = 0.0  # when the phase began
+    since: float = 0.0  # start of the phase
     attempt: int = 1  # of the step
     paused: bool = False
     ended: str = ""  # done, declined or aborted
-    answers: Mapping[str, Answer] = field(default_factory=dict)  # of the step, by item
-    given: Mapping[str, Mapping[str, Answer]] = field(default_factory=dict)  # of the steps behind, by their names
+    answers: Mapping[str, Answer] = field(default_factory=dict)  # of the current step, by item
+    given: Mapping[str, Mapping[str, Answer]] = field(default_factory=dict)  # of finished steps, by name
 
 
 class Session:
-    """One participant's way through ``steps``; with ``events``, from where they led, else a FormatError."""
+    """One participant's progress through ``steps``."""
 
-    def __init__(self, study: Study, steps: Sequence[Step], events: Iterable[Event] = ()) -> None:
+    def __init__(self, study: Study, steps: Sequence[Step]) -> None:
         self.study, self.steps = study, tuple(steps)
         self.state = State(phase=_first_phase(self.steps[0]))
         self._replayed = 0
-        for event in events:
-            self.replay(event)
 
     def replay(self, event: Event) -> None:
-        """Apply the next event of a log. Raises FormatError naming its line in a log of another plan."""
+        """Apply the next event of a log. Raises FormatError naming its line if it belongs to another plan."""
         self._replayed += 1
         if event.step != self._name:
             raise FormatError(
@@ -68,17 +65,17 @@ class Session:
 
     @property
     def step(self) -> Step | None:
-        """Where the participant is; None at the end."""
+        """The current step; None at the end."""
         return self.steps[self.state.at] if self.state.at < len(self.steps) and not self.state.ended else None
 
     @property
     def task(self) -> Task | None:
-        """The task of the step, where it is one."""
+        """The task of the current step, or None."""
         step = self.step
         return next((one for one in self.study.tasks if step is not None and one.name == step.task), None)
 
     def left(self, t: float) -> float | None:
-        """Seconds until the phase ends by itself; None: it does not."""
+        """Return the seconds until the phase ends; None: it has no time limit."""
         step, task, phase = self.step, self.task, self.state.phase
         if step is None or self.state.paused:
             return None
@@ -86,103 +83,103 @@ class Session:
         if step.kind == "rest":
             lasts = self.study.rest
         elif task is not None:
-            by_itself = None if task.ready else task.reading
-            lasts = {"instruction": by_itself, "countdown": float(task.countdown), "running": task.seconds}[phase]
+            reading = None if task.ready else task.reading
+            lasts = {"instruction": reading, "countdown": float(task.countdown), "running": task.seconds}[phase]
         return None if lasts is None else max(0.0, self.state.since + lasts - t)
 
-    # what may be done; each returns the events to write
+    # actions; each returns the events to write
 
     def open(self, t: float, values: Mapping[str, Any]) -> list[Event]:
-        """A server takes the session up, for the first time or again."""
+        """Start or resume the session on a server."""
         step = self.step
         opened = Event(t, "" if step is None else step.name, "open", values)
-        return [opened, *self._begun(t, self.state.at)]
+        return [opened, *self._begin(t, self.state.at)]
 
     def consent(self, step: str, accepted: bool, t: float) -> list[Event]:
-        """The consent text was accepted, or not; it is kept with its hash."""
-        if (past := self._past(step, "consent")) is not None:
-            return past
+        """Accept or decline the consent text, which is logged with its hash."""
+        if (finished := self._finished(step, "consent")) is not None:
+            return finished
         text = self.study.consent
         digest = hashlib.sha256(text.encode()).hexdigest()
         event = Event(t, step, "consent", {"accepted": accepted, "sha256": digest, "text": text})
-        return [event, *(self._begun(t, self.state.at + 1) if accepted else [])]
+        return [event, *(self._begin(t, self.state.at + 1) if accepted else [])]
 
     def ready(self, step: str, t: float) -> list[Event]:
-        """The participant has read the instruction."""
-        if (past := self._past(step, "task")) is not None:
-            return past
+        """Start the task after its instruction."""
+        if (finished := self._finished(step, "task")) is not None:
+            return finished
         return [self._phase(t)] if self.state.phase == "instruction" else []
 
     def answer(self, step: str, item: str, value: Any, seconds: float, t: float) -> list[Event]:
-        """One item was answered; a later answer to it takes the place of this one."""
-        if (past := self._past(step, "questionnaire", (item, value))) is not None:
-            return past
+        """Answer an item; a later answer replaces it."""
+        if (finished := self._finished(step, "questionnaire", (item, value))) is not None:
+            return finished
         questionnaire = self.study.questionnaires[self.steps[self.state.at].questionnaire]
         if item not in [one.name for one in questionnaire.items]:
             raise ProtocolError("this questionnaire has no item of that name", "bad_answer")
         if why := questionnaire[item].scale.check(value):
             raise ProtocolError(f"{item}: {why}", "bad_answer")
         if item in self.state.answers and self.state.answers[item] == value:
-            return []  # sent again: its acknowledgement was lost
+            return []  # repeated after a lost acknowledgement
         took = round(seconds, 2) if 0 <= seconds <= 86400 else None
         return [Event(t, step, "answer", {"item": item, "value": value, "seconds": took})]
 
     def submit(self, step: str, t: float) -> list[Event]:
-        """The questionnaire is finished."""
-        if (past := self._past(step, "questionnaire")) is not None:
-            return past
+        """Finish the questionnaire."""
+        if (finished := self._finished(step, "questionnaire")) is not None:
+            return finished
         questionnaire = self.study.questionnaires[self.steps[self.state.at].questionnaire]
         missing = [one.name for one in questionnaire.items if one.required and one.name not in self.state.answers]
         if missing:
             raise ProtocolError(f"{len(missing)} items are not answered yet, the first is {missing[0]}", "bad_answer")
-        return [Event(t, step, "submit", {"answers": len(self.state.answers)}), *self._begun(t, self.state.at + 1)]
+        return [Event(t, step, "submit", {"answers": len(self.state.answers)}), *self._begin(t, self.state.at + 1)]
 
     def tick(self, t: float) -> list[Event]:
-        """Time has passed."""
+        """End the phase if its time is over."""
         left, step = self.left(t), self.step
         if left is None or left > 0 or step is None:
             return []
         if step.kind == "task" and self.state.phase != "running":
             return [self._phase(t)]
-        return [Event(t, step.name, "done", {"attempt": self.state.attempt}), *self._begun(t, self.state.at + 1)]
+        return [Event(t, step.name, "done", {"attempt": self.state.attempt}), *self._begin(t, self.state.at + 1)]
 
-    def lost(self, t: float) -> list[Event]:
-        """The participant's page is gone: a task that was under way begins anew when it is back."""
+    def page_lost(self, t: float) -> list[Event]:
+        """Record that the participant's page is gone: a running task restarts when it is back."""
         under_way = self.state.phase in ("countdown", "running") and not self.state.paused
         return [Event(t, self._name, "lost")] if under_way and self.step is not None else []
 
     def pause(self, t: float) -> list[Event]:
-        """The experimenter stops the time."""
+        """Pause the session."""
         return [Event(t, self._name, "pause")] if self.step is not None and not self.state.paused else []
 
-    def go_on(self, t: float) -> list[Event]:
-        """The experimenter goes on; a task that was under way begins anew."""
+    def resume(self, t: float) -> list[Event]:
+        """Resume a paused session; a running task restarts."""
         return [Event(t, self._name, "continue")] if self.step is not None and self.state.paused else []
 
     def repeat(self, t: float) -> list[Event]:
-        """The experimenter has the step done again from its beginning."""
+        """Restart the current step."""
         if self.step is None:
             raise ProtocolError("the session has ended; nothing is repeated", "ended")
         return [Event(t, self._name, "repeat", {"attempt": self.state.attempt + 1})]
 
     def note(self, text: str, t: float) -> list[Event]:
-        """Words of the experimenter's."""
-        if not text.strip() or len(text) > _LONGEST_NOTE or not is_text(text):
-            raise ProtocolError(f"a note has 1 to {_LONGEST_NOTE} characters", "bad_note")
+        """Add a note of the experimenter."""
+        if not text.strip() or len(text) > MAX_NOTE or not is_text(text):
+            raise ProtocolError(f"a note has 1 to {MAX_NOTE} characters", "bad_note")
         return [Event(t, self._name, "note", {"text": text})]
 
     def abort(self, reason: str, t: float) -> list[Event]:
-        """The experimenter ends the session."""
-        if len(reason) > _LONGEST_NOTE or not is_text(reason):
-            raise ProtocolError(f"a reason has at most {_LONGEST_NOTE} characters", "bad_note")
+        """End the session early."""
+        if len(reason) > MAX_NOTE or not is_text(reason):
+            raise ProtocolError(f"a reason has at most {MAX_NOTE} characters", "bad_note")
         return [Event(t, self._name, "abort", {"reason": reason})] if self.step is not None else []
 
-    def leads_on(self, event: Event) -> bool:
-        """Whether an event is needed to reach the end: not a changed answer, nor a task begun anew."""
+    def makes_progress(self, event: Event) -> bool:
+        """Return whether an event is needed to finish: not a changed answer, nor the restart of a task."""
         return event.kind != "lost" and not (event.kind == "answer" and event.values["item"] in self.state.answers)
 
     def apply(self, event: Event) -> None:
-        """Change the state by an event of the log. Kinds that change nothing are skipped."""
+        """Change the state by an event of the log. Other kinds are skipped."""
         now, step = self.state, self.step
         if step is None:
             return
@@ -218,8 +215,8 @@ class Session:
     def _name(self) -> str:
         return "" if self.step is None else self.step.name
 
-    def _past(self, step: str, kind: str, answer: tuple[str, Any] | None = None) -> list[Event] | None:
-        """None if the step is the one in hand; [] if it is done and the same was said then. Raises ProtocolError."""
+    def _finished(self, step: str, kind: str, answer: tuple[str, Any] | None = None) -> list[Event] | None:
+        """Return None for the current step; [] for a finished step with the same answer. Raises ProtocolError."""
         now = self.step
         number = next((at for at, one in enumerate(self.steps) if one.name == step), None)
         if number is not None and number < self.state.at and self.steps[number].kind == kind:
@@ -241,8 +238,8 @@ class Session:
         phase = "countdown" if counts else "running"
         return Event(t, self._name, "phase", {"phase": phase, "attempt": self.state.attempt})
 
-    def _begun(self, t: float, at: int) -> list[Event]:
-        """What is written as a step begins: the condition, in full, for whoever reads the log alone."""
+    def _begin(self, t: float, at: int) -> list[Event]:
+        """Return the event of a step's beginning, with its whole condition for readers of the log."""
         if at >= len(self.steps) or self.state.ended:
             return []
         step = self.steps[at]

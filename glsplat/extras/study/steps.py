@@ -1,4 +1,4 @@
-"""A participant's session as a list of steps: consent, questionnaires, and in each condition the tasks."""
+"""The steps of a participant's session: consent, questionnaires, and the tasks of each condition."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ __all__ = ["Step", "steps_of"]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing that a participant does. ``name`` is the same whenever the same plan is read."""
+    """One step of a session. Its ``name`` depends only on the plan."""
 
     name: str
     kind: Literal["consent", "questionnaire", "task", "rest"]
-    position: int = 0  # of the condition in the participant's order, from 1; 0 before and after all of them
+    position: int = 0  # of the condition in the participant's order, from 1; 0 outside conditions
     condition: str = ""
     task: str = ""
     questionnaire: str = ""
 
     @property
     def alias(self) -> str:
-        """What the participant's page calls the step: its number and kind, nothing of the condition."""
+        """Name on the participant's page: number and kind, without the condition."""
         return f"{self.name.partition('-')[0]}-{self.kind}"
 
 
 def steps_of(study: Study, plan: Plan, participant: int) -> tuple[Step, ...]:
-    """All steps of a participant, numbered from 1."""
+    """Return all steps of a participant, numbered from 1."""
     found: list[Step] = []
 
     def add(kind: Literal["consent", "questionnaire", "task", "rest"], what: str, **more: str | int) -> None:

@@ -1,9 +1,9 @@
-"""A participant's folder: append-only JSON Lines, each line synced to disk before it is acknowledged, and chained.
+"""A participant's folder: append-only JSON Lines, each synced to disk before it is acknowledged, and chained.
 
-``session.jsonl`` decides. A line has ``n`` (from 0), ``t``, ``step``, ``kind``, ``values`` and ``sum``: the first 32
-hex digits of SHA-256 over the sum of the line before and this line without its own. A line that was changed, removed
-or inserted breaks the chain. A file of any size is read, line by line. A torn end was never acknowledged: opening the
-file for writing cuts it off and counts it.
+``session.jsonl`` is authoritative. A line has ``n`` (from 0), ``t``, ``step``, ``kind``, ``values`` and ``sum``: the
+first 32 hex digits of SHA-256 over the previous line's sum and this line without its own, so changed, removed and
+inserted lines are found. Files of any size are read line by line. A torn end was never acknowledged: opening the file
+for writing cuts it off and counts it.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ SESSION, TRACKING, FRAMES = "session.jsonl", "tracking.jsonl", "frames.jsonl"
 _LOCK = ".lock"
 _KEYS = ("n", "t", "step", "kind", "values", "sum")
 MAX_LINE_BYTES = 1 << 20
-"""Of one line, read and written: a consent text of 20,000 characters takes a quarter of that."""
+"""Limit of one line; a consent text of 20,000 characters takes a quarter of it."""
 
 
 class Log:
-    """The events of a session's file, one at a time; none where there is no file.
+    """Iterates over the events of a session's file; none if it is missing.
 
-    Once all are read: how many there were, the last line's ``sum``, the ``whole`` bytes and the ``torn`` ones after
-    them. Iterating raises FormatError naming the line at which the chain breaks.
+    After iteration: the ``count`` of events, the last line's ``sum``, the ``whole`` bytes and the ``torn`` ones after
+    them. Iterating raises FormatError naming the line where the chain breaks.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,7 +59,7 @@ class Log:
                 yield event
 
     def _end(self, rest: Iterator[bytes]) -> int:
-        """Count the bytes of a torn end. Raises FormatError where a whole line is among them."""
+        """Return the number of torn bytes. Raises FormatError if they include a whole line."""
         torn = 0
         for line in rest:
             if _is_whole(line):
@@ -72,14 +72,14 @@ class Log:
 
 
 def lines_of(file: BinaryIO) -> Iterator[bytes]:
-    """The lines of a file with their ends; what is longer than MAX_LINE_BYTES comes in pieces."""
+    """Yield the lines of a file with their ends; lines longer than MAX_LINE_BYTES come in pieces."""
     return iter(lambda: file.readline(MAX_LINE_BYTES), b"")
 
 
 class Store:
-    """The one writer of a participant's folder, which is made. Raises FormatError where another process has it.
+    """The only writer of a participant's folder, which is created. Raises FormatError if another process has it.
 
-    ``replay`` is called with each event that is there already, in order.
+    ``replay`` is called with each existing event, in order.
     """
 
     def __init__(self, data: Path, participant: int, replay: Callable[[Event], object] = lambda event: None) -> None:
@@ -107,7 +107,7 @@ class Store:
             raise
 
     def append(self, events: Sequence[Event]) -> None:
-        """Write events and wait for the disk. Raises FormatError: none of them is in the file then."""
+        """Write events and wait for the disk. On FormatError none of them is in the file."""
         lines, sum_ = [], self._sum
         for number, event in enumerate(events, self._count):
             line, sum_ = _line(event, number, sum_)
@@ -118,11 +118,11 @@ class Store:
         self._sum, self._count = sum_, self._count + len(events)
 
     def close(self) -> None:
-        """Let others have the folder."""
+        """Release the folder."""
         self._stack.close()
 
     def _write(self, data: bytes) -> None:
-        """Put ``data`` behind the good bytes, after cutting off what a failure has left there."""
+        """Append ``data``, after cutting off the rest of a failed write."""
         try:
             if self._dirty:
                 self._cut()
@@ -132,7 +132,7 @@ class Store:
                 os.fsync(self._file)
                 self.size, self._dirty = self.size + len(data), False
         except OSError as error:
-            with suppress(OSError):  # else it is cut off before the next write, or when the file is opened next
+            with suppress(OSError):  # retried before the next write and at the next opening
                 self._cut()
             raise FormatError(f"{self._path}: cannot be written ({error.strerror or error})") from None
 
@@ -143,7 +143,7 @@ class Store:
 
 
 def folders(data: Path) -> dict[int, Path]:
-    """The participants' folders by number."""
+    """Return the participants' folders by number."""
     found = {}
     for path in sorted(data.glob("sub-[0-9][0-9][0-9]")):
         if path.is_dir():
@@ -152,7 +152,7 @@ def folders(data: Path) -> dict[int, Path]:
 
 
 def remove(data: Path, participant: int) -> int:
-    """Delete all of a participant; returns how many files that were. Raises FormatError while a server writes there."""
+    """Delete a participant's data and return the number of files. Raises FormatError while a server writes there."""
     folder = data / label(participant)
     if not folder.is_dir():
         raise FormatError(f"{folder}: there is nothing of this participant")
@@ -179,7 +179,7 @@ def _line(event: Event, number: int, before: str) -> tuple[bytes, str]:
 
 
 def _parsed(line: bytes, number: int, before: str) -> tuple[Event | None, str]:
-    """The event of a line and its sum; None where it does not follow."""
+    """Return the event of a line and its sum; None if it does not continue the chain."""
     try:
         fields = json.loads(line)
         event = Event(float(fields["t"]), str(fields["step"]), str(fields["kind"]), dict(fields["values"]))
@@ -190,7 +190,7 @@ def _parsed(line: bytes, number: int, before: str) -> tuple[Event | None, str]:
 
 
 def _is_whole(line: bytes) -> bool:
-    """Whether that is a line, as opposed to a piece of one."""
+    """Return whether this is a whole line."""
     try:
         return line.endswith(b"\n") and tuple(json.loads(line)) == _KEYS
     except (ValueError, TypeError, RecursionError):
@@ -212,7 +212,7 @@ def _write_all(file: int, data: bytes, at: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """So that a file's name is on disk, too. Where the system knows no such thing, it does so by itself."""
+    """Sync the directory entry of a new file, where the system supports it."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""One avatar on its way: what it is to be made of, who makes it, and how far that is. Values only."""
+"""Values of an upload: the order, the server's limits and the state of the job."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 
 __all__ = [
+    "MAX_LINE",
     "VIEWS",
-    "WORDS",
     "Finding",
     "Job",
     "LowConfidenceError",
@@ -26,21 +26,22 @@ __all__ = [
 ]
 
 VIEWS = ("front", "back", "left", "right")
-"""The sides of a person that pictures may show; the first is needed."""
+"""Sides of a person that pictures may show; the first is required."""
 
-_STEPS = 40  # that are told of a job
-WORDS = 300
-"""Characters of a line that is told."""
+MAX_STEPS = 40
+"""Steps, and findings, reported of a job."""
+MAX_LINE = 300
+"""Characters of a reported line."""
 
 Finding = tuple[str, str, str]
-"""What is wrong with a picture: the side of the person that it shows, a word for programs, a line for people."""
+"""A problem of a picture: the side of the person that it shows, a code for programs, a line for people."""
 
 Progress = Callable[[str, float], None]
-"""Told of each step by its name, and the share of it that is done."""
+"""Called with the name of the current step and the share of it that is done, 0 to 1."""
 
 
 class LowConfidenceError(GlsplatError):
-    """The pictures are not what an avatar should be made of; it may be asked for all the same."""
+    """The pictures are too poor for a good avatar; the client may insist on one."""
 
     def __init__(
         self, message: str, findings: Sequence[Finding] = (), go_on: Callable[[], Avatar] | None = None
@@ -48,48 +49,45 @@ class LowConfidenceError(GlsplatError):
         super().__init__(message)
         self.findings: tuple[Finding, ...] = tuple(findings)
         self.go_on: Callable[[], Avatar] | None = go_on
-        """Makes it all the same, from what is known by now; None where it cannot be made. In the maker's process."""
+        """Makes the avatar nevertheless, in the process that raised this; None if it cannot be made."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Order:
-    """What a client sent. Its pictures are nowhere but in here and in the process that looks at them."""
+    """A client's order. The pictures exist only here and in the process that decodes them."""
 
-    pictures: Mapping[str, bytes]  # files as they came, by what of VIEWS they show
+    pictures: Mapping[str, bytes]  # encoded files by side, one of VIEWS
     height: float | None = None  # metres
-    anyway: bool = False  # make it of doubtful pictures, too
-    title: str = ""  # what its owner calls it
+    anyway: bool = False  # make the avatar even of poor pictures
+    title: str = ""  # chosen by the owner
 
 
 Make = Callable[[Order, Progress], Avatar]
-"""Makes an avatar, in a process of its own: a picklable function.
-
-Raises LowConfidenceError, or GlsplatError in one line.
-"""
+"""Picklable function that makes an avatar in a process of its own. Raises LowConfidenceError or GlsplatError."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UploadConfig:
-    """What a server lets its clients make."""
+    """Limits and settings of a server's uploads. Times are in seconds."""
 
-    folder: Path  # where the avatars are kept, as NAME.glb
+    folder: Path  # holds the avatars, as NAME.glb
     make: Make
     signed: Callable[[str, bytes, str], bytes] | None = None
-    """Called on any thread with an avatar's name, its file and the account that asked ("": none); the file to keep."""
-    picture_bytes: int = 20_000_000  # a picture
-    body_bytes: int = 45_000_000  # all pictures of one avatar
-    most_files: int = 50  # avatars in the folder
+    """Called on any thread with an avatar's name, file and account ("" without accounts); returns the file to keep."""
+    picture_bytes: int = 20_000_000  # of one picture
+    body_bytes: int = 45_000_000  # of all pictures of one avatar
+    max_avatars: int = 50  # in the folder
     folder_bytes: int = 1_000_000_000
     avatar_bytes: int = 100_000_000
-    waiting: int = 2  # jobs beside the one that is worked on; those whose pictures still come are among them
-    per_address: int = 2  # jobs of one address
-    senders: int = 1  # of them, whose pictures still come
-    seconds: float = 600.0  # a job may take, from when it is worked on
-    receive: float = 120.0  # seconds that the pictures may take to come
-    rate: float = 4000.0  # bytes of them a second, at least
-    stall: float = 10.0  # seconds that they may be behind that rate, also at the start
-    patience: float = 120.0  # seconds that a refused job's process waits for the word to go on all the same
-    nice: int = 10  # of the process that works, so that drawing goes first
+    waiting: int = 2  # jobs beside the one in work, including those still receiving pictures
+    per_address: int = 2  # jobs of one address ...
+    senders: int = 1  # ... and those of them still receiving pictures
+    make_timeout: float = 600.0
+    receive_timeout: float = 120.0  # of all pictures
+    rate: float = 4000.0  # bytes per second that a sender has to reach
+    stall: float = 10.0  # that a sender may fall behind ``rate``, also at the start
+    resume_timeout: float = 120.0  # that a refused job's process waits for the client to insist
+    nice: int = 10  # of the process that makes avatars
 
 
 State = Literal["receiving", "waiting", "making", "done", "failed"]
@@ -97,46 +95,46 @@ State = Literal["receiving", "waiting", "making", "done", "failed"]
 
 @dataclass(eq=False, slots=True)
 class Job:
-    """``name`` is the avatar's. The thread that works tells of steps; all else is the event loop's."""
+    """State of a job. The worker thread calls ``progress``; everything else is set on the event loop."""
 
-    name: str
+    name: str  # of the avatar
     address: str
-    account: str = ""  # of whoever asked
+    account: str = ""  # that sent the order
     state: State = "receiving"
-    order: Order | None = None  # until it is worked on
+    order: Order | None = None  # until the job is in work
     steps: list[str] = field(default_factory=list)
-    share: float = 0.0  # of the last step
+    share: float = 0.0  # of the last step that is done
     error: str = ""
-    findings: tuple[Finding, ...] = ()  # what refused it
-    notes: tuple[Finding, ...] = ()  # what the avatar was guessed from
-    ended: float | None = None  # on the clock of time.monotonic()
-    goes_on: bool = False  # it failed, and can go on where it was
+    findings: tuple[Finding, ...] = ()  # reasons of a refusal
+    notes: tuple[Finding, ...] = ()  # guesses made for a finished avatar
+    ended: float | None = None  # time.monotonic()
+    goes_on: bool = False  # it failed and its process can resume
     cancelled: bool = False
 
     def progress(self, step: str, share: float) -> None:
-        """The work is at ``step``, ``share`` of which is done."""
-        step = step.partition(", error ")[0][:WORDS]  # a number that changes is no other step
-        if (not self.steps or self.steps[-1] != step) and len(self.steps) < _STEPS:
+        """Record that ``share`` of ``step`` is done."""
+        step = step.partition(", error ")[0][:MAX_LINE]  # a step whose error changes stays one step
+        if (not self.steps or self.steps[-1] != step) and len(self.steps) < MAX_STEPS:
             self.steps.append(step)
         self.share = min(1.0, max(0.0, share))
 
     def fail(self, error: str, findings: Sequence[Finding] = (), goes_on: bool = False) -> None:
-        """It comes to nothing, unless it ``goes_on``."""
+        """End the job with an error; with ``goes_on`` it can be resumed."""
         self.state, self.order, self.ended, self.goes_on = "failed", None, time.monotonic(), goes_on
-        self.error = error[:WORDS]
+        self.error = error[:MAX_LINE]
         self.findings = bounded(findings)
 
-    def again(self) -> None:
-        """It is wanted all the same."""
+    def resume(self) -> None:
+        """Queue the refused job once more, because the client insists."""
         self.state, self.ended, self.goes_on, self.error, self.findings = "waiting", None, False, "", ()
 
     def done(self, notes: Sequence[Finding] = ()) -> None:
-        """The avatar is offered."""
+        """End the job with success."""
         self.state, self.share, self.ended = "done", 1.0, time.monotonic()
         self.notes = bounded(notes)
 
     def status(self, ahead: int) -> dict[str, Any]:
-        """What clients are told; ``ahead``: jobs that come before this one."""
+        """Return the JSON object for clients; ``ahead`` is the number of jobs before this one."""
         return {
             "name": self.name,
             "state": self.state,
@@ -154,12 +152,12 @@ class Job:
 
 
 def notes_of(meta: Mapping[str, Any]) -> tuple[Finding, ...]:
-    """What an avatar's own notes say that it was guessed from; nothing where they say it otherwise."""
-    told = meta.get("guessed")
-    found = [each for each in told if isinstance(each, Mapping)] if isinstance(told, (list, tuple)) else []
+    """Return the guesses recorded in an avatar's metadata; none if they are recorded in another way."""
+    guessed = meta.get("guessed")
+    found = [each for each in guessed if isinstance(each, Mapping)] if isinstance(guessed, (list, tuple)) else []
     return tuple((str(one.get("side")), str(one.get("code")), str(one.get("text"))) for one in found)
 
 
 def bounded(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """As many findings as are told of a job, in as many characters."""
-    return tuple((side[:WORDS], code[:WORDS], text[:WORDS]) for side, code, text in findings[:_STEPS])
+    """Return at most MAX_STEPS findings with texts of at most MAX_LINE characters."""
+    return tuple((side[:MAX_LINE], code[:MAX_LINE], text[:MAX_LINE]) for side, code, text in findings[:MAX_STEPS])

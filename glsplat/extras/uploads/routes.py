@@ -1,4 +1,4 @@
-"""/avatars: ask for an avatar, look how far it is, give it up or delete it. All of it behind the server's token."""
+"""The routes of /avatars: order an avatar, query its state, insist, cancel or delete."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ if TYPE_CHECKING:
 __all__ = ["Uploads"]
 
 _NO_AVATAR = "there is no such avatar of yours\n"
-_SLACK = 2**20  # bytes of a body beyond its pictures: fields, boundaries, and what is discarded before an answer
+MAX_EXTRA_BYTES = 2**20  # of a body beside its pictures: fields, boundaries, discarded data
 
 
 class Uploads(Feature):
-    """``describe(name, avatar)`` says what clients may ask of an avatar; raises GlsplatError if it cannot be shown."""
+    """Uploads as a feature; ``describe(name, avatar)`` raises GlsplatError if the avatar cannot be shown."""
 
     def __init__(self, config: UploadConfig, describe: Callable[[str, Avatar], AvatarInfo]) -> None:
         self.config = config
-        self.store: UploadStore = UploadStore(config.folder, config.most_files, config.folder_bytes)
+        self.store: UploadStore = UploadStore(config.folder, config.max_avatars, config.folder_bytes)
         self._describe = describe
 
     def limits(self, limits: Limits) -> Limits:
-        """Let requests with pictures begin before they are judged."""
+        """Allow bodies as large as pictures before a request is checked."""
         return replace(limits, head=max(limits.head, limits.body))
 
     async def start(self, server: ServerView) -> None:
-        """Begin to make avatars, which join the server's catalogue."""
+        """Start the job queue, whose avatars join the server's catalogue."""
         self._gate, self._withdraw, offer = server.gate, server.withdraw, server.catalogue.add
         self._queue = JobQueue(self.config, self.store, lambda name, avatar: offer(self._describe(name, avatar)))
         self._queue.start()
 
     def routes(self) -> list[web.RouteDef]:
-        """Return the four addresses."""
+        """Return the routes of /avatars."""
         return [
             web.post("/avatars", self._post),
             web.get("/avatars/{name}", self._get),
@@ -81,14 +81,14 @@ class Uploads(Feature):
             wait = self._gate.upload(request)
             if wait > 0:
                 raise RefusedError(429, f"too many pictures from one address; try again in {wait:.0f} s", round(wait))
-            connection.expect(self.config.body_bytes + _SLACK)
+            connection.expect(self.config.body_bytes + MAX_EXTRA_BYTES)
             check_head(request, self.config)
             user = user_of(request)
             job = await self._book(connection.key, "" if user is None else user.name)
             begun = time.monotonic()
             try:
                 self._queue.begin(job, await read_order(request, self.config))
-            except BaseException as error:  # also when the client is gone
+            except BaseException as error:  # also cancellation, when the client disconnects
                 self._queue.cancel(job)
                 if not isinstance(error, RefusedError) or error.status == 408:
                     self._gate.unfinished_upload(request, time.monotonic() - begun)
@@ -96,7 +96,7 @@ class Uploads(Feature):
         except RefusedError as refusal:
             return await self._refused(request, refusal)
         except ConnectionError:
-            return web.Response(status=400)  # which nobody reads
+            return web.Response(status=400)  # the client is gone
         return _answer(self._status(job), 202, {"Location": f"avatars/{job.name}"})
 
     async def _book(self, address: str, account: str) -> Job:
@@ -108,17 +108,17 @@ class Uploads(Feature):
 
     async def _get(self, request: web.Request) -> web.Response:
         job = self._job(request)
-        return _nowhere() if job is None else _answer(self._status(job))
+        return _not_found() if job is None else _answer(self._status(job))
 
     async def _anyway(self, request: web.Request) -> web.Response:
-        """Go on with what was refused. Who knows the name had it made: it is in no list."""
+        """Resume a refused job. Whoever knows its name has ordered it, as names are in no list."""
         job = self._job(request)
         if job is None:
-            return _nowhere()
+            return _not_found()
         try:
             self._queue.go_on(job)
         except RefusedError as refusal:
-            return _said(refusal)
+            return _refusal_response(refusal)
         return _answer(self._status(job), 202)
 
     async def _delete(self, request: web.Request) -> web.Response:
@@ -126,13 +126,13 @@ class Uploads(Feature):
         if not self.store.made_here(name):
             return web.Response(status=403, text="only avatars that were made here can be deleted\n")
         job = self._job(request)
-        # while there is a job, it says whose the avatar is; then the avatar's own record does
+        # a job decides who owns an avatar; without one the avatar's consent record does
         may = self._queue.find(name) is None and self._gate.rights.may_delete(user_of(request), name)
         if job is None and not may:
             return web.Response(status=404, text=_NO_AVATAR)
         if job is not None:
             self._queue.cancel(job)
-        offered = await self._withdraw(name)  # nobody is shown it any more, whatever the disk says
+        offered = await self._withdraw(name)  # first, whether or not the file can be deleted
         try:
             removed = await asyncio.to_thread(self.store.remove, name)
         except GlsplatError as error:
@@ -142,15 +142,15 @@ class Uploads(Feature):
         return web.Response(status=204)
 
     def _job(self, request: web.Request) -> Job | None:
-        """The job that an address names; None where there is none, or not for whoever asks."""
+        """Return the job that a URL names; None if there is none or the user may not see it."""
         job = self._queue.find(request.match_info["name"])
         seen = job is not None and self._gate.rights.sees(user_of(request), "job", job.account)
         return job if seen else None
 
     async def _refused(self, request: web.Request, refusal: RefusedError) -> web.Response:
-        if refusal.status not in (408, 429):  # it sends too little, or too often
+        if refusal.status not in (408, 429):  # those clients send too slowly or too often
             await discard(request, self.config)
-        response = _said(refusal)
+        response = _refusal_response(refusal)
         response.force_close()
         return response
 
@@ -158,7 +158,7 @@ class Uploads(Feature):
         return job.status(self._queue.ahead(job))
 
 
-def _nowhere() -> web.Response:
+def _not_found() -> web.Response:
     return web.Response(status=404, text="there is no such avatar in the making\n")
 
 
@@ -166,5 +166,5 @@ def _answer(fields: Mapping[str, Any], status: int = 200, headers: Mapping[str, 
     return web.json_response(fields, status=status, headers=headers)
 
 
-def _said(refusal: RefusedError) -> web.Response:
+def _refusal_response(refusal: RefusedError) -> web.Response:
     return web.Response(status=refusal.status, text=f"{refusal.text}\n", headers=refusal.headers)

@@ -1,4 +1,4 @@
-"""The folder in which avatars made of photographs are kept: what lies there, and how much may."""
+"""The folder that holds avatars made from photographs, with limits on its size."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from glsplat.io.files import replace_file
 __all__ = ["SUFFIX", "NoRoomError", "UploadStore"]
 
 SUFFIX = ".glb"
-_LETTERS = "abcdefghijkmnpqrstuvwxyz23456789"  # none that is taken for another
-_MADE = re.compile(f"photo-[{_LETTERS}]{{8}}")
-_LONGEST = 64  # characters of a name that an address can hold
+_LETTERS = "abcdefghijkmnpqrstuvwxyz23456789"  # without letters that look alike
+_OWN_NAME = re.compile(f"photo-[{_LETTERS}]{{8}}")
+MAX_NAME = 64  # characters of a name in a URL
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 
 class NoRoomError(GlsplatError):
-    """No further avatar has room in the folder."""
+    """The folder is full."""
 
 
 class UploadStore:
-    """``folder`` with at most ``most_files`` avatars and ``most_bytes``. Names are made here, never by clients."""
+    """``folder`` with at most ``max_avatars`` avatars of ``max_bytes`` in all. The server chooses the names."""
 
-    def __init__(self, folder: Path, most_files: int, most_bytes: int) -> None:
-        self.folder, self._files, self._bytes = folder, most_files, most_bytes
+    def __init__(self, folder: Path, max_avatars: int, max_bytes: int) -> None:
+        self.folder, self._max_avatars, self._max_bytes = folder, max_avatars, max_bytes
 
     def open(self) -> None:
-        """Make the folder, for nobody else to read, unless it is there. Raises GlsplatError if it cannot be used."""
+        """Create the folder, private to this user, if it is missing. Raises GlsplatError if it cannot be used."""
         try:
             self.folder.mkdir(mode=0o700, exist_ok=True)
         except OSError as error:
@@ -44,11 +44,11 @@ class UploadStore:
             raise GlsplatError(f"{self.folder}: avatars cannot be kept there (no right to read and write)")
 
     def avatars(self) -> dict[str, Avatar]:
-        """What lies there, by name. What is no avatar is left out, with a line in the log."""
+        """Return the avatars in the folder by name. Other files are skipped with a line in the log."""
         found: dict[str, Avatar] = {}
         for path in self._paths():
             try:
-                if not (path.stem.isprintable() and path.stem.strip() == path.stem and len(path.stem) <= _LONGEST):
+                if not (path.stem.isprintable() and path.stem.strip() == path.stem and len(path.stem) <= MAX_NAME):
                     raise FormatError(f"{path}: its name cannot stand in an address")
                 found[path.stem] = _avatar(load_content(path), str(path))
             except GlsplatError as error:
@@ -56,27 +56,29 @@ class UploadStore:
         return found
 
     def check(self, further: int = 0) -> None:
-        """Raises NoRoomError when there is no room for an avatar of ``further`` bytes."""
+        """Raise NoRoomError unless an avatar of ``further`` bytes fits."""
         sizes = [size for path in self._paths() if (size := _size(path)) is not None]
-        if len(sizes) >= self._files:
-            raise NoRoomError(f"this server keeps {self._files} avatars and has no room for another; delete one first")
-        if sum(sizes) + further > self._bytes:
+        if len(sizes) >= self._max_avatars:
             raise NoRoomError(
-                f"this server keeps {self._bytes / 1e6:g} MB of avatars, which are used up; delete one first"
+                f"this server keeps {self._max_avatars} avatars and has no room for another; delete one first"
+            )
+        if sum(sizes) + further > self._max_bytes:
+            raise NoRoomError(
+                f"this server keeps {self._max_bytes / 1e6:g} MB of avatars, which are used up; delete one first"
             )
 
     def new_name(self) -> str:
-        """A name that nothing here has, and that nobody guesses."""
+        """Return a new name that cannot be guessed."""
         return "photo-" + "".join(secrets.choice(_LETTERS) for _ in range(8))
 
     def made_here(self, name: str) -> bool:
-        """True for names of ``new_name``: only those avatars can be deleted by clients."""
-        return _MADE.fullmatch(name) is not None
+        """Return whether ``new_name`` made the name: clients can delete only these avatars."""
+        return _OWN_NAME.fullmatch(name) is not None
 
     def put(self, name: str, data: bytes) -> Avatar:
-        """Keep a file and return what it holds. It is there whole or, whatever happens, not at all.
+        """Store a file atomically and return its avatar.
 
-        Raises NoRoomError, or GlsplatError for what is no avatar and where the disk refuses.
+        Raises NoRoomError, or GlsplatError for a file without an avatar and on a full or failing disk.
         """
         avatar = _avatar(load_content(io.BytesIO(data), format="glb"), "what was made")
         self.check(len(data))
@@ -88,7 +90,7 @@ class UploadStore:
         return avatar
 
     def remove(self, name: str) -> bool:
-        """Delete an avatar; False where there is none."""
+        """Delete an avatar; return False if there is none. Raises GlsplatError."""
         try:
             self._path(name).unlink()
         except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""The process that makes one avatar. What comes back from it is JSON and a .glb file, nothing that could be executed.
+"""The process that makes one avatar. It returns JSON and a .glb file, nothing that could be executed.
 
-It decodes files of strangers, so it has nothing of the server's, and it may crash, hang or be killed at any time: it
-writes no file, and the pictures are in its memory alone.
+It decodes strangers' files, so it shares nothing with the server and may crash, hang or be killed at any time. It
+writes no file; the pictures are in its memory only.
 """
 
 from __future__ import annotations
@@ -13,55 +13,78 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any
 
+import msgspec
+
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.uploads.job import WORDS, Finding, LowConfidenceError, Make, Order, Progress, UploadConfig, bounded
+from glsplat.extras.uploads.job import (
+    MAX_LINE,
+    Finding,
+    LowConfidenceError,
+    Make,
+    Order,
+    Progress,
+    UploadConfig,
+    bounded,
+)
 from glsplat.formats import save
 
-__all__ = ["Maker", "MakerFaultError", "UnwantedError"]
+__all__ = ["Maker", "MakerFaultError", "UploadCancelledError"]
 
-_LINE = 1 << 19  # bytes of what the process tells at once: of bounded findings, each character written as twelve
-_TELL = 0.1  # seconds between two lines about the same step
-_CANCELLED, _LATE = "cancelled", "late"
-_GO_ON = "go on"
-_BEFORE_OTHERS = "1000"  # where memory runs out, the system ends this process first
+MAX_MESSAGE_BYTES = 1 << 19  # bounded findings, each character escaped to at most twelve bytes
+PROGRESS_INTERVAL_S = 0.1  # between two messages about the same step
+_CANCELLED, _TIMED_OUT = "cancelled", "timed out"
+_RESUME = "go on"
+_OOM_SCORE = "1000"  # when memory runs out, Linux kills this process first
 
 
-class UnwantedError(Exception):
-    """Nobody wants it any more."""
+class UploadCancelledError(Exception):
+    """The client cancelled its upload, or the server stops."""
 
 
 class MakerFaultError(Exception):
-    """The process ended otherwise than it should: for the log, without anything that a client sent."""
+    """The process ended unexpectedly. The message is for the log and holds nothing that a client sent."""
+
+
+class _Message(msgspec.Struct):
+    """One line of JSON from the process; ``kind`` is ready, step, refused, failed, avatar or fault."""
+
+    kind: str
+    step: str = ""
+    share: float = 0.0
+    error: str = ""
+    findings: list[Finding] = []
+    waits: bool = False
 
 
 class Maker:
     """Makes one avatar in a process of its own, which has ended when ``make`` or ``go_on`` returns or raises.
 
-    Unless it then ``waits``: refused pictures are made an avatar of by ``go_on`` all the same, or ``close`` ends it.
+    Exception: while ``waits`` is true, the process holds refused pictures; ``go_on`` makes an avatar of them, ``close``
+    ends the process.
     """
 
     def __init__(self, config: UploadConfig) -> None:
         self._config = config
         self._process: SpawnProcess | None = None
         self._pipe: Connection | None = None
-        self._ended = ""  # why the process was ended from here
+        self._kill_reason = ""
         self._lock = threading.Lock()
         self.waits: bool = False
         """Whether ``go_on`` may be called."""
 
     def make(self, order: Order, progress: Progress) -> bytes:
-        """A .glb file made of ``order``; ``progress`` is called on this thread.
+        """Return a .glb file made from ``order``; ``progress`` is called on this thread.
 
-        Raises what ``config.make`` raises on purpose, GlsplatError when it takes too long, MakerFaultError, and
-        UnwantedError after ``stop``.
+        Raises LowConfidenceError and GlsplatError of ``config.make``, GlsplatError on a timeout, MakerFaultError, and
+        UploadCancelledError after ``stop``.
         """
         spawn = multiprocessing.get_context("spawn")
         self._pipe, theirs = spawn.Pipe()
@@ -70,8 +93,8 @@ class Maker:
         )
         try:
             with self._lock:
-                if self._ended:
-                    raise UnwantedError
+                if self._kill_reason:
+                    raise UploadCancelledError
                 process.start()
                 self._process = process
         except BaseException:
@@ -79,18 +102,18 @@ class Maker:
             raise
         finally:
             theirs.close()
-        return self._followed(self._pipe, process, order, progress)
+        return self._result(self._pipe, process, order, progress)
 
     def go_on(self, progress: Progress) -> bytes:
-        """As ``make``, from where its process waits."""
+        """Return what ``make`` returns, resuming the process that waits."""
         pipe, process = self._pipe, self._process
         if not self.waits or pipe is None or process is None:
-            raise UnwantedError
+            raise UploadCancelledError
         self.waits = False
-        return self._followed(pipe, process, None, progress)
+        return self._result(pipe, process, None, progress)
 
     def close(self) -> None:
-        """End the process, if there is one. Twice is once."""
+        """Kill the process, if there is one. May be called twice."""
         with self._lock:
             process, self._process = self._process, None
         self.waits = False
@@ -102,71 +125,58 @@ class Maker:
             self._pipe.close()
 
     def stop(self) -> None:
-        """Nobody wants it any more. From any thread, at any time."""
-        self._end(_CANCELLED)
+        """Cancel the work. Safe on any thread at any time."""
+        self._kill(_CANCELLED)
 
-    def _end(self, why: str) -> None:
+    def _kill(self, reason: str) -> None:
         with self._lock:
-            self._ended = self._ended or why
+            self._kill_reason = self._kill_reason or reason
             if self._process is not None:
                 self._process.kill()
 
-    def _followed(self, pipe: Connection, process: SpawnProcess, order: Order | None, progress: Progress) -> bytes:
-        timer = threading.Timer(self._config.seconds, self._end, (_LATE,))
+    def _result(self, pipe: Connection, process: SpawnProcess, order: Order | None, progress: Progress) -> bytes:
+        """Exchange messages until the process returns, within ``config.make_timeout``."""
+        timer = threading.Timer(self._config.make_timeout, self._kill, (_TIMED_OUT,))
         timer.start()
         try:
-            return self._follow(pipe, order, progress)
-        except (EOFError, OSError):  # it is gone, or does not keep to what was agreed
-            if self._ended == _CANCELLED:
-                raise UnwantedError from None
-            if self._ended == _LATE:
-                most = self._config.seconds
-                raise GlsplatError(f"it took more than {most:g} s and was given up; try again later") from None
-            raise MakerFaultError(f"its process ended{_how(process)}") from None
+            return self._exchange(pipe, order, progress)
+        except (EOFError, OSError):  # the process ended, or sent more than MAX_MESSAGE_BYTES
+            if self._kill_reason == _CANCELLED:
+                raise UploadCancelledError from None
+            if self._kill_reason == _TIMED_OUT:
+                limit = self._config.make_timeout
+                raise GlsplatError(f"it took more than {limit:g} s and was given up; try again later") from None
+            raise MakerFaultError(f"its process ended{_exit_status(process)}") from None
         finally:
             timer.cancel()
             if not self.waits:
                 self.close()
 
-    def _follow(self, pipe: Connection, order: Order | None, progress: Progress) -> bytes:
+    def _exchange(self, pipe: Connection, order: Order | None, progress: Progress) -> bytes:
         if order is None:
-            pipe.send(_GO_ON)
+            pipe.send(_RESUME)
         while True:
-            told = _read(pipe.recv_bytes(_LINE))
-            kind = told.get("kind")
-            if kind == "ready":
-                pipe.send(order)
-            elif kind == "step":
-                progress(str(told.get("step")), _share(told.get("share")))
-            elif kind == "refused":
-                self.waits = told.get("waits") is True and not self._ended
-                raise LowConfidenceError(str(told.get("error")), _findings(told.get("findings")))
-            elif kind == "failed":
-                raise GlsplatError(str(told.get("error")))
-            elif kind == "avatar":
-                return pipe.recv_bytes(self._config.avatar_bytes)
-            else:
-                raise MakerFaultError(str(told.get("error"))[:200])
+            try:
+                message = msgspec.json.decode(pipe.recv_bytes(MAX_MESSAGE_BYTES), type=_Message)
+            except (msgspec.MsgspecError, UnicodeDecodeError):
+                raise MakerFaultError("its process sent a message that cannot be read") from None
+            match message.kind:
+                case "ready":
+                    pipe.send(order)
+                case "step":
+                    progress(message.step, message.share)
+                case "refused":
+                    self.waits = message.waits and not self._kill_reason
+                    raise LowConfidenceError(message.error, message.findings)
+                case "failed":
+                    raise GlsplatError(message.error)
+                case "avatar":
+                    return pipe.recv_bytes(self._config.avatar_bytes)
+                case _:
+                    raise MakerFaultError(message.error[:200])
 
 
-def _read(line: bytes) -> dict[str, Any]:
-    try:
-        told = json.loads(line)
-    except ValueError:
-        told = None
-    return told if isinstance(told, dict) else {"error": "it told what cannot be read"}
-
-
-def _share(value: object) -> float:
-    return float(value) if isinstance(value, (int, float)) else 0.0
-
-
-def _findings(value: object) -> Sequence[Finding]:
-    found = value if isinstance(value, list) else []
-    return [(str(one[0]), str(one[1]), str(one[2])) for one in found if isinstance(one, list) and len(one) == 3]
-
-
-def _how(process: SpawnProcess) -> str:
+def _exit_status(process: SpawnProcess) -> str:
     if process.pid is None:
         return " before it began"
     process.join(1.0)
@@ -175,76 +185,77 @@ def _how(process: SpawnProcess) -> str:
 
 
 def _work(make: Make, nice: int, pipe: Connection) -> None:
-    """The process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it reaches all processes of a terminal; the server ends this one
-    _be_quiet()
-    _stand_back(nice)
-    last = ("", 0.0)  # the step told last, and when
+    """Run the process: make an avatar and send messages about it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of a terminal; the server ends this one
+    _silence_output()
+    _lower_priority(nice)
+    last_step, last_sent = "", 0.0
 
-    def tell(kind: str, **more: Any) -> None:
-        pipe.send_bytes(json.dumps({"kind": kind, **more}).encode())
+    def send(kind: str, **fields: Any) -> None:
+        pipe.send_bytes(json.dumps({"kind": kind, **fields}).encode())
 
     def progress(step: str, share: float) -> None:
-        nonlocal last
+        nonlocal last_step, last_sent
         now = time.monotonic()
-        if step != last[0] or share >= 1 or now - last[1] > _TELL:
-            last = step, now
-            tell("step", step=step[:WORDS], share=float(share))
+        if step != last_step or share >= 1 or now - last_sent > PROGRESS_INTERVAL_S:
+            last_step, last_sent = step, now
+            send("step", step=step[:MAX_LINE], share=float(share))
 
     with suppress(OSError):  # the server is gone
         try:
-            tell("ready")
+            send("ready")
             order = pipe.recv()
-            go_on: Callable[[], Avatar] | None = partial(make, order, progress)
-            while go_on is not None:
+            next_try: Callable[[], Avatar] | None = partial(make, order, progress)
+            while next_try is not None:
                 try:
-                    avatar = go_on()
-                except OSError as error:  # a file that is missing, a full disk: not the pipe
-                    tell("fault", error=f"OSError{_place(error)}")
+                    avatar = next_try()
+                except OSError as error:  # a missing file or a full disk, not the pipe
+                    send("fault", error=f"OSError{_location(error)}")
                     return
                 except LowConfidenceError as error:
-                    go_on = error.go_on
-                    tell("refused", error=_line(error), findings=bounded(error.findings), waits=go_on is not None)
-                    if go_on is not None:
-                        pipe.recv()  # whoever does not send it ends this process
+                    next_try = error.go_on
+                    waits = next_try is not None
+                    send("refused", error=_one_line(error), findings=bounded(error.findings), waits=waits)
+                    if waits:
+                        pipe.recv()  # _RESUME, or the server kills this process
                     continue
                 data = io.BytesIO()
                 save(avatar, data, format="glb")
-                tell("avatar")
+                send("avatar")
                 pipe.send_bytes(data.getbuffer())
                 break
         except GlsplatError as error:
-            tell("failed", error=_line(error))
-        except (OSError, EOFError):  # of the pipe: nobody waits any more
+            send("failed", error=_one_line(error))
+        except (OSError, EOFError):  # the pipe is closed
             return
-        except BaseException as error:  # also MemoryError, and what libraries end a program with
-            tell("fault", error=f"{type(error).__name__}{_place(error)}")
+        except BaseException as error:  # also MemoryError and SystemExit
+            send("fault", error=f"{type(error).__name__}{_location(error)}")
 
 
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:WORDS]
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:MAX_LINE]
 
 
-def _place(error: BaseException) -> str:
-    """Where it happened. Not what: the message may hold something of the picture."""
-    trace, place = error.__traceback__, ""
+def _location(error: BaseException) -> str:
+    """Return " at FILE:LINE" of an error without its message, which may hold data of the picture."""
+    trace, location = error.__traceback__, ""
     while trace is not None:
-        place = f" at {trace.tb_frame.f_code.co_filename.rpartition('/')[2]}:{trace.tb_lineno}"
+        location = f" at {trace.tb_frame.f_code.co_filename.rpartition('/')[2]}:{trace.tb_lineno}"
         trace = trace.tb_next
-    return place
+    return location
 
 
-def _be_quiet() -> None:
-    """Libraries that decode pictures print what they find in them: that is nothing for the server's log."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+def _silence_output() -> None:
+    """Discard output: libraries print parts of the pictures that they decode, which must not reach the log."""
+    devnull = os.open(os.devnull, os.O_WRONLY)
     for descriptor in (1, 2):
-        os.dup2(nowhere, descriptor)
-    os.close(nowhere)
+        os.dup2(devnull, descriptor)
+    os.close(devnull)
 
 
-def _stand_back(nice: int) -> None:
-    """Let those who draw and serve go first."""
+def _lower_priority(nice: int) -> None:
+    """Give drawing and serving the CPU and the memory first."""
     with suppress(OSError, AttributeError):
         os.nice(nice)
     with suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as file:
-        file.write(_BEFORE_OTHERS)
+        file.write(_OOM_SCORE)

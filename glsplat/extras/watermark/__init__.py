@@ -1,4 +1,8 @@
-"""An invisible mark in the rendered avatar that leads from a leaked clip to the session that was served it."""
+"""An invisible watermark in pictures that identifies the server and the session that received them.
+
+`mark.Watermark` is a step of a renderer's resolve pass; `glsplat serve` adds it, and `glsplat watermark detect` finds
+it in leaked pictures (docs/watermark.md).
+"""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
-"""What a mark says, as bits that survive errors: ids, CRC, and a convolutional code that is decoded softly.
+"""Code of a watermark: ids, a CRC, and a convolutional code with soft decoding.
 
-48 bits of ids and CRC-16/CCITT make 64; the rate 1/4 code of constraint length 9 of cdma2000 (3GPP2 C.S0002,
-generators 765, 671, 513, 473) makes 256 of them. It is tail-biting: the encoder begins in the state it ends in, so no
-bits are spent on a tail.
+48 bits of ids and CRC-16/CCITT make 64 bits; the rate-1/4 code of constraint length 9 of cdma2000 (3GPP2 C.S0002,
+generators 765, 671, 513, 473) makes 256. It is tail-biting: the encoder starts in its final state, which saves the
+bits of a tail.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _GENERATORS = (0o765, 0o671, 0o513, 0o473)
 _MEMORY = 8  # bits of the encoder's state
 _STATES = 1 << _MEMORY
 CHECK_BITS = 16
-"""Of the CRC: what is decoded of noise passes it with a chance of 2^-16."""
+"""Length of the CRC; decoded noise passes it with probability 2^-16."""
 _INFO_BITS = 48 + CHECK_BITS
 CODE_BITS = _INFO_BITS * len(_GENERATORS)
 """Length of a code word."""
@@ -27,16 +27,16 @@ CODE_BITS = _INFO_BITS * len(_GENERATORS)
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """Who drew the picture, and for whom."""
+    """Ids of the server and of the session."""
 
     server: int  # 16 bits
     session: int  # 32 bits
 
 
 def _tables() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """[states, 2] the two states before each, and [states, 2, 4] the signs that are sent on the way from them.
+    """Return each state's two predecessors [states, 2], and the signs sent on the way from them [states, 2, 4].
 
-    The newest bit enters a state at the top, so that it tells which bit led there.
+    The newest bit is the top bit of a state.
     """
     states = np.arange(_STATES)
     before = np.stack([(states << 1) & (_STATES - 1), (states << 1) & (_STATES - 1) | 1], axis=1)
@@ -45,13 +45,13 @@ def _tables() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     return before, (1 - 2 * parity[register[..., None] & np.array(_GENERATORS)]).astype(np.float32)
 
 
-_BEFORE, _SIGNS = _tables()
+_PREDECESSORS, _SIGNS = _tables()
 
 
 def encode(payload: Payload) -> NDArray[np.float32]:
-    """The code word [CODE_BITS] as signs, +1 for a 0."""
+    """Return the code word [CODE_BITS] as signs, +1 for a 0."""
     info = payload.server.to_bytes(2, "big") + payload.session.to_bytes(4, "big")
-    bits = np.unpackbits(np.frombuffer(info + _check(info), np.uint8)).astype(np.intp)
+    bits = np.unpackbits(np.frombuffer(info + _crc(info), np.uint8)).astype(np.intp)
     state = 0
     for bit in bits[-_MEMORY:]:
         state = state >> 1 | int(bit) << (_MEMORY - 1)
@@ -64,30 +64,30 @@ def encode(payload: Payload) -> NDArray[np.float32]:
 
 
 def decode(soft: NDArray[np.floating]) -> Payload | None:
-    """The payload of a received word [CODE_BITS]: signs times confidence. None where the CRC says that it is wrong.
+    """Return the payload of a received word [CODE_BITS], signs times confidence; None if the CRC does not match.
 
-    Viterbi's algorithm around the circle: three rounds from any state, of which the middle one is kept.
+    Viterbi's algorithm, three rounds around the circle from any state; the middle round is kept.
     """
     received = np.asarray(soft, np.float32).reshape(_INFO_BITS, len(_GENERATORS))
     gains = received @ _SIGNS.reshape(-1, len(_GENERATORS)).T  # [info, 2 states]
     gains = gains.reshape(_INFO_BITS, _STATES, 2)
     metric = np.zeros(_STATES, np.float32)
-    came = np.empty((3 * _INFO_BITS, _STATES), bool)
-    for step in range(len(came)):
-        ways = metric[_BEFORE] + gains[step % _INFO_BITS]
-        came[step] = ways[:, 1] > ways[:, 0]
-        metric = ways.max(axis=1)
+    choices = np.empty((3 * _INFO_BITS, _STATES), bool)
+    for step in range(len(choices)):
+        candidates = metric[_PREDECESSORS] + gains[step % _INFO_BITS]
+        choices[step] = candidates[:, 1] > candidates[:, 0]
+        metric = candidates.max(axis=1)
     state = int(metric.argmax())
-    bits = np.empty(len(came), np.uint8)
-    for step in range(len(came) - 1, -1, -1):
+    bits = np.empty(len(choices), np.uint8)
+    for step in range(len(choices) - 1, -1, -1):
         bits[step] = state >> (_MEMORY - 1)
-        state = int(_BEFORE[state, int(came[step, state])])
+        state = int(_PREDECESSORS[state, int(choices[step, state])])
     data = np.packbits(bits[_INFO_BITS : 2 * _INFO_BITS]).tobytes()
     info, check = data[:6], data[6:]
-    if check != _check(info):
+    if check != _crc(info):
         return None
     return Payload(int.from_bytes(info[:2], "big"), int.from_bytes(info[2:], "big"))
 
 
-def _check(info: bytes) -> bytes:
+def _crc(info: bytes) -> bytes:
     return binascii.crc_hqx(info, 0xFFFF).to_bytes(2, "big")

@@ -1,16 +1,14 @@
-"""Finds a mark in pictures that were cropped, scaled and compressed since, and says how likely chance is.
+"""Find a mark in pictures that were cropped, scaled and compressed, with a bound on the false alarm probability.
 
-Of each picture what a median filter can explain is taken away. What is left is averaged, for the mark stands still on
-the screen while what it lies on moves, and weighed by how noisy it is around. Of that, for each scale that is tried,
-the ring's bins are computed (a Fourier transform at just those frequencies), and one inverse transform scores all
-places where a tile may begin.
+A median filter's residual of each picture is averaged, as the mark stays in place while the content moves, and divided
+by the local variance. For each scale tried, the ring's bins are computed (a Fourier transform at these frequencies);
+one inverse transform scores all positions of the tile.
 
-**False alarms.** Under another key, or without a mark, the phases of a key are independent of the picture and uniform,
-so the score sum(a cos(phase)) over the bins that find the tile, a their magnitudes, exceeds t sqrt(sum(a^2) / 2) with a
-chance of at most exp(-t^2 / 2): E exp(l a cos) = I0(l a) <= exp(l^2 a^2 / 4), and Chernoff's bound. That holds for any
-picture. It is multiplied by the number of places and scales that were tried (Bonferroni), and by 2^-16: the phases of
-the bins that carry the code word are independent of the others, which makes what is decoded uniform, and the CRC holds
-for one word in 2^16.
+**False alarms.** Without the mark, or under another key, a key's phases are uniform and independent of the picture. The
+score sum(a cos(phase)) over the sync bins, a their magnitudes, exceeds t sqrt(sum(a^2) / 2) with probability at most
+exp(-t^2 / 2): E exp(l a cos) = I0(l a) <= exp(l^2 a^2 / 4), and Chernoff's bound, for any picture. It is multiplied by
+the number of positions and scales tried (Bonferroni), and by 2^-16: the data bins' phases are independent of the sync
+bins', so the decoded word is uniform, and the CRC matches one word in 2^16.
 """
 
 from __future__ import annotations
@@ -28,26 +26,26 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.code import CHECK_BITS, Payload, decode
 from glsplat.extras.watermark.pattern import BAND, TILE, Pattern, pattern_of
 
-__all__ = ["SCALES", "WINDOW", "Found", "detect", "rest_of", "search"]
+__all__ = ["SCALES", "WINDOW", "Found", "detect", "residual_of", "search"]
 
 SCALES = (0.5, 2.0)
-"""The least and the largest scale that is tried: pixels of the picture a pixel that was drawn."""
+"""Least and largest scale tried: picture pixels per rendered pixel."""
 
 WINDOW = 30
-"""Pictures that are averaged."""
+"""Pictures per average."""
 
 ALARM = 1e-6
-"""Chance of a false alarm above which nothing is reported."""
+"""Largest false alarm probability of a reported mark."""
 
-_EMPTY = 0.05  # what is nowhere above it holds no mark: backgrounds
-_GRID = 2 * TILE  # places a side: every half pixel
-_BATCH = 24  # scales at once
-_TRIES = 6  # best scales that are decoded, each at its best place
-_STEP = 0.7  # of the scale that moves the finest wave by a quarter at the picture's rim
-_MOST = 8.0  # levels; several times a mark, what is beyond belongs to the picture
-_AROUND = 1.5  # pixels, deviation of the weights of a neighbourhood
-_FLOOR = 1.2  # levels; noise below it is not trusted
-_LIMIT = 2.0  # times the typical magnitude; one bin does not count for more
+_EMPTY = 0.05  # whitened level; margins below it are cut off as background
+_GRID = 2 * TILE  # positions per side: every half pixel
+_BATCH = 24  # scales computed at once
+_CANDIDATES = 6  # best scales that are decoded, each at its best position
+_SCALE_STEP = 0.7  # of the step that shifts the finest wave by a quarter at the picture's edge
+_MAX_RESIDUAL = 8.0  # levels; larger residuals belong to the picture
+_BLUR_PX = 1.5  # standard deviation of the neighbourhood of the local variance
+_NOISE_FLOOR = 1.2  # levels; least noise assumed
+_MAX_WEIGHT = 2.0  # times the typical magnitude, so that no single bin dominates
 
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
@@ -55,24 +53,24 @@ C64 = NDArray[np.complex64]
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A mark that was found."""
+    """A detected mark."""
 
     server: int
     session: int
-    chance: float  # bound on the probability that pictures without it look like this
-    scale: float  # pixels of the picture a pixel that was drawn
-    frames: int  # pictures it was found in
+    chance: float  # bound on the false alarm probability
+    scale: float  # picture pixels per rendered pixel
+    frames: int  # pictures averaged
 
     def __str__(self) -> str:
         return f"server {self.server:04x}, session {self.session:08x} (false alarm: {self.chance:.1g})"
 
 
 def detect(frames: Iterable[NDArray[np.uint8]], key: bytes, window: int = WINDOW) -> Found | None:
-    """The mark of ``key`` in ``frames``: RGB or RGBA pictures [H, W, 3|4] of one size, or luma [H, W].
+    """Return the mark of ``key`` in ``frames``, or None: RGB or RGBA pictures [H, W, 3|4] of one size, or luma [H, W].
 
-    Every ``window`` pictures their mean is searched, what is left over at the end too, and last the mean of all; the
-    first mark that is found ends it. The n-th search counts n (n + 1) times in ``Found.chance``, so that all together
-    stay below one in a million. Raises GlsplatError for pictures of another form, or none.
+    The mean of every ``window`` pictures is searched, that of the remaining ones, and last the mean of all, until a
+    mark is found. The n-th search multiplies ``Found.chance`` by n (n + 1), so the sum stays below one in a million.
+    Raises GlsplatError for no pictures or pictures of another form.
     """
     if window < 1:
         raise GlsplatError(f"a window needs at least 1 picture, not {window}")
@@ -86,7 +84,7 @@ def detect(frames: Iterable[NDArray[np.uint8]], key: bytes, window: int = WINDOW
         return search(sum_ / np.float32(pictures), pattern, searches * (searches + 1), pictures)
 
     for frame in frames:
-        rest = rest_of(frame)
+        rest = residual_of(frame)
         if count and rest.shape != total.shape:
             raise GlsplatError(f"pictures of one size are needed, not {_size(total)} and then {_size(rest)}")
         total = total + rest if count else rest
@@ -103,8 +101,8 @@ def detect(frames: Iterable[NDArray[np.uint8]], key: bytes, window: int = WINDOW
     return found_in(total, count) if searches > 1 else None
 
 
-def rest_of(frame: NDArray[np.uint8]) -> F32:
-    """[H, W] levels of luma that a median of 5x5 does not explain; what stands out further counts no more."""
+def residual_of(frame: NDArray[np.uint8]) -> F32:
+    """Return the luma [H, W] in levels without its 5x5 median, clipped."""
     if not isinstance(frame, np.ndarray) or frame.dtype != np.uint8 or min(frame.shape, default=0) < 1:
         raise GlsplatError("a mark is searched in pictures of uint8, [H, W, 3], [H, W, 4] or [H, W]")
     luma = np.ascontiguousarray(frame)
@@ -113,28 +111,28 @@ def rest_of(frame: NDArray[np.uint8]) -> F32:
     if luma.ndim != 2:
         raise GlsplatError(f"a picture is [H, W, 3], [H, W, 4] or [H, W], not {frame.shape}")
     rest = luma.astype(np.float32) - cv2.medianBlur(luma, 5)
-    return np.clip(rest, -_MOST, _MOST)
+    return np.clip(rest, -_MAX_RESIDUAL, _MAX_RESIDUAL)
 
 
 def search(mean: F32, pattern: Pattern, times: int = 1, frames: int = 1) -> Found | None:
-    """The mark in the mean of ``rest_of`` of so many ``frames``; its chance counts ``times``."""
+    """Return the mark in the mean of ``residual_of`` of ``frames`` pictures; its chance is multiplied by ``times``."""
     residual = _whitened(mean)
     scales = _scales(max(residual.shape))
     spectra = _spectra(residual, pattern, scales)
     weights = _weights(spectra, pattern)
     scores = _scores(spectra * weights, pattern)
     tries = scores.size * times
-    # of each scale the best place, of these the best
+    # the best position of each scale, then the best of these
     flat = scores.reshape(len(scales), -1)
-    places = flat.argmax(axis=1)
-    best = flat[np.arange(len(scales)), places]
-    for index in np.argsort(best)[::-1][:_TRIES]:
+    positions = flat.argmax(axis=1)
+    best = flat[np.arange(len(scales)), positions]
+    for index in np.argsort(best)[::-1][:_CANDIDATES]:
         chance = _chance(float(best[index]), tries)
         if chance > ALARM:
             break
-        row, column = divmod(int(places[index]), _GRID)
+        row, column = divmod(int(positions[index]), _GRID)
         start = (float(scales[index]), column * TILE / _GRID, row * TILE / _GRID)
-        payload, scale = _decoded(residual, pattern, start)
+        payload, scale = _refine(residual, pattern, start)
         if payload is not None:
             return Found(payload.server, payload.session, chance, scale, frames)
     return None
@@ -149,12 +147,9 @@ def _size(image: F32) -> str:
 
 
 def _whitened(mean: F32) -> F32:
-    """Over its local variance: the matched filter of a mark that is weaker than the noise around it.
-
-    Cut to what is not empty.
-    """
-    variance = cv2.GaussianBlur(mean * mean, (0, 0), _AROUND)
-    weighed = mean / (variance + _FLOOR**2)
+    """Return the residual over its local variance, the matched filter of a weak mark, without empty margins."""
+    variance = cv2.GaussianBlur(mean * mean, (0, 0), _BLUR_PX)
+    weighed = mean / (variance + _NOISE_FLOOR**2)
     there = abs(weighed) > _EMPTY
     if not there.any():
         return np.zeros((1, 1), np.float32)
@@ -164,18 +159,18 @@ def _whitened(mean: F32) -> F32:
 
 @lru_cache(maxsize=32)
 def _scales(length: int) -> F32:
-    """Scales so near to each other that a mark ``length`` pixels long is in step with one of them."""
+    """Return scales so dense that a mark ``length`` pixels long is in step with one of them."""
     low, high = np.log(SCALES)
     return np.exp(np.linspace(low, high, 1 + int(np.ceil((high - low) / _step(length))))).astype(np.float32)
 
 
 def _step(length: int) -> float:
-    """From one scale to the next (logarithm)."""
-    return _STEP * TILE / (BAND[1] * max(length, TILE))
+    """Return the logarithmic step between scales."""
+    return _SCALE_STEP * TILE / (BAND[1] * max(length, TILE))
 
 
 def _waves(length: int, scales: NDArray[np.floating], most: int) -> C64:
-    """[scales, length, most + 1]: exp(-2 pi i k x / (TILE scale)) for k = 0 .. most, x from the picture's middle."""
+    """Return exp(-2 pi i k x / (TILE scale)) [scales, length, most + 1], k = 0 .. most, x from the picture's middle."""
     x = np.arange(length) - length // 2
     first = np.exp(-2j * np.pi / TILE * x / np.asarray(scales, np.float64)[:, None]).astype(np.complex64)
     waves = np.empty((len(scales), length, most + 1), np.complex64)
@@ -186,7 +181,7 @@ def _waves(length: int, scales: NDArray[np.floating], most: int) -> C64:
 
 
 def _bins(residual: F32, pattern: Pattern, across: C64, down: C64) -> C64:
-    """[S, N] the bins of S scales, of the ``_waves`` of both axes."""
+    """Return the bins [S, N] at S scales, from the ``_waves`` of both axes."""
     height, width = residual.shape
     count, most = len(across), across.shape[2] - 1
     columns = np.ascontiguousarray(across.transpose(1, 0, 2)).view(np.float32).reshape(width, -1)
@@ -206,37 +201,37 @@ def _spectra(residual: F32, pattern: Pattern, scales: F32) -> C64:
 
 
 def _weights(spectra: C64, pattern: Pattern) -> F32:
-    """[S, N] one over the magnitude that bins of about that frequency have, less for those that stand out."""
+    """Return weights [S, N]: one over the typical magnitude at that frequency, less for outliers."""
     power = spectra.real**2 + spectra.imag**2
     typical = np.sqrt(power @ _neighbours(pattern)) + np.float32(1e-12)
-    return np.minimum(1 / typical, _LIMIT / np.maximum(np.sqrt(power), 1e-12))
+    return np.minimum(1 / typical, _MAX_WEIGHT / np.maximum(np.sqrt(power), 1e-12))
 
 
 @lru_cache(maxsize=8)
 def _neighbours(pattern: Pattern) -> F32:
-    """[N, N] averages bins over a ring one cycle a tile wide."""
+    """Return the matrix [N, N] that averages bins over a ring one cycle per tile wide."""
     radius = np.hypot(pattern.kx, pattern.ky)
     near = (abs(radius[:, None] - radius) <= 0.5).astype(np.float32)
     return near / near.sum(axis=0)
 
 
 def _scores(weighed: C64, pattern: Pattern) -> F32:
-    """[S, GRID, GRID] by row and column at which the picture's middle lies in the tile, in deviations of chance."""
+    """Return scores [S, GRID, GRID] in standard deviations, by row and column of the picture's middle in the tile."""
     sync, kx, ky = pattern.sync, pattern.kx[pattern.sync], pattern.ky[pattern.sync]
     values = (weighed[:, sync] * pattern.phase[sync].conj()).conj()
     deviation = np.sqrt((values.real**2 + values.imag**2).sum(axis=1) / 2) + np.float32(1e-12)
     spectrum = np.zeros((len(weighed), _GRID, _GRID // 2 + 1), np.complex64)
     spectrum[:, ky, kx] = values
-    axis = kx == 0  # both halves of this column are given
+    axis = kx == 0  # this column holds both halves
     spectrum[:, -ky[axis], 0] = values[:, axis].conj()
     total = fft.irfft2(spectrum, (_GRID, _GRID), norm="forward") / 2
     return total / deviation[:, None, None]
 
 
-def _decoded(residual: F32, pattern: Pattern, start: tuple[float, float, float]) -> tuple[Payload | None, float]:
-    """What the bins say, and the scale, at the place near ``start`` (scale, x, y) that scores best.
+def _refine(residual: F32, pattern: Pattern, start: tuple[float, float, float]) -> tuple[Payload | None, float]:
+    """Return the payload and the scale at the best score near ``start`` (scale, x, y).
 
-    Near: within the step of the search. Where the score is weak a better one further away is chance.
+    Near: within the step of the search. With a weak score, a better one further away would be chance.
     """
     most, sync = int(BAND[1]), pattern.sync
     waves = (2j * np.pi / TILE * np.stack([pattern.kx, pattern.ky], axis=1)).astype(np.complex64)

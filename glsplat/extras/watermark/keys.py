@@ -1,4 +1,4 @@
-"""The file that holds what a server marks with: its id in hex and its key in hex, in one line."""
+"""File of a server's watermark: its id and its key in hexadecimal, in one line."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from glsplat.io.secret_files import warn_if_exposed
 
 __all__ = ["new_watermark", "read_watermark", "text_of"]
 
-_NEW_KEY = 32  # bytes
-_MOST = 4096  # bytes of a file that can be one
+_NEW_KEY_BYTES = 32
+MAX_FILE_BYTES = 4096
 
 
 def new_watermark() -> WatermarkKey:
-    """An id and a key of chance."""
-    return WatermarkKey(secrets.randbits(16), secrets.token_bytes(_NEW_KEY))
+    """Return a random id and key."""
+    return WatermarkKey(secrets.randbits(16), secrets.token_bytes(_NEW_KEY_BYTES))
 
 
 def text_of(watermark: WatermarkKey) -> str:
-    """The line of the file."""
+    """Return the line of the file."""
     return f"{watermark.server:04x} {watermark.key.hex()}\n"
 
 
 def read_watermark(path: str | Path) -> WatermarkKey:
-    """What a file holds. Raises GlsplatError naming it."""
+    """Return the id and key in a file. Raises GlsplatError naming it."""
     try:
         with Path(path).open("rb") as file:
-            words = file.read(_MOST).decode("ascii").split()
+            words = file.read(MAX_FILE_BYTES).decode("ascii").split()
     except OSError as error:
         raise GlsplatError(f"{path}: cannot read the watermark's key ({error.strerror})") from None
     except UnicodeError:

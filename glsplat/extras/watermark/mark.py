@@ -20,18 +20,15 @@ KEY_BYTES = 16
 """Least length of a key."""
 
 LEVELS = (1.0, 2.3)
-"""How strong a mark is, in levels of 255 (root mean square): on black and on white, linear in between."""
+"""Strength of a mark on black and on white, linear in between: root mean square in levels of 255."""
 
 LUMA = (0.299, 0.587, 0.114)
-"""Of red, green and blue in luma (ITU-R BT.601, as JPEG has it)."""
+"""Weights of red, green and blue in luma (ITU-R BT.601, as in JPEG)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Watermark:
-    """Who drew a picture, and for whom, under the key without which nobody finds it.
-
-    Raises GlsplatError for a ``server`` beyond 16 bits, a ``session`` beyond 32, a ``key`` of less than 16 bytes.
-    """
+    """Ids of a server (16 bits) and a session (32 bits), and a key of at least 16 bytes. Raises GlsplatError."""
 
     server: int
     session: int
@@ -48,17 +45,17 @@ class Watermark:
 
     @property
     def source(self) -> str:
-        """The step, in GLSL."""
+        """GLSL of the step."""
         return _source()
 
     def tile(self) -> NDArray[np.float32]:
-        """[TILE, TILE], mean 0 and variance 1: what repeats over the picture from its top left pixel on."""
+        """Return the tile [TILE, TILE] of mean 0 and variance 1, repeated from the picture's top left pixel."""
         return pattern_of(self.key).tile(encode(Payload(self.server, self.session)))
 
 
 @dataclass(frozen=True, slots=True)
 class WatermarkKey:
-    """What a server marks its pictures with: its id and its key, checked as those of a Watermark."""
+    """Id and key of a server, checked as those of a Watermark."""
 
     server: int
     key: bytes = field(repr=False)
@@ -67,7 +64,7 @@ class WatermarkKey:
         Watermark(self.server, 0, self.key)
 
     def new_mark(self) -> Watermark:
-        """The mark of a new session: 32 bits of chance, so that who knows one id cannot tell another."""
+        """Return the mark of a new session, with a random id that reveals no other one."""
         return Watermark(self.server, secrets.randbits(32), self.key)
 
 
@@ -79,10 +76,10 @@ def _source() -> str:
 
 
 def marked(image: NDArray[np.float32], mark: Watermark) -> NDArray[np.float32]:
-    """The float picture(s) [..., H, W, 4] of a renderer with the mark in them: a new array. Twin of mark.glsl.
+    """Return marked copies of a renderer's float pictures [..., H, W, 4]. Twin of mark.glsl.
 
-    Each view has the same mark at the same place of the screen. Where alpha is 0 nothing changes, and no colour comes
-    to lie above its alpha. Below 0 they may, until they are rounded to bytes.
+    Each view has the mark at the same place of the screen. Pixels of alpha 0 do not change and no colour exceeds its
+    alpha. Colours may be below 0 until they are rounded to bytes.
     """
     height, width = image.shape[-3:-1]
     tile = mark.tile()[np.arange(height)[:, None] % TILE, np.arange(width) % TILE]

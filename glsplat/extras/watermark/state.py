@@ -1,4 +1,4 @@
-"""The watermark's id and key, kept in the folder of the server's state."""
+"""The server's watermark, in its state folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WATERMARK = "watermark"
 
 
 def kept_watermark(folder: Path) -> WatermarkKey:
-    """Return the watermark's id and key in the folder, made at the first call. Raises GlsplatError naming the file."""
+    """Return the id and key in the folder, created at the first call. Raises GlsplatError naming the file."""
     path = folder / WATERMARK
     with lock_of(folder):
         if not path.exists():

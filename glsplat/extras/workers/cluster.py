@@ -1,10 +1,10 @@
-"""Workers that are Ray's actors, on any number of machines (extra ``glsplat[ray]``).
+"""Workers as Ray actors, on any number of machines (extra ``glsplat[ray]``).
 
-Ray places actors by their share of GPUs and CPUs, starts them and ends them. Pictures go from the actor's own socket
-to the gateway: a call of an actor takes 1.5 ms and copies its result through the object store.
+Ray places, starts and ends the actors. Pictures go from the actor's own socket to the gateway, because a call of an
+actor takes 1.5 ms and copies its result through the object store.
 
-Ray's driver runs in a process of its own, because it ends with Ray's head. The gateway does not: connected clients are
-served by the actors, which need no head. They are detached from the driver, and end with the gateway's connection.
+Ray's driver runs in a separate process, because it ends with Ray's head. The gateway goes on: the actors serve its
+clients without the head. They are detached from the driver and end with the gateway's connection.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import secrets
 import signal
 import socket
 import threading
+import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
@@ -26,19 +27,19 @@ from typing import Any
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.backend import Backend
 from glsplat.net.worker.wire import WorkerLostError, greet
-from glsplat.net.worker.work import GREETING_S, work
+from glsplat.net.worker.work import GREETING_S, greet_server, work
 from glsplat.optional import require_package
 
 __all__ = ["RayCluster", "RayLauncher", "require_ray"]
 
 Address = tuple[str, int]
 
-_HOST = re.compile(r"[\w.-]+:\d+")  # of addresses as Ray takes them
+_HOST = re.compile(r"[\w.-]+:\d+")  # HOST:PORT of a Ray head
 
-_ROOM_S = 60.0  # until Ray has room for an actor and its process runs
-_DRIVER_S = 30.0  # beyond that, for the answer of Ray's driver
-_END_S = 3.0  # for Ray to end an actor that is done, or itself
-_UNACKNOWLEDGED_MS = 2000  # until the other machine's kernel has to acknowledge data
+_ROOM_S = 60.0  # for Ray to find room for an actor and start its process
+_DRIVER_S = 30.0  # beyond that, for the driver's answer
+_END_S = 3.0  # for the driver to end
+_UNACKNOWLEDGED_MS = 2000  # for the other machine's kernel to acknowledge data
 
 
 def require_ray() -> None:
@@ -67,13 +68,13 @@ class RayCluster:
         return [RayLauncher(self, f"Ray worker {index}") for index in range(1, count + 1)]
 
     def room(self) -> int:
-        """Return the workers that fit into the cluster, at least 1: by GPUs where they take some, else one a node."""
+        """Return how many workers fit into the cluster, at least 1: by GPUs if they use any, else one per node."""
         return int(self.ask("room"))
 
     def ask(self, *order: Any, pending: Callable[[Future[Any]], None] = lambda _: None) -> Any:
-        """Give Ray's driver an order, and return its answer. Blocks; from any thread. Raises ContextError.
+        """Send Ray's driver an order and return its answer. Blocks; thread-safe. Raises ContextError.
 
-        ``pending`` gets the future of the answer, with which another thread may end the waiting.
+        ``pending`` receives the future of the answer, so that another thread can end the wait.
         """
         with self._lock:
             if self._driver is None or not self._driver.alive:
@@ -88,7 +89,7 @@ class RayCluster:
             raise ContextError(f"Ray did not answer within {_ROOM_S + _DRIVER_S:g} s; is its head there?") from None
 
     def end(self, actor: str, seconds: float) -> None:
-        """Have Ray end an actor after ``seconds``. Without Ray's driver it ends with its connection."""
+        """Have Ray end an actor after ``seconds``. Without a driver it ends with its connection."""
         driver = self._driver
         if driver is not None and driver.alive:
             with suppress(TimeoutError, GlsplatError):
@@ -102,7 +103,7 @@ class RayCluster:
 
 
 class RayLauncher:
-    """Holds one actor at a time."""
+    """Starts and ends one actor at a time."""
 
     def __init__(self, cluster: RayCluster, name: str) -> None:
         self.name: str = name
@@ -168,7 +169,7 @@ class RayLauncher:
 
 
 class _Driver:
-    """Ray's driver, as the gateway sees it: the process that calls Ray."""
+    """The gateway's side of the process that calls Ray."""
 
     def __init__(self, *options: Any) -> None:
         spawn = multiprocessing.get_context("spawn")
@@ -228,8 +229,8 @@ def _drive(
 ) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    os.dup2(2, 1)  # Ray prints messages there
-    os.environ.setdefault("RAY_worker_niceness", "0")  # of a cluster that is started here; Ray's own is 15
+    os.dup2(2, 1)  # Ray prints messages to stdout
+    os.environ.setdefault("RAY_worker_niceness", "0")  # of a cluster started here; Ray's default is 15
     import ray
 
     error: Exception | None = None
@@ -298,7 +299,7 @@ def _drive(
 
 
 def _line(error: BaseException) -> str:
-    """Return the last line that is not empty: an actor's traceback may come before it."""
+    """Return the last line that is not empty; an actor's traceback may precede it."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1][:200] if lines else type(error).__name__
 
@@ -318,7 +319,7 @@ class _Actor:
         """Return the address to which the gateway may connect, within a minute."""
         import ray
 
-        with suppress(OSError, AttributeError):  # at Ray's niceness it would be late; needs a right
+        with suppress(OSError, AttributeError):  # undo Ray's niceness, if permitted
             os.setpriority(os.PRIO_PROCESS, 0, 0)
         gpus = ray.get_gpu_ids()
         if gpus:  # OpenGL ignores CUDA_VISIBLE_DEVICES
@@ -330,7 +331,7 @@ class _Actor:
         return host, listening.getsockname()[1]
 
     def ended(self) -> None:
-        """Wait until the gateway has ended it in order."""
+        """Wait until the gateway has ended the connection properly."""
         self._over.wait()
 
     def _accept(self, listening: socket.socket) -> None:
@@ -342,16 +343,19 @@ class _Actor:
             os._exit(0)
 
     def _serve(self, connection: socket.socket, listening: socket.socket) -> None:
-        def known() -> None:
-            self._taken = True
-            listening.close()
-
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
-            work(connection, self._secret, self._make, known)
-        except (GlsplatError, EOFError, OSError):  # a stranger
+            key = greet_server(connection, self._secret)
+        except (GlsplatError, EOFError, OSError):  # not the gateway
             connection.close()
             return
+        self._taken = True
+        listening.close()
+        try:
+            work(connection, key, self._make)
+        except Exception:
+            traceback.print_exc()
+            os._exit(1)
         self._over.set()
         threading.Event().wait(_END_S)  # until Ray ends it, if Ray is there
         os._exit(0)

@@ -12,25 +12,25 @@ from glsplat.net.worker.process import ProcessLauncher
 
 __all__ = ["Workers"]
 
-_HEADLESS_S = 120.0  # time that a gateway without workers waits for Ray to come back
+_HEADLESS_S = 120.0  # that a gateway without workers waits for Ray to come back
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
-    """``count`` processes of this machine, or with ``ray`` as many actors (None: as the cluster has room for)."""
+    """``count`` processes on this machine, or with ``ray`` that many actors (None: as many as fit)."""
 
     count: int | None = 1
     ray: bool = False
-    cpus: float = 1.0  # of its node, for one actor
+    cpus: float = 1.0  # per actor
     gpus: float = 0.0
     address: str | None = None  # as for ray.init; None: RAY_ADDRESS, a cluster on this machine, or a new one
 
     def pool(
         self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float, video: bool = False
     ) -> WorkerPool:
-        """Return workers that run ``makes`` in turn; Ray's all run the first. The rest as for WorkerPool.
+        """Return a pool whose workers run ``makes`` in turn; Ray's all run the first. The rest as for WorkerPool.
 
-        Raises GlsplatError where Ray is not installed or, if it is asked for its room, not there.
+        Raises GlsplatError if Ray is not installed or cannot be reached.
         """
         if not self.ray:
             count = self.count or 1
@@ -39,7 +39,7 @@ class Workers:
         cluster = RayCluster(makes[0], self.address, self.cpus, self.gpus)
         try:
             count = cluster.room() if self.count is None else self.count
+            return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS_S, close=cluster.close, video=video)
         except BaseException:
             cluster.close()
             raise
-        return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS_S, close=cluster.close, video=video)

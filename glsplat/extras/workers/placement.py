@@ -1,8 +1,7 @@
 """Assigns clients to workers. No I/O, no clock.
 
-The load of a worker is the time in which each of its clients gets one picture: the sum of their pictures' times, over
-its share of a GPU. Clients of one room stay together. Others go where their avatar is loaded already, as long as that
-worker is quick enough, or not much slower than the quickest one.
+A worker's load is the sum of its clients' picture times. Clients of one room stay together. Others go where their
+avatar is loaded already, if that worker is fast enough or not much slower than the fastest one.
 """
 
 from __future__ import annotations
@@ -13,40 +12,39 @@ from dataclasses import dataclass
 __all__ = ["PlacedClient", "PlacedWorker", "better", "choose"]
 
 QUICK = 1 / 90
-"""Seconds: a worker with a smaller load is quick enough."""
+"""Seconds; a worker with a smaller load is fast enough."""
 
 MUCH = 1.5
-"""Times as slow as the quickest worker: then the avatar is loaded there instead."""
+"""Largest load relative to the fastest worker's; beyond it the avatar is loaded there instead."""
 
-_GAIN = 0.8  # of the slower worker's load: at most that has to be left after a move
-_UNKNOWN_S = 0.02  # time of a picture where none was drawn yet
+_GAIN = 0.8  # largest load after a move, relative to the slower worker's before
+_UNKNOWN_S = 0.02  # picture time before the first picture
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedClient:
-    """A client, for placement."""
+    """A client as placement sees it."""
 
     number: int
-    key: str  # "avatar:NAME", or of clients that stay together, such as "room:NAME"
-    cost: float = 0.0  # seconds a picture; 0: not known
+    key: str  # "avatar:NAME", or a key of clients that stay together, such as "room:NAME"
+    cost: float = 0.0  # seconds per picture; 0: unknown
 
     @property
     def together(self) -> bool:
-        """Whether all clients with its key have to be on one worker."""
+        """Whether all clients with this key have to share a worker."""
         return not self.key.startswith("avatar:")
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedWorker:
-    """A worker, for placement."""
+    """A worker as placement sees it."""
 
     clients: tuple[PlacedClient, ...] = ()
-    has: frozenset[str] = frozenset()  # keys of the avatars that it has loaded
-    share: float = 1.0  # of a GPU, or any measure of its speed
+    loaded: frozenset[str] = frozenset()  # keys of its loaded avatars
 
 
 def choose(client: PlacedClient, workers: Sequence[PlacedWorker]) -> int | None:
-    """Return the index of the worker for a client; None where there are none."""
+    """Return the index of the worker for a client; None without workers."""
     if not workers:
         return None
     if client.together:
@@ -55,14 +53,14 @@ def choose(client: PlacedClient, workers: Sequence[PlacedWorker]) -> int | None:
                 return index
     typical = _typical(workers)
     loads = [_load(worker, typical, (client,)) for worker in workers]
-    least = min(range(len(workers)), key=lambda index: (loads[index], client.key not in workers[index].has))
-    ready = [index for index, worker in enumerate(workers) if client.key in worker.has]
+    least = min(range(len(workers)), key=lambda index: (loads[index], client.key not in workers[index].loaded))
+    ready = [index for index, worker in enumerate(workers) if client.key in worker.loaded]
     best = min(ready, key=lambda index: loads[index], default=least)
     return best if loads[best] <= max(QUICK, MUCH * loads[least]) else least
 
 
 def better(workers: Sequence[PlacedWorker]) -> tuple[tuple[int, ...], int] | None:
-    """Return the best move: the numbers of clients that stay together, and the index of their worker; None: no gain."""
+    """Return the best move, numbers of clients that stay together and the index of their new worker, or None."""
     typical = _typical(workers)
     loads = [_load(worker, typical) for worker in workers]
     if len(workers) < 2:
@@ -76,7 +74,7 @@ def better(workers: Sequence[PlacedWorker]) -> tuple[tuple[int, ...], int] | Non
         groups.setdefault(client.key if client.together else client.number, []).append(client)
     best, found = _GAIN * loads[slow], None
     for group in groups.values():
-        left = PlacedWorker(tuple(one for one in workers[slow].clients if one not in group), share=workers[slow].share)
+        left = PlacedWorker(tuple(one for one in workers[slow].clients if one not in group))
         after = max(_load(left, typical), _load(workers[quick], typical, group))
         if after < best:
             best, found = after, (tuple(one.number for one in group), quick)
@@ -84,7 +82,7 @@ def better(workers: Sequence[PlacedWorker]) -> tuple[tuple[int, ...], int] | Non
 
 
 def _load(worker: PlacedWorker, typical: float, more: Sequence[PlacedClient] = ()) -> float:
-    return sum(one.cost or typical for one in (*worker.clients, *more)) / worker.share
+    return sum(one.cost or typical for one in (*worker.clients, *more))
 
 
 def _typical(workers: Sequence[PlacedWorker]) -> float:

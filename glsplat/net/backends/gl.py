@@ -57,7 +57,7 @@ class RendererBackend:
         name: str | None = None,  # of the scene: any other name that is not in ``avatars`` then fails
     ) -> None:
         self.abandoned: Callable[[], bool] = lambda: False
-        self.place: NDArray[np.uint8] | None = None
+        self.out: NDArray[np.uint8] | None = None
         self._config = config or RenderConfig()
         self._max_cost = max_cost_of(self._config) if max_cost is None else max_cost
         self._max_time = max_time
@@ -113,7 +113,7 @@ class RendererBackend:
             one.follow(request, time.monotonic() - self._opened)
             renderer.selector, renderer.step = one.selector(request.viewer), request.mark
             renderer.selector.bias = request.detail
-            images = budget.render(one.prepare(request, self._max_cost), self.place)
+            images = budget.render(one.prepare(request, self._max_cost), self.out)
             stats, timings = renderer.stats, dict(renderer.timings)
             depth: tuple[DepthGrid, ...] = ()
             if request.options.depth:
@@ -136,8 +136,7 @@ class RendererBackend:
         return Rendered(
             images,
             timings,
-            renderer.driver,
-            union(stats.covered, written),
+            covered=union(stats.covered, written),
             levels=stats.levels,
             coarsest=stats.coarsest,
             posed=stats.posed,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.net.room_view import Label
-from glsplat.renderer.stats import union
+from glsplat.renderer.stats import Box, union
 
 __all__ = ["draw_labels"]
 
@@ -40,7 +40,6 @@ _GAP_PX, _MOVED_OPACITY = 2.0, 0.8  # pixels between two boards, and the opacity
 _BOARD_ALPHA, _INK_GREY = 0.6, 240  # alpha of the board, grey of the letters
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 
-Box = tuple[int, int, int, int]  # x, y, width, height
 F64 = NDArray[np.float64]
 
 
@@ -62,12 +61,12 @@ def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Se
     size = cameras[0].width, cameras[0].height
     boards: list[_Board] = []
     if notice:
-        place, line = _notice_place(cameras), max(_least(size), _NOTICE_SHARE * size[1])
-        boards.append(_placed(notice, _seen(cameras, place)[0], line, size, 1.0, []))
+        position, line = _notice_position(cameras), max(_least(size), _NOTICE_SHARE * size[1])
+        boards.append(_placed(notice, _seen(cameras, position)[0], line, size, 1.0, []))
     middle = np.mean([camera.position for camera in cameras], axis=0)
-    for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.place - middle))):
+    for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.position - middle))):
         if label.opacity > 0 and _shown(label, cameras):
-            centres, depth = _seen(cameras, label.place)
+            centres, depth = _seen(cameras, label.position)
             line = max(_least(size), min(_MAX_LINE_SHARE * size[1], label.height * float(cameras[0].K[1, 1]) / depth))
             boards.append(_placed(label.text, centres, line, size, label.opacity, [one.boxes for one in boards]))
     changed: Box = (0, 0, 0, 0)
@@ -82,18 +81,18 @@ def _least(size: tuple[int, int]) -> float:
     return max(_MIN_LINE_PX, _MIN_LINE_SHARE * size[1])
 
 
-def _notice_place(cameras: Sequence[Camera]) -> F64:
+def _notice_position(cameras: Sequence[Camera]) -> F64:
     """Return the position [3] of a notice, in front of both eyes and near the lower edge of the first eye's view."""
     first = cameras[0]
     down = _NOTICE_PLACE * (first.height - float(first.K[1, 2])) / float(first.K[1, 1])
     eyes = np.mean([camera.position for camera in cameras], axis=0)
-    place: F64 = eyes + _NOTICE_DISTANCE_M * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
-    return place
+    position: F64 = eyes + _NOTICE_DISTANCE_M * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
+    return position
 
 
-def _seen(cameras: Sequence[Camera], place: F64) -> tuple[F64, float]:
-    """Project a place; return its pixels [V, 2] and its mean depth in metres, at least ``_MIN_DISTANCE_M``."""
-    points = np.array([camera.viewmat[:3, :3] @ place + camera.viewmat[:3, 3] for camera in cameras])
+def _seen(cameras: Sequence[Camera], position: F64) -> tuple[F64, float]:
+    """Project a position; return its pixels [V, 2] and its mean depth in metres, at least ``_MIN_DISTANCE_M``."""
+    points = np.array([camera.viewmat[:3, :3] @ position + camera.viewmat[:3, 3] for camera in cameras])
     depths = np.maximum(points[:, 2], _MIN_DISTANCE_M)
     pixels = [
         (camera.K[0, 0] * x / depth + camera.K[0, 2], camera.K[1, 1] * y / depth + camera.K[1, 2])
@@ -104,7 +103,7 @@ def _seen(cameras: Sequence[Camera], place: F64) -> tuple[F64, float]:
 
 def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
     """Return whether any view may show a part of a label's thing."""
-    if any(_meets(camera, label.place[None]) for camera in cameras):
+    if any(_meets(camera, label.position[None]) for camera in cameras):
         return True
     box = None if label.box is None else label.box()
     return box is not None and any(_meets(camera, box[_CORNERS, (0, 1, 2)]) for camera in cameras)

@@ -59,7 +59,7 @@ class _Shown:
     headless_figure: Rigged
     label_bounds: FigureBounds
     whole: tuple[Item, ...]
-    headless: tuple[Item, ...]  # what pictures show that hide the person's own head
+    headless: tuple[Item, ...]  # shown in pictures that hide the person's own head
     split: bool  # ``headless`` lacks the head; False: no picture has needed that yet
 
     @property
@@ -117,11 +117,11 @@ class SceneRenderer:
         """Update the scene, its people and its light for a job; ``seconds`` is the time of the scene's motions.
 
         People whose avatar cannot be loaded or posed are left out of the others' pictures. Raises GlsplatError where
-        that is the viewer's own avatar, or where it has no head to hide.
+        that is the viewer's own avatar, or where it has no head to hide, or nothing else.
         """
         self._file.pose_at(seconds)
-        place = self._file.scene.transform
-        self.scene.transform = place if job.to_user is None else job.to_user @ place
+        transform = self._file.scene.transform
+        self.scene.transform = transform if job.to_user is None else job.to_user @ transform
         self.scene.light = job.options.light or self._file.scene.light
         self._view = view = self._view_of(job)
         if job.room is None and _hides_head(job) and not view.people:
@@ -267,19 +267,19 @@ class SceneRenderer:
 
     def _set_layers(self, view: RoomView, out: Collection[int]) -> None:
         """Set the layers of all people; none for people who have faded, or whose key is in ``out``."""
-        for place, one in enumerate(view.people):
+        for index, one in enumerate(view.people):
             shown = self._people[one.key]
             if shown is not None:
-                shown.set_layers(_own(place), one.opacity > 0 and one.key not in out)
+                shown.set_layers(_own(index), one.opacity > 0 and one.key not in out)
 
 
 def _hides_head(job: RenderJob) -> bool:
     return "head" in job.options.hide
 
 
-def _own(place: int) -> int:
-    """Return the layer of the headless pictures from the eyes of the person at that index."""
-    return 1 << (66 + place)
+def _own(index: int) -> int:
+    """Return the layer of the headless pictures from the eyes of the person at ``index`` of the view."""
+    return 1 << (66 + index)
 
 
 def _items(shown: _Shown | None) -> tuple[Item, ...]:
@@ -309,9 +309,9 @@ def _label_of(one: VisiblePerson, shown: _Shown, transform: NDArray[np.float64])
     bones = np.eye(4)[:3] if one.pose is None else one.pose.bones(skeleton)[joint]
     stature = float(rest[:, 1].max() - rest[:, 1].min())
     above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT_M * stature / _LABEL_STATURE_M, 0)
-    place = np.asarray(transform[:3, :3] @ above + transform[:3, 3], np.float64)
+    position = np.asarray(transform[:3, :3] @ above + transform[:3, 3], np.float64)
     box = partial(bounds.box, one.pose, transform)
-    return Label(one.label, place, opacity=1 - (1 - one.opacity) ** 8, box=box)
+    return Label(one.label, position, opacity=1 - (1 - one.opacity) ** 8, box=box)
 
 
 def _feet(skeleton: Skeleton, pose: Pose, transform: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -46,6 +46,7 @@ class Gate:
         max_clients: int,
         clock: Callable[[], float],
         rights: Rights,
+        is_trusted: Callable[[web.Request], bool] = lambda request: False,  # counted like a file of the page
     ) -> None:
         share = max_clients if access.local else (max_clients + 1) // 2
         self.limits = limits
@@ -53,7 +54,7 @@ class Gate:
         self.notices: Notices = Notices(clock)
         self.rights: Rights = rights
         self.refused = 0  # requests
-        self.is_trusted: Callable[[web.Request], bool] = lambda request: False  # counted like a file of the page
+        self._is_trusted = is_trusted
         self._login, self._logins = asyncio.Lock(), 0
         self._access, self._clients, self._clock = access, max_clients, clock
         self._proxies, self._unnamed = TrustedProxies(access.proxies), False
@@ -214,7 +215,7 @@ class Gate:
         if not health and (seconds := addresses.held_off(key, now)) > 0:
             return _later(seconds, "a client of this address broke a limit (docs/protocol.md, section 5)")
         public = _is_page(request)
-        if not addresses.visit(key, now, self.limits.file if public or self.is_trusted(request) else 1.0):
+        if not addresses.visit(key, now, self.limits.file if public or self._is_trusted(request) else 1.0):
             return _later(1.0, f"at most {self.limits.visits:g} connections and requests a second from one address")
         if health:
             return None

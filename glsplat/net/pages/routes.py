@@ -9,9 +9,8 @@ from aiohttp import web
 
 from glsplat.formats.motion_files import embedded_motions
 from glsplat.net.feature import Feature, ServerView
-from glsplat.net.pages.site import File, Site
+from glsplat.net.pages.site import File, Site, page_files
 from glsplat.net.rights import user_of
-from glsplat.optional import plugin
 
 __all__ = ["Pages", "set_headers"]
 
@@ -23,11 +22,7 @@ _DEFAULT_HEADERS = {
 }
 
 _RECORDING = "recording.jsonl"
-_TABLES = {
-    "draw/programs.json": ("browser.web_shaders", "programs_json"),
-    "voice/visemes.json": ("speech.table", "table_json"),
-}
-"""Files of the page that functions of extras make: module and function. Without the extra a file is not served."""
+_VOICE = "voice/panel.js"  # of extras/speech
 
 
 class Pages(Feature):
@@ -36,6 +31,7 @@ class Pages(Feature):
     async def start(self, server: ServerView) -> None:
         """Keep the server, whose state the pages show."""
         self._server = server
+        self._site = Site(page_files())
 
     def routes(self) -> list[web.RouteDef]:
         """Return the addresses of every server, without the WebSocket's."""
@@ -45,7 +41,7 @@ class Pages(Feature):
             web.get("/session", self._session),
             web.get("/motions/{name}", self._motion),
             web.get("/recording", self._recording),
-            *Site(resources.files("glsplat.net") / "web", _tables()).routes(),
+            *self._site.routes(),
         ]
 
     async def _healthz(self, request: web.Request) -> web.Response:
@@ -56,8 +52,8 @@ class Pages(Feature):
         return web.json_response(self._server.stats(user_of(request)))
 
     async def _session(self, request: web.Request) -> web.Response:
-        embedded = {"motions": embedded_motions(), "recording": True}
-        return web.json_response({"v": 1, **self._server.session(user_of(request)), **embedded})
+        own = {"motions": embedded_motions(), "recording": True, "voice": _VOICE in self._site.files}
+        return web.json_response({"v": 1, **self._server.session(user_of(request)), **own})
 
     async def _motion(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]
@@ -74,11 +70,6 @@ async def set_headers(request: web.Request, response: web.StreamResponse) -> Non
     response.headers.update(_HEADERS)
     for name, value in _DEFAULT_HEADERS.items():
         response.headers.setdefault(name, value)
-
-
-def _tables() -> dict[str, bytes]:
-    modules = {path: (plugin(module), function) for path, (module, function) in _TABLES.items()}
-    return {path: getattr(module, function)() for path, (module, function) in modules.items() if module is not None}
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The page for headsets (/vr): the files of glsplat/net/web, read once and served from memory.
+"""The page for headsets (/vr): its files, read once and served from memory.
 
 They need no token: they contain nothing about the scene or the clients.
 """
@@ -10,11 +10,14 @@ import posixpath
 import re
 from collections.abc import Mapping
 from hashlib import sha256
+from importlib import resources
 from importlib.resources.abc import Traversable
 
 from aiohttp import web
 
-__all__ = ["File", "Site"]
+from glsplat.optional import plugin
+
+__all__ = ["STATIC_IMPORT", "File", "Site", "page_files", "page_folders", "read_folder"]
 
 _TYPES = {
     "html": "text/html",
@@ -29,7 +32,7 @@ _TYPES = {
     "txt": "text/plain",
 }
 _SCRIPT = re.compile(rb'<script type="module" src="([^"]+)">')
-_IMPORT = re.compile(
+STATIC_IMPORT = re.compile(
     rb"""^(?:import|export|\}) (?:[^'"\n]*? from )?['"](\.[^'"]+)['"]""", re.MULTILINE
 )  # static imports of a module; no import() calls
 _TEXT = ("html", "css", "js", "json", "jsonl", "svg", "txt")
@@ -66,11 +69,23 @@ class File:
         return web.Response(body=self._packed if packs else self.body, headers={**headers, "Content-Type": self._type})
 
 
-class Site:
-    """The files of a folder and, by their paths, ``more`` that are generated. No path of a request reaches the disk."""
+def page_folders() -> dict[str, Traversable]:
+    """Return the page's folders: ``net/web`` of the core by "", and the folder ``web`` of each extra that has one."""
+    extras = {entry.name: entry / "web" for entry in resources.files("glsplat.extras").iterdir()}
+    return {"": resources.files("glsplat.net") / "web"} | {n: folder for n, folder in extras.items() if folder.is_dir()}
 
-    def __init__(self, folder: Traversable, more: Mapping[str, bytes] = {}) -> None:
-        bodies = dict(_read(folder, "")) | dict(more)
+
+def page_files() -> dict[str, bytes]:
+    """Return the page's files by their paths below /vr, from all its folders, and the shaders of extras/browser."""
+    files = {path: body for folder in page_folders().values() for path, body in read_folder(folder)}
+    shaders = plugin("browser.web_shaders")
+    return files if shaders is None else files | {"draw/programs.json": shaders.programs_json()}
+
+
+class Site:
+    """Files by their paths below /vr. No path of a request reaches the disk."""
+
+    def __init__(self, bodies: Mapping[str, bytes]) -> None:
         self.files: dict[str, File] = {
             path: File(path, preloading(path, bodies) if path.endswith(".html") else body)
             for path, body in bodies.items()
@@ -107,7 +122,7 @@ def preloading(path: str, bodies: Mapping[str, bytes]) -> bytes:
     first = posixpath.normpath(posixpath.join(posixpath.dirname(path), script[1].decode()))
     found = [first]
     for module in found:  # breadth first: the list grows meanwhile
-        for name in _IMPORT.findall(bodies.get(module, b"")):
+        for name in STATIC_IMPORT.findall(bodies.get(module, b"")):
             other = posixpath.normpath(posixpath.join(posixpath.dirname(module), name.decode()))
             if other not in found and other in bodies:
                 found.append(other)
@@ -116,12 +131,12 @@ def preloading(path: str, bodies: Mapping[str, bytes]) -> bytes:
     return page[: script.start()] + links.encode() + page[script.start() :]
 
 
-def _read(folder: Traversable, prefix: str) -> list[tuple[str, bytes]]:
+def read_folder(folder: Traversable, prefix: str = "") -> list[tuple[str, bytes]]:
     """Return the files of known types by their paths in the folder."""
     found: list[tuple[str, bytes]] = []
     for entry in folder.iterdir():
         if entry.is_dir():
-            found += _read(entry, f"{prefix}{entry.name}/")
+            found += read_folder(entry, f"{prefix}{entry.name}/")
         elif entry.name.rpartition(".")[2] in _TYPES:
             found.append((prefix + entry.name, entry.read_bytes()))
     return found

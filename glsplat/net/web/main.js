@@ -1,8 +1,6 @@
-// The page of docs/vr.md: makes the parts and ties them together.
+// The page of docs/vr.md: creates its parts and connects them.
 
 import { Page } from './page.js';
-import { PhotoForm } from './photo/form.js';
-import { Upload } from './photo/upload.js';
 import { Settings } from './settings.js';
 import { Dock } from './show/dock.js';
 import { Elsewhere } from './show/elsewhere.js';
@@ -11,19 +9,18 @@ import { Orbit } from './show/orbit.js';
 import { Stage } from './show/stage.js';
 import { Viewer } from './show/viewer.js';
 import { Immersive, support } from './show/xr.js';
+import { SPLATS_CACHE } from './storage.js';
 import { Connection } from './stream/connection.js';
 import { Calibration } from './track/calibration.js';
 import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Living } from './track/living.js';
 import { Recorder } from './track/recorder.js';
-import { addVoice } from './voice/panel.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
-const MAKING = 'glsplat.making'; // the avatar that is being made, in this tab's storage too
-const SOON = 2000; // ms until a server that still loads avatars is asked again
-const NUMBERS = 500; // ms between two looks at the figures
-const CIRCLE = 1.2; // metres from the middle of a room to who stands in it, at least
-const ENOUGH = 15; // pictures a second that look like a movement
+const SOON = 2000; // ms between requests to a server that still loads avatars
+const NUMBERS = 500; // ms between updates of the figures
+const CIRCLE = 1.2; // metres from the middle of a room to its seats, at least
+const ENOUGH = 15; // pictures a second below which the page shows a note
 const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
 
 const settings = new Settings();
@@ -40,7 +37,7 @@ const connection = new Connection(() => ({
   name: settings.get('room') ? settings.get('name') : '',
 }));
 let measured = calibration.load(); // {height, eyes, span, floor} of the user, in metres, or null
-let offer = null; // what GET /session said
+let offer = null; // answer of GET /session
 let ownRecording = null; // samples of the user's file
 
 if (!gl) {
@@ -51,17 +48,13 @@ if (!gl) {
 
 const asked = new URLSearchParams(location.search);
 if (asked.has('emulate')) {
-  const { emulate } = await import('./emulate/emulate.js'); // 260 kB that nobody else loads
+  const { emulate } = await import('./emulate/emulate.js'); // 260 kB
   emulate(canvas);
 }
-const inWorker = asked.get('decode') !== 'main';
-const stage = new Stage(gl, connection, settings, { inWorker });
+const stage = new Stage(gl, connection, settings);
 const orbit = new Orbit();
-const voice = addVoice(document.getElementById('controls'));
-stage.speaks = () => Object.keys(voice.weights() ?? {}).length > 0;
 const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
-voice.addEventListener('leap', () => viewer.askNow());
-viewer.onAsked = () => voice.sent();
+viewer.onAsked = () => voice?.sent();
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
   record: () => toggleRecording(),
@@ -71,14 +64,14 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   calibration,
   recorder,
   driven: () => chosenAvatar()?.tracking ?? true,
-  speaks: (sample) => voice.speaks(sample),
+  speaks: (sample) => voice?.speaks(sample) ?? sample,
   measured: () => measured,
   onCalibrated: (result) => {
     measured = result;
     calibration.save(result);
     immersive.moveFloor(result.floor);
     immersive.say(`Calibrated: you are ${result.height.toFixed(2)} m tall`);
-    connection.restart(); // the height is told when connecting
+    connection.restart(); // the address of /ws has the height
   },
   onEnd: () => {
     if (saves) toggleRecording();
@@ -88,34 +81,59 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   },
 });
 
-const upload = new Upload(connection);
-const photo = new PhotoForm(document, upload, {
-  async wear(name) {
-    await askOffer();
-    settings.set('avatar', name);
-  },
-  /** Returns why it could not be deleted, or nothing. */
-  async remove(name) {
-    settings.set('avatar', offer.avatars[0].name); // this page need not be put out
-    const response = await connection.fetch(`avatars/${name}`, { method: 'DELETE' }).catch(() => null);
-    await askOffer();
-    return response?.ok ? '' : ((await response?.text()) ?? 'the server does not answer');
-  },
+// Parts of extras, each loaded when the server first offers what it is for.
+let voice = null; // extras/speech
+let photo = null; // extras/uploads
+
+const addHere = once(async () => {
+  stage.addHere((await import('./show/here.js')).Here);
+  wear();
 });
+
+const addVoice = once(async () => {
+  voice = (await import('./voice/panel.js')).addVoice(document.getElementById('controls'), stage);
+  voice.addEventListener('leap', () => viewer.askNow());
+});
+
+const addPhoto = once(async () => {
+  const { addPhoto: add } = await import('./photo/photo.js');
+  photo = await add(document.getElementById('no-photo'), connection, {
+    async wear(name) {
+      await askOffer();
+      settings.set('avatar', name);
+    },
+    /** Return why it could not be deleted, or ''. */
+    async remove(name) {
+      settings.set('avatar', offer.avatars[0].name); // the server ends connections that show it
+      const response = await connection.fetch(`avatars/${name}`, { method: 'DELETE' }).catch(() => null);
+      await askOffer();
+      return response?.ok ? '' : ((await response?.text()) ?? 'the server does not answer');
+    },
+    made: askOffer,
+  });
+  photo.height = settings.get('height');
+  photo.offered(offer.upload, chosenAvatar());
+});
+
+/** Return a function that calls `load` once, after the first picture, and shows a message if it fails. */
+function once(load) {
+  let loading = null;
+  return () => (loading ??= stage.begun.then(load).catch((error) => complain(`a part of this page did not load: ${error.message}`)));
+}
 
 const dock = new Dock(document, settings, {
   async picture(name) {
     const response = await connection.fetch(`thumbnails/${encodeURIComponent(name)}`);
     return response.status === 200 ? URL.createObjectURL(await response.blob()) : null; // 204: deleted meanwhile
   },
-  add: () => page.show(offer?.upload ? 'photo' : 'no-photo'),
+  add: () => page.show(photo && offer?.upload ? 'photo' : 'no-photo'),
   worn: () => chosenAvatar()?.name,
 });
 const elsewhere = new Elsewhere(document, async () => (await connection.fetch('reach')).json());
 
-let guest = { room: '', name: '' }; // whom the page wears in a room where nobody was chosen
+let guest = { room: '', name: '' }; // avatar in a room while the user has chosen none
 
-/** Whom the page shows: who is chosen; in a room, where nobody was, somebody else than those before had. */
+/** Return the avatar of the user: the chosen one; in a room, without a choice, the next of the list for each guest. */
 function chosenAvatar() {
   if (!offer) return undefined;
   const named = (name) => offer.avatars.find((one) => one.name === name);
@@ -126,35 +144,36 @@ function chosenAvatar() {
   return named(guest.name) ?? offer.avatars[0];
 }
 
-let stood = ''; // the room that the camera stands in
+let stood = ''; // room of the camera's position
 
-/** In a room the first view shows everybody: from behind the user, who stands on the circle of its seats. */
+/** In a room, move the camera behind the user, who stands on the circle of seats, so that it shows everybody. */
 function standAround() {
   const room = settings.get('room');
   const found = offer?.rooms?.find(({ name }) => name === room);
   if (room === stood || (room && !found)) return;
   stood = room;
-  const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // as glsplat/extras/rooms/seats.py
+  const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // rule of glsplat/extras/rooms/seats.py
   if (found) orbit.standBack([0, 0.95, radius], radius);
   else orbit.reset();
 }
 
-/** What moves the avatar, and its mouth. Who cannot be moved has none. */
+/** Add the voice's mouth to what drives the avatar. An avatar that cannot be driven gets none. */
 function speaking(drive) {
+  if (!voice) return drive;
   if (drive.tracking) return { ...drive, tracking: voice.speaks(drive.tracking) };
   const moves = drive.pose || (voice.state === 'on' && (chosenAvatar()?.tracking ?? true));
   return moves ? { ...drive, pose: voice.speaks(drive.pose ?? {}) } : drive;
 }
 
-/** The stage knows whom it shows. */
+/** Update the stage for the user's avatar and room. */
 function wear() {
   stage.canHide = Boolean(chosenAvatar()?.head);
-  stage.here.offer = chosenAvatar()?.hand_out ?? null;
+  if (stage.here) stage.here.offer = chosenAvatar()?.hand_out ?? null;
   stage.framing.furnished = offer?.rooms?.find(({ name }) => name === settings.get('room'))?.scene ?? true;
   standAround();
 }
 
-/** Ask the server what it has, then connect. */
+/** Fetch /session, then connect. */
 async function begin() {
   try {
     const response = await connection.fetch('session');
@@ -166,7 +185,7 @@ async function begin() {
     }
     if (response.ok) offered(await response.json());
   } catch {
-    // it does not answer: the connection says so, and tries again
+    // no answer: the connection reports it and retries
   }
   connection.restart();
 }
@@ -194,23 +213,28 @@ function offered(session) {
   page.sizeNote(slow ? `This server draws about ${session.rate.toFixed(0)} pictures a second at ${session.size[0]}${smaller}.` : '');
   stage.light = session.light ?? null;
   connection.videos = session.video ?? [];
-  settings.setDefault('light', !session.light); // who started it with a light means that one
+  settings.setDefault('light', !session.light); // a server that was started with a light keeps it
   wear();
-  stage.here.handedOut(session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean));
-  photo.offered(session.upload, chosenAvatar());
+  const handedOut = session.avatars.map(({ hand_out: given }) => given?.sha256).filter(Boolean);
+  if (stage.here) stage.here.handedOut(handedOut);
+  else if (handedOut.length) addHere().then(() => stage.here?.handedOut(handedOut));
+  else globalThis.caches?.delete(SPLATS_CACHE).catch(() => {}); // avatars of earlier sessions
+  if (session.voice) addVoice();
+  if (photo) photo.offered(session.upload, chosenAvatar());
+  else if (session.upload) addPhoto();
   document.getElementById('no-photo').hidden = Boolean(session.upload);
-  if (session.loading) setTimeout(askOffer, SOON); // there will be more to choose from
-  const making = sessionStorage.getItem(MAKING);
-  if (making && upload.now.state === 'idle') upload.resume(making);
+  if (session.loading) setTimeout(askOffer, SOON); // more avatars will follow
 }
 
-/** The sides of a square picture for a server's limit: pictures may be 1.5 times as high as a square, or as wide. */
+/**
+ * Return the sides of a square picture for a server's limit; pictures may be 1.5 times as high or as wide as a square.
+ */
 function sizesUpTo(most) {
   const fit = SIZES.filter((side) => 1.5 * side <= most);
   return fit.length ? fit : [Math.max(1, Math.floor(most / 1.5))];
 }
 
-/** Let the motion or recording that the settings name move the avatar. */
+/** Drive the avatar by the motion or recording of the settings. */
 async function drive() {
   const name = settings.get('driver');
   let driver = new Rest();
@@ -221,10 +245,10 @@ async function drive() {
   } catch (error) {
     complain(`it cannot be played: ${error.message}`);
   }
-  if (name === settings.get('driver')) viewer.driver = driver; // else a later choice was faster
+  if (name === settings.get('driver')) viewer.driver = driver; // else a later choice loaded faster
 }
 
-/** Who only waits looks about: the motion alone would be the same every six seconds. */
+/** Add glances to the idle motion, which alone repeats every six seconds. */
 const living = (name, motion) => (name === 'motion:idle' ? new Living(motion) : motion);
 
 async function text(path) {
@@ -245,7 +269,7 @@ async function enter(mode) {
   }
 }
 
-let saves = false; // a recording runs, or has stopped by itself and waits to be saved
+let saves = false; // a recording runs, or has stopped by itself and is to be saved
 
 function toggleRecording() {
   if (!saves) {
@@ -268,7 +292,7 @@ function toggleRecording() {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** The state in words, on the page, and what can be done about it. */
+/** Show the state in words, and a button for what the user can do about it. */
 function tell() {
   const words = { off: 'Not connected', connecting: 'Connecting…', open: 'Connected', waiting: 'Not connected' };
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
@@ -279,7 +303,7 @@ function tell() {
   page.title(name, waits ? 'Try again now' : '');
 }
 
-/** Tell the user for some seconds, on the page and in the room. */
+/** Show a message for some seconds, on the page and in the room. */
 function complain(text) {
   stage.complain(text);
   tell();
@@ -290,7 +314,7 @@ const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 connection.addEventListener('state', () => {
   tell();
   if (connection.problem === 'token') begin();
-  if (connection.state === 'open' && (!offer || connection.opened > 1)) askOffer(); // another server, perhaps
+  if (connection.state === 'open' && (!offer || connection.opened > 1)) askOffer(); // the server may be another one
 });
 connection.addEventListener('offer', ({ detail }) => offered(detail));
 connection.addEventListener('complaint', tell);
@@ -323,22 +347,17 @@ page.addEventListener('file', async ({ detail }) => {
 });
 settings.addEventListener('change', ({ detail: { name } }) => {
   if (name === 'driver') drive();
-  if (name === 'name' && !settings.get('room')) return; // nobody asks for it
+  if (name === 'name' && !settings.get('room')) return; // only rooms show it
   if (['avatar', 'height', 'room', 'name'].includes(name)) {
     wear();
-    photo.wears(chosenAvatar());
-    photo.height = settings.get('height');
+    photo?.wears(chosenAvatar());
+    if (photo) photo.height = settings.get('height');
     orbit.changed();
     stage.clear();
     if (connection.state !== 'off') connection.restart();
   }
 });
-upload.addEventListener('change', () => {
-  if (upload.busy && upload.now.name) sessionStorage.setItem(MAKING, upload.now.name);
-  else sessionStorage.removeItem(MAKING);
-  if (upload.now.state === 'done') askOffer();
-});
-connection.awake = () => !document.hidden || immersive.mode !== ''; // a page in the background asks for nothing
+connection.awake = () => !document.hidden || immersive.mode !== ''; // a page in the background makes no attempt
 document.addEventListener('visibilitychange', () => {
   if (!document.hidden) connection.hurry();
 });
@@ -348,7 +367,7 @@ canvas.addEventListener('webglcontextlost', (event) => {
 });
 canvas.addEventListener('webglcontextrestored', () => stage.restore(gl));
 
-// a link may bring the token behind "#", which no request carries; it does not stay in the address
+// a link may have the token behind "#", which no request carries; it is removed from the address
 const brought = new URLSearchParams(location.hash.slice(1)).get('token');
 if (brought) {
   sessionStorage.setItem(TOKEN, brought);
@@ -358,19 +377,19 @@ connection.token = sessionStorage.getItem(TOKEN);
 
 orbit.attach(canvas);
 viewer.covered = () => page.covered();
-viewer.ready = () => viewer.driver !== null; // who moves is not shown standing first
-viewer.rests = () => upload.busy; // who makes an avatar needs the machine, which may be this one
+viewer.ready = () => viewer.driver !== null; // do not show a moving avatar at rest first
+viewer.rests = () => photo?.busy ?? false; // making an avatar needs the processor, perhaps of this machine
 viewer.onDrive = ({ tracking, t }) => {
   if (recorder.recording && tracking) recorder.add(tracking, t);
 };
 support().then((found) => page.xr(found));
 navigator.xr?.addEventListener?.('devicechange', () => support().then((found) => page.xr(found)));
 setInterval(() => {
-  page.drawn(stage.here.stats());
+  page.drawn(stage.renderedBy);
   page.atFace(orbit.close);
   if (stage.figures.shown) dock.load();
   if (settings.get('figures')) page.numbers(numbers(stage.stats(performance.now())));
-  if (saves && !recorder.recording) toggleRecording(); // it is full
+  if (saves && !recorder.recording) toggleRecording(); // it is full: save it
   tell();
 }, NUMBERS);
 
@@ -379,7 +398,6 @@ window.glsplat = Object.freeze({
   stats: () => ({ session: immersive.mode || 'none', view: settings.get('view'), ...stage.stats(performance.now()) }),
 });
 
-photo.height = settings.get('height');
 begin();
 drive();
 viewer.start();

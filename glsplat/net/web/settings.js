@@ -1,12 +1,11 @@
-// What the user chose: checked against what may be chosen, kept in the browser, announced when it changes.
+// The user's settings: validated, kept in the browser, announced when they change.
 
-import { DRAWN_BY } from './draw/choice.js';
 import { PLACES } from './place/looks.js';
 import { browserStorage, keep, readKept } from './storage.js';
 
 const KEY = 'glsplat.settings';
 
-/** What people and avatars may be called, as glsplat/net/options.py has it, or nothing. */
+/** Names of people and avatars, or ''. Twin: glsplat/net/options.py. */
 export const NAME = /^(?:[\p{L}\p{N}](?:[\p{L}\p{N}_ .'-]{0,30}[\p{L}\p{N}_.])?)?$/u;
 
 const choice = (value, options = []) => ({ kind: 'choice', value, options });
@@ -23,14 +22,18 @@ function table() {
       { value: 'facing', label: 'Facing me' },
       { value: 'own', label: 'Own body' },
     ]),
-    place: choice('day', PLACES), // what stands around the avatar
-    light: flag(true), // and whether its light falls on who knows their surface
+    place: choice('day', PLACES), // surroundings of the avatar
+    light: flag(true), // whether its light falls on avatars with a surface
     avatar: choice(''),
     room: choice('', [{ value: '', label: 'None: alone' }]),
-    name: text('', NAME), // what others see in a room
+    name: text('', NAME), // shown to others in a room
     size: choice(1024, plain([512, 768, 1024, 1536])), // pixels, both sides of an eye's picture
     quality: number(80, 50, 95), // JPEG quality
-    drawn: choice('auto', DRAWN_BY), // who draws the avatars
+    drawn: choice('auto', [
+      { value: 'auto', label: 'The faster' },
+      { value: 'server', label: 'The server' },
+      { value: 'here', label: 'This device' },
+    ]), // where the avatars are drawn
     driver: choice('motion:idle', [
       { value: 'rest', label: 'Standing still' },
       { value: 'file', label: 'My recording…' },
@@ -38,7 +41,7 @@ function table() {
     stereo: flag(false),
     height: { ...number(null, 0.5, 2.8), optional: true }, // the user's stature in metres
     figures: flag(false),
-    drawer: flag(false), // whether everything else is open
+    drawer: flag(false), // whether the panel is open
   };
 }
 
@@ -62,7 +65,9 @@ export class Settings extends EventTarget {
     return Object.keys(this.#table);
   }
 
-  /** The value in force. A choice that is not offered (yet) gives the default, else the first offered; '' of none. */
+  /**
+   * Return the value in force. A choice that is not offered (yet) gives the default, else the first offered, else ''.
+   */
   get(name) {
     const entry = this.#entry(name);
     if (entry.kind !== 'choice') return this.#wishes[name];
@@ -70,13 +75,13 @@ export class Settings extends EventTarget {
     return [this.#wishes[name], entry.value].find(offered) ?? entry.options[0]?.value ?? '';
   }
 
-  /** Whether the user chose what is in force, now or earlier; else it is the default. */
+  /** Return whether the user chose the value in force, now or earlier; otherwise it is the default. */
   chosen(name) {
     const entry = this.#entry(name);
     return this.#wishes[name] !== entry.value && this.get(name) === this.#wishes[name];
   }
 
-  /** What is in force where nothing was chosen. */
+  /** Set the default of a setting. */
   setDefault(name, value) {
     const entry = this.#entry(name);
     const before = this.get(name);
@@ -86,7 +91,7 @@ export class Settings extends EventTarget {
     this.dispatchEvent(new CustomEvent('options', { detail: { name } }));
   }
 
-  /** Set and keep a value; choices and numbers may come as text. Returns false for what is not allowed. */
+  /** Set and keep a value; choices and numbers may be text. Return false for a value that is not allowed. */
   set(name, value) {
     const entry = this.#entry(name);
     const [right, parsed] = parse(entry, value);
@@ -98,12 +103,12 @@ export class Settings extends EventTarget {
     return true;
   }
 
-  /** What a choice may be: [{value, label}]; null for numbers and flags. */
+  /** Return the options of a choice: [{value, label}]; null for numbers and flags. */
   options(name) {
     return this.#entry(name).options ?? null;
   }
 
-  /** Offer other options; a choice made earlier comes back into force when it is among them. */
+  /** Offer other options; an earlier choice among them is in force again. */
   setOptions(name, options) {
     const entry = this.#entry(name);
     if (entry.kind !== 'choice') throw new RangeError(`${name} is no choice: it has no options`);
@@ -125,19 +130,19 @@ export class Settings extends EventTarget {
 
   #keep() {
     const kept = { ...this.#wishes };
-    if (kept.driver === 'file') delete kept.driver; // a page that is loaded again has no file
+    if (kept.driver === 'file') delete kept.driver; // a reloaded page has no file
     keep(this.#storage, KEY, kept);
   }
 }
 
-/** Whether a kept value is of the right kind; options are looked at later, they may not be known yet. */
+/** Return whether a kept value is of the right kind; options may not be known yet and are checked later. */
 function plausible(entry, value) {
   if (entry.kind === 'choice') return ['string', 'number'].includes(typeof value);
   if (entry.kind === 'text') return typeof value === 'string' && entry.pattern.test(value);
   return typeof value !== 'string' && parse(entry, value)[0];
 }
 
-/** [allowed, value]: what a program or a control gave, as the setting has it. */
+/** Return [allowed, value] for the value of a program or a control. */
 function parse(entry, value) {
   if (entry.kind === 'flag') return [typeof value === 'boolean', value];
   if (entry.kind === 'text') {

@@ -1,5 +1,8 @@
 // What the page keeps in the browser. A browser that keeps nothing (private windows, blocked storage) is no error.
 
+/** Name of the browser's cache of avatars that the server hands out. */
+export const SPLATS_CACHE = 'glsplat.splats';
+
 /** The browser's localStorage, or null where it may not be touched. */
 export function browserStorage() {
   try {

@@ -61,6 +61,7 @@ class WorkerConnection(asyncio.Protocol):
         loop = asyncio.get_running_loop()
         self.opened: asyncio.Future[str] = loop.create_future()
         """The driver string, or the error that kept the worker from opening."""
+        self.opened.add_done_callback(_retrieve)  # its opening may have been cancelled
         self._writer, self._cause, self._stopped, self._on_lost = Writer(key), cause, stopped, lost
         self._alone, self._seconds = alone, seconds
         self._transport: asyncio.Transport

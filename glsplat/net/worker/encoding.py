@@ -20,7 +20,7 @@ from glsplat.optional import extra_module, missing, plugin
 __all__ = ["ClientVideo", "PictureEncoder", "VideoStream"]
 
 _VIDEO_THREADS = max(1, cores() // 2)
-MAX_VIDEOS = _VIDEO_THREADS + 1  # pictures of all videos that are coded or wait: each holds memory for drawing
+MAX_VIDEO_PICTURES = _VIDEO_THREADS + 1  # of all videos, queued or being encoded: each holds memory for drawing
 
 
 def _nothing(images: NDArray[np.uint8]) -> None: ...
@@ -57,8 +57,8 @@ class PictureEncoder:
 
     def __init__(self, video: bool = False) -> None:
         self.codecs: tuple[str, ...] = _codecs() if video else ()
-        self.on_room: list[Callable[[], None]] = []
-        """Called on any thread once another picture of a video fits."""
+        self.on_capacity: list[Callable[[], None]] = []
+        """Called on any thread once another picture of a video may be submitted."""
         self._encoder = Encoder()
         self._jpeg_threads = ThreadPoolExecutor(2, thread_name_prefix="frame")
         self._video_threads = ThreadPoolExecutor(_VIDEO_THREADS, thread_name_prefix="video")
@@ -66,8 +66,8 @@ class PictureEncoder:
 
     @property
     def full(self) -> bool:
-        """True while no other picture of a video fits."""
-        return sum(not one.done() for one in self._videos) >= MAX_VIDEOS
+        """True while MAX_VIDEO_PICTURES are queued or being encoded."""
+        return sum(not one.done() for one in self._videos) >= MAX_VIDEO_PICTURES
 
     def video(self, clock: Callable[[], float]) -> ClientVideo | None:
         """Return the video of a new client; None where video is not offered."""
@@ -94,7 +94,7 @@ class PictureEncoder:
             encoded = self._video_threads.submit(self._code, video.stream, video.newest, rendered, options, observe)
             video.newest = encoded
             self._videos = (*(one for one in self._videos if not one.done()), encoded)
-            encoded.add_done_callback(self._made_room)
+            encoded.add_done_callback(self._call_on_capacity)
         if rendered.done is not None:
             done = rendered.done
             encoded.add_done_callback(lambda _: done())
@@ -128,8 +128,8 @@ class PictureEncoder:
         how = options.video.codecs, options.quality, rendered.covered, options.alpha, options.video.key
         return stream.encode(rendered.images, *how) or self._jpegs(rendered, options)
 
-    def _made_room(self, _: Future[Encoded]) -> None:
-        for call in self.on_room:
+    def _call_on_capacity(self, _: Future[Encoded]) -> None:
+        for call in self.on_capacity:
             call()
 
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import socket
 from collections import OrderedDict
 from collections.abc import Callable
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
-from glsplat.errors import BudgetError, ContextError
+from glsplat.errors import BudgetError, ContextError, GlsplatError
 from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.worker.connection import WorkerConnection
 from glsplat.net.worker.slots import Slots
-from glsplat.net.worker.wire import Order, WorkerLostError
+from glsplat.net.worker.wire import MAX_ANSWER_BYTES, Order, WorkerLostError
 
 __all__ = ["RemoteWorker", "WorkerLauncher"]
 
@@ -85,35 +85,34 @@ class RemoteWorker:
         shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
         if slots is not None:
             slot = await slots.take(shape)
+        elif pixels and math.prod(shape) > MAX_ANSWER_BYTES:  # the answer would end the connection
+            raise GlsplatError(f"{shape[2]}x{shape[1]} pixels are more than a worker can send")
         try:
             if self._cancelled:
                 raise BudgetError("nobody waits for the picture any more", "abandoned")
             shown = job.avatar, job.options.hide
-            order = Order(job, slot, pixels and slot is None)
+            order = Order(job, None if slot is None else slot.number, pixels and slot is None)
             drawn, content = link.draw(order, patient=shown not in self._loaded)
             result = await drawn
-            images = np.empty((result.views, 0, 0, 4), np.uint8)
+            images = np.empty((result.views, 0, 0, 4), np.uint8) if slot is None else slot.picture
             if order.pixels and content is not None:
                 images = np.zeros((result.views, *shape[1:]), np.uint8)
                 x, y, w, h = result.covered or (0, 0, shape[2], shape[1])
                 images[:, y : y + h, x : x + w] = np.frombuffer(await content, np.uint8).reshape(result.views, h, w, 4)
                 content = None
         except BaseException:
-            if slots is not None and slot is not None:
-                slots.give_back(slot)
+            if slot is not None:
+                slot.give_back()
             raise
         self._loaded[shown] = None
         self._loaded.move_to_end(shown)
         if len(self._loaded) > _MAX_LOADED:
             self._loaded.popitem(last=False)
-        done = None
-        if slots is not None and slot is not None:
-            images, done = slots.picture(slot, shape), partial(slots.give_back, slot)
         return Rendered(
             images,
             result.timings,
             covered=result.covered,
-            done=done,
+            done=None if slot is None else slot.give_back,
             levels=result.levels,
             coarsest=result.coarsest,
             posed=result.posed,
@@ -155,7 +154,6 @@ class RemoteWorker:
             self._alone,
             self._seconds,
         )
-        link.opened.add_done_callback(lambda opened: opened.cancelled() or opened.exception())
         await asyncio.get_running_loop().create_connection(lambda: link, sock=connection)
         try:
             async with asyncio.timeout(_OPEN_S):

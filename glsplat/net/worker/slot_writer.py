@@ -10,26 +10,25 @@ from numpy.typing import NDArray
 
 from glsplat.net.backend import Rendered
 
-__all__ = ["SLOTS", "SlotWriter", "mapped"]
+__all__ = ["SLOTS", "SlotWriter", "mapped", "slot_writers"]
 
 SLOTS = 3  # one picture is drawn while two are encoded
 
 
 class SlotWriter:
-    """Writes the covered parts of pictures into slots."""
+    """Writes the covered parts of pictures into one slot, whose ``memory`` is [bytes]."""
 
-    def __init__(self, path: str, nbytes: int) -> None:
-        with open(path, "r+b") as file:
-            self._slots = mapped(file, nbytes)
-        self._dirty: dict[int, NDArray[np.uint8]] = {}  # by slot: the part that its last picture covered
+    def __init__(self, memory: NDArray[np.uint8]) -> None:
+        self._memory = memory
+        self._dirty: NDArray[np.uint8] | None = None  # the part that the last picture covered
 
-    def place(self, slot: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    def place(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
         """Return the memory of a picture, for a backend that draws in place."""
-        self._dirty[slot] = place = self._slots[slot, : int(np.prod(shape))].reshape(shape)
+        self._dirty = place = self._memory[: int(np.prod(shape))].reshape(shape)
         return place
 
-    def put(self, slot: int, rendered: Rendered, shape: tuple[int, ...]) -> None:
-        """Zero the part that the slot's last picture covered, and copy the covered part of this one.
+    def put(self, rendered: Rendered, shape: tuple[int, ...]) -> None:
+        """Zero the part that the last picture covered, and copy the covered part of this one.
 
         Does nothing for a picture that was drawn in place. ``shape`` is that of the allocated picture.
         """
@@ -37,14 +36,20 @@ class SlotWriter:
         _, height, width, _ = images.shape
         if images.shape != shape:
             raise RuntimeError(f"pictures of shape {shape} were asked for, {images.shape} drawn")
-        if images is self._dirty.get(slot):
+        if images is self._dirty:
             return
-        if slot in self._dirty:
-            self._dirty[slot].fill(0)
+        if self._dirty is not None:
+            self._dirty.fill(0)
         x, y, w, h = rendered.covered or (0, 0, width, height)
-        covered = self._slots[slot, : images.nbytes].reshape(images.shape)[:, y : y + h, x : x + w]
+        covered = self._memory[: images.nbytes].reshape(images.shape)[:, y : y + h, x : x + w]
         covered[...] = images[:, y : y + h, x : x + w]
-        self._dirty[slot] = covered
+        self._dirty = covered
+
+
+def slot_writers(path: str, nbytes: int) -> list[SlotWriter]:
+    """Open the file of the slots, which has ``nbytes``."""
+    with open(path, "r+b") as file:
+        return [SlotWriter(memory) for memory in mapped(file, nbytes)]
 
 
 def mapped(file: Any, nbytes: int) -> NDArray[np.uint8]:

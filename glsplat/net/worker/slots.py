@@ -11,7 +11,10 @@ import mmap
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,10 +23,19 @@ from numpy.typing import NDArray
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.worker.slot_writer import SLOTS, mapped
 
-__all__ = ["SHM", "Slots"]
+__all__ = ["SHM", "Slot", "Slots"]
 
 SHM = "/dev/shm"
 _INITIAL_BYTES = 2 * 1024 * 1024 * 4  # bytes of a slot that are allocated at the start: a pair of 1024x1024
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slot:
+    """A slot that was handed out."""
+
+    number: int
+    picture: NDArray[np.uint8]  # [V, H, W, 4] in the slot, no copy
+    give_back: Callable[[], None]  # frees the slot; on any thread, once
 
 
 class Slots:
@@ -46,7 +58,7 @@ class Slots:
         """Number of slots that hold no picture."""
         return self._free.qsize()
 
-    async def take(self, shape: tuple[int, ...]) -> int:
+    async def take(self, shape: tuple[int, ...]) -> Slot:
         """Wait for a free slot and allocate a picture of ``shape`` in it. Raises GlsplatError where it does not fit."""
         nbytes = int(np.prod(shape))
         if nbytes > self.slot_bytes:
@@ -64,16 +76,7 @@ class Slots:
                     f"no room for a picture of {nbytes / 2**20:.1f} MiB: {_why(error, self.folder)}"
                 ) from None
             self._allocated[slot] = _pages(nbytes)
-        return slot
-
-    def give_back(self, slot: int) -> None:
-        """Free a slot. May be called on any thread."""
-        with suppress(RuntimeError):  # the server has stopped
-            self._loop.call_soon_threadsafe(self._free.put_nowait, slot)
-
-    def picture(self, slot: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the picture in a slot; no copy."""
-        return self._slots[slot, : int(np.prod(shape))].reshape(shape)
+        return Slot(slot, self._slots[slot, :nbytes].reshape(shape), partial(self._give_back, slot))
 
     def unlink(self) -> None:
         """Remove the file's name, once both sides have it open; its pages live as long as they are mapped."""
@@ -82,6 +85,10 @@ class Slots:
     def close(self) -> None:
         """Close the file. Pictures that are still in use stay mapped."""
         self._file.close()
+
+    def _give_back(self, slot: int) -> None:
+        with suppress(RuntimeError):  # the server has stopped
+            self._loop.call_soon_threadsafe(self._free.put_nowait, slot)
 
     def _make(self) -> tuple[Any, str]:
         """Return a file that is allocated for ordinary pictures, in memory if it has room, and its folder."""

@@ -48,7 +48,7 @@ __all__ = [
     "receive",
 ]
 
-MAX_ANSWER_BYTES = 256 * 2**20  # of a worker's message
+MAX_ANSWER_BYTES = 2 * 8192**2 * 4  # of a worker's message: two eyes of the largest --max-size as pixels
 _MAX_ORDER_BYTES = 2**24  # of a server's message, which has up to 64 KiB for each person of a room
 _MAGIC = b"glsplat worker 4"
 _NONCE = _TAG = 32
@@ -86,7 +86,7 @@ class Order:
 
 
 class WorkerLostError(ContextLostError):
-    """A worker has ended or does not answer. ``blames``: its picture is likely to be at fault."""
+    """A worker has ended or does not answer."""
 
     def __init__(self, message: str, blames: bool = False) -> None:
         super().__init__(message)
@@ -94,7 +94,7 @@ class WorkerLostError(ContextLostError):
 
 
 class RenderResult(msgspec.Struct, array_like=True, frozen=True):
-    """The fields of Rendered without pixels and driver."""
+    """The fields of Rendered without pixels."""
 
     views: int
     timings: dict[str, float]

@@ -12,22 +12,22 @@ import signal
 import socket
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import Backend, Interruptible, Placing, Rendered
-from glsplat.net.worker.slot_writer import SlotWriter
+from glsplat.net.backend import Backend, Interruptible, MemoryTarget, Rendered
+from glsplat.net.worker.slot_writer import SlotWriter, slot_writers
 from glsplat.net.worker.wire import Kind, Order, Reader, RenderResult, failure_of, greet, pack
 
 if TYPE_CHECKING:
     from glsplat.net.codec.encoded import Encoded
     from glsplat.net.worker.encoding import PictureEncoder
 
-__all__ = ["GREETING_S", "work", "work_in_process"]
+__all__ = ["GREETING_S", "greet_server", "work", "work_in_process"]
 
 GREETING_S = 10.0  # limit of the handshake
 
@@ -39,32 +39,36 @@ def work_in_process(
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # sent to the whole process group; the server ends its workers
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    with suppress(EOFError, OSError):
-        work(connection, secret, make, slots=None if memory is None else SlotWriter(*memory))
+    slots = [] if memory is None else slot_writers(*memory)  # the server unlinks the file after the handshake
+    try:
+        key = greet_server(connection, secret)
+    except (EOFError, OSError):  # the server has left
+        return
+    work(connection, key, make, slots)
 
 
-def work(
-    connection: socket.socket,
-    secret: bytes,
-    make: Callable[[], Backend],
-    known: Callable[[], object] = lambda: None,
-    slots: SlotWriter | None = None,
-) -> None:
-    """Draw for the server at the other end with the backend of ``make()``, on this thread, until it orders the end.
+def greet_server(connection: socket.socket, secret: bytes) -> bytes:
+    """Return the connection's key once the server has proved that it knows the secret.
 
-    ``known`` is called once the server has proved that it knows the secret; before that, GlsplatError, EOFError or
-    OSError may be raised. The process ends when the server leaves: nothing else stops a picture that is being drawn.
+    Raises GlsplatError where it does not know it, EOFError, OSError.
     """
     connection.settimeout(GREETING_S)
     key = greet(connection, secret, worker=True)
     connection.settimeout(None)
-    known()
+    return key
+
+
+def work(connection: socket.socket, key: bytes, make: Callable[[], Backend], slots: Sequence[SlotWriter] = ()) -> None:
+    """Draw for the server at the other end with the backend of ``make()``, on this thread, until it orders the end.
+
+    The process ends when the server leaves: nothing else stops a picture that is being drawn.
+    """
     _Worker(connection, key, make, slots).run()
 
 
 class _Worker:
     def __init__(
-        self, connection: socket.socket, key: bytes, make: Callable[[], Backend], slots: SlotWriter | None
+        self, connection: socket.socket, key: bytes, make: Callable[[], Backend], slots: Sequence[SlotWriter]
     ) -> None:
         self._connection, self._reader = connection, Reader(connection, key)
         self._make, self._slots = make, slots
@@ -78,6 +82,10 @@ class _Worker:
         try:
             backend = self._make()
             driver = backend.open()
+            if not self._slots:
+                from glsplat.net.worker.encoding import PictureEncoder  # loaded late: not every worker encodes
+
+                self._encoder = PictureEncoder()
         except Exception as error:
             self._send(pack(Kind.REFUSED, 0, failure_of(error)))
             return
@@ -109,16 +117,16 @@ class _Worker:
         os._exit(0)
 
     def _draw(self, backend: Backend, number: int, order: Order) -> None:
-        job, slots = order.job, self._slots if order.slot is not None else None
+        job, slot = order.job, None if order.slot is None else self._slots[order.slot]
         if isinstance(backend, Interruptible):
             backend.abandoned = lambda: self._abandoned == number
         shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
         try:
-            if isinstance(backend, Placing):
-                backend.place = None if slots is None else slots.place(order.slot or 0, shape)
+            if isinstance(backend, MemoryTarget):
+                backend.out = None if slot is None else slot.place(shape)
             rendered = backend.render(job)
-            if slots is not None:
-                slots.put(order.slot or 0, rendered, shape)
+            if slot is not None:
+                slot.put(rendered, shape)
         except Exception as error:
             self._send(pack(Kind.FAILED, number, failure_of(error)))
             return
@@ -126,22 +134,19 @@ class _Worker:
         if order.pixels:
             x, y, w, h = rendered.covered or (0, 0, *reversed(rendered.images.shape[1:3]))
             self._send(pack(Kind.PIXELS, number, rendered.images[:, y : y + h, x : x + w].tobytes()))
-        if order.pixels or slots is not None:
+        if order.pixels or slot is not None:
             if rendered.done is not None:
                 rendered.done()
             return
-        if self._encoder is None:
-            from glsplat.net.worker.encoding import PictureEncoder  # loaded late: not every worker encodes
-
-            self._encoder = PictureEncoder()
+        assert self._encoder is not None  # every order to a worker with slots names one
         self._encoder.submit(rendered, job.options).add_done_callback(partial(self._encoded, number))
 
     def _encoded(self, number: int, encoded: Future[Encoded]) -> None:
-        error = encoded.exception()
-        if error is None:
-            self._send(pack(Kind.ENCODED, number, encoded.result()))
-        else:
-            self._send(pack(Kind.FAILED, number, failure_of(error)))
+        try:
+            message = pack(Kind.ENCODED, number, encoded.result())
+        except Exception as error:
+            message = pack(Kind.FAILED, number, failure_of(error))
+        self._send(message)
 
     def _send(self, message: bytes) -> None:
         with suppress(OSError), self._sending:  # the reading thread notices the end

@@ -52,7 +52,7 @@ class Grey:
         self.requests.append(request)
         c = request.cameras[0]
         shade = round(100 * float(c.position[0]))
-        return Rendered(np.full((len(request.cameras), c.height, c.width, 4), shade, np.uint8), {"draw": 1.0}, "numpy")
+        return Rendered(np.full((len(request.cameras), c.height, c.width, 4), shade, np.uint8), {"draw": 1.0})
 
     def close(self) -> None: ...
 

@@ -147,7 +147,7 @@ class Seen:
         out = np.full((2, camera.height, camera.width, 4), 128, np.uint8)
         if request.options.alpha:
             out[:, : camera.height // 2] = 0  # nobody above
-        return Rendered(out, {"draw": 1.0}, "numpy")
+        return Rendered(out, {"draw": 1.0})
 
     def close(self) -> None: ...
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from apps.serve import command, keys
-from apps.serve.ready import Place, announce
+from apps.serve.ready import Endpoint, announce
 from apps.usage import UsageError
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
@@ -100,7 +100,7 @@ def test_accounts_stand_in_for_the_token(state, tmp_path):
     assert command.server_config(serving(*words), made).access.accounts is made.accounts
     assert token not in repr(made)
     out = io.StringIO()
-    announce(Place("127.0.0.1", 8000, made), out, show_qr=True)
+    announce(Endpoint("127.0.0.1", 8000, made), out, show_qr=True)
     assert "each account has its own" in out.getvalue() and "#token" not in out.getvalue()
     (tmp_path / "token").write_text("0123456789abcdef")
     with pytest.raises(UsageError, match="not both"):

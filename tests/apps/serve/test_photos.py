@@ -36,7 +36,7 @@ def test_it_is_off_unless_it_is_asked_for() -> None:
 def test_the_folder_is_the_one_that_is_named(tmp_path: Path) -> None:
     config = upload_config(serving("--allow-upload", tmp_path))
     assert config is not None and config.folder == tmp_path and config.nice == 0
-    for words in (("--host", "0.0.0.0"), ("trusted-proxy=127.0.0.1",)):
+    for words in (("--host", "0.0.0.0"), ("trusted-proxy=127.0.0.1/32",)):
         shared = upload_config(serving("--allow-upload", tmp_path, *words))
         assert shared is not None and shared.nice > 0  # those who look on go first
 

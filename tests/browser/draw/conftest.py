@@ -6,7 +6,6 @@ import base64
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.extras.browser.web_shaders import page_programs
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from tests import needs
@@ -61,22 +59,16 @@ class Bench(Opened):
     def answer(self, route: Any) -> None:
         path = route.request.url.removeprefix(_ROOT).partition("?")[0]
         folder, _, name = path.partition("/")
-        file = Path(__file__).parent / name if folder == "test" else WEB / path
         if path == "modules":
             route.fulfill(body="<!doctype html><title>modules</title>", content_type="text/html")
-        elif path == "draw/programs.json":
-            route.fulfill(body=_programs(), content_type="application/json")
         elif folder == "data" and name in self.data:
             route.fulfill(body=self.data[name], content_type="application/octet-stream")
-        elif file.is_file():
-            answer_file(route, file)
+        elif folder == "test":
+            answer_file(route, name, (Path(__file__).parent / name).read_bytes())
+        elif path in WEB:
+            answer_file(route, path, WEB[path])
         else:
             route.fulfill(status=404, body="no such file")
-
-
-@cache
-def _programs() -> str:
-    return json.dumps(page_programs())
 
 
 def floats(text: str) -> NDArray[np.float32]:

@@ -42,28 +42,6 @@ def same(level: dict[str, str], avatar: Avatar) -> None:
     assert np.array_equal(array(level, "joints", np.uint16), skin.joints.ravel())
 
 
-@pytest.mark.parametrize(("degree", "influences", "joints"), [(0, 4, 20), (0, 2, 20), (3, 8, 300), (2, 1, 3)])
-def test_the_page_reads_what_python_reads(bench: Bench, degree: int, influences: int, joints: int) -> None:
-    avatar = with_face(someone(1700, degree, influences, joints, seed=31 + degree))
-    data = encode_avatar(surfaced(avatar, shaded=influences == 4) if degree == 0 else avatar)
-    bench.data["one"] = data
-    found = bench.js(READ, ["one", 700 + degree])
-    expected = decode_avatar(data)
-    assert found["order"] == [0, 0] + [0] * (degree == 0) and found["joints"] == list(avatar.skeleton.names)
-    assert found["names"] == ["jawOpen", "cheekPuff", "mine"]
-    same(found["levels"]["0"], expected)
-    assert expected.shapes is not None
-    assert np.array_equal(array(found["levels"]["0"], "texels", np.uint32), expected.shapes.texels().ravel())
-    surface = expected.splats.surface
-    assert (surface is not None) == (degree == 0)
-    if surface is not None:
-        assert np.array_equal(array(found["levels"]["0"], "normals", np.int8), surface.normals.ravel())
-        assert np.array_equal(array(found["levels"]["0"], "occlusion", np.uint8), surface.occlusion)
-        assert ("shade" in found["levels"]["0"]) == (surface.shade is not None)
-        if surface.shade is not None:
-            assert np.array_equal(array(found["levels"]["0"], "shade", np.uint8), surface.shade.ravel())
-
-
 def test_a_handed_out_person_comes_coarsest_first_and_looks_as_the_exact_one(bench: Bench) -> None:
     """What quantising costs, together with another context: at least 60 dB."""
     person = glsplat.default_avatar()

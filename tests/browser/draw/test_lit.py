@@ -13,7 +13,6 @@ from glsplat import Avatar, Item, Pose, Scene
 from glsplat.extras.browser.web_format.read import decode_avatar
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.light import Light
-from glsplat.light.light import PRESETS
 from tests import scenes
 from tests.browser.draw.conftest import Bench, posed
 from tests.browser.draw.test_avatar import PICTURE, eye_of, like
@@ -75,27 +74,3 @@ def test_who_is_handed_out_is_lit(bench: Bench, person: Avatar) -> None:
     asked = {"name": "person", "pose": posed(pose), "camera": eye_of(camera), "headless": True}
     found = bench.js(PICTURE, {**asked, "light": said(light)})
     like(found, truth(Scene([Item(shown, pose=pose)], light=light), [camera])[0], 85)
-
-
-def test_the_numbers_of_light_are_those_of_python(bench: Bench) -> None:
-    """As the shader reads it; turned by a rotation and by a mirror; rounded for the wire."""
-    lights = [random_light(3), random_light(4, sun=False), *map(Light.preset, PRESETS)]
-    rotation = glsplat.similarity((0, 0, 0), (0.3, -0.5, 0.7, 1.1))
-    turns = [rotation, rotation @ glsplat.rotations.FLIP_X]
-    found = bench.js(
-        """async ([lights, turns]) => {
-          const { onWire, turned, uniformsOf } = await import('/vr/draw/light.js');
-          return lights.map((one) => ({
-            uniforms: [...uniformsOf(one)],
-            turned: turns.map((m) => [...uniformsOf(turned(one, m))]),
-            wire: onWire(one),
-          }));
-        }""",
-        [[said(light) for light in lights], [turn.T.ravel().tolist() for turn in turns]],
-    )
-    for light, one in zip(lights, found, strict=True):
-        np.testing.assert_allclose(one["uniforms"], light.uniforms().ravel(), rtol=1e-6, atol=1e-7)
-        for turn, numbers in zip(turns, one["turned"], strict=True):
-            wanted = light.turned(turn[:3, :3]).uniforms().ravel()
-            np.testing.assert_allclose(numbers, wanted, rtol=1e-5, atol=1e-6)
-        np.testing.assert_allclose(Light.from_json(one["wire"]).uniforms(), light.uniforms(), atol=2e-4)

@@ -111,14 +111,10 @@ def wire(
 
 @dataclass
 class Service:
-    """The server of one participant, which may be killed and started again on its port.
-
-    ``command`` is tests.extras.study.served, which draws nothing, or another one that prints a line of JSON once ready.
-    """
+    """The server of one participant (tests.extras.study.served), which may be killed and restarted on its port."""
 
     study: Path
     participant: int
-    command: Callable[[Service], list[str]] | None = None
     port: int = 0
     links: dict[str, str] | None = None
     process: subprocess.Popen[str] | None = None
@@ -134,15 +130,8 @@ class Service:
         return {step.alias: step.name for step in steps_of(study, checked_plan(self.data, study), self.participant)}
 
     def start(self) -> None:
-        own = [
-            "-m",
-            "tests.extras.study.served",
-            str(self.study),
-            str(self.data),
-            str(self.participant),
-            str(self.port),
-        ]
-        words = [sys.executable, *(own if self.command is None else self.command(self))]
+        options = map(str, (self.study, self.data, self.participant, self.port))
+        words = [sys.executable, "-m", "tests.extras.study.served", *options]
         self.process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
@@ -150,10 +139,9 @@ class Service:
         found = json.loads(line)
         self.port = found["port"]
         if self.links is None:
-            secrets = json.loads(Path(found["study"]["keys"]).read_text()) if "study" in found else found
             pages = {"participant": "study", "experimenter": "watch"}
             origin = f"http://localhost:{self.port}/vr"
-            self.links = {who: f"{origin}/{pages[who]}.html?size=256#study={secrets[who]}" for who in pages}
+            self.links = {who: f"{origin}/{pages[who]}.html?size=256#study={found[who]}" for who in pages}
 
     def kill(self) -> None:
         """As a power cut does to a process."""

@@ -83,8 +83,8 @@ async def test_refusals_name_nothing_that_is_not_the_askers(serve, made):
 
 async def test_guesses_are_counted_one_by_one_also_when_they_come_at_once(serve, made, monkeypatch):
     config, tokens, _ = made
-    hashes, hashed = [], users._hashed
-    monkeypatch.setattr(users, "_hashed", lambda token, salt: hashes.append(token) or hashed(token, salt))
+    hashes, hashed = [], users._hash_token
+    monkeypatch.setattr(users, "_hash_token", lambda token, salt: hashes.append(token) or hashed(token, salt))
     async with serve(config=config, offered=OFFERED) as server:
         assert (await get(server, "/session", tokens["boss"]))[0] == 200
         before = len(hashes)
@@ -96,7 +96,7 @@ async def test_guesses_are_counted_one_by_one_also_when_they_come_at_once(serve,
 
 async def test_removing_an_account_ends_its_connections(serve, made, cameras, monkeypatch):
     config, tokens, path = made
-    monkeypatch.setattr(users, "_LOOK", 0.0)
+    monkeypatch.setattr(users, "CHECK_S", 0.0)
     async with serve(config=config, offered=OFFERED) as server:
         async with Client(server.url, tokens["ann"]) as ann, Client(server.url, tokens["boss"]) as boss:
             await ann.render(cameras)
@@ -137,11 +137,11 @@ def test_no_query_leads_to_what_an_account_may_not(query, avatars, rooms):
 async def test_only_so_many_tokens_wait_to_be_looked_at(serve, made, monkeypatch):
     """And who was let in before does not wait behind them."""
     config, tokens, _ = made
-    hashed, opened = users._hashed, threading.Event()
+    hashed, opened = users._hash_token, threading.Event()
     monkeypatch.setattr(gate, "_MAX_LOGINS", 2)
     async with serve(config=config, offered=OFFERED) as server:
         first = (await get(server, "/session", tokens["boss"]))[0]
-        monkeypatch.setattr(users, "_hashed", lambda *words: opened.wait(HANG) and hashed(*words))
+        monkeypatch.setattr(users, "_hash_token", lambda *words: opened.wait(HANG) and hashed(*words))
         waiting = [asyncio.create_task(get(server, "/session", f"eve.guess{i}")) for i in range(4)]
         await until(lambda: sum(task.done() for task in waiting) == 2)
         known = (await get(server, "/session", tokens["boss"]))[0]

@@ -64,8 +64,8 @@ def test_a_token_is_found_again_and_nothing_like_it(two):
 def test_unknown_names_cost_the_same_hash_and_verified_tokens_none(two, monkeypatch):
     accounts, ann, token, *_ = two
     salts, compared = [], []
-    hashed, compare = users._hashed, users.hmac.compare_digest
-    monkeypatch.setattr(users, "_hashed", lambda text, salt: salts.append(salt) or hashed(text, salt))
+    hashed, compare = users._hash_token, users.hmac.compare_digest
+    monkeypatch.setattr(users, "_hash_token", lambda text, salt: salts.append(salt) or hashed(text, salt))
     monkeypatch.setattr(users.hmac, "compare_digest", lambda a, b: compared.append((len(a), len(b))) or compare(a, b))
     for text in ("eve.secret", "ann.secret", token):
         verified(accounts, text)
@@ -81,7 +81,7 @@ def test_nothing_of_a_token_is_shown_or_kept(two, file, caplog):
     secret = token.partition(".")[2]
     shown = repr(ann) + repr(accounts) + repr(Access(accounts=accounts)) + repr(Rights(accounts)) + caplog.text
     assert secret not in shown and ann.hash.hex() not in shown and str(ann.hash) not in shown
-    assert secret not in file.read_text() and all(secret.encode() not in mark for mark in accounts._known)
+    assert secret not in file.read_text() and all(secret.encode() not in mark for mark in accounts._verified)
 
 
 def test_the_file_is_read_again_when_it_changes(two, file, caplog):
@@ -106,7 +106,7 @@ def test_a_removed_account_is_noticed_while_nobody_comes_in(two, file, monkeypat
     accounts, ann, *_ = two
     keep(file)
     assert accounts.holds(ann)  # the file is not looked at for every picture
-    monkeypatch.setattr(users, "_LOOK", 0.0)
+    monkeypatch.setattr(users, "CHECK_S", 0.0)
     assert not accounts.holds(ann)
 
 
@@ -125,7 +125,7 @@ def test_a_removal_that_could_not_be_read_is_read_later(two, file, monkeypatch, 
         patch.setattr(os, "open", fail)
         assert [accounts.known(other) for _ in range(50)] == [bob] * 50 and accounts.holds(bob)
     assert len(tries) == 1 and "Too many open files" in caplog.text  # it is tried once a second
-    monkeypatch.setattr(users, "_LOOK", 0.0)
+    monkeypatch.setattr(users, "CHECK_S", 0.0)
     assert accounts.known(other) is None and not accounts.holds(bob) and accounts.holds(ann)
     assert verified(accounts, other) is None and verified(accounts, token) == ann
 
@@ -155,7 +155,7 @@ def test_what_is_replaced_while_it_is_read_is_read_again(two, file, monkeypatch)
 
     keep(file, bob, ann)
     monkeypatch.setattr(users, "_parsed", late)
-    monkeypatch.setattr(users, "_CLOCK_STEP", -1.0)  # by the stamp alone
+    monkeypatch.setattr(users, "_CLOCK_STEP_S", -1.0)  # by the stamp alone
     accounts.known(token)
     assert accounts.known(token) is None and not accounts.holds(ann)
 
@@ -167,7 +167,7 @@ def test_a_file_that_is_written_in_pieces_loses_nobody(file, monkeypatch):
     accounts = Accounts(file)
     keep(file, *people[1:])
     whole = file.read_bytes()
-    monkeypatch.setattr(users, "_LOOK", -1.0)
+    monkeypatch.setattr(users, "CHECK_S", -1.0)
     with open(file, "wb", buffering=0) as out:
         for start in range(0, len(whole), 97):
             assert all(accounts.holds(one) for one in people)
@@ -261,7 +261,7 @@ def test_no_file_is_written_that_would_not_be_read(file, monkeypatch):
     """One account too many is refused; those that were there stay."""
     ann, bob = (new_user(name)[0] for name in ("ann", "bob"))
     write_users(file, {"ann": ann})
-    monkeypatch.setattr(users, "_LARGEST", file.stat().st_size)
+    monkeypatch.setattr(users, "MAX_FILE_BYTES", file.stat().st_size)
     with pytest.raises(FormatError, match="a file of accounts has at most"):
         write_users(file, {"ann": ann, "bob": bob})
     assert read_users(file) == {"ann": ann}

@@ -14,10 +14,10 @@ from scipy.spatial import cKDTree
 
 from glsplat.camera import Camera
 from glsplat.data import participants_folder
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.geometry.raster import mesh_picture, visible_faces
 from glsplat.extras.authoring.models import store
 from glsplat.extras.authoring.models.catalogue import PHOTO
-from glsplat.extras.authoring.raster import mesh_picture, visible_faces
 from glsplat.extras.formats.person import read_person
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA

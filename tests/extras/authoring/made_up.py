@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.fit import prior
-from glsplat.extras.authoring.fit.body import BETAS, open_body
 from glsplat.extras.authoring.fit.kinematics import PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT, landmarks
 from glsplat.extras.authoring.fit.outline import projected_mask

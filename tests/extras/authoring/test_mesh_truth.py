@@ -227,15 +227,18 @@ def test_refusals(mesh_renderer: Make, context: Context) -> None:
         renderer.render([])
     with pytest.raises(GlsplatError, match="size 96x96"):
         renderer.render([camera.resized(10, 10)])
-    with pytest.raises(PoseError, match="2 joints, the mesh 1"):
+    with pytest.raises(PoseError, match="2 joints, the item 1"):
         renderer.render([camera], Pose.zero(2))
     wrong = ({"samples": 3}, "one of 1, 4"), ({"supersample": 0}, "1 to 8"), ({"output": "x"}, "float32")
     for changes, message in wrong:
         with pytest.raises(GlsplatError, match=message):
             MeshTruth(mesh, size=(8, 8), context=context, **changes)
-    for size, error in (((0, 5), GlsplatError), ((5, context.max_size), ContextError)):
+    for size, error in (((0, 5), GlsplatError), (5, GlsplatError), ((5, context.max_size), ContextError)):
         with pytest.raises(error, match="size needs"):
-            MeshTruth(mesh, size=size, context=context)
+            MeshTruth(mesh, size=size, context=context)  # type: ignore[arg-type]
+    with pytest.raises(GlsplatError, match="MeshTruth needs a RiggedMesh, not Splats"):
+        MeshTruth(Splats.create([[0, 0, 0]], [[1, 0, 0, 0]], [[1] * 3], [1], rgb=[[1, 0, 0]]), context=context)  # type: ignore[arg-type]
+    assert renderer.size == (96, 96) and not isinstance(renderer, Renderer)  # it draws no other scene
     renderer.release()
     renderer.release()
 

@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.raster import mesh_picture, mesh_picture_and_depth, visible_faces
+from glsplat.extras.authoring.geometry.raster import mesh_picture, mesh_picture_and_depth, visible_faces
 from glsplat.extras.formats.person import read_person
 from glsplat.extras.formats.texture import decode_texture
 from glsplat.meshes import MeshPart, RiggedMesh

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera, look_at
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.evaluate.turntable import Turntable, turntable
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose

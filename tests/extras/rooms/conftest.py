@@ -16,7 +16,7 @@ from glsplat.gl.context import Context, create_context
 @pytest.fixture
 def nobody_fades(monkeypatch: pytest.MonkeyPatch) -> None:
     """However long the others' pictures take."""
-    monkeypatch.setattr(person, "SILENT", 1e6)
+    monkeypatch.setattr(person, "SILENT_S", 1e6)
 
 
 @pytest.fixture(scope="module")

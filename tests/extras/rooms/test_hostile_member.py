@@ -13,7 +13,7 @@ import pytest
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
-from glsplat.extras.rooms.person import FADE, SILENT
+from glsplat.extras.rooms.person import FADE_S, SILENT_S
 from glsplat.extras.rooms.room import RoomError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import AvatarInfo, RenderJob
@@ -80,7 +80,7 @@ class Drawn:
         views = one.views(job)
         assert all(np.isfinite(view.viewmat).all() for view in views)
         words = one.labels(job)
-        assert all(np.isfinite(label.place).all() for label in words)
+        assert all(np.isfinite(label.position).all() for label in words)
         if (job.frame_id or 0) % 3 == 0:  # which takes as long as all else
             self._pool.write(one, job, np.zeros((len(views), views[0].height, views[0].width, 4), np.uint8))
         self.job, self.labels = job, {label.text: label for label in words}
@@ -192,7 +192,7 @@ class Play:
             self.eve = self.meeting.enter(query)
         except RoomError as error:  # a name that is kept for somebody who has no token: herself, without one
             assert error.status == 409 and not self.token
-            self.meeting.now += SILENT + FADE
+            self.meeting.now += SILENT_S + FADE_S
             self.heard.clear()
             return
         self.token = self.person(self.eve).resume if self.chance.random() < 0.7 else ""
@@ -200,7 +200,7 @@ class Play:
     def takes_names(self) -> None:
         """Of somebody who may have been silent for long, with a token or without."""
         if self.chance.random() < 0.3:
-            self.meeting.now += 2 * (SILENT + FADE)
+            self.meeting.now += 2 * (SILENT_S + FADE_S)
             self.heard.clear()  # they have faded, and are back with their next request
         wrong = ("", self.token, "x" * 22, "\udcff", self.person(self.friends["Ann"]).resume[:-1])
         with pytest.raises(RoomError) as refused:

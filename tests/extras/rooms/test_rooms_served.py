@@ -11,7 +11,7 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, ProtocolError
 from glsplat.extras.rooms import person
-from glsplat.extras.rooms.person import FADE, SILENT
+from glsplat.extras.rooms.person import FADE_S, SILENT_S
 from glsplat.net.backend import AvatarInfo, RenderJob, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.fault_tracker import FaultTracker
@@ -105,9 +105,8 @@ async def test_the_way_in(serve: Serve) -> None:
 
 async def test_a_lost_connection_fades_and_may_come_back(serve: Serve, stopped: Stopped) -> None:
     async with serve(FakeBackend(), config(), offered=OFFERS) as server, member(server, "Ann") as ann:
-        server.drawer._clock = stopped  # type: ignore[union-attr]
         bob = member(server, "Bob")
-        for silence, opacity in ((0.0, 1.0), (SILENT + FADE / 4, 0.75), (SILENT + FADE, None)):
+        for silence, opacity in ((0.0, 1.0), (SILENT_S + FADE_S / 4, 0.75), (SILENT_S + FADE_S, None)):
             await bob.connect()  # under the same name
             await bob.render(EYES, pose=POSE)
             bob._connection._ws._writer.transport.abort()  # type: ignore[union-attr]
@@ -188,14 +187,13 @@ async def test_a_viewer_gets_pictures_whatever_anothers_splats_do(
     serve: Serve, stopped: Stopped, error: Exception, shares: set[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Twenty minutes: no error, nobody held off; in between others are shown again."""
-    monkeypatch.setattr(person, "SILENT", 1e9)  # Eve, who asks once, fades on no machine, however slow
+    monkeypatch.setattr(person, "SILENT_S", 1e9)  # Eve, who asks once, fades on no machine, however slow
     backend = FakeBackend(fail=lambda job: error if shows_eve(job) and job.others > 0.25 else None)
     async with (
         serve(backend, config(), offered=OFFERS) as server,
         member(server, "eve") as eve,
         member(server, "ann") as ann,
     ):
-        server.drawer._clock = stopped  # type: ignore[union-attr]
         assert await asks(eve, 1) == [""]
         backend.drawn.clear()
         answers = []

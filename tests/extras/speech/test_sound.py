@@ -1,21 +1,22 @@
-"""Sound files: formats of .wav, damaged ones, and FLAC in MP4 as an independent reader finds it."""
+"""Sound files: formats of .wav, damaged ones, and FLAC in MP4 to the bit."""
 
 from __future__ import annotations
 
 import os
 import random
 import struct
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.speech.flac import BLOCK, flac_frames
 from glsplat.extras.speech.mp4 import add_sound
-from glsplat.extras.speech.sound import Sound, read_wav, wav_bytes
-from tests.extras.speech.sounds import vowels
+from glsplat.extras.speech.sound import Sound, read_wav
+from tests.extras.speech.sounds import vowels, wav_bytes
 
+BLOCK = 4096  # samples of a frame of FLAC
 RAMP = np.linspace(-1, 1, 600)
 
 
@@ -111,14 +112,19 @@ def clip(path: Path, seconds: float) -> None:
     writer.release()
 
 
-def decoded(path: Path) -> tuple[int, np.ndarray, int]:
-    """Pictures, samples and rate, as FFmpeg finds them."""
+def pictures(path: Path) -> list[tuple[Fraction, bytes]]:
+    """Return time in seconds and encoded bytes of each picture."""
     av = pytest.importorskip("av")
     with av.open(str(path)) as file:
-        pictures = sum(1 for _ in file.decode(video=0))
+        return [(p.pts * p.time_base, bytes(p)) for p in file.demux(video=0) if p.pts is not None]
+
+
+def decoded(path: Path) -> tuple[np.ndarray, int]:
+    """Return the samples of the sound and their rate."""
+    av = pytest.importorskip("av")
     with av.open(str(path)) as file:
         sound = np.concatenate([frame.to_ndarray().ravel() for frame in file.decode(audio=0)])
-        return pictures, sound, file.streams.audio[0].rate
+        return sound, file.streams.audio[0].rate
 
 
 def test_a_clip_has_the_sound_to_the_bit(tmp_path):
@@ -126,15 +132,19 @@ def test_a_clip_has_the_sound_to_the_bit(tmp_path):
     quiet = np.random.default_rng(2).uniform(-0.01, 0.01, 130 * BLOCK)  # frames beyond 127 have longer numbers
     hard = (np.zeros(2 * BLOCK), np.tile([1.0, -1.0], 3000), np.array([0.5]), np.array([0.5, -0.5]))
     for number, samples in enumerate((speech, noise, quiet, *hard)):
-        path = tmp_path / f"{number}.mp4"
-        clip(path, 0.5)
-        add_sound(path, Sound(samples.astype(np.float32), 22050))
-        pictures, sound, rate = decoded(path)
-        assert pictures == 10 and rate == 22050
-        sound = sound[: len(samples)]  # one sample is padded
-        assert np.array_equal(sound, np.rint(samples.astype(np.float32).astype(float) * 32767).astype(np.int16))
-    sound = Sound(vowels(2, 48000).astype(np.float32), 48000)
-    assert sum(map(len, flac_frames(sound))) < 0.75 * 2 * len(sound.samples)
+        for rate in (22050, 16001, 384000) if number == 1 else (22050,):
+            path = tmp_path / f"{number}.mp4"
+            clip(path, 0.5)
+            before = pictures(path)
+            add_sound(path, Sound(samples.astype(np.float32), rate))
+            assert len(before) == 10 and pictures(path) == before  # nothing is encoded anew
+            whole = np.rint(samples.astype(np.float32).astype(float) * 32767).astype(np.int16)
+            sound, found = decoded(path)
+            assert found == rate and np.array_equal(sound, whole)
+    clip(path, 0.5)
+    silent = path.stat().st_size
+    add_sound(path, Sound(vowels(2, 48000).astype(np.float32), 48000))
+    assert path.stat().st_size - silent < 0.75 * 2 * 2 * 48000
 
 
 def test_what_is_no_clip_is_refused_and_stays_as_it_was(tmp_path):
@@ -143,4 +153,4 @@ def test_what_is_no_clip_is_refused_and_stays_as_it_was(tmp_path):
         path.write_bytes(data)
         with pytest.raises(FormatError):
             add_sound(path, Sound(np.zeros(100, np.float32), 16000))
-        assert path.read_bytes() == data
+        assert path.read_bytes() == data and list(tmp_path.iterdir()) == [path]

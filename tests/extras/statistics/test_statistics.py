@@ -28,6 +28,13 @@ def test_intervals_are_scipys(rng: np.random.Generator) -> None:
     assert shifted == pytest.approx((low + 100, high + 100), abs=1e-9)
 
 
+def test_intervals_of_few_and_of_equal_values() -> None:
+    """Two values: a quarter of the samples has one of them twice. Values that rounding parts are one."""
+    assert interval_of_mean(np.array([0.7, 0.1])) == pytest.approx((0.1, 0.7))
+    assert interval_of_mean(np.array([1e9, 1e9 + 2e-7] * 3)) == pytest.approx((1e9, 1e9))
+    assert interval_of_mean(np.array([0.5])) == (None, None)
+
+
 def test_intervals_cover_as_often_as_they_say(rng: np.random.Generator) -> None:
     hit = [low <= 0 <= high for low, high in (interval_of_mean(rng.normal(size=24)) for _ in range(300))]
     assert 0.88 < np.mean(hit) < 0.98

@@ -23,7 +23,7 @@ def test_what_it_says(tmp_path: Path) -> None:
     assert slow.light == (0.5, 0.25, 1.0) and study.condition("fast").light == (1.0, 1.0, 1.0)
     assert (study.before, study.each, study.after) == (("nasa-tlx",), ("movement",), ("nasa-tlx", "own"))
     assert study.rest == 2 and study.tasks[1].reading == 4
-    assert not study.untold
+    assert not study.items_without_text
 
 
 def test_equal_designs_have_equal_digests(tmp_path: Path) -> None:
@@ -96,7 +96,8 @@ def test_every_instrument_can_be_read() -> None:
     assert len(embedded()) == 8
     for name in embedded():
         one = questionnaire_of(name, Path())
-        assert one.name == name and one.source and one.scores and bool(one.untold) == ("not free" in one.licence)
+        assert one.name == name and one.source and one.scores
+        assert bool(one.items_without_text) == ("not free" in one.licence)
 
 
 def test_scores_by_hand(tmp_path: Path) -> None:

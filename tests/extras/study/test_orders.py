@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,9 +13,25 @@ import pytest
 from glsplat.errors import FormatError
 from glsplat.extras.study import plan as plan_module
 from glsplat.extras.study.design import read_study
-from glsplat.extras.study.orders import carryover, cycle, groups_of, orders_of, positions, williams
+from glsplat.extras.study.orders import cycle, groups_of, orders_of, williams
 from glsplat.extras.study.plan import PLAN, checked_plan, label, make_plan, read_plan, write_plan
 from tests.extras.study.designs import SMALL, planned, write
+
+
+def positions(orders: Sequence[Sequence[str]]) -> dict[str, list[int]]:
+    """Return how often each condition occurs in each position."""
+    names = sorted({name for order in orders for name in order})
+    return {name: [sum(order[at] == name for order in orders) for at in range(len(orders[0]))] for name in names}
+
+
+def carryover(orders: Sequence[Sequence[str]]) -> dict[tuple[str, str], int]:
+    """Return how often each pair of conditions occurs in succession."""
+    names = sorted({name for order in orders for name in order})
+    counts = {(a, b): 0 for a in names for b in names if a != b}
+    for order in orders:
+        for pair in pairwise(order):
+            counts[pair] += 1
+    return counts
 
 
 def test_williams_is_balanced() -> None:
@@ -100,11 +117,11 @@ def test_a_plan_stays(tmp_path: Path) -> None:
 def test_no_plan_is_written_that_would_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _, plan = planned(tmp_path)
     size = write_plan(tmp_path / "data", plan).stat().st_size
-    monkeypatch.setattr(plan_module, "_LARGEST", size - 1)
+    monkeypatch.setattr(plan_module, "MAX_PLAN_BYTES", size - 1)
     with pytest.raises(FormatError, match="a plan has at most"):
         write_plan(tmp_path / "other", plan)
     assert not (tmp_path / "other").exists()
-    monkeypatch.setattr(plan_module, "_LARGEST", size)
+    monkeypatch.setattr(plan_module, "MAX_PLAN_BYTES", size)
     write_plan(tmp_path / "other", plan)
     assert read_plan(tmp_path / "other") == plan
 
@@ -135,5 +152,5 @@ def test_no_plan_without_texts(tmp_path: Path) -> None:
     study = read_study(write(tmp_path, SMALL.replace('["movement"]', '["veq"]')))
     with pytest.raises(FormatError, match=r"12 items have no text yet, the first is veq.vbo1"):
         make_plan(study)
-    texts = "[text.veq]\n" + "".join(f'{item.partition(".")[2]} = "x"\n' for item in study.untold)
+    texts = "[text.veq]\n" + "".join(f'{item.partition(".")[2]} = "x"\n' for item in study.items_without_text)
     assert make_plan(read_study(write(tmp_path, SMALL.replace('["movement"]', '["veq"]') + texts)))

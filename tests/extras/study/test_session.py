@@ -67,7 +67,14 @@ class Walk:
 
     def again(self) -> Session:
         """As after a crash."""
-        return Session(self.study, self.steps, self.log)
+        return replayed(self, self.log)
+
+
+def replayed(walk: Walk, events: Sequence[Event]) -> Session:
+    session = Session(walk.study, walk.steps)
+    for event in events:
+        session.replay(event)
+    return session
 
 
 @pytest.fixture
@@ -102,7 +109,7 @@ def test_a_log_leads_back_at_every_line(walk: Walk) -> None:
         walk.step()
         states.append((len(walk.log), walk.session.state))
     for lines, state in states:
-        assert Session(walk.study, walk.steps, walk.log[:lines]).state == state
+        assert replayed(walk, walk.log[:lines]).state == state
 
 
 def test_without_consent_nothing_comes(walk: Walk, tmp_path: Path) -> None:
@@ -117,7 +124,7 @@ def test_without_consent_nothing_comes(walk: Walk, tmp_path: Path) -> None:
         with pytest.raises(ProtocolError) as error:
             refused()
         assert error.value.code == "ended"
-    assert walk.do(walk.session.pause) == walk.do(walk.session.lost) == walk.do(walk.session.tick) == []
+    assert walk.do(walk.session.pause) == walk.do(walk.session.page_lost) == walk.do(walk.session.tick) == []
 
 
 def test_a_crash_in_a_task_begins_it_anew_and_in_a_questionnaire_keeps_the_answers(walk: Walk) -> None:
@@ -188,8 +195,8 @@ def test_steps_are_done_in_their_order(walk: Walk) -> None:
 
 def test_pause_stops_the_time_as_does_a_page_that_is_gone(walk: Walk) -> None:
     walk.to("task", "countdown")
-    walk.do(walk.session.lost)
-    assert walk.session.state.phase == "instruction" and walk.do(walk.session.lost) == []
+    walk.do(walk.session.page_lost)
+    assert walk.session.state.phase == "instruction" and walk.do(walk.session.page_lost) == []
     walk.to("task", "running")
     walk.t += 9
     walk.do(walk.session.pause)
@@ -197,7 +204,7 @@ def test_pause_stops_the_time_as_does_a_page_that_is_gone(walk: Walk) -> None:
     walk.t += 1000
     assert walk.do(walk.session.tick) == [] and walk.session.left(walk.t) is None
     assert walk.again().state.paused  # a server that comes back is still paused
-    walk.do(walk.session.go_on)
+    walk.do(walk.session.resume)
     assert (walk.session.state.phase, walk.session.state.attempt) == ("instruction", 3)
     walk.to("questionnaire")
     walk.do(walk.session.pause)
@@ -248,9 +255,9 @@ def test_anything_anytime(tmp_path: Path, seed: int) -> None:
             lambda name=name, item=item, value=value: walk.do(session.answer, name, item, value, 1.0),
             lambda name=name: walk.do(session.submit, name),
             lambda: walk.do(session.tick),
-            lambda: walk.do(session.lost),
+            lambda: walk.do(session.page_lost),
             lambda: walk.do(session.pause),
-            lambda: walk.do(session.go_on),
+            lambda: walk.do(session.resume),
             lambda: walk.do(session.repeat),
             lambda: walk.open(),
             walk.step if not session.state.paused and session.step else lambda: None,

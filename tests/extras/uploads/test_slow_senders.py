@@ -83,7 +83,7 @@ SLOW = {
     "nothing after 100 Continue": (EXPECTS, b"", {"stall": 0.2}),
     "no last chunk": (CHUNKED, chunk(PICTURE), {"stall": 0.2}),
     "all but one byte": (length(len(PICTURE) + 1), PICTURE, {"stall": 0.2}),
-    "too long in all": (length(10**7), b"ok", {"stall": GUARD, "receive": 0.2}),
+    "too long in all": (length(10**7), b"ok", {"stall": GUARD, "receive_timeout": 0.2}),
 }
 
 

@@ -108,7 +108,7 @@ async def test_a_cancelled_job_ends_at_once_and_leaves_nothing(takes, state):
 
 
 async def test_a_job_that_takes_too_long_is_given_up(takes):
-    async with takes(seconds=0.2) as client:
+    async with takes(make_timeout=0.2) as client:
         told = await client.job(b"wait", "failed")
     assert told["error"] == "it took more than 0.2 s and was given up; try again later"
 
@@ -147,7 +147,7 @@ async def test_only_avatars_made_here_are_deleted(takes):
 
 
 async def test_a_full_folder_is_refused_before_the_picture_is_made(takes):
-    async with takes(most_files=1) as client:
+    async with takes(max_avatars=1) as client:
         (client.folder / "mine.glb").write_bytes(b"of the operator")
         status, line = await client.post()
         assert status == 507
@@ -208,7 +208,7 @@ async def test_the_stream_of_ones_own_machine_steps_back_while_one_is_made(takes
 
 
 async def test_a_refused_job_is_dropped_for_another_on_request_or_after_a_while(takes):
-    async with takes(patience=0.3) as client:
+    async with takes(resume_timeout=0.3) as client:
         name = (await client.job(b"doubt known", "failed"))["name"]
         while (await client.ask("GET", f"/avatars/{name}"))[1]["goes_on"]:
             await asyncio.sleep(0.02)

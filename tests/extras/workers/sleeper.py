@@ -6,13 +6,17 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from glsplat.errors import BudgetError, ContextError, FormatError, PoseError
 from glsplat.net.backend import Rendered, RenderJob
 
-__all__ = ["STEP", "Fragile", "Sleeper"]
+if TYPE_CHECKING:
+    from glsplat.net.codec.encoded import Encoded
+
+__all__ = ["STEP", "Fragile", "FragileEncoder", "Sleeper"]
 
 STEP = 8  # grey values between two numbers: JPEG moves a flat half by less
 
@@ -70,6 +74,23 @@ class Fragile(Sleeper):
         if room is not None and request.others and any(p.name == "eve" and p.key != room.viewer for p in room.people):
             os.kill(os.getpid(), signal.SIGSEGV)
         return super().render(request)
+
+
+class FragileEncoder(Sleeper):
+    """Its worker does not survive the encoding of pictures of client 31."""
+
+    def open(self) -> str:
+        from glsplat.net.worker.encoding import PictureEncoder
+
+        encode = PictureEncoder._jpegs
+
+        def fragile(encoder: PictureEncoder, rendered: Rendered, *given: Any) -> Encoded:
+            if rendered.images[0, 0, 0, 0] == _grey(31):
+                os.kill(os.getpid(), signal.SIGSEGV)
+            return encode(encoder, rendered, *given)
+
+        PictureEncoder._jpegs = fragile  # type: ignore[method-assign]
+        return super().open()
 
 
 def _grey(number: int) -> int:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 
 from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.client import Client
 from glsplat.net.feature import Feature
+from glsplat.net.pace.fair_queue import FairQueue
 from glsplat.net.server import ServerConfig
 from glsplat.net.worker.process import ProcessLauncher, process_worker
-from tests.extras.workers.fakes import GUARD, camera
+from tests.extras.workers.fakes import GUARD, camera, until
 from tests.extras.workers.sleeper import STEP, Sleeper
 
 pytestmark = pytest.mark.check
@@ -52,3 +55,40 @@ async def test_video(serve, pooled):
                 assert reply.info["video"]["number"] == number and reply.video[0].shape[:2] == (64, 64)
                 assert abs(float(reply.images()[0][:, :24].mean()) - 16 * STEP) < 6
             assert "video" not in (await plain.render([camera(16)])).info
+
+
+async def test_coding_is_charged_where_the_client_is(serve, monkeypatch):
+    """A client that moves while its video is coded leaves no debt with the worker that it has left."""
+    video = pytest.importorskip("glsplat.extras.far_links.video")
+    pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
+    coding, go, charged = threading.Event(), threading.Event(), []
+    encode, charge = video.VideoStream.encode, FairQueue.charge
+
+    def held(self, *given):
+        coding.set()
+        assert go.wait(GUARD)
+        return encode(self, *given)
+
+    def charge_(self, address, key, *given):
+        charged.append((address, key) in self)
+        charge(self, address, key, *given)
+
+    monkeypatch.setattr(video.VideoStream, "encode", held)
+    monkeypatch.setattr(FairQueue, "charge", charge_)
+    drawer = WorkerPool([ProcessLauncher(Sleeper)] * 2, video=True)
+    async with serve(drawer, ServerConfig(port=0, video=True)) as server:
+        async with Client(server.url, video=True, timeout=GUARD) as client:
+            for moves in (False, True):
+                coding.clear()
+                go.clear()
+                await client.send([camera(16)])
+                assert await until(coding.is_set)
+                assert await until(lambda: not drawer.drawing_for)
+                if moves:
+                    (stream,) = server.clients.values()
+                    (to,) = (one for one in drawer._render_loops if not one.clients)
+                    drawer._move(stream, to)
+                    assert (stream.address, stream) in to._turns
+                go.set()
+                assert (await client.receive()).reply.video
+    assert charged == [True] * 3  # drawn, coded; drawn

@@ -8,8 +8,8 @@ import pytest
 from glsplat.extras.workers.placement import PlacedClient, PlacedWorker, better, choose
 
 
-def worker(*costs: float, has: tuple[str, ...] = (), key: str = "avatar:ann", share: float = 1.0) -> PlacedWorker:
-    return PlacedWorker(tuple(PlacedClient(i, key, cost) for i, cost in enumerate(costs)), frozenset(has), share)
+def worker(*costs: float, has: tuple[str, ...] = (), key: str = "avatar:ann") -> PlacedWorker:
+    return PlacedWorker(tuple(PlacedClient(i, key, cost) for i, cost in enumerate(costs)), frozenset(has))
 
 
 ANN = PlacedClient(99, "avatar:ann", 0.03)
@@ -29,7 +29,6 @@ ROOM = [worker(), worker(*[0.03] * 9, key="room:lab")]
         (ANN, [worker(0.03), worker(0.03, has=("avatar:ann",))], 1),
         (ANN, [worker(0.03), worker(0.03, 0.03, 0.03, has=("avatar:ann",))], 0),  # twice as slow there
         (ANN, [worker(0.03, 0.03), worker(0.03, 0.03, 0.001, has=("avatar:ann",))], 1),  # hardly slower
-        (ANN, [worker(0.03, share=0.25), worker(0.03, 0.03)], 1),  # a quarter of a GPU
         (ANN, [worker(0.0, 0.0), worker(0.0)], 1),  # of unknown cost
         (QUICK, [worker(), worker(*[0.002] * 3, has=("avatar:ann",))], 1),  # 8 ms for all four, 90 a second
         (QUICK, [worker(), worker(*[0.002] * 5, has=("avatar:ann",))], 0),

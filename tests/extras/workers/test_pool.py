@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import sys
 from functools import partial
 
 import aiohttp
 import psutil
 import pytest
 
-from glsplat.errors import ContextError, ProtocolError
+from glsplat.errors import ContextError, GlsplatError, ProtocolError
+from glsplat.extras.workers.options import Workers
 from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net import render_loop as loop_module
 from glsplat.net.backend import AvatarInfo
@@ -19,8 +21,9 @@ from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
 from glsplat.net.served_scene import server_of
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.worker.process import ProcessLauncher
 from tests.extras.workers.fakes import GUARD, camera, held, pool, until, until_more, watching
-from tests.extras.workers.sleeper import Sleeper
+from tests.extras.workers.sleeper import FragileEncoder, Sleeper
 from tests.net.guard.test_fault_tracker import visitor
 from tests.net.wire import native
 
@@ -116,6 +119,16 @@ async def test_a_picture_that_kills_does_not_kill_them_all(serve):
     assert seen[0].errors == [] and seen[0].wrong == []
 
 
+async def test_a_picture_whose_encoding_kills_is_given_up(serve):
+    """It does not go from worker to worker without end."""
+    async with serve(pool(makes=[FragileEncoder] * 2), ServerConfig(port=0)) as server:
+        async with Client(server.url, timeout=GUARD) as client:
+            with pytest.raises(ProtocolError, match="could not be encoded"):
+                await client.render([camera(31)])
+            assert (await client.render([camera(1)])).frame_id == 2
+        assert server.drawer.rebuilds == 2
+
+
 def drawing(server: Server) -> list[int]:
     """The clients whose pictures are in hand."""
     return [
@@ -172,6 +185,80 @@ async def test_workers_that_cannot_be_opened(serve, tmp_path, monkeypatch):
         with pytest.raises(ContextError, match="no worker lives, and none can be started: no EGL device here"):
             await asyncio.wait_for(server.drawer.ended(), 2 * GUARD)
         assert alive == [False, True] and not server.drawer.healthy
+
+
+async def test_a_worker_lost_during_a_rolling_restart(serve, equal):
+    """It has clients again before the restart looks: the restart goes on to the next one."""
+    async with (
+        serve(pool(2), ServerConfig(port=0)) as server,
+        aiohttp.ClientSession() as http,
+        Client(server.url, timeout=GUARD) as drawn,
+    ):
+        async with http.ws_connect(server.url):
+            first, second = server.drawer._render_loops
+            assert await until(lambda: second.clients)
+            await drawn.send([camera(1, 71)])
+            assert await until(lambda: drawing(server))
+            before, restarting, rebuild = pids(server), server.drawer.restart(), first.worker.rebuild
+
+            async def at_once():
+                first.worker.rebuild = rebuild
+                return "sleeper 0"
+
+            first.worker.rebuild = at_once
+            assert await until(lambda: not first.living)
+            os.kill(before[0], signal.SIGKILL)
+            assert await until(lambda: first.clients)
+            await drawn.close()  # its picture is drawn by the second worker, until it is abandoned
+            await asyncio.wait_for(restarting, GUARD)
+            assert pids(server)[0] == 0 and pids(server)[1] not in before
+
+
+def test_a_pool_that_cannot_be_made_ends_rays_driver(monkeypatch):
+    closed = []
+
+    class Cluster:
+        def __init__(self, *_):
+            pass
+
+        def room(self):
+            return 1
+
+        def launchers(self, count):
+            return [ProcessLauncher(Sleeper)] * count
+
+        def close(self):
+            closed.append(1)
+
+    monkeypatch.setattr("glsplat.extras.workers.options.RayCluster", Cluster)
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(GlsplatError, match="video"):
+        Workers(count=None, ray=True).pool([Sleeper], None, 5.0, video=True)
+    assert closed == [1]
+
+
+class Slow(ProcessLauncher):
+    """Never done with its start."""
+
+    starts = 0
+
+    async def start(self):
+        self.starts += 1
+        await asyncio.Event().wait()
+
+
+async def test_a_start_that_is_cancelled_ends_all_workers():
+    slow, closed = Slow(Sleeper), []
+    workers = WorkerPool([ProcessLauncher(Sleeper), slow], close=lambda: closed.append(1))
+    starting = asyncio.create_task(workers.start())
+    assert await until(lambda: slow.starts and workers.workers()[0]["alive"])
+    (pid,) = [int(one["driver"].split()[1]) for one in workers.workers() if one["alive"]]
+    starting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await starting
+    await asyncio.sleep(0.05)  # the first attempt to restart a worker needs no pause
+    assert not psutil.pid_exists(pid) and slow.starts == 1 and closed == [1]
+    assert [task.get_name() for task in asyncio.all_tasks() if "render loop" in task.get_name()] == []
 
 
 def test_nothing_is_left_behind(serve):

@@ -10,9 +10,11 @@ import pytest
 
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError, PoseError
-from glsplat.net.backend import Rendered
+from glsplat.formats.scene_file import SceneFile
+from glsplat.net.backend import Rendered, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import Client
+from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.worker.process import process_worker
@@ -20,7 +22,7 @@ from glsplat.net.worker.thread import ThreadWorker
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from tests.net.backends.test_renderer_pool import BENT, PAIR, SIZE, direct, request
-from tests.net.running import running, working
+from tests.net.running import opened, running, working
 from tests.scene.people import boxes
 from tests.scene.worlds import upright
 from tests.scenes import limb
@@ -93,6 +95,27 @@ def test_a_mesh_without_its_head() -> None:
         PERSON.without("tail")
     with pytest.raises(PoseError, match='without "pelvis" has no triangle left'):
         PERSON.without("pelvis")
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_mesh_that_is_all_head_is_refused_to_its_own_viewer_alone(alone: bool) -> None:
+    """Nothing is left to draw without the head; others see it, and the next picture is drawn as ever."""
+    head = PERSON.skeleton.names.index("head")
+    bound = np.full((len(PERSON.vertices), 1), head), np.ones((len(PERSON.vertices), 1))
+    mesh = replace(PERSON, joints=bound[0], weights=bound[1])
+    scene = Scene([Item(ROOM), Item(mesh)])
+    people = tuple(VisiblePerson(key, "", "", BENT, similarity((0.3 * key, 0, 0))) for key in range(2))
+
+    def job(viewer: int, *hide: str) -> RenderJob:
+        return request(pose=BENT, hide=hide, room=None if alone else RoomView("lab", 0, viewer, people[: 1 + viewer]))
+
+    with opened(RendererBackend(scene, SIZE, rooms={"lab": SceneFile.of(Scene([Item(ROOM)]))})) as backend:
+        for viewer in (0, 1) if not alone else (0,):
+            expected = [Item(mesh, pose=BENT, transform=one.transform) for one in people[: 1 + viewer]]
+            for _ in range(2):
+                with pytest.raises(PoseError, match='a mesh without "head" has no triangle left'):
+                    backend.render(job(viewer, "head"))
+                assert (backend.render(job(viewer)).images == direct(Scene([Item(ROOM), *expected]))).all()
 
 
 def test_one_pose_is_for_one_figure(renderer_of) -> None:

@@ -15,7 +15,7 @@ from glsplat.net.messages import Decoder
 from glsplat.net.reply import parse_reply
 from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
-from glsplat.net.worker.encoding import MAX_VIDEOS
+from glsplat.net.worker.encoding import MAX_VIDEO_PICTURES
 from tests.net.wire import EYE, HANG, until
 
 av = pytest.importorskip("av", reason="PyAV (glsplat[video]) is not installed")
@@ -123,7 +123,7 @@ async def test_nobody_waits_for_the_video_of_others(serve, fake_backend, monkeyp
         for ws in sockets:
             await ws.close()
     assert len(plain) == 5 and all("video" not in reply.info for reply in plain)
-    assert 0 < begun <= len(videos) <= MAX_VIDEOS
+    assert 0 < begun <= len(videos) <= MAX_VIDEO_PICTURES
     assert all("video" in reply.info for reply in late)
 
 

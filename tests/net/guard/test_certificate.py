@@ -97,7 +97,7 @@ def test_addresses_do_not_pile_up(folder):
 
 @pytest.mark.parametrize(
     ("setting", "days", "reason"),
-    [("_LASTS", 29, "the one that was kept ends on 20"), ("_EARLY", -2, "the one that was kept begins on 20")],
+    [("_LIFETIME", 29, "the one that was kept ends on 20"), ("_BACKDATED", -2, "the one that was kept begins on 20")],
 )
 def test_one_that_ends_soon_or_begins_later_is_made_anew(folder, monkeypatch, setting, days, reason):
     with monkeypatch.context() as patch:

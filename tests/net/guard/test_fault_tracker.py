@@ -24,6 +24,7 @@ from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session
 from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.wire import WorkerLostError
 from tests.net.attacks.pictures import costly
 from tests.net.wire import HANG, native, still_serves, until
 from tests.net.worker.fakes import Boxed
@@ -49,6 +50,7 @@ async def ask(ws: aiohttp.ClientWebSocketResponse, frame_id: int, **fields: obje
         (BudgetError("covers 1e12 pixels", "too_costly"), "too_costly", 8),
         (BudgetError("took too long", "too_slow"), "too_slow", 1),
         (ContextLostError("hangs"), "render", 1),
+        (WorkerLostError("signal 9"), "render", 1),  # as of a kernel without memory: it may be the picture's
     ],
 )
 async def test_bad_pictures_end_their_client_and_hold_off_its_address(serve, fake_backend, error, code, warned):

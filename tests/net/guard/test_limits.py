@@ -180,7 +180,7 @@ ROWS = {
     ),
     "senders of pictures of one address": (f"{UPLOADS.senders}", ""),
     "bytes of pictures a second, of a sender": (f"{UPLOADS.rate:g} at least", f"{UPLOADS.stall:g} s behind"),
-    "seconds for the pictures of an avatar": (f"{UPLOADS.receive:g}", ""),
+    "seconds for the pictures of an avatar": (f"{UPLOADS.receive_timeout:g}", ""),
     "seconds for a whole request, or a TLS handshake": (f"{SESSION.handshake:g}", ""),
     "tokens of accounts whose hash is waited for": (f"{gate._MAX_LOGINS}", ""),
     "wrong tokens of an address": (f"{LIMITS.guesses + 1}, then one after 1, 2, 4 ... {LIMITS.hold_off_most:g} s", ""),

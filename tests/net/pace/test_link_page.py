@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
-import glsplat
 from glsplat.net.messages import Ack, Decoder
+from tests.in_node import write_modules
 from tests.needs import program, require
 from tests.net.wire import EYE
 
 pytestmark = pytest.mark.check
-
-STREAM = Path(glsplat.__file__).parent / "net" / "web" / "stream"
 
 SCRIPT = Path(__file__).with_name("link_page.mjs")
 
@@ -24,9 +21,7 @@ SCRIPT = Path(__file__).with_name("link_page.mjs")
 def test_the_page_says_once_how_each_picture_arrived(tmp_path: Path) -> None:
     """With a message that acknowledges where requests wait, else with the next request; the server reads them all."""
     require("node")
-    shutil.copytree(STREAM, tmp_path / "stream")
-    (tmp_path / "package.json").write_text('{"type": "module"}')  # Node before 22 asks for it
-    connection = (tmp_path / "stream" / "connection.js").as_uri()
+    connection = (write_modules(tmp_path) / "stream" / "connection.js").as_uri()
     done = subprocess.run([program("node"), str(SCRIPT), connection], stdout=subprocess.PIPE, check=True)
     sent = json.loads(done.stdout)
     assert [message.get("frame_id") for message in sent] == [1, 2, None, 3, 4, 5]

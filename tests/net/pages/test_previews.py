@@ -14,7 +14,7 @@ import simplejpeg
 
 from glsplat.extras.operations import previews
 from glsplat.extras.operations.history import History
-from glsplat.extras.operations.previews import SIDE, Previews, flattened
+from glsplat.extras.operations.previews import PORTRAIT_PX, Previews, flattened
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.codec.encoded import Encoded
@@ -52,13 +52,13 @@ def test_an_avatar_is_drawn_once(serve):
         offered=offered, backend=backend,
     )  # fmt: skip
     assert [one[0] for one in (first, again, other, none)] == [200, 200, 200, 404]
-    assert simplejpeg.decode_jpeg(first[1]).shape == (SIDE, SIDE, 3) and first == again
+    assert simplejpeg.decode_jpeg(first[1]).shape == (PORTRAIT_PX, PORTRAIT_PX, 3) and first == again
     assert [job.avatar for job in backend.drawn] == ["ann", "a room"]
     # head and shoulders of somebody of 1.7 m who looks along +z: the head's middle is in the picture's upper half
     (camera,) = backend.drawn[0].cameras
     x, y, z = camera.viewmat[:3, :3] @ [0, 1.58, 0] + camera.viewmat[:3, 3]
     column, row = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
-    assert z > 0 and column == pytest.approx(SIDE / 2) and 0.2 * SIDE < row < 0.5 * SIDE
+    assert z > 0 and column == pytest.approx(PORTRAIT_PX / 2) and 0.2 * PORTRAIT_PX < row < 0.5 * PORTRAIT_PX
 
 
 def test_one_that_cannot_be_drawn_is_asked_for_later(serve):
@@ -137,7 +137,7 @@ async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serv
 
 
 async def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
-    monkeypatch.setattr("glsplat.extras.operations.history.STEP", 0.005)
+    monkeypatch.setattr("glsplat.extras.operations.history.STEP_S", 0.005)
     count = 0
 
     def stats():

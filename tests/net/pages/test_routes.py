@@ -7,7 +7,6 @@ import gzip
 import http.client
 import re
 from importlib import resources
-from pathlib import Path
 
 import aiohttp
 import pytest
@@ -17,13 +16,12 @@ from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.pages.site import Site
+from glsplat.net.pages.site import Site, page_files, read_folder
 from glsplat.net.server import ServerConfig
 from tests.net.wire import HANG
 
 TOKEN = "0123456789abcdef"
 GUARDED = ServerConfig(port=0, access=Access(token=TOKEN))
-WEB = Path(str(resources.files("glsplat.net") / "web"))
 
 
 def ask(serve, *requests, config=None, **options):
@@ -47,14 +45,14 @@ def ask(serve, *requests, config=None, **options):
 
 
 def test_every_file_of_the_page_is_served_without_a_token(serve):
-    paths = sorted(p.relative_to(WEB).as_posix() for p in WEB.rglob("*") if p.is_file())
-    assert "index.html" in paths
+    files = page_files()
+    paths = sorted(files)
     answers = ask(serve, *(("GET", f"/vr/{path}", {}) for path in ["", *paths]), config=GUARDED)
     assert answers[0][2] == answers[1 + paths.index("index.html")][2]
     types = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
     for path, (status, headers, body) in zip(paths, answers[1:], strict=True):
         plain = re.sub(rb'<link rel="modulepreload" href="[^"]*">\n *', b"", body) if path.endswith(".html") else body
-        assert status == 200 and plain == (WEB / path).read_bytes(), path
+        assert status == 200 and plain == files[path], path
         kind = headers["Content-Type"].split(";")[0]
         assert kind == types.get(path.rpartition(".")[2], kind)
         assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
@@ -190,8 +188,8 @@ def test_motions_and_recording_are_the_files_of_the_package(serve):
     assert unknown[0] == 404 and b"idle, walk" in unknown[2] and b"/x" not in unknown[2]
 
 
-def test_a_page_names_each_module_that_its_scripts_import(tmp_path):
-    files = {
+def test_a_page_names_each_module_that_its_scripts_import():
+    texts = {
         "index.html": '<head>\n  <script type="module" src="main.js"></script>\n</head>',
         "deep/other.html": '<script type="module" src="../main.js"></script>',
         "plain.html": "<p>import { a } from './a.js'</p>",
@@ -204,19 +202,16 @@ def test_a_page_names_each_module_that_its_scripts_import(tmp_path):
         "late.js": "import './c.js';\n",
         "no.js": "",
     }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    site = Site(tmp_path)
+    site = Site({name: text.encode() for name, text in texts.items()})
     named = {name: re.findall(rb'modulepreload" href="([^"]+)"', site.files[name].body) for name in site.files}
     assert named["index.html"] == [b"main.js", b"b/a.js", b"c.js", b"b/d.js"]
     assert named["deep/other.html"] == [b"../main.js", b"../b/a.js", b"../c.js", b"../b/d.js"]
     assert not any(found for name, found in named.items() if name not in ("index.html", "deep/other.html"))
-    assert site.files["plain.html"].body.decode() == files["plain.html"]
+    assert site.files["plain.html"].body.decode() == texts["plain.html"]
 
 
 def test_only_files_of_known_types_are_read(tmp_path):
     for name in ("index.html", "a/b.js", "notes.md", ".hidden", "a/c"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("x")
-    assert sorted(Site(tmp_path).files) == ["a/b.js", "index.html"]
+    assert dict(read_folder(tmp_path)) == {"a/b.js": b"x", "index.html": b"x"}

@@ -44,7 +44,7 @@ class Boxed:
         x, y = int(camera.K[0, 2]), int(camera.K[1, 2])
         box = (x, y, 8, 4)
         out[:, y : y + 4, x : x + 8] = int(camera.K[0, 0])
-        return Rendered(out, {"draw": 1.5}, "boxed", None if request.frame_id == 50 else box)
+        return Rendered(out, {"draw": 1.5}, covered=None if request.frame_id == 50 else box)
 
     def _until_abandoned(self) -> None:
         while not self.abandoned():

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import time
+from dataclasses import replace
 from functools import partial
 
 import aiohttp
@@ -19,6 +20,7 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 from glsplat.net.worker import connection, slots
+from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.process import ProcessLauncher, process_worker
 from glsplat.net.worker.remote import RemoteWorker
 from tests.net.running import working
@@ -64,6 +66,13 @@ async def test_pixels_of_a_worker_that_encodes():
             assert rendered.encoded is None
             encoded = await (await worker.draw(request(frame_id))).encoded
             assert [jpeg[:2] for jpeg in encoded.pictures] == [b"\xff\xd8"] * 2
+
+
+async def test_pixels_too_many_for_a_message_fail_one_picture():
+    async with working(RemoteWorker(ProcessLauncher(Boxed))) as worker:
+        with pytest.raises(GlsplatError, match="8193x8192 pixels are more than a worker can send"):
+            await worker.draw(request(size=(8193, 8192)), pixels=True)
+        assert (await worker.draw(request(), pixels=True)).images.any()
 
 
 async def test_pictures_stay_until_they_are_done_with():
@@ -171,3 +180,20 @@ async def test_the_loop_runs_while_the_renderer_holds_its_lock(serve):
             with pytest.raises(ProtocolError, match="could not be drawn"):
                 await client.receive()
             assert status == 200
+
+
+class FaultyEncoder(Boxed):
+    """Its worker's encoder returns a number that no message can hold."""
+
+    def open(self):
+        encode = PictureEncoder._jpegs
+        PictureEncoder._jpegs = lambda *given: replace(encode(*given), ms=np.float32(1))
+        return super().open()
+
+
+async def test_jpegs_that_cannot_be_packed_fail_one_picture():
+    async with working(RemoteWorker(ProcessLauncher(FaultyEncoder))) as worker:
+        for _ in range(2):
+            rendered = await worker.draw(request())
+            with pytest.raises(RuntimeError, match="float32"):
+                await asyncio.wait_for(rendered.encoded, HANG)

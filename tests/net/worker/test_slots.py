@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import socket
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 
 import numpy as np
@@ -15,12 +17,14 @@ from glsplat.camera import Camera, head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import ContextError, GlsplatError
-from glsplat.net.backend import Placing, RenderJob
+from glsplat.net.backend import MemoryTarget, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.worker import slots
 from glsplat.net.worker.process import process_worker
-from glsplat.net.worker.slot_writer import SlotWriter
+from glsplat.net.worker.slot_writer import slot_writers
 from glsplat.net.worker.slots import Slots
+from glsplat.net.worker.wire import greet
+from glsplat.net.worker.work import work_in_process
 from glsplat.renderer import Renderer
 from tests.net.running import working
 from tests.net.worker.fakes import Boxed
@@ -80,6 +84,20 @@ async def test_memory_that_is_full_at_the_start(full, tmp_path_factory, monkeypa
     made.close()
 
 
+def test_a_worker_without_its_slots_fails(tmp_path, monkeypatch):
+    """It does not end as if the server had left."""
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    ours, theirs = socket.socketpair()
+    with ours, theirs, ThreadPoolExecutor() as threads:
+        greeting = threads.submit(greet, ours, b"s" * 32, worker=False)
+        try:
+            with pytest.raises(FileNotFoundError):
+                work_in_process(theirs, b"s" * 32, Boxed, (str(tmp_path / "slots"), 4096))
+        finally:
+            theirs.close()
+        assert greeting.exception() is not None
+
+
 async def test_pictures_of_another_number_than_asked_for_take_no_slot():
     async with working(process_worker(TooMany, 64)) as worker:
         for _ in range(7):
@@ -102,23 +120,23 @@ def pair(side: int):
 @pytest.mark.gl
 async def test_a_slot_gets_the_same_picture_without_a_copy():
     backend, slots = RendererBackend(default_avatar(), (96, 96)), Slots(2 * 96 * 96 * 4)
-    writer = SlotWriter(slots.path, slots.nbytes)
+    writers = slot_writers(slots.path, slots.nbytes)
     slots.unlink()
     backend.open()
     try:
-        assert isinstance(backend, Placing)
+        assert isinstance(backend, MemoryTarget)
         for side in (96, 64, 80):  # what is left of a larger picture must not shine through
             request, shape = RenderJob(frame_id=1, cameras=pair(side)), (2, side, side, 4)
-            backend.place = None
+            backend.out = None
             expected = backend.render(request).images
             slot = await slots.take(shape)
-            backend.place = writer.place(slot, shape)
-            backend.place.fill(77)
+            backend.out = writers[slot.number].place(shape)
+            backend.out.fill(77)
             rendered = backend.render(request)
-            assert rendered.images is backend.place
-            writer.put(slot, rendered, shape)
-            np.testing.assert_array_equal(slots.picture(slot, shape), expected)
-            slots.give_back(slot)
+            assert rendered.images is backend.out
+            writers[slot.number].put(rendered, shape)
+            np.testing.assert_array_equal(slot.picture, expected)
+            slot.give_back()
     finally:
         backend.close()
         slots.close()

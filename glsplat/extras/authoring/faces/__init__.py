@@ -1,1 +1,1 @@
-"""The faces of avatars: shapes from the morph targets of the mesh that an avatar is made of."""
+"""Faces that move: eyeballs, lids, lashes, hair, teeth and the mouth."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.openings import Opening
-from glsplat.extras.authoring.visibility import EYES
+from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 

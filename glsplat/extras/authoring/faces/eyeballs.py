@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.visibility import EYES
+from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import strongest_joint

@@ -16,15 +16,15 @@ from scipy.ndimage import uniform_filter1d
 from trimesh.triangles import points_to_barycentric
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.cells import SamplerConfig
+from glsplat.extras.authoring.compute.threads import abreast
 from glsplat.extras.authoring.faces.blinks import BLINKS, blink_of
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
+from glsplat.extras.authoring.faces.lashes_and_hair import LASH, Extra, added, frames, joined
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
-from glsplat.extras.authoring.faces.trimmings import LASH, Extra, added, frames, joined
-from glsplat.extras.authoring.importers import nearest_on
-from glsplat.extras.authoring.surface import make_avatar
-from glsplat.extras.authoring.threads import abreast
+from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.sample.cells import SamplerConfig
+from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes

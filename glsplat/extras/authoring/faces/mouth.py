@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.cells import SamplerConfig
-from glsplat.extras.authoring.faces.lining import mouth_lining
-from glsplat.extras.authoring.faces.open_face import of_open_body, open_face, with_mouth
+from glsplat.extras.authoring.body.mouth_lining import mouth_lining
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.body.open_face import of_open_body, open_face, with_mouth
+from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.faces.lashes_and_hair import Extra, added, frames, joined
 from glsplat.extras.authoring.faces.tiles import Tiles, tiled
-from glsplat.extras.authoring.faces.trimmings import Extra, added, frames, joined
-from glsplat.extras.authoring.fit.body import open_body
-from glsplat.extras.authoring.importers import nearest_on
-from glsplat.extras.authoring.surface import FEWEST, make_avatar
-from glsplat.extras.authoring.threads import abreast
-from glsplat.extras.authoring.visibility import EYES
+from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.geometry.visibility import EYES
+from glsplat.extras.authoring.sample.cells import SamplerConfig
+from glsplat.extras.authoring.sample.surface import FEWEST, make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.faces.enamel import CROWN, MIDDLE, enamel, light_at, teeth_of, turn_of
+from glsplat.extras.authoring.body.enamel import CROWN, MIDDLE, enamel, light_at, teeth_of, turn_of
 
 __all__ = ["Tiles", "tiled"]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.fit.body import Body, open_body
+from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.fit.body_fit import BodyFit, assembled, dressed
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
 from glsplat.extras.authoring.fit.face import fit_face
-from glsplat.extras.authoring.fit.fit import BodyFit, assembled, dressed
 from glsplat.extras.authoring.fit.hands import fit_hand
 from glsplat.extras.authoring.fit.kinematics import fully_posed
 from glsplat.extras.authoring.fit.view import View

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.networks.eye import EyeLook, look_of_eye
 from glsplat.extras.authoring.networks.face import Face, eye_of
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
-from glsplat.extras.authoring.fit.body import BETAS, Body, Points
+from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
+from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import column, fully_posed, projected
-from glsplat.extras.authoring.fit.levenberg import least_squares
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.face import Face
 from glsplat.rotations import unit_vectors
@@ -71,7 +71,7 @@ class FacePlaces:
 
 @lru_cache(maxsize=1)
 def face_places() -> FacePlaces:
-    """The embedded table (face_places.json beside this file), made by tools/data/calibrate.py."""
+    """Return the embedded table (face_places.json), measured on people whose joints and skin are known."""
     text = (resources.files("glsplat.extras.authoring.fit") / "face_places.json").read_text(encoding="utf-8")
     rows = json.loads(text)["landmarks"]
     weights = np.array([row["weights"] for row in rows], np.float64)

@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import BETAS, Body, Points
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
+from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
+from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import column, fully_posed, projected
-from glsplat.extras.authoring.fit.levenberg import least_squares
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -65,7 +65,7 @@ class HandPlaces:
 
 @lru_cache(maxsize=1)
 def hand_places() -> HandPlaces:
-    """The embedded table (hand_offsets.json beside this file), made by tools/data/calibrate.py."""
+    """Return the embedded table (hand_offsets.json), measured on people whose joints and skin are known."""
     text = (resources.files("glsplat.extras.authoring.fit") / "hand_offsets.json").read_text(encoding="utf-8")
     rows = json.loads(text)["landmarks"]
     return HandPlaces(np.array([row["offset"] for row in rows]), np.array([row["stray"] for row in rows]))

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import BETAS, Body, Points
+from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 

@@ -10,7 +10,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import Body, Points
+from glsplat.extras.authoring.body.open_body import Body, Points
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["LANDMARKS", "LANDMARK_COUNT", "Landmarks", "landmarks", "twin"]
@@ -73,7 +73,7 @@ class Landmarks:
 
 @lru_cache(maxsize=1)
 def landmarks() -> Landmarks:
-    """The embedded table (landmark_offsets.json beside this file), made by tools/data/calibrate.py."""
+    """Return the embedded table (landmark_offsets.json), measured on people whose joints and skin are known."""
     table = json.loads(
         (resources.files("glsplat.extras.authoring.fit") / "landmark_offsets.json").read_text(encoding="utf-8")
     )

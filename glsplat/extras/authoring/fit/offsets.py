@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import diags
 
-from glsplat.extras.authoring.conjugate import solved
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.compute.conjugate_gradients import solved
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES

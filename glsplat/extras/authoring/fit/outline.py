@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import Body
-from glsplat.extras.authoring.raster import box_pixels, pixel_span
+from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.geometry.raster import box_pixels, pixel_span
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import component_sums, lengths, unit_vectors
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
+from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit import prior
-from glsplat.extras.authoring.fit.body import BETAS, Body, Points
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import Landmarks
-from glsplat.extras.authoring.fit.levenberg import least_squares
 from glsplat.extras.authoring.fit.outline import Rim
 from glsplat.extras.authoring.fit.view import View
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.threads import aside
+from glsplat.extras.authoring.compute.threads import aside
 
 from .face import Face, find_face, shows_face
 from .hand import Hand, find_hand

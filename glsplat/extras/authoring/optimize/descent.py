@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.optimize.compiled import compiled
+from glsplat.extras.authoring.compute.compiled import compiled
 
 __all__ = ["COUNT", "Bounds", "compose", "pose", "step"]
 

@@ -15,8 +15,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.footprints import ALPHA_MAX, ALPHA_MIN, EPS2D, MAX_SIGMA
-from glsplat.extras.authoring.optimize.compiled import compiled
+from glsplat.extras.authoring.compute.compiled import compiled
+from glsplat.extras.authoring.geometry.footprints import ALPHA_MAX, ALPHA_MIN, EPS2D, MAX_SIGMA
 from glsplat.reference import AA_FLOOR
 
 __all__ = ["GRADIENTS", "SUMS", "TILE", "backward", "draw", "gather", "list_entries", "project"]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.optimize.compiled import compiled
+from glsplat.extras.authoring.compute.compiled import compiled
 
 __all__ = ["Loss", "loss_of"]
 

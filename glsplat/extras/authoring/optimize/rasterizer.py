@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.extras.authoring.geometry.posed import PosedSplats
 from glsplat.extras.authoring.optimize import kernels
-from glsplat.extras.authoring.optimize.agreed import Shares, shared
 from glsplat.extras.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
-from glsplat.extras.authoring.posed import PosedSplats
+from glsplat.extras.authoring.optimize.view_consistency import Shares, shared
 from glsplat.io.cores import cores
 
 __all__ = ["Gradients", "Rasterizer"]

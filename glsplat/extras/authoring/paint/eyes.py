@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import EyeLook, eyeball, iris_angle
-from glsplat.extras.authoring.paint.shot import FittedPicture, SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 
 __all__ = ["eye_colours"]
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.body.segments import trunk_of
 from glsplat.extras.authoring.fit.offsets import face_of
-from glsplat.extras.authoring.paint.layers.segments import trunk_of
-from glsplat.extras.authoring.paint.light import Light
-from glsplat.extras.authoring.paint.shot import FittedPicture, SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.inpaint.strands import Strands, strands_of
+from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.smooth import smoothest
-from glsplat.extras.authoring.paint.unseen.strands import Strands, strands_of
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -69,7 +70,7 @@ class BackOfHead:
 
 
 def back_of_head(
-    body: Body, shot: FittedPicture, light: Light, nape_colour: F64 | None = None, locks: bool = True
+    body: Body, shot: FittedPicture, light: Lamp, nape_colour: F64 | None = None, locks: bool = True
 ) -> BackOfHead:
     """Hair as the front ``shot`` has it beside the face, all around at the same height, and longer where that falls.
 
@@ -175,9 +176,9 @@ def _fallen(body: Body, shot: FittedPicture, look: F64, hair: F64, skin: F64, en
     return np.asarray(back * _ramp(rest[:, 1] - lowest) * _ramp(wide - np.abs(rest[:, 0])))
 
 
-def _sky(shot: FittedPicture) -> Light:
+def _sky(shot: FittedPicture) -> Lamp:
     """A room without a lamp."""
-    return Light(np.array([0.0, 0.0, -1.0]), shot.view.root[:, 1], 0.0)
+    return Lamp(np.array([0.0, 0.0, -1.0]), shot.view.root[:, 1], 0.0)
 
 
 def _room(shot: FittedPicture, head: NDArray[np.bool_]) -> F64:

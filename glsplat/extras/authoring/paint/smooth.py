@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix, diags
 
-from glsplat.extras.authoring.conjugate import solved
-from glsplat.extras.authoring.fit.body import Body
-from glsplat.extras.authoring.paint.layers.segments import HANDS
+from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.body.segments import HANDS
+from glsplat.extras.authoring.compute.conjugate_gradients import solved
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["smoothest"]

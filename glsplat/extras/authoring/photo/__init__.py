@@ -1,1 +1,5 @@
-"""From pictures of a person towards an avatar: the picture files, the person's mask, the check of a capture."""
+"""Picture files: what is read of them, and how."""
+
+from glsplat.optional import require_package
+
+require_package("reading photographs", "PIL", "authoring")

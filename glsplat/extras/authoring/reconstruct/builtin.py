@@ -10,24 +10,25 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.faces.given import FACE_SPLATS, moving_face, with_face
-from glsplat.extras.authoring.fit.body import Body, open_body
+from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.body.segments import segments_of
+from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.dress.skirt import dress
+from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, moving_face, with_face
+from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import EyeLook, read_eyes
 from glsplat.extras.authoring.fit.face import face_turn
-from glsplat.extras.authoring.fit.fit import BodyFit, fit_body
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.light.capture import captured_light, with_captured_light
+from glsplat.extras.authoring.light.captured_light import captured_light, with_captured_light
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
-from glsplat.extras.authoring.optimize.seen import ready
-from glsplat.extras.authoring.paint.dress import dressed_mesh
-from glsplat.extras.authoring.paint.layers.segments import segments_of
-from glsplat.extras.authoring.paint.paint import painter_of
-from glsplat.extras.authoring.paint.scatter import even_points, scatter
-from glsplat.extras.authoring.paint.shot import FittedPicture
-from glsplat.extras.authoring.paint.skirt import hem_of, with_skirt
-from glsplat.extras.authoring.paint.unseen.hair import with_hair
+from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
+from glsplat.extras.authoring.optimize.surface_consistency import ready
+from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.inpaint.hair import with_hair
+from glsplat.extras.authoring.paint.painter import painter_of
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.reconstruct.reconstructor import (
     FittedBody,
     MadeAvatar,
@@ -37,9 +38,7 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
     Picture,
     ReportingReconstructor,
 )
-from glsplat.extras.authoring.reconstruct.sharp import sharp
-from glsplat.extras.authoring.texture import baked
-from glsplat.extras.authoring.threads import aside
+from glsplat.extras.authoring.sample.scatter import even_points, scatter
 
 __all__ = ["PHONE", "SIDES", "Builtin", "FittedBody", "MadeAvatar", "MeshReconstructor", "ReportingReconstructor"]
 
@@ -76,7 +75,9 @@ class Builtin:
         avatar = strewn.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)
         unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
-        avatar = sharp(avatar, mesh, painter.colours, shots, options)
+        avatar = fitted_to_photos(
+            avatar, mesh, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
+        )
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
@@ -107,7 +108,7 @@ class _Fitted(NamedTuple):
 
     body: Body
     fit: BodyFit
-    shots: list[FittedPicture]  # no hair hangs behind it yet
+    shots: tuple[FittedPicture, ...]  # no hair hangs behind it yet
     looks: Mapping[str, EyeLook]
 
 
@@ -123,14 +124,11 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     fit = fit_body(views, options.height, body)
     fit = fit_details(fit, views, [people[side] for side in sides], body)
     options.progress("painting", 0.35)
-    mesh, seen = dressed_mesh(body, fit), fit.views
-    hem = hem_of(body, fit, mesh, views[0])
-    if hem is not None:
-        mesh, seen = with_skirt(body, mesh, views, seen, hem)
-    shots = [
+    mesh, seen = dress(body, fit, views)
+    shots = tuple(
         FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
         for side, view, fitted in zip(sides, views, seen, strict=True)
-    ]
+    )
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.seen for look in looks.values()):
         looks = {}  # closed lids and dark glasses stay what they are

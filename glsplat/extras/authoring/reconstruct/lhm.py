@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.authoring.importers import load_lhm_dump
+from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
 from glsplat.extras.authoring.networks.people import DetectedPerson
 
 from .reconstructor import Mask, Options, Picture, Progress

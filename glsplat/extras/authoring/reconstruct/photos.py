@@ -10,13 +10,10 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from glsplat.avatar import Avatar
-from glsplat.errors import CaptureError, FormatError, GlsplatError
-from glsplat.extras.authoring.networks.people import find_person
-from glsplat.extras.authoring.photo.capture import VIEWS, Capture, check_capture, is_outline
-from glsplat.extras.authoring.photo.mask import person_mask
-from glsplat.extras.authoring.photo.mask_file import MaskSource, mask_of
-from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
-from glsplat.extras.authoring.threads import one_blas_thread
+from glsplat.errors import GlsplatError
+from glsplat.extras.authoring.check.photos import CheckedPhoto, PhotoSource, check_photos, refuse
+from glsplat.extras.authoring.compute.threads import one_blas_thread
+from glsplat.extras.authoring.segment.mask_file import MaskSource
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -35,36 +32,19 @@ from .reconstructor import (
 from .registry import OWN, named
 
 __all__ = [
-    "CheckedPhoto",
     "MeshReconstruction",
-    "PhotoSource",
     "Reconstruction",
     "check_photos",
     "from_photos",
     "mesh_from_photos",
     "reconstruct",
     "reconstruct_mesh",
-    "refuse",
     "today",
 ]
 
 T = TypeVar("T")
 
-PhotoSource = str | os.PathLike[str] | Photo
-"""A picture file, or what ``read_photo`` or ``photo_of`` made of one."""
 _DEFAULT = Options()
-
-
-@dataclass(frozen=True, eq=False)
-class CheckedPhoto:
-    """One photograph, read and checked."""
-
-    side: str
-    """Which side of the person it shows: front, back, left or right."""
-    name: str
-    """For messages: the file, or the side."""
-    photo: Photo
-    capture: Capture
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,78 +68,6 @@ class MeshReconstruction:
     made_by: str
     """The reconstructor's name."""
     made: FittedBody
-
-
-@one_blas_thread()
-def check_photos(
-    front: PhotoSource,
-    *,
-    back: PhotoSource | None = None,
-    left: PhotoSource | None = None,
-    right: PhotoSource | None = None,
-    masks: Mapping[str, MaskSource] | None = None,
-    progress: Progress | None = None,
-) -> dict[str, CheckedPhoto]:
-    """Read all pictures, then check each; findings are in ``CheckedPhoto.capture``, nobody is refused yet (``refuse``).
-
-    ``masks`` by side; a picture that is transparent about the person is its own. Findings are refusals or notes. Where
-    nobody is found, whoever is most like a person is kept beside that finding. Raises FormatError for files that
-    cannot be read or used.
-    """
-    show = progress or _silent
-    given = {"front": front, "back": back, "left": left, "right": right}
-    sources = {side: source for side, source in given.items() if source is not None}
-    for side in masks or {}:
-        if side not in sources:
-            known = "front, back, left or right" if side not in VIEWS else f"give the {side} picture, too"
-            raise FormatError(f'there is a mask for "{side}" and no picture; {known}')
-    photos, outlines = {}, {}
-    for index, (side, source) in enumerate(sources.items()):
-        show("reading the pictures", index / len(sources))
-        photo = photos[side] = source if isinstance(source, Photo) else read_photo(source)
-        if masks is not None and side in masks:
-            outlines[side] = mask_of(masks[side], photo)
-    shots = {}
-    for index, (side, photo) in enumerate(photos.items()):
-        show(f"checking the {side}", index / len(photos))
-        if side not in outlines and photo.alpha is not None:
-            photo = _with_own_mask(photo, side, outlines)
-        capture = check_capture(photo.picture, side, given=outlines.get(side))
-        if capture.person is None and (person := find_person(photo.picture)) is not None:
-            mask = outlines[side] if side in outlines else person_mask(photo.picture, person.body)
-            capture = Capture(capture.findings, person, mask)
-        named_by = f"{side} picture" if isinstance(sources[side], Photo) else str(sources[side])
-        shots[side] = CheckedPhoto(side, named_by, photo, capture)
-    show("checking the pictures", 1.0)
-    return shots
-
-
-def _with_own_mask(photo: Photo, side: str, outlines: dict[str, Mask]) -> Photo:
-    """The transparency as the person's outline, where it is one: corners and frames are transparent, too."""
-    assert photo.alpha is not None
-    solid = photo.alpha > 127
-    person = find_person(photo.picture)
-    if person is None or not solid.any() or is_outline(person, solid):
-        outlines[side] = solid
-        return photo
-    said = "its transparent parts are not the room around the person, the outline is found without them"
-    return replace(photo, notes=(*photo.notes, said))
-
-
-def refuse(shots: Mapping[str, CheckedPhoto], made: FittedBody | None = None) -> None:
-    """Raise CaptureError, one line for what refuses a picture and for a body that does not fit; else silent."""
-    found = [
-        (shot, finding.code, finding.text)
-        for shot in shots.values()
-        for finding in shot.capture.findings
-        if finding.refusal
-    ]
-    if made is not None and made.problem:
-        text = f"the body does not fit the picture ({made.problem}); take another one"
-        found.append((shots["front"], "fit", text))
-    if found:
-        lines = "; also ".join(f"{shot.name}: {text}" for shot, _, text in found)
-        raise CaptureError(lines, tuple((shot.side, code, text) for shot, code, text in found))
 
 
 def reconstruct(
@@ -188,7 +96,7 @@ def reconstruct(
     if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
     if not anyway:
-        refuse(shots, made)
+        refuse(shots, made.problem if made else "")
     notes = _notes(avatar.meta, shots, name, day, made) | dict(meta or {})
     return Reconstruction(replace(avatar, meta=notes), dict(shots), name, made)
 
@@ -215,7 +123,7 @@ def reconstruct_mesh(
     if not isinstance(made, FittedBody) or made.mesh.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {made!r:.100}, not a mesh on the joints of SMPL-X')
     if not anyway:
-        refuse(shots, made)
+        refuse(shots, made.problem)
     notes = _notes(made.mesh.meta, shots, name, day, made) | dict(meta or {})
     return MeshReconstruction(replace(made.mesh, meta=notes), dict(shots), name, made)
 
@@ -301,8 +209,8 @@ def from_photos(
     Traceback (most recent call last):
     glsplat.errors.FormatError: me.jpg: cannot be read (No such file or directory)
     """
-    options = Options(height=height, splats=splats, seed=seed, steps=steps, progress=progress or _silent)
-    shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=progress)
+    options = Options(height=height, splats=splats, seed=seed, steps=steps, progress=progress or _DEFAULT.progress)
+    shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=options.progress)
     return reconstruct(shots, options, using=using, anyway=anyway, meta=meta).avatar
 
 
@@ -321,12 +229,9 @@ def mesh_from_photos(
     progress: Progress | None = None,
 ) -> RiggedMesh:
     """As ``from_photos``, a mesh with a texture of ``texture`` texels a side in place of splats."""
-    options = Options(height=height, texture=texture, progress=progress or _silent)
-    shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=progress)
+    options = Options(height=height, texture=texture, progress=progress or _DEFAULT.progress)
+    shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=options.progress)
     return reconstruct_mesh(shots, options, using=using, anyway=anyway, meta=meta).mesh
-
-
-def _silent(step: str, done: float) -> None: ...
 
 
 def today() -> str:

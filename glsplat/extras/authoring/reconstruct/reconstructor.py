@@ -15,7 +15,7 @@ from glsplat.extras.authoring.networks.people import DetectedPerson
 from glsplat.meshes import RiggedMesh
 
 if TYPE_CHECKING:
-    from glsplat.extras.authoring.fit.fit import BodyFit  # and all of the fit with it
+    from glsplat.extras.authoring.fit.body_fit import BodyFit
 
 __all__ = [
     "FittedBody",

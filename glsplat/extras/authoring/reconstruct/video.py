@@ -11,24 +11,26 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.dress.fitted_mesh import dressed_mesh
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import read_eyes
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.paint.dress import dressed_mesh
-from glsplat.extras.authoring.paint.fuse import Fusion, fusion_of
-from glsplat.extras.authoring.paint.scatter import scatter
-from glsplat.extras.authoring.paint.shot import FittedPicture
-from glsplat.extras.authoring.texture import baked
+from glsplat.extras.authoring.geometry.surface_points import triangle_areas
+from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
+from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
+from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.video.body import fit_turning, key_views
-from glsplat.extras.authoring.video.frames import FEWEST, Frame, FramePicture, FrameSource, check_frames, frames_of
+from glsplat.extras.authoring.video.film import FEWEST
+from glsplat.extras.authoring.video.frames import Frame, FramePicture, FrameSource, check_frames, frames_of
 from glsplat.meshes import RiggedMesh
 
 from .builtin import PHONE
 from .photos import today
 from .reconstructor import Options
-from .sharp import sharp
 
 __all__ = ["FORMS", "FRAMES", "VideoResult", "checked_form", "from_pictures", "from_video", "reconstruct_frames"]
 
@@ -112,7 +114,10 @@ def _splats(
     options.progress("placing splats", 0.85)
     avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
     some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
-    return sharp(avatar, mesh, fusion.colours, [shots[index] for index in some], options)
+    shots = [shots[index] for index in some]
+    return fitted_to_photos(
+        avatar, mesh, fusion.colours, shots, options.seed, options.steps, options.texture, options.progress
+    )
 
 
 def from_video(
@@ -195,6 +200,4 @@ def _problem(fit: BodyFit, used: int) -> str:
 def _unseen(mesh: RiggedMesh, fusion: Fusion) -> float:
     """Share of the skin's area that no frame shows."""
     faces = mesh.parts[0].faces
-    corner = mesh.vertices[faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    return float(np.average(fusion.seen[faces].mean(axis=1) < _HARDLY, weights=area))
+    return float(np.average(fusion.seen[faces].mean(axis=1) < _HARDLY, weights=triangle_areas(mesh.vertices, faces)))

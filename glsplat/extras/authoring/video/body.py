@@ -13,8 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.fit.body import BETAS, Body, open_body
-from glsplat.extras.authoring.fit.fit import FIGURE, BodyFit, assembled, converge, dressed, follow_outlines, strays_of
+from glsplat.extras.authoring.body.open_body import BETAS, Body, open_body
+from glsplat.extras.authoring.fit.body_fit import (
+    FIGURE,
+    BodyFit,
+    assembled,
+    converge,
+    dressed,
+    follow_outlines,
+    strays_of,
+)
 from glsplat.extras.authoring.fit.kinematics import PosedBody
 from glsplat.extras.authoring.fit.landmarks import landmarks
 from glsplat.extras.authoring.fit.offsets import outward

@@ -5,20 +5,29 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.check.capture import check_capture
+from glsplat.extras.authoring.check.sharpness import blur_of
 from glsplat.extras.authoring.fit.view import apart
 from glsplat.extras.authoring.networks.people import DetectedPerson
-from glsplat.extras.authoring.photo.capture import check_capture
 from glsplat.extras.authoring.photo.photo_file import read_photo
-from glsplat.extras.authoring.photo.sharpness import blur_of
 from glsplat.extras.authoring.video.film import FEWEST, is_video, read_frames
 from glsplat.extras.authoring.video.turns import facing_as, facings
 
-__all__ = ["FEWEST", "Frame", "FramePicture", "FrameSource", "check_frames", "frames_of"]
+__all__ = [
+    "CheckedFrames",
+    "Frame",
+    "FramePicture",
+    "FramePictures",
+    "FrameSource",
+    "check_frames",
+    "frames_of",
+]
 
 FrameSource = str | os.PathLike[str]
 """A video, or one of several picture files."""
@@ -46,19 +55,38 @@ class Frame:
     """Degrees that the person has turned to their own left from facing the camera."""
 
 
-FramePicture = tuple[str, NDArray[np.uint8], float | None]
-"""Name, RGB, focal length."""
+class FramePicture(NamedTuple):
+    """A picture that may become a frame."""
+
+    name: str
+    rgb: NDArray[np.uint8]  # [H, W, 3] sRGB
+    focal: float | None  # pixels
 
 
-def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[FramePicture], bool]:
-    """The pictures of one video (at most ``count``) or of all the picture files, and whether they are in order.
+class FramePictures(NamedTuple):
+    """Pictures from all around a person."""
+
+    pictures: Sequence[FramePicture]
+    in_order: bool  # whether they follow each other in time
+
+
+class CheckedFrames(NamedTuple):
+    """The frames of a turn that will do."""
+
+    frames: Sequence[Frame]  # the most frontal first
+    left_out: Sequence[str]  # a line for each that was left out
+
+
+def frames_of(sources: Sequence[FrameSource], count: int) -> FramePictures:
+    """Return the pictures of one video, at most ``count``, or of all the picture files.
 
     Raises FormatError, one line that names the file.
     """
     if not sources:
         raise FormatError("no frames: give a video, or pictures of the person from all around")
     if len(sources) == 1 and is_video(sources[0]):
-        return [(f"frame {number}", rgb, None) for number, rgb in enumerate(read_frames(sources[0], count), 1)], True
+        film = enumerate(read_frames(sources[0], count), 1)
+        return FramePictures([FramePicture(f"frame {number}", rgb, None) for number, rgb in film], True)
     if len(sources) < FEWEST:
         few = "neither a video nor several pictures" if len(sources) == 1 else f"only {len(sources)} pictures"
         raise FormatError(
@@ -70,8 +98,8 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[FramePic
         if is_video(source):
             raise FormatError(f"{source}: one video alone, or pictures alone, not both")
         photo = read_photo(source)
-        pictures.append((str(source), photo.picture, photo.focal))
-    return pictures, False
+        pictures.append(FramePicture(str(source), photo.picture, photo.focal))
+    return FramePictures(pictures, False)
 
 
 def check_frames(
@@ -80,8 +108,8 @@ def check_frames(
     in_order: bool,
     anyway: bool = False,
     progress: Callable[[float], None] = lambda done: None,
-) -> tuple[list[Frame], list[str]]:
-    """The frames that will do, the most frontal first, and a line for each that was left out.
+) -> CheckedFrames:
+    """Return the frames that will do.
 
     Raises CaptureError where too few are left, nobody turns, or nobody looks into the camera; ``anyway`` keeps frames
     in which the check found faults, and goes on with a part of a turn.
@@ -105,7 +133,7 @@ def check_frames(
     if not anyway:
         _all_around(frames)
     best = min(range(len(frames)), key=lambda index: _frontal(frames[index]))
-    return [frames[best], *frames[:best], *frames[best + 1 :]], left_out
+    return CheckedFrames([frames[best], *frames[:best], *frames[best + 1 :]], left_out)
 
 
 def _enough(frames: Sequence[Frame], left_out: Sequence[str], given: int) -> None:

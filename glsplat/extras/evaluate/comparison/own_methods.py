@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.extras.authoring.cells import SamplerConfig
-from glsplat.extras.authoring.optimize.compiled import available
-from glsplat.extras.authoring.optimize.mesh import fitted_to_mesh
+from glsplat.extras.authoring.compute.compiled import available
+from glsplat.extras.authoring.optimize.mesh_fit import fitted_to_mesh
 from glsplat.extras.authoring.reconstruct.photos import from_photos, mesh_from_photos
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.authoring.reconstruct.video import FRAMES, from_pictures, from_video
-from glsplat.extras.authoring.surface import make_avatar
+from glsplat.extras.authoring.sample.cells import SamplerConfig
+from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.extras.authoring.video.frames import FramePicture
 from glsplat.extras.evaluate.avatar_poses import pose_of
 from glsplat.extras.evaluate.comparison.participant import Participant
@@ -72,7 +72,9 @@ class MeshVideo(_Own):
         pose = participant.pose or pose_of(_A_POSE, mesh.skeleton)
         light = participant.light or _LIGHT
         shots = turntable(mesh, camera, pose, light["direction_to"], light["colour"], frames=count, seed=self.seed)
-        return [(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)]  # as of a video
+        return [
+            FramePicture(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)
+        ]  # as of a video
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Leaving out hidden splats: what it saves against the draw floor, and where it fails worst.
 
-The visibility cones of a scene (authoring.cones) were made from some directions in some poses. Here the scene
+The visibility cones of a scene (authoring.finish.cones) were made from some directions in some poses. Here the scene
 is drawn with and without them from many directions, an avatar in moments of all embedded motions.
 """
 

@@ -1,10 +1,9 @@
-"""What QUIC may have under way on a path of pictures, and what it lost there.
+"""Congestion window of a path of pictures, and the packets lost on it.
 
-How much is sent is decided before (pace/link_control.py: one picture and a half wait at most, two clients of one link
-come to equal parts). aioquic's own controllers halve their window for every lost packet, as TCP does: with one in a
-hundred lost and 60 ms they would let through 2 Mbit/s of 20. So the window here is BBR's, twice what the link holds at
-the rate that was found (Cardwell et al., ACM Queue 14(5), 2016), and one picture; where packets of three probe
-timeouts in a row are lost, it falls to the least (RFC 9002, section 7.6).
+link_control.py decides how much is sent: at most one and a half pictures wait, and two clients share a link equally.
+aioquic's own controllers halve their window for every lost packet, as TCP does: with 1 % lost and 60 ms they would pass
+2 Mbit/s of 20. So this window is BBR's, twice what the link holds at the measured rate (Cardwell et al., ACM Queue
+14(5), 2016), plus one picture. After losses over three probe timeouts it falls to the minimum (RFC 9002, section 7.6).
 """
 
 from __future__ import annotations
@@ -12,82 +11,84 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from aioquic.quic.congestion.base import K_MINIMUM_WINDOW, QuicCongestionControl, register_congestion_control
-from aioquic.quic.packet_builder import QuicSentPacket
-from aioquic.quic.recovery import QuicPacketPacer
+from glsplat.extras.far_links.datagrams.aioquic_internals import (
+    K_MINIMUM_WINDOW,
+    QuicCongestionControl,
+    QuicSentPacket,
+    register_congestion_control,
+)
 
-__all__ = ["NAME", "PicturePacer", "PictureWindow"]
+__all__ = ["NAME", "PictureWindow"]
 
 NAME = "glsplat"
-"""What a QuicConfiguration calls it."""
+"""Name of the window in a QuicConfiguration."""
 _GAIN = 2.0
-_FEWEST = 32  # packets
-_AT_ONCE = 64  # packets: a picture of 70 kB; there is room for as many before most links
-_FASTEST = 200e6  # bits a second
-_REMEMBERED = 2000.0  # packets of which the share that is lost is taken
-_GONE = 512  # lost packets that are remembered
-_BEFORE = 0.005, 200.0  # lost of so many packets, before anything is known
+_MIN_PACKETS = 32
+_MAX_BITS_PER_S = 200e6
+_LOSS_PACKETS = 2000.0  # over which the loss is averaged
+_LOST_NUMBERS = 512  # lost packets whose numbers are kept
+_PRIOR_LOSS, _PRIOR_PACKETS = 0.005, 200.0  # before any packet was sent
 
 
 class PictureWindow(QuicCongestionControl):
-    """``allow`` says what the link takes."""
+    """``allow`` sets the window from the link's rate."""
 
     def __init__(self, *, max_datagram_size: int) -> None:
         super().__init__(max_datagram_size=max_datagram_size)
-        self.newest: int = -1  # number of the packet sent last
-        self.trip: float = 0.1  # seconds there and back, lately
+        self.newest: int = -1  # number of the last packet sent
+        self.trip: float = 0.1  # smoothed round trip, seconds
         self._size = max_datagram_size
         self._outstanding: dict[int, None] = {}  # packets of pictures, oldest first
-        self._gone: deque[int] = deque(maxlen=_GONE)  # numbers of packets that were lost
-        self._lost, self._sent = _BEFORE[0] * _BEFORE[1], _BEFORE[1]
+        self._lost_numbers: deque[int] = deque(maxlen=_LOST_NUMBERS)
+        self._lost, self._sent = _PRIOR_LOSS * _PRIOR_PACKETS, _PRIOR_PACKETS
 
     @property
     def loss(self) -> float:
-        """Share of the packets that is lost."""
+        """Return the lost share of the packets."""
         return self._lost / self._sent
 
     def allow(self, rate: float, nbytes: int) -> None:
-        """The link takes ``rate`` bits a second; a picture of so many bytes is next."""
-        held = min(rate, _FASTEST) / 8 * self.trip
-        self.congestion_window = round(max(_FEWEST * self._size, _GAIN * held + nbytes))
+        """Set the window for a link of ``rate`` bits a second and a next picture of ``nbytes``."""
+        held = min(rate, _MAX_BITS_PER_S) / 8 * self.trip
+        self.congestion_window = round(max(_MIN_PACKETS * self._size, _GAIN * held + nbytes))
 
     def settled(self, number: int) -> bool:
-        """Whether it is known of that packet and all before whether they arrived."""
+        """Return whether that packet and all before it are known to have arrived or to be lost."""
         return next(iter(self._outstanding), number + 1) > number
 
     def lost_of(self, first: int, last: int) -> int:
-        """How many of those packets, both included, are known to be lost."""
-        return sum(first <= number <= last for number in self._gone)
+        """Return the number of packets from ``first`` to ``last`` that are known to be lost."""
+        return sum(first <= number <= last for number in self._lost_numbers)
 
     def on_packet_sent(self, *, packet: QuicSentPacket) -> None:
-        """aioquic gave it to the socket."""
+        """Count a packet that aioquic has sent."""
         self.bytes_in_flight += packet.sent_bytes
         self.newest = packet.packet_number
         self._outstanding[packet.packet_number] = None
 
     def on_packet_acked(self, *, now: float, packet: QuicSentPacket) -> None:
-        """It arrived."""
+        """Count a packet that has arrived."""
         self._end(packet)
         self._count(0.0)
 
     def on_packets_lost(self, *, now: float, packets: Iterable[QuicSentPacket]) -> None:
-        """Later ones arrived, these did not."""
+        """Count packets that were lost: later ones have arrived."""
         for packet in packets:
             self._end(packet)
-            self._gone.append(packet.packet_number)
+            self._lost_numbers.append(packet.packet_number)
             self._count(1.0)
 
     def on_packets_expired(self, *, packets: Iterable[QuicSentPacket]) -> None:
-        """Nobody asks for them any more."""
+        """Forget packets that no longer matter."""
         for packet in packets:
             self._end(packet)
 
     def on_persistent_congestion(self) -> None:
-        """Nothing arrives: the least, until something is allowed anew."""
+        """Reduce the window to the minimum, until the next ``allow``."""
         self.congestion_window = K_MINIMUM_WINDOW * self._size
 
     def on_rtt_measurement(self, *, now: float, rtt: float) -> None:
-        """The time there and back of one packet."""
+        """Smooth the round trip of one packet into ``trip``."""
         self.trip += (rtt - self.trip) / 8
 
     def _end(self, packet: QuicSentPacket) -> None:
@@ -96,18 +97,8 @@ class PictureWindow(QuicCongestionControl):
 
     def _count(self, lost: float) -> None:
         self._lost, self._sent = self._lost + lost, self._sent + 1
-        if self._sent > _REMEMBERED:
+        if self._sent > _LOSS_PACKETS:
             self._lost, self._sent = self._lost / 2, self._sent / 2
-
-
-class PicturePacer(QuicPacketPacer):
-    """Lets a picture go at once, as TCP does after a pause: each piece that waits for a timer waits for a busy loop."""
-
-    def update_rate(self, congestion_window: int, smoothed_rtt: float) -> None:
-        """The window is spread over a round trip, but for a burst."""
-        super().update_rate(congestion_window, smoothed_rtt)
-        assert self.packet_time is not None
-        self.bucket_max = max(self.bucket_max, _AT_ONCE * self.packet_time)
 
 
 register_congestion_control(NAME, PictureWindow)

@@ -1,7 +1,8 @@
 """Erasure code: parity pieces, any of which make up for as many pieces that were lost.
 
 A systematic Reed-Solomon code over GF(256) with a Cauchy matrix (Bloemer et al.: An XOR-Based Erasure-Resilient Coding
-Scheme, ICSI TR-95-048, 1995): every square part of such a matrix has an inverse. The page's twin is stream/erasure.js.
+Scheme, ICSI TR-95-048, 1995): every square part of such a matrix has an inverse. Twin:
+web/stream/erasure.js.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from glsplat.extras.far_links.datagrams.way import SecondWay
@@ -12,23 +12,28 @@ from glsplat.net.options import RequestedOptions
 from glsplat.optional import require_package
 
 if TYPE_CHECKING:
+    from glsplat.extras.far_links.datagrams.listener import DatagramListener
     from glsplat.net.rights import User
 
 __all__ = ["Datagrams"]
 
 
 class Datagrams(Feature):
-    """Listens to UDP at the number of the server's TCP port. Raises GlsplatError where aioquic is not installed."""
+    """Listens to UDP at the number of the server's TCP port.
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    Raises GlsplatError if aioquic is not installed, or is a version whose internals differ.
+    """
+
+    listener: DatagramListener
+
+    def __init__(self) -> None:
         require_package("WebTransport", "aioquic", "webtransport", "leave it out")
-        from glsplat.extras.far_links.datagrams.listener import DatagramListener
-
-        self.listener: DatagramListener = DatagramListener(clock)
-        self._clock = clock
 
     async def start(self, server: ServerView) -> None:
         """Listen. Raises GlsplatError where the port is in use."""
+        from glsplat.extras.far_links.datagrams.listener import DatagramListener
+
+        self._clock, self.listener = server.clock, DatagramListener(server.clock)
         await self.listener.open(server.config.access.host, server.port)
 
     async def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""The UDP port of a server: who comes without a client's invitation is not answered, whatever they send."""
+"""The UDP port of a server. It answers only packets from addresses that were offered a connection."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from aioquic.asyncio.server import QuicServer
 from aioquic.h3.connection import H3_ALPN
-from aioquic.quic.configuration import SMALLEST_MAX_DATAGRAM_SIZE, QuicConfiguration
+from aioquic.quic.configuration import QuicConfiguration
 from cryptography.hazmat.primitives import hashes
 
+from glsplat.extras.far_links.datagrams.aioquic_internals import SMALLEST_MAX_DATAGRAM_SIZE, ConnectionServer
 from glsplat.extras.far_links.datagrams.congestion import NAME
 from glsplat.extras.far_links.datagrams.offers import LASTS, Offers
 from glsplat.extras.far_links.datagrams.path import DatagramPath
 from glsplat.extras.far_links.datagrams.roles import PathUser
 from glsplat.extras.far_links.datagrams.udp import UdpSocket, bind_udp
-from glsplat.extras.operations.certificate import passing_certificate
+from glsplat.extras.operations.certificate import short_lived_certificate
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
 
 __all__ = ["DatagramListener"]
 
-_CERTIFIED = timedelta(days=12)  # browsers take 14, of which one lies behind
-_RENEWED = timedelta(days=5)
-_IDLE = 30.0  # seconds without a packet
-_STREAM = 16 * 1024  # bytes of a client's stream: a CONNECT and its settings
-_CID = 8  # bytes of a connection's own name
-_LONG = 0x80  # of a packet's first byte: it has a long header
+_CERTIFICATE_LIFE = timedelta(days=12)  # browsers accept 14, one of them in the past
+_CERTIFICATE_RENEWAL = timedelta(days=5)
+_IDLE_TIMEOUT_S = 30.0
+_MAX_STREAM_BYTES = 16 * 1024  # of a client's stream: a CONNECT and its settings
+_CONNECTION_ID_BYTES = 8
+_LONG_HEADER = 0x80  # bit of a packet's first byte
 
-for _name in ("quic", "http3"):  # aioquic's: a line for every connection, with words of the other end
+for _name in ("quic", "http3"):  # aioquic logs a line for every connection, with the client's words
     logging.getLogger(_name).setLevel(logging.CRITICAL)
 
 
 class DatagramListener:
-    """Listens for those that ``offer`` was made to. ``refused`` counts connections that named no such secret."""
+    """Accepts connections that ``offer`` announced. ``refused`` counts connections without a valid secret."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.refused = 0
@@ -47,11 +47,11 @@ class DatagramListener:
             alpn_protocols=H3_ALPN,
             is_client=False,
             congestion_control_algorithm=NAME,
-            idle_timeout=_IDLE,
-            max_data=4 * _STREAM,
-            max_stream_data=_STREAM,
-            max_datagram_frame_size=65536,  # any: they are bounded by what a packet holds
-            connection_id_length=_CID,
+            idle_timeout=_IDLE_TIMEOUT_S,
+            max_data=4 * _MAX_STREAM_BYTES,
+            max_stream_data=_MAX_STREAM_BYTES,
+            max_datagram_frame_size=65536,  # no limit of its own: a packet holds less
+            connection_id_length=_CONNECTION_ID_BYTES,
         )
         self._made = datetime.min.replace(tzinfo=UTC)
         self._sha256 = ""
@@ -62,22 +62,22 @@ class DatagramListener:
         """Listen. Raises GlsplatError (port in use)."""
         self._renew()
         self._server = server = _Guarded(self._configuration, self._offers, self._admit, self._failed)
-        self._socket = UdpSocket(bind_udp(host, port), server.received, self._shut)
-        server.connection_made(self._socket)  # type: ignore[arg-type]  # of which it calls sendto and close
+        self._socket = UdpSocket(bind_udp(host, port), server.received, self._flooded)
+        server.connection_made(self._socket)  # type: ignore[arg-type]  # only sendto and close are called
 
     def offer(self, address: str, user: PathUser) -> dict[str, str] | None:
-        """What a client is told: where it may connect once, and by what certificate it knows the server."""
+        """Return the path of one connection and the certificate's hash for the client; None while the port is shut."""
         if self._socket is None or self._socket.shut:
             return None
         self._renew()
         self._socket.listen()
-        asyncio.get_running_loop().call_later(2 * LASTS, self._look)
+        asyncio.get_running_loop().call_later(2 * LASTS, self._rest_if_unused)
         return {"path": f"datagrams/{self._offers.make(address, user)}", "sha256": self._sha256}
 
     def withdraw(self, user: PathUser) -> None:
-        """The client has left."""
+        """Withdraw the offer of a client that has left."""
         self._offers.withdraw(user)
-        asyncio.get_running_loop().call_later(LASTS, self._look)
+        asyncio.get_running_loop().call_later(LASTS, self._rest_if_unused)
 
     async def close(self) -> None:
         """Close all connections and the port."""
@@ -87,7 +87,7 @@ class DatagramListener:
             self._server = self._socket = None
 
     def status(self) -> dict[str, int]:
-        """Numbers for /stats."""
+        """Return the numbers for /stats."""
         paths = set() if self._server is None else self._server.paths()
         return {"open": sum(path.accepted for path in paths), "refused": self.refused}
 
@@ -98,13 +98,13 @@ class DatagramListener:
             self._notices("secret", "a datagram connection without a secret of ours was refused")
         return user
 
-    def _look(self) -> None:
-        """Read nothing while nobody is there and nobody expected."""
+    def _rest_if_unused(self) -> None:
+        """Stop reading while there is no connection and no open offer."""
         if self._server is not None and self._socket is not None:
             if not self._server.paths() and not self._offers.open():
                 self._socket.rest()
 
-    def _shut(self) -> None:
+    def _flooded(self) -> None:
         self._notices("strays", "the UDP port is flooded: pictures go over WebSockets for a while")
         assert self._server is not None
         self._server.end()
@@ -114,16 +114,16 @@ class DatagramListener:
 
     def _renew(self) -> None:
         now = datetime.now(UTC)
-        if now - self._made < _RENEWED:
+        if now - self._made < _CERTIFICATE_RENEWAL:
             return
-        certificate, key = passing_certificate(_CERTIFIED)
+        certificate, key = short_lived_certificate(_CERTIFICATE_LIFE)
         self._configuration.certificate, self._configuration.private_key = certificate, key
         self._sha256 = base64.b64encode(certificate.fingerprint(hashes.SHA256())).decode()
         self._made = now
 
 
-class _Guarded(QuicServer):
-    """aioquic's server behind a look at who is expected: others cost it that look, and are not answered."""
+class _Guarded(ConnectionServer):
+    """aioquic's server behind a filter: packets of unknown connections pass only from addresses with an offer."""
 
     def __init__(
         self,
@@ -132,37 +132,39 @@ class _Guarded(QuicServer):
         admit: Callable[[str, str], PathUser | None],
         failed: Callable[[Exception], None],
     ) -> None:
-        super().__init__(configuration=configuration, create_protocol=self._path, retry=True)
+        super().__init__(configuration, self._path)
         self._offers, self._admit, self._failed = offers, admit, failed
         self._address = ""  # of the datagram in hand
 
     def received(self, data: bytes, addr: Any) -> bool:
-        """A UDP datagram, whether of a connection that there is; another may open one where somebody is expected."""
-        path = self._protocols.get(_destination(data))
+        """Process a UDP datagram, which may open an offered connection; return whether it belonged to an open one."""
+        path = self.connection(_destination(data))
         if path is None:
-            if len(data) < SMALLEST_MAX_DATAGRAM_SIZE or not data[0] & _LONG:  # no Initial packet (RFC 9000, 14.1)
+            if (
+                len(data) < SMALLEST_MAX_DATAGRAM_SIZE or not data[0] & _LONG_HEADER
+            ):  # no Initial packet (RFC 9000, 14.1)
                 return False
             self._address = address_key(addr[0])
             if not self._offers.knock(self._address):
                 return False
         try:
             self.datagram_received(data, addr)
-        except Exception as error:  # of aioquic's, at what somebody made up
+        except Exception as error:  # aioquic's, for malformed packets
             self._failed(error)
             if isinstance(path, DatagramPath):
                 path.end()
         return path is not None
 
     def paths(self) -> set[DatagramPath]:
-        """All connections."""
-        return {path for path in self._protocols.values() if isinstance(path, DatagramPath)}
+        """Return all connections."""
+        return {path for path in self.connections() if isinstance(path, DatagramPath)}
 
     def end(self) -> None:
-        """Close all."""
+        """Close all connections."""
         for path in self.paths():
             path.end()
-            path.forget_timers()
-        self._protocols.clear()
+            path.cancel_timer()
+        self.forget_connections()
 
     def _path(self, quic: Any, stream_handler: Any = None) -> DatagramPath:
         address = self._address
@@ -170,7 +172,7 @@ class _Guarded(QuicServer):
 
 
 def _destination(data: bytes) -> bytes:
-    """The connection that a packet is for (RFC 9000, section 17)."""
-    if len(data) > 6 and data[0] & _LONG:
+    """Return the destination connection identifier of a packet (RFC 9000, section 17)."""
+    if len(data) > 6 and data[0] & _LONG_HEADER:
         return data[6 : 6 + data[5]]
-    return data[1 : 1 + _CID]
+    return data[1 : 1 + _CONNECTION_ID_BYTES]

@@ -1,1 +1,1 @@
-"""Face tracking that another program on this machine sends, as OSC over UDP (docs/speech.md)."""
+"""Faces tracked by another program on this machine and sent as OSC over UDP (docs/speech.md)."""

@@ -1,4 +1,4 @@
-"""The face that is tracked beside the headset: what came of it, and whose it is. No sockets; times come in."""
+"""A face tracked by another program: its last values, and its wearer. No sockets; times are passed in."""
 
 from __future__ import annotations
 
@@ -14,56 +14,53 @@ from glsplat.tracking.sample import Sample
 
 __all__ = ["FaceFeed"]
 
-HELD = 0.5  # seconds without a packet in which the face stays as it is ...
-RELAXES = 0.25  # ... and the time constant with which it comes to rest then
-FORGOTTEN = 3.0  # seconds after which nothing of it is left
-LEFT = 2.0  # seconds without a sample of the wearer after which another one may have the face
-_FARTHEST = 2.0  # of a parameter; what is beyond is no share of anything
+HOLD_S = 0.5  # without a packet that the face keeps its shape ...
+RELAX_S = 0.25  # ... and the time constant of its relaxation afterwards
+FORGET_S = 3.0  # without a packet until all values are dropped
+WEARER_TIMEOUT_S = 2.0  # without a sample of the wearer until another user may have the face
+_MAX_VALUE = 2.0  # of a parameter; larger ones are invalid
 
 
 class FaceFeed:
-    """One face, worn by one user at a time: whose samples come first has it, until none have come for two seconds.
-
-    May be used by several threads.
-    """
+    """One face, worn by one user at a time: the first one, until no samples came for WEARER_TIMEOUT_S. Thread-safe."""
 
     def __init__(self) -> None:
         self.malformed = 0  # packets
-        self._values: dict[str, float] = {}  # by parameter: no more than there are names
-        self._came = float("-inf")
+        self._values: dict[str, float] = {}  # by parameter; bounded by the known names
+        self._received = float("-inf")
         self._wearer: object = None
-        self._worn = float("-inf")
+        self._worn_at = float("-inf")
         self._lock = Lock()
 
-    def heard(self, packet: bytes, now: float) -> None:
-        """A packet came. What is no OSC is counted, what is not known is left out."""
+    def receive(self, packet: bytes, now: float) -> None:
+        """Read a packet. Malformed ones are counted, unknown parameters ignored."""
         try:
             for address, arguments in osc_messages(packet):
                 name = parameter_of(address)
                 value = float(arguments[0]) if name is not None and arguments else None
-                if name is not None and value is not None and abs(value) <= _FARTHEST:  # NaN fails this
+                if name is not None and value is not None and abs(value) <= _MAX_VALUE:  # NaN fails this
                     with self._lock:
                         self._values[name] = value
-                        self._came = now
+                        self._received = now
         except ProtocolError:
             self.malformed += 1
 
     def face(self, now: float) -> tuple[Mapping[str, float], Mapping[str, float]]:
-        """Weights of ARKit's shapes, and the parameters they came from; both empty where no face is tracked."""
+        """Return the weights of ARKit's shapes and the parameters they came from; both empty without a tracked face."""
         with self._lock:
-            age = now - self._came
-            if age > FORGOTTEN:
+            age = now - self._received
+            if age > FORGET_S:
                 self._values.clear()
             values = dict(self._values)
-        rest = exp(-max(0.0, age - HELD) / RELAXES)
-        return {name: weight * rest for name, weight in weights_of(values).items()}, values if age <= HELD else {}
+        rest = exp(-max(0.0, age - HOLD_S) / RELAX_S)
+        return {name: weight * rest for name, weight in weights_of(values).items()}, values if age <= HOLD_S else {}
 
     def worn(self, wearer: object, sample: Sample, now: float) -> Sample:
-        """The sample of a user with the face, if it is theirs; what it says of its face itself wins."""
+        """Return a user's sample with the face, if the user wears it; the sample's own values take precedence."""
         with self._lock:
-            if wearer is not self._wearer and now - self._worn < LEFT:
+            if wearer is not self._wearer and now - self._worn_at < WEARER_TIMEOUT_S:
                 return sample
-            self._wearer, self._worn = wearer, now
+            self._wearer, self._worn_at = wearer, now
         weights, values = self.face(now)
         if not weights:
             return sample

@@ -1,4 +1,4 @@
-"""The UDP port at which a face comes in: on this machine's own address, and on no other."""
+"""UDP port for a tracked face, on the loopback address only."""
 
 from __future__ import annotations
 
@@ -17,16 +17,14 @@ __all__ = ["FaceListener"]
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _HOST = "127.0.0.1"
-_LARGEST = 16384  # bytes of a packet that are read; VRCFaceTracking's bundles have 4096
-_AGAIN = 0.2  # seconds after an error of the system's, which may last
-_BUSY, _PAUSE = 0.005, 3.0  # seconds of work in a row, after which so many times as much is rest: a flood takes no core
+MAX_PACKET_BYTES = 16384  # VRCFaceTracking's bundles have 4096
+_RETRY_S = 0.2  # after a socket error
+_MAX_BUSY_S = 0.005  # of continuous work ...
+_PAUSE_FACTOR = 3.0  # ... after which it pauses this many times as long, so a flood occupies no core
 
 
 class FaceListener:
-    """``with FaceListener(feed, 9000):`` listens in a thread of its own. Port 0: any free one.
-
-    Raises GlsplatError where the port is taken.
-    """
+    """``with FaceListener(feed, 9000):`` listens on a thread. Port 0: any free one. Raises GlsplatError."""
 
     def __init__(self, feed: FaceFeed, port: int) -> None:
         self.feed = feed
@@ -57,19 +55,19 @@ class FaceListener:
         while not self._ends.is_set():
             before = time.perf_counter()
             try:
-                packet = self._socket.recv(_LARGEST)
+                packet = self._socket.recv(MAX_PACKET_BYTES)
             except TimeoutError:
                 continue
-            except OSError as error:  # of one packet: a sender that is gone, where the system says so
+            except OSError as error:  # some systems report a sender that is gone
                 if not failing:
                     log.warning("the port of the face cannot be read just now (%s); it is tried again", error.strerror)
                 failing = True
-                self._ends.wait(_AGAIN)
+                self._ends.wait(_RETRY_S)
                 continue
             failing = False
-            came, worked = time.perf_counter(), time.thread_time()
-            self.feed.heard(packet, came)
-            busy = max(0.0, busy - (came - before) / _PAUSE) + time.thread_time() - worked
-            if busy > _BUSY:
-                self._ends.wait(_PAUSE * busy)
+            received, worked = time.perf_counter(), time.thread_time()
+            self.feed.receive(packet, received)
+            busy = max(0.0, busy - (received - before) / _PAUSE_FACTOR) + time.thread_time() - worked
+            if busy > _MAX_BUSY_S:
+                self._ends.wait(_PAUSE_FACTOR * busy)
                 busy = 0.0

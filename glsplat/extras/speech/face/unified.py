@@ -1,8 +1,8 @@
-"""VRCFaceTracking's parameters to ARKit's shapes.
+"""Convert VRCFaceTracking's parameters to ARKit's shapes.
 
-The names are those of its Unified Expressions, single and combined (benaclejames/VRCFaceTracking,
-UnifiedExpressionsParameters.cs and UnifiedSimpleExpressions.cs, whose formulas are inverted here); which shape of ARKit
-is which of them is the table "Tracking Standard Comparison" of docs.vrcft.io. ARKit's own names are read, too.
+Names: Unified Expressions, single and combined (benaclejames/VRCFaceTracking, UnifiedExpressionsParameters.cs and
+UnifiedSimpleExpressions.cs, whose formulas are inverted here). Shapes: the table "Tracking Standard Comparison" of
+docs.vrcft.io. ARKit's own names are accepted, too.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from glsplat.skinning.expression import ARKIT, arkit_name
 
 __all__ = ["PARAMETERS", "gaze_of", "parameter_of", "weights_of"]
 
-_PREFIX = "/avatar/parameters/"  # then perhaps FT/v2/, v2/, or what an avatar's maker put there
+_PREFIX = "/avatar/parameters/"  # then perhaps FT/v2/, v2/, or a prefix of the avatar's maker
 
-Part = tuple[str, float]  # a parameter as it is read below, and its share
-Ways = tuple[tuple[Part, ...], ...]  # the first of which something came counts
+Part = tuple[str, float]  # a parameter with the sign of its conversion, and its share
+Ways = tuple[tuple[Part, ...], ...]  # alternatives; the first with received values counts
 
-# how a parameter is read: as it is, its positive or negative half, what is missing to 1, lids that close and widen
-_READ: dict[str, Callable[[float], float]] = {
+# conversions by sign: identity, positive half, negative half, complement to 1, lids that close, lids that widen
+_CONVERSIONS: dict[str, Callable[[float], float]] = {
     "": lambda v: v,
     "+": lambda v: max(0.0, v),
     "-": lambda v: max(0.0, -v),
@@ -43,7 +43,7 @@ def _lips(name: str) -> Ways:
 
 
 def _sided(side: str) -> dict[str, Ways]:
-    """The shapes of one side."""
+    """Return the shapes of one side."""
     ways = {
         "eyeBlink": _one(f"EyeClosed{side}", f"!EyeOpen{side}", f"~EyeLid{side}", "EyeClosed", "!EyeOpen", "~EyeLid"),
         "eyeWide": _one(f"EyeWide{side}", f"^EyeLid{side}", "EyeWide", "^EyeLid"),
@@ -109,11 +109,11 @@ _GAZE = ("EyeLeftX", "EyeLeftY", "EyeRightX", "EyeRightY", "EyeX", "EyeY")
 PARAMETERS: frozenset[str] = frozenset(
     [*(name.lstrip("+-!~^") for ways in _RULES.values() for way in ways for name, _ in way), *_GAZE, *ARKIT]
 )
-"""All that is read, ARKit's own names among them."""
+"""All known parameters, with ARKit's own names."""
 
 
 def parameter_of(address: str) -> str | None:
-    """Which parameter an address is; None for one that is not read.
+    """Return the parameter of an address; None for an unknown one.
 
     >>> parameter_of("/avatar/parameters/FT/v2/JawOpen"), parameter_of("/avatar/parameters/mouth_smile_left")
     ('JawOpen', 'mouthSmileLeft')
@@ -125,26 +125,28 @@ def parameter_of(address: str) -> str | None:
 
 
 def weights_of(values: Mapping[str, float]) -> dict[str, float]:
-    """Weights of ARKit's shapes, 0 to 1, from parameters; only of those of which something came."""
+    """Return the weights of ARKit's shapes, 0 to 1, for which parameters are known."""
     out = {}
     for shape in ARKIT:
         for way in (((shape, 1.0),), *_RULES.get(shape, ())):
             known = [(name, share) for name, share in way if name.lstrip("+-!~^") in values]
             if known:
-                total = sum(share * _read(name, values) for name, share in known) / sum(share for _, share in known)
+                total = sum(share * _converted(name, values) for name, share in known) / sum(
+                    share for _, share in known
+                )
                 out[shape] = min(1.0, max(0.0, total))
                 break
     return out
 
 
 def gaze_of(values: Mapping[str, float], side: str) -> tuple[float, float, float] | None:
-    """Where the "Left" or "Right" eye looks, in the head's axes (-z ahead); X and Y are tangents, right and up."""
+    """Return the gaze of the "Left" or "Right" eye in the head's axes (-z ahead); X, Y are tangents, right and up."""
     for eye in (f"Eye{side}", "Eye"):
         if f"{eye}X" in values or f"{eye}Y" in values:
             return (values.get(f"{eye}X", 0.0), values.get(f"{eye}Y", 0.0), -1.0)
     return None
 
 
-def _read(name: str, values: Mapping[str, float]) -> float:
+def _converted(name: str, values: Mapping[str, float]) -> float:
     bare = name.lstrip("+-!~^")
-    return _READ[name.removesuffix(bare)](values[bare])
+    return _CONVERSIONS[name.removesuffix(bare)](values[bare])

@@ -9,8 +9,9 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 
-__all__ = ["Effect", "averages", "effects_of", "hypothesis", "kron", "orthonormal"]
+__all__ = ["Effect", "averages", "effects_of", "hypothesis", "kron"]
 
 F64 = NDArray[np.float64]
 
@@ -23,13 +24,6 @@ def effects_of(count: int) -> list[Effect]:
     return [effect for size in range(1, count + 1) for effect in combinations(range(count), size)]
 
 
-def orthonormal(levels: int) -> F64:
-    """Helmert contrasts of so many levels, [levels - 1, levels], rows of length 1 that sum to 0."""
-    rows = np.tril(np.ones((levels - 1, levels)))
-    rows[np.arange(levels - 1), np.arange(1, levels)] = -np.arange(1.0, levels)
-    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
-
-
 @lru_cache(maxsize=256)
 def hypothesis(shape: tuple[int, ...], effect: Effect) -> F64:
     """What the cell means [prod(shape)] times this matrix's rows are 0 under: no such effect.
@@ -37,7 +31,7 @@ def hypothesis(shape: tuple[int, ...], effect: Effect) -> F64:
     Every cell counts alike, however many answers it has: type III sums of squares (sum contrasts in R). Rows are
     orthonormal.
     """
-    parts = [orthonormal(n) if i in effect else np.full((1, n), 1 / math.sqrt(n)) for i, n in enumerate(shape)]
+    parts = [helmert(n) if i in effect else np.full((1, n), 1 / math.sqrt(n)) for i, n in enumerate(shape)]
     out = kron(parts)
     out.flags.writeable = False  # kept for the next call
     return out

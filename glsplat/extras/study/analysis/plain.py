@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
-from scipy.stats import mannwhitneyu
+from scipy.stats import kruskal, mannwhitneyu
 
 from glsplat.extras.statistics.holm import holm
 from glsplat.extras.statistics.ranks import average_ranks, rank_biserial, wilcoxon
@@ -92,7 +92,10 @@ def plain_tests(table: Table, seed: int = 0) -> list[Omnibus]:
 
 
 def friedman(answers: F64) -> tuple[float, int, float]:
-    """Statistic, degrees of freedom and p of [N, K], corrected for ties (Conover 1999); 0 and 1 where all are tied."""
+    """Statistic, degrees of freedom and p of [N, K], corrected for ties (Conover 1999); 0 and 1 where all are tied.
+
+    scipy.stats.friedmanchisquare refuses K = 2.
+    """
     k = answers.shape[1]
     ranks = average_ranks(answers) - (k + 1) / 2
     spread = float((ranks**2).sum())
@@ -102,13 +105,12 @@ def friedman(answers: F64) -> tuple[float, int, float]:
 
 def kruskal_wallis(groups: list[F64]) -> tuple[float, int, float]:
     """Statistic, degrees of freedom and p, corrected for ties; 0 and 1 where all are tied."""
-    ranks = average_ranks(np.concatenate(groups))
-    ranks -= ranks.mean()
+    ranks = average_ranks(np.concatenate(groups))  # of ranks: what rounding parts stays tied
+    if np.ptp(ranks) == 0:
+        return 0.0, len(groups) - 1, 1.0
     ends = np.cumsum([len(group) for group in groups])[:-1]
-    among = sum(float(part.sum()) ** 2 / len(part) for part in np.split(ranks, ends))
-    spread = float((ranks**2).sum())
-    statistic = (len(ranks) - 1) * among / spread if spread else 0.0
-    return statistic, len(groups) - 1, float(chdtrc(len(groups) - 1, statistic))
+    found = kruskal(*np.split(ranks, ends))
+    return float(found.statistic), len(groups) - 1, float(found.pvalue)
 
 
 def _pair(effect: str, first: str, second: str, a: F64, b: F64, paired: bool, seed: int) -> Pair:

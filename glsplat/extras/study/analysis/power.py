@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv
+from scipy.stats import binomtest
 
 from glsplat.errors import FormatError
 from glsplat.extras.statistics.bootstrap import LEVEL
@@ -193,13 +193,8 @@ def power(
             p = f_tests(table, effect, ranks)[3]
             found[effect] += int((p < alpha).sum())  # of NaN, where nothing varies, none
         progress(len(answers))
-    return [Power(name_of(table, effect), runs, k, *_interval(k, runs)) for effect, k in found.items()]
-
-
-def _interval(found: int, runs: int) -> tuple[float, float]:
-    tail = (1 - LEVEL) / 2
-    low = float(betaincinv(found, runs - found + 1, tail)) if found else 0.0
-    return low, float(betaincinv(found + 1, runs - found, 1 - tail)) if found < runs else 1.0
+    intervals = {effect: binomtest(k, runs).proportion_ci(LEVEL, "exact") for effect, k in found.items()}
+    return [Power(name_of(table, effect), runs, k, *map(float, intervals[effect])) for effect, k in found.items()]
 
 
 def _steps(shape: Sequence[int]) -> F64:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 from scipy.special import fdtrc
 
-from .effects import Effect, averages, hypothesis, kron, orthonormal
+from .effects import Effect, averages, hypothesis, kron
 from .table import Table
 
 __all__ = ["FTest", "Split", "contrast_rows", "f_tests", "split"]
@@ -151,5 +152,5 @@ def contrast_rows(table: Table, effect: Effect, rows: F64, weights: F64) -> tupl
 def _own_contrasts(table: Table, effect: Effect) -> F64:
     """Orthonormal contrasts [d, K] of the within factors in the effect, means over the others."""
     shapes = [(i in effect, table.shape[i]) for i in table.within]
-    rows = [orthonormal(n) if own else np.full((1, n), 1 / math.sqrt(n)) for own, n in shapes]
+    rows = [helmert(n) if own else np.full((1, n), 1 / math.sqrt(n)) for own, n in shapes]
     return kron(rows)

@@ -1,1 +1,1 @@
-"""A study's server: the session of one participant while it runs, its addresses, and what is recorded of it."""
+"""Serve a study: the running session of one participant, its routes, and recordings."""

@@ -1,8 +1,8 @@
-"""StudyLead: what a running study says to the server of it, its addresses, and who may ask for them.
+"""StudyLead: a running study as a feature of the server, with its routes and access control.
 
-Participant and experimenter have a secret each, kept in the participant's folder, so that their pages go on after a
-crash. A page makes up a name of its own and says it with all it does: of two pages the newer one counts. Only that
-page's pictures are drawn, as the condition has them.
+Participant and experimenter have one secret each, stored in the participant's folder, so their pages survive a restart.
+Each page chooses a name and sends it with every request; only the newest page of the participant is served pictures,
+those of the current condition.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError, GlsplatError, ProtocolError
 from glsplat.extras.study.serving.light import FULL, dim
 from glsplat.extras.study.serving.live import Live, wrong_page
+from glsplat.extras.study.serving.page_state import for_experimenter, for_participant
 from glsplat.extras.study.serving.recording import Recording
-from glsplat.extras.study.serving.seen import for_experimenter, for_participant
 from glsplat.extras.study.store import FRAMES, TRACKING
 from glsplat.io.files import open_regular, replace_file
 from glsplat.io.secret_files import warn_if_exposed
@@ -43,14 +43,14 @@ __all__ = ["HEADER", "KEYS", "StudyLead", "secrets_of"]
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
 HEADER = "X-Glsplat-Study"
-"""Of each request to /study/...: the secret of the participant, or of the experimenter."""
+"""Header of requests to /study/...: the secret of the participant or the experimenter."""
 
 KEYS = "keys.json"
-"""Of a participant's folder: both secrets."""
+"""File of both secrets in a participant's folder."""
 
-_PAGE = 8, 64  # characters of a page's own name
-_HOLD = 1.0  # seconds that a page waits for news
-_LARGEST = 48 << 10  # bytes of a message
+MIN_PAGE_NAME, MAX_PAGE_NAME = 8, 64  # characters
+_LONG_POLL_S = 1.0
+MAX_MESSAGE_BYTES = 48 << 10
 _STATUS = {
     "elsewhere": 409,
     "enter": 409,
@@ -62,19 +62,19 @@ _STATUS = {
     "bad_note": 422,
     "rate": 429,
 }
-_REPORT_S = 0.5  # between two lines of figures; the page reports once a second
+_REPORT_S = 0.5  # least time between two recorded reports; the page reports once per second
 _FIGURES = ("fps", "age_ms", "age_p95_ms", "rtt_ms", "frame_rate")
-_PICTURE = 80  # quality of the experimenter's JPEG
+_JPEG_QUALITY = 80  # of the experimenter's picture
 
-_PUBLIC = ("/vr", "/vr/{path}", "/healthz")  # files of the package, and whether the server is well
+_PUBLIC = ("/vr", "/vr/{path}", "/healthz")  # static files and the health check
 _PRIVATE = "a study runs here: open the page that it was started with"
-_CHOSEN = ("avatar", "room", "name", "at", "label")  # of a client's address: what the condition says instead
+_SET_BY_STUDY = ("avatar", "room", "name", "at", "label")  # URL parameters that the condition overrides
 
 Handler = Callable[[web.Request, dict[str, Any]], Awaitable[web.Response]]
 
 
 def secrets_of(folder: Path) -> dict[str, str]:
-    """The secrets "participant" and "experimenter" of a participant's folder, made when they are asked for first."""
+    """Return the secrets "participant" and "experimenter" of a folder, created at the first call."""
     path = folder / KEYS
     if path.exists():
         with open_regular(path) as (file, _):
@@ -91,7 +91,7 @@ def secrets_of(folder: Path) -> dict[str, str]:
 
 
 class StudyLead(Feature):
-    """The study as a feature of its server. ``avatars``: the name under which each condition's is offered."""
+    """The study as a feature. ``avatars``: the catalogue's name for each condition's avatar."""
 
     refusal = "nothing can be shown just now; tell the experimenter"
 
@@ -99,38 +99,38 @@ class StudyLead(Feature):
         self.live, self.secrets = live, secrets_of(live.store.folder)
         self._avatars = avatars
         self._tracking, self._frames = Recording(live.store.folder / TRACKING), Recording(live.store.folder / FRAMES)
-        self._clients: dict[int, tuple[str, str]] = {}  # by number: the page, and the condition that it was let in for
+        self._clients: dict[int, tuple[str, str]] = {}  # page and condition at the opening, by number
         self._steps = {step.alias: step.name for step in live.session.steps}
-        self._heads = False  # whether all avatars can be shown without their heads
-        self._picture: bytes | None = None  # the last reply
-        self._reported = -math.inf  # when the page's figures were written down last, by ``live.t``
+        self._heads = False  # whether all avatars can be shown without heads
+        self._picture: bytes | None = None  # last reply
+        self._reported = -math.inf  # time of the last recorded report, by ``live.t``
         self._end: Callable[[int, str], None] = lambda number, reason: None
 
     async def start(self, server: ServerView) -> None:
-        """Begin the session, or go on with it."""
+        """Start or resume the session."""
         self._end = server.close_client
         self._heads = all("head" in server.catalogue[name].parts for name in server.catalogue.names)
         self.live.changed = self._changed
         self._opening = asyncio.ensure_future(self.live.open())
 
     def routes(self) -> Sequence[web.RouteDef]:
-        """Return the addresses of both pages."""
+        """Return the routes of both pages."""
         return [
             web.post("/study/state", self._for("participant", self._state)),
             web.post("/study/do", self._for("participant", self._do)),
             web.post("/study/watch", self._for("experimenter", self._watch)),
             web.post("/study/command", self._for("experimenter", self._command)),
-            web.post("/study/picture", self._for("experimenter", self._shown)),
+            web.post("/study/picture", self._for("experimenter", self._picture_route)),
         ]
 
     @web.middleware
     async def guard(
         self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
     ) -> web.StreamResponse:
-        """A study is private: whatever is not for its pages is for the experimenter alone, also addresses to come."""
+        """Restrict all routes but those of the study's pages to the experimenter, also those of other features."""
         resource = request.match_info.route.resource
         address = "" if resource is None else resource.canonical
-        open_ = address in _PUBLIC or address.startswith("/study/")  # the latter ask for their secrets themselves
+        open_ = address in _PUBLIC or address.startswith("/study/")  # these check their own secrets
         if address == "/ws":
             open_ = _same(request.query.get("study", ""), self.live.page)
         if open_ or _proves(request, self.secrets["experimenter"]):
@@ -138,28 +138,28 @@ class StudyLead(Feature):
         return web.Response(status=403, text=f"{_PRIVATE}\n")
 
     def is_trusted(self, request: web.Request) -> bool:
-        """Each answer is a message and the news of it for both pages: an experimenter has to be heard all the same."""
+        """Exempt holders of a secret from rate limits: each answer of a questionnaire takes several requests."""
         return any(_proves(request, secret) for secret in self.secrets.values())
 
     async def stop(self) -> None:
-        """Write down what is left."""
+        """Close the log and the recordings."""
         await asyncio.gather(self._opening, return_exceptions=True)
         await self.live.close()
         await asyncio.to_thread(self._tracking.close)
         await asyncio.to_thread(self._frames.close)
 
     def query(self, asked: Mapping[str, str]) -> Mapping[str, str]:
-        """The avatar of the condition for the participant's page; nobody else is shown anything."""
+        """Set the condition's avatar for the participant's page; refuse all others."""
         condition = self.live.condition
         if not _same(asked.get("study", ""), self.live.page):
             raise ProtocolError(_PRIVATE, NOT_ALLOWED)
         if condition is None:
             raise ProtocolError("nothing is shown at this step of the study", NOT_ALLOWED)
-        options = {name: value for name, value in asked.items() if name not in _CHOSEN}
+        options = {name: value for name, value in asked.items() if name not in _SET_BY_STUDY}
         return options | {"avatar": self._avatars[condition.name]}
 
     def solver(self, solver: PoseSolver | None) -> PoseSolver | None:
-        """Without hands where the condition is of the head alone."""
+        """Ignore hands in conditions without them."""
         condition = self.live.condition
         return _HeadOnly(solver) if solver is not None and condition is not None and not condition.hands else solver
 
@@ -173,19 +173,19 @@ class StudyLead(Feature):
         """Forget the client."""
         self._clients.pop(client.number, None)
 
-    def heard(self, request: Request) -> None:
-        """A request of the participant's page."""
+    def record_request(self, request: Request) -> None:
+        """Record the tracking of a request."""
         step = self.live.session.step
         if request.tracking is not None and step is not None:
             values = request.tracking.to_json() | {"client_ms": request.t}
             self._tracking.add(self.live.t, step.name, "tracking", values)
 
-    def shown(self, message: bytes) -> None:
-        """A reply was sent to it."""
+    def keep_reply(self, message: bytes) -> None:
+        """Keep the last reply for the experimenter."""
         self._picture = message
 
     def _changed(self) -> None:
-        """Whoever is shown what is no longer to be seen is put out, and comes back to what is."""
+        """Disconnect clients whose page or condition is outdated; they reconnect."""
         condition = self.live.condition
         now = (self.live.page, "" if condition is None else condition.name)
         for number, entered in list(self._clients.items()):
@@ -193,7 +193,7 @@ class StudyLead(Feature):
                 self._end(number, "the study goes on")
                 del self._clients[number]
 
-    # what pages ask
+    # requests of the pages
 
     def _for(self, who: str, handler: Handler) -> Callable[[web.Request], Awaitable[web.Response]]:
         async def answer(request: web.Request) -> web.Response:
@@ -207,7 +207,7 @@ class StudyLead(Feature):
                 return await handler(request, message)
             except ProtocolError as error:
                 return _refusal(_STATUS.get(error.code, 400), error.code, str(error), getattr(error, "wait", None))
-            except GlsplatError as error:  # of the disk: it names files, which is for the experimenter alone
+            except GlsplatError as error:  # of the disk; it names files, so only the experimenter may see it
                 log.error("%s", error)
                 text = str(error) if who == "experimenter" else "this could not be written down; it is tried again"
                 return _refusal(507, "disk", text)
@@ -216,7 +216,7 @@ class StudyLead(Feature):
 
     async def _state(self, request: web.Request, message: dict[str, Any]) -> web.Response:
         live, page = self.live, self._page(message)
-        live.seen()
+        live.touch()
         figures = message.get("figures")
         step = live.session.step
         if isinstance(figures, dict):
@@ -226,10 +226,10 @@ class StudyLead(Feature):
                 self._reported = live.t
                 self._frames.add(live.t, step.name, "frames", live.figures)
         after = message.get("after")
-        await live.wait(after if isinstance(after, int) else -1, _HOLD)
+        await live.wait(after if isinstance(after, int) else -1, _LONG_POLL_S)
         if page != live.page:
             raise wrong_page()
-        live.seen()
+        live.touch()
         return web.json_response(for_participant(live))
 
     async def _do(self, request: web.Request, message: dict[str, Any]) -> web.Response:
@@ -237,12 +237,12 @@ class StudyLead(Feature):
         step = self._steps.get(str(message.get("step", "")), "")
         if what == "enter":
             page = message.get("page")
-            if not isinstance(page, str) or not _PAGE[0] <= len(page) <= _PAGE[1] or not page.isalnum():
+            if not isinstance(page, str) or not MIN_PAGE_NAME <= len(page) <= MAX_PAGE_NAME or not page.isalnum():
                 raise ProtocolError("a page has a name of 8 to 64 letters and digits")
             await live.enter(page)
             return web.json_response(for_participant(live) | {"heads": self._heads})
         self._page(message)
-        live.seen()
+        live.touch()
         if what == "consent":
             if not isinstance(message.get("accepted"), bool):
                 raise ProtocolError("accepted needs true or false")
@@ -261,7 +261,7 @@ class StudyLead(Feature):
 
     async def _watch(self, request: web.Request, message: dict[str, Any]) -> web.Response:
         after = message.get("after")
-        await self.live.wait(after if isinstance(after, int) else -1, _HOLD)
+        await self.live.wait(after if isinstance(after, int) else -1, _LONG_POLL_S)
         lost = self._tracking.lost + self._frames.lost
         return web.json_response(for_experimenter(self.live) | {"lost_lines": lost})
 
@@ -271,7 +271,7 @@ class StudyLead(Feature):
             raise ProtocolError("text needs words", "bad_note")
         commands: dict[str, Callable[[float], Sequence[Any]]] = {
             "pause": session.pause,
-            "continue": session.go_on,
+            "continue": session.resume,
             "repeat": session.repeat,
             "note": lambda t: session.note(text, t),
             "abort": lambda t: session.abort(text, t),
@@ -281,14 +281,14 @@ class StudyLead(Feature):
         await self.live.act(commands[what])
         return web.json_response(for_experimenter(self.live))
 
-    async def _shown(self, request: web.Request, message: dict[str, Any]) -> web.Response:
+    async def _picture_route(self, request: web.Request, message: dict[str, Any]) -> web.Response:
         data = self._picture
         jpeg = None if data is None or self.live.condition is None else await asyncio.to_thread(_small, data)
         return web.Response(status=204) if jpeg is None else web.Response(body=jpeg, content_type="image/jpeg")
 
     def _page(self, message: Mapping[str, Any]) -> str:
         page = message.get("page")
-        if not self.live.page:  # the server is new: whoever asks first goes on
+        if not self.live.page:  # after a restart any page may enter
             raise ProtocolError("no page has entered yet; enter first", "enter")
         if page != self.live.page:
             raise wrong_page()
@@ -296,24 +296,24 @@ class StudyLead(Feature):
 
 
 class _StudyObserver:
-    """Observes one client and dims its pictures by the ``light`` (RGB factors) of its condition."""
+    """Observes one client and dims its pictures by the condition's ``light`` (RGB factors)."""
 
     def __init__(self, lead: StudyLead, light: tuple[float, float, float]) -> None:
         self._lead, self._light = lead, light
 
     def request_received(self, request: Request) -> None:
-        self._lead.heard(request)
+        self._lead.record_request(request)
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
         if self._light != FULL:
             dim(images, self._light)
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
-        self._lead.shown(messages[-1])
+        self._lead.keep_reply(messages[-1])
 
 
 class _HeadOnly:
-    """A solver that is not told of hands, nor of what else is tracked."""
+    """A solver that ignores all tracking but head, eyes and face."""
 
     def __init__(self, solver: PoseSolver) -> None:
         self._solver = solver
@@ -333,13 +333,13 @@ class _HeadOnly:
 
 
 def _small(data: bytes) -> bytes | None:
-    """The left eye's picture of a reply over black, as a JPEG; None for what has none."""
+    """Return the left eye's picture of a reply over black as a JPEG; None if it has none."""
     try:
         reply = parse_reply(data)
         images = reply.rgba() if reply.alphas else reply.images()
     except ProtocolError:
         return None
-    return bytes(simplejpeg.encode_jpeg(images[0][..., :3].copy(), _PICTURE))
+    return bytes(simplejpeg.encode_jpeg(images[0][..., :3].copy(), _JPEG_QUALITY))
 
 
 def _proves(request: web.Request, secret: str) -> bool:
@@ -347,14 +347,14 @@ def _proves(request: web.Request, secret: str) -> bool:
 
 
 def _same(given: str, secret: str) -> bool:
-    """Whether the two are the same, in a time that does not depend on where they differ; "" is no secret."""
+    """Return whether two secrets are equal, in constant time; "" is invalid."""
     return bool(secret) and hmac.compare_digest(given.encode(errors="replace"), secret.encode())
 
 
 async def _read(request: web.Request) -> dict[str, Any]:
-    """The JSON object of a message. Raises ProtocolError."""
-    if request.content_length is None or request.content_length > _LARGEST:
-        raise ProtocolError(f"a message has a length of at most {_LARGEST} bytes")
+    """Return the JSON object in a request. Raises ProtocolError."""
+    if request.content_length is None or request.content_length > MAX_MESSAGE_BYTES:
+        raise ProtocolError(f"a message has a length of at most {MAX_MESSAGE_BYTES} bytes")
     try:
         message = json.loads(await request.read())
     except (ValueError, RecursionError):
@@ -369,6 +369,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _refusal(status: int, code: str, text: str, wait: int | None = None) -> web.Response:
-    """``wait``: seconds after which to try again."""
+    """Return an error response; ``wait``: seconds until the next try."""
     headers = None if wait is None else {"Retry-After": f"{wait}"}
     return web.json_response({"error": {"code": code, "message": text}}, status=status, headers=headers)

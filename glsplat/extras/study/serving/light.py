@@ -1,4 +1,4 @@
-"""The light of a condition: what is baked into an avatar's colours, dimmed or tinted in the finished picture."""
+"""Light of a condition: dims or tints the finished picture of an avatar with baked light."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 __all__ = ["FULL", "dim"]
 
 FULL = (1.0, 1.0, 1.0)
-"""As the avatar's file has it."""
+"""No change."""
 
-_GAMMA = 2.2  # of the display: a factor of light is the factor to the power of 1 / 2.2 of a byte
+_GAMMA = 2.2  # of the display: a light factor f multiplies bytes by f ** (1 / 2.2)
 
 
 def dim(images: NDArray[np.uint8], light: tuple[float, float, float]) -> None:
     """Multiply the light of ``images`` [V, H, W, 4] by ``light`` [3], 0 to 1, linear RGB, in place.
 
-    Bytes are taken for a power of the light, so that the factor of a byte is the same whatever its alpha: premultiplied
-    edges stay what they are. sRGB's curve differs from that by its straight piece near black.
+    With a pure power as display curve, a byte's factor does not depend on alpha, so premultiplied edges stay correct.
+    sRGB differs by its linear part near black.
     """
     values = np.arange(256)
     for channel, factor in enumerate(light):

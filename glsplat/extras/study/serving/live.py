@@ -1,7 +1,7 @@
-"""The session that runs: the pure state, its log on disk, a clock, and who is looking.
+"""The running session: the state machine, its log on disk, a clock, and the pages.
 
-Nothing happens that is not on disk: an event is written and synced first, then the state changes, then pages hear of
-it. Time is that of a clock which nobody sets; the wall clock only says how long a server was away.
+An event is written and synced first, then the state changes, then pages are notified. Time is monotonic; the wall clock
+only measures how long a server was down.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from glsplat.extras.study.session import Event, Session
 from glsplat.extras.study.steps import steps_of
 from glsplat.extras.study.store import Store
 
-__all__ = ["GONE", "Live", "resumed_at", "wrong_page"]
+__all__ = ["PAGE_TIMEOUT_S", "Live", "resumed_at", "wrong_page"]
 
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
-GONE = 5.0
-"""Seconds without a word of the participant's page until it counts as gone."""
+PAGE_TIMEOUT_S = 5.0
+"""Silence after which the participant's page counts as gone."""
 
-_NOTES = 50  # of the experimenter, the newest, shown on their page
-_TICK = 0.1  # seconds between two looks at the time
-_AGAIN = 1.0  # seconds until what could not be written is tried again
-_AWAY = 400 * 86400.0  # seconds that a server may have been away; a clock that says more is wrong
+MAX_NOTES = 50  # newest notes shown to the experimenter
+_TICK_S = 0.1
+_RETRY_S = 1.0  # after a failed write
+MAX_DOWNTIME_S = 400 * 86400.0  # of a server; a larger value means a wrong clock
 
 
 class Live:
-    """One participant's session. ``open`` once; from then on ``act``. Methods belong to one event loop."""
+    """One participant's session. Call ``open`` once, then ``act``. Used on one event loop."""
 
     def __init__(
         self,
@@ -52,19 +52,19 @@ class Live:
     ) -> None:
         self.study, self.participant = study, label(participant)
         self.session = Session(study, steps_of(study, plan, participant))
-        self.notes: deque[Event] = deque(maxlen=_NOTES)
+        self.notes: deque[Event] = deque(maxlen=MAX_NOTES)
         self._last_t = 0.0  # of the events at the start
-        self._opened: Event | None = None  # the last of them that took the session up
+        self._opened: Event | None = None  # the last event of kind "open" at the start
         self.store = Store(data, participant, self._replay)
         self.revision = 1
-        self.page = ""  # the one page of the participant that counts
-        self.trouble = ""  # why something is not on disk
-        self.figures: dict[str, Any] = {}  # what the page said last of its speed
-        self.changed: Callable[[], None] = lambda: None  # hears of every change
+        self.page = ""  # name of the participant's active page
+        self.trouble = ""  # error of a failed write
+        self.figures: dict[str, Any] = {}  # last speed report of the page
+        self.changed: Callable[[], None] = lambda: None  # called on every change
         self._clock, self._wall = clock, wall
         self._quota = LinkQuota(clock())
         self._started = self._offset = 0.0  # set by ``open``
-        self._seen: float | None = None  # when the page said something, by ``clock``
+        self._seen: float | None = None  # last message of the page, by ``clock``
         self._lock = asyncio.Lock()
         self._news = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
@@ -76,21 +76,21 @@ class Live:
 
     @property
     def present(self) -> bool:
-        """Whether the participant's page is there."""
-        return self._seen is not None and self._clock() - self._seen < GONE
+        """Whether the participant's page is connected."""
+        return self._seen is not None and self._clock() - self._seen < PAGE_TIMEOUT_S
 
     @property
     def condition(self) -> Condition | None:
-        """What is shown now; None before the first condition, between and after them."""
+        """The current condition; None outside conditions."""
         step = self.session.step
         return None if step is None or not step.condition else self.study.condition(step.condition)
 
-    def seen(self) -> None:
-        """The page said something."""
+    def touch(self) -> None:
+        """Record a message of the page."""
         self._seen = self._clock()
 
     async def open(self) -> None:
-        """Write down that a server took the session up, and let time pass from now on. Raises FormatError."""
+        """Log that a server opened the session, and start the clock. Raises FormatError."""
         self._started, self._offset = self._clock(), resumed_at(self._last_t, self._opened, self._wall())
         if self.session.step is not None:
             values: dict[str, Any] = {"wall": self._utc(), "study": self.study.digest}
@@ -100,7 +100,7 @@ class Live:
         self._task = asyncio.create_task(self._run(), name="study")
 
     async def close(self) -> None:
-        """Let no more time pass."""
+        """Stop the clock and close the log."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -108,23 +108,23 @@ class Live:
             self.store.close()
 
     async def act(self, make: Callable[[float], Sequence[Event]], *, link: bool = False) -> None:
-        """Do what ``make`` says of the moment; ``link``: by the participant's link, within its quota.
+        """Write and apply the events of ``make``; ``link``: by the participant's link, within its quota.
 
-        Raises ProtocolError where it may not be, FormatError of the disk.
+        Raises ProtocolError for a refused action, FormatError for a failed write.
         """
-        # whoever asked may be gone before the disk answers: what is on disk has to become the state all the same
+        # not cancelled with the request: events on disk have to be applied
         await asyncio.shield(asyncio.ensure_future(self._act(make, link)))
 
     async def enter(self, page: str) -> None:
-        """Another page of the participant takes over; a task that was under way begins anew."""
+        """Make another page the active one; a running task restarts."""
         if page != self.page:
-            await self.act(self.session.lost, link=True)
+            await self.act(self.session.page_lost, link=True)
             self.page = page
-            self._tell()
-        self.seen()
+            self._notify()
+        self.touch()
 
     async def wait(self, revision: int, seconds: float) -> None:
-        """Until the state is another than ``revision``, or so many seconds."""
+        """Wait until the state differs from ``revision``, for at most ``seconds``."""
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 while self.revision == revision:
@@ -136,12 +136,12 @@ class Live:
             if not events:
                 return
             if link:
-                self._quota.check(self._clock(), size, any(map(self.session.leads_on, events)))
+                self._quota.check(self._clock(), size, any(map(self.session.makes_progress, events)))
             try:
                 await asyncio.to_thread(self.store.append, events)
             except GlsplatError as error:
                 self.trouble = str(error)
-                self._tell()
+                self._notify()
                 raise
             self.trouble = ""
             if link:
@@ -150,10 +150,10 @@ class Live:
                 self.session.apply(event)
                 if event.kind == "note":
                     self.notes.append(event)
-            self._tell()
+            self._notify()
 
     def _replay(self, event: Event) -> None:
-        """An event that was in the log at the start."""
+        """Apply an event that was in the log at the start."""
         self.session.replay(event)
         self._last_t = max(self._last_t, event.t)
         if event.kind == "open":
@@ -161,27 +161,27 @@ class Live:
         elif event.kind == "note":
             self.notes.append(event)
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         self.revision += 1
         self._news.set()
         self._news.clear()
         self.changed()
 
     async def _run(self) -> None:
-        """Time passes while the participant's page is there."""
+        """End phases in time while the participant's page is connected."""
         while True:
-            pause = _TICK
+            pause = _TICK_S
             left = self.session.left(self.t)
             due = left is not None and left <= 0
             if due or not self.present:
                 try:
-                    await self.act(self.session.tick if self.present else self.session.lost)
+                    await self.act(self.session.tick if self.present else self.session.page_lost)
                 except GlsplatError as error:
                     log.error("%s", error)
-                    pause = _AGAIN
+                    pause = _RETRY_S
                 except Exception:
                     log.exception("the session cannot go on")
-                    pause = _AGAIN
+                    pause = _RETRY_S
             await asyncio.sleep(pause)
 
     def _utc(self) -> str:
@@ -189,16 +189,16 @@ class Live:
 
 
 def resumed_at(last: float, opened: Event | None, now: float) -> float:
-    """Seconds since the session began, by the wall clock of the last ``opened``; never before ``last``, the log's."""
+    """Return the seconds since the session began, by the wall clock of the last ``opened``; at least ``last``."""
     if opened is None:
         return last
     try:
         away = now - datetime.fromisoformat(opened.values["wall"]).timestamp()
     except (KeyError, TypeError, ValueError):
         return last
-    return max(last, opened.t + away) if math.isfinite(away) and 0 <= away < _AWAY else last
+    return max(last, opened.t + away) if math.isfinite(away) and 0 <= away < MAX_DOWNTIME_S else last
 
 
 def wrong_page() -> ProtocolError:
-    """Another page of the same participant has taken over."""
+    """Return the error for a page that is not the active one."""
     return ProtocolError("the study goes on on another page; reload this one to go on here", "elsewhere")

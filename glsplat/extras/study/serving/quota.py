@@ -1,7 +1,7 @@
-"""How much the participant's link may append to the session's log: bytes a second, and a size.
+"""Limits of what a participant's link may append to the session's log: a rate and a size.
 
-Beyond the size only what leads on to the end is written: first answers, finished questionnaires, tasks that begin. An
-honest participant never comes near either limit.
+Beyond the size only necessary events are written: first answers, finished questionnaires, tasks that begin. Regular
+participants stay far below both limits.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from glsplat.net.guard.limits import Bucket
 __all__ = ["MAX_LOG_BYTES", "LinkQuota", "QuotaError"]
 
 MAX_LOG_BYTES = 64 << 20
-"""Of a session's log; an hour of a study with 100 questions writes some 30 kB."""
+"""Size of a session's log; an hour of a study with 100 questions writes about 30 kB."""
 RATE_BYTES_S = 4096.0
 BURST_BYTES = 1 << 20
-"""Twenty answers of 4000 characters, each of them written as 12 bytes."""
+"""Twenty answers of 4000 characters, each escaped to 12 bytes."""
 
 
 class QuotaError(ProtocolError):
-    """The link wants to append too much; ``wait``: seconds after which it may."""
+    """A limit is exceeded; ``wait`` is the number of seconds until the next try."""
 
     def __init__(self, message: str, code: str, wait: int | None = None) -> None:
         super().__init__(message, code)
@@ -29,14 +29,14 @@ class QuotaError(ProtocolError):
 
 
 class LinkQuota:
-    """One link's. Times are of any clock that does not run backwards. A message may overdraw it, the next one waits."""
+    """Quota of one link. Times are of a monotonic clock. One message may overdraw it; the next one waits."""
 
     def __init__(self, now: float) -> None:
         self._bucket = Bucket.full(RATE_BYTES_S, BURST_BYTES, now)
 
-    def check(self, now: float, size: int, leads_on: bool) -> None:
-        """Raises QuotaError: "full" where the log has ``size`` bytes and this is not needed, "rate" for too many."""
-        if size >= MAX_LOG_BYTES and not leads_on:
+    def check(self, now: float, size: int, makes_progress: bool) -> None:
+        """Raise QuotaError: "full" for a log of ``size`` bytes unless the event is needed, "rate" for a high rate."""
+        if size >= MAX_LOG_BYTES and not makes_progress:
             raise QuotaError(
                 f"the log of this session is full ({MAX_LOG_BYTES >> 20} MiB): answers that are saved stay as they "
                 "are, and a task that is under way is not begun anew",
@@ -47,5 +47,5 @@ class LinkQuota:
             raise QuotaError(f"answers come faster than they are written down; try again in {wait} s", "rate", wait)
 
     def charge(self, now: float, nbytes: int) -> None:
-        """So much was appended."""
+        """Charge appended bytes."""
         self._bucket.charge(now, nbytes)

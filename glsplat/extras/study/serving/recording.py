@@ -1,7 +1,7 @@
-"""Tracking and figures of a session as JSON Lines, on a thread of its own: a slow disk holds up no picture.
+"""Record tracking and figures as JSON Lines on a separate thread, so a slow disk delays no picture.
 
-These lines are not waited for and not chained: seconds of them may be lost where the power fails. They leave room on
-the disk for the session's log, which may not be lost.
+Lines are neither synced nor chained; a power failure may lose some seconds. Recording leaves free disk space for the
+session's log.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ __all__ = ["MAX_BYTES", "MIN_FREE_BYTES", "Recording"]
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
 MAX_BYTES = 16 << 30
-"""Of one file: 12 hours of both hands with all their joints at 120 Hz."""
+"""Limit of one file: 12 hours of both hands with all joints at 120 Hz."""
 MIN_FREE_BYTES = 64 << 20
-"""Of the disk: as much as a session's log takes of the participant's link."""
+"""Disk space kept free: the size limit of a session's log."""
 
-_MOST = 4096  # lines that wait: 45 seconds at 90 Hz
+MAX_QUEUED = 4096  # lines: 45 seconds at 90 Hz
 _DIGITS = 5  # of metres and quaternions
 
 
 class Recording:
-    """One file, appended to. A line: t in seconds, step, kind, values."""
+    """Appends lines with t in seconds, step, kind and values to a file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.lost = 0  # lines that the disk was too slow for, or had no room for
-        self._lines: queue.Queue[bytes | None] = queue.Queue(_MOST)
+        self.lost = 0  # lines that the disk was too slow or too full for
+        self._lines: queue.Queue[bytes | None] = queue.Queue(MAX_QUEUED)
         self._thread = threading.Thread(target=self._run, name=f"record {path.name}", daemon=True)
         self._thread.start()
 
     def add(self, t: float, step: str, kind: str, values: Mapping[str, Any]) -> None:
-        """Append a line, soon."""
+        """Queue a line."""
         fields = {"t": round(t, 3), "step": step, "kind": kind, "values": _rounded(values)}
         try:
             self._lines.put_nowait(json.dumps(fields, separators=(",", ":")).encode() + b"\n")
@@ -48,12 +48,12 @@ class Recording:
             self.lost += 1
 
     def close(self) -> None:
-        """Wait until all is written."""
+        """Write the queued lines and stop."""
         self._lines.put(None)
         self._thread.join()
 
     def _run(self) -> None:
-        said, ended = False, False
+        logged, ended = False, False
         while not ended:
             lines = [self._lines.get()]
             while not self._lines.empty():
@@ -64,13 +64,13 @@ class Recording:
                 _append(self.path, b"".join(whole))
             except OSError as error:
                 self.lost += len(whole)
-                if not said:
+                if not logged:
                     log.error("%s: cannot be written (%s); the session goes on without", self.path, error.strerror)
-                said = True
+                logged = True
 
 
 def _append(path: Path, data: bytes) -> None:
-    """Append ``data`` whole, or not at all where there is no room for it."""
+    """Append ``data`` completely, or raise OSError."""
     with open(path, "ab", buffering=0) as file:
         size = file.seek(0, 2)
         if size + len(data) > MAX_BYTES:
@@ -83,7 +83,7 @@ def _append(path: Path, data: bytes) -> None:
 
 
 def _rounded(value: Any) -> Any:
-    """Floats to five decimals, NaN and infinity as null."""
+    """Return values with floats rounded to five decimals, NaN and infinity as None."""
     if isinstance(value, float):
         return round(value, _DIGITS) if value == value and abs(value) < 1e300 else None
     if isinstance(value, Mapping):

@@ -1,6 +1,6 @@
 // The light of a place as it falls on who stands in its middle: that in which its floor and walls were worked out, exposed.
 
-import { FACTORS, SPREAD, polynomials } from '../draw/light.js';
+import { FACTORS, SPREAD, polynomials } from '../space/light.js';
 import { subtract, unit } from '../space/matrix.js';
 import { lightIn } from './bake.js';
 import { LOOKS } from './looks.js';

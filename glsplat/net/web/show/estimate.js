@@ -1,6 +1,6 @@
 // The light of the room that a headset's cameras see, where the browser tells it (WebXR Lighting Estimation).
 
-import { turned } from '../draw/light.js';
+import { turned } from '../space/light.js';
 
 const LARGEST = 1e4; // of a number of a light (docs/protocol.md)
 

@@ -1,83 +1,99 @@
-// What both ways of looking share: ask for a pair, take the newest that came, put it on the screen, keep the figures.
+// Shared by the flat page and the headset: requests pairs of pictures, shows the newest, keeps the figures.
 
-import { onWire, turned } from '../draw/light.js';
 import { lightOf } from '../place/light.js';
 import { LOOKS } from '../place/looks.js';
 import { below, fromBox, fromFeet, fromPlaces } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
+import { onWire, turned } from '../space/light.js';
 import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
-import { Hurry } from '../voice/hurry.js';
-import { Here } from './here.js';
-import { Names } from './names.js';
 import { Painter } from './painter.js';
 
-const FIRST = 3000; // ms that all else waits for the first picture: the place, and drawing on this device
-const COMPLAINT = 4000; // ms for which a server's complaint is repeated to the user
+const FIRST = 3000; // ms that the place, and drawing on this device, wait for the first picture
+const PATIENCE = 10_000; // ms that the parts of extras wait for the first picture, unless the connection fails
+const BY_SERVER = { by: 'server', reason: 'the server hands out no splats of this avatar' };
+const COMPLAINT = 4000; // ms for which an error of the server is shown
 
 export class Stage {
   figures = new Figures();
   shownId = 0;
   info = {}; // the JSON of the newest reply
-  canHide = false; // whether the avatar has a head that can be left out
-  light = null; // the server's, which falls where the page asks for none
-  speaks = () => false; // whether the user's mouth moves
-  #hurry = new Hurry();
+  canHide = false; // whether the avatar's head can be hidden
+  light = null; // of the server, for requests without a light
+  here = null; // drawing on this device (show/here.js), once the server hands out an avatar
+  sideFor = (side) => side; // pixels of a picture; smaller while the user speaks (voice/hurry.js)
+  begun; // resolves with the first picture, or when none comes soon
+  #begin;
+  #gl;
+  #display = 0; // Hz of the headset; 0: not known
   #complaint = { text: '', until: 0 };
-  #asked = 0; // when the pair on the screen was asked for
+  #asked = 0; // ms, when the pair on the screen was requested
   #seen = true; // whether that pair has been drawn
   #opened = performance.now();
-  #scene = 0; // counts what `clear` ended: pictures asked for before are of another place
-  #painted = []; // what the canvas shows
-  #ask = () => 0; // as the last frame did
+  #scene = 0; // number of calls of `clear`: pictures requested before show another place
+  #painted = []; // inputs of the picture on the canvas
+  #ask = () => 0; // request of the last frame
 
-  /** `inWorker` false decodes on the page's thread, to compare. */
-  constructor(gl, connection, settings, { inWorker = true } = {}) {
+  constructor(gl, connection, settings) {
     this.connection = connection;
     this.settings = settings;
+    this.#gl = gl;
+    this.begun = new Promise((done) => (this.#begin = done));
+    setTimeout(this.#begin, PATIENCE);
     this.painter = new Painter(gl);
-    this.here = new Here(gl, connection, settings);
-    this.names = new Names();
     this.framing = new Framing();
     this.pictures = new Pictures({
-      inWorker,
       onDecoded: (ms) => this.figures.add('decode', ms),
       onError: (text) => this.complain(text),
     });
     connection.addEventListener('reply', ({ detail }) => this.#received(detail));
     connection.addEventListener('complaint', ({ detail }) => {
-      if (detail.code === 'no_pose') this.here.refuse(detail.message);
+      if (detail.code === 'no_pose') this.here?.refuse(detail.message);
       else this.complain(detail.message);
     });
     connection.addEventListener('state', () => {
-      if (connection.state !== 'open') this.here.clear();
+      if (connection.state !== 'open') this.here?.clear();
+      if (connection.state === 'waiting') this.#begin();
     });
   }
 
-  /** A new context after a lost one: everything on the GPU is made anew. */
-  restore(gl) {
-    this.painter = new Painter(gl);
-    this.here.restore(gl);
+  /** Allow drawing on this device; `Here` is the class of show/here.js. */
+  addHere(Here) {
+    this.here = new Here(this.#gl, this.connection, this.settings);
+    this.display = this.#display;
   }
 
-  /** The context is lost: nothing can be drawn until `restore`. */
+  /** Refresh rate of the headset's display, Hz. */
+  set display(hertz) {
+    this.#display = hertz;
+    if (this.here) this.here.choice.display = hertz;
+  }
+
+  /** Create everything on the GPU again, in the context `gl`, after the last one was lost. */
+  restore(gl) {
+    this.#gl = gl;
+    this.painter = new Painter(gl);
+    this.here?.restore(gl);
+  }
+
+  /** Note that the context is lost; nothing is drawn until `restore`. */
   lost() {
-    this.here.lost();
+    this.here?.lost();
   }
 
   /**
-   * One frame for `views` [{transform, projection, viewport}] of `where` (a placing): ask for the next, show the newest.
+   * Draw a frame for `views` [{transform, projection, viewport}] of `where` (a placing), and request the next picture.
    * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
    * which `keeps` what was painted or, as in an immersive session, is cleared for each frame; `around`: the light of a
-   * room that is not ours, or null; `asks` false where nothing new is to be asked for; `deep`: pictures are to know how
-   * far away is what they show. Returns the frame_id that was asked for, or 0.
+   * room that is not ours, or null; `asks` false: request nothing; `deep`: request depths with pictures.
+   * Returns the frame_id of the request, or 0.
    */
   frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
-    const here = !first && this.here.draws(views, where, this.figures.rate('shown', now), now);
+    const here = !first && this.here?.draws(views, where, this.figures.rate('shown', now), now);
     this.#ask = (drive, now) =>
       here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
     const sent = asks ? this.#ask(drive, now) : 0;
@@ -96,13 +112,13 @@ export class Stage {
     }
     const how = { room, keeps, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
-      // the pair stays: it is what there is to see should it be back to pictures
+      // the pair stays, for a change back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
       const inside = where.view === 'own' && this.canHide;
       this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
-      const names = this.names.labels(this.here.names(where), views[0].transform, this.painter);
+      const names = this.here.labels(where, views[0].transform, this.painter);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
     } else {
       views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: hung }));
@@ -111,14 +127,14 @@ export class Stage {
     return sent;
   }
 
-  /** Ask as the last frame did, before the next: what moves the avatar has changed by itself. Returns the frame_id, or 0. */
+  /** Repeat the last frame's request with another `drive`, before the next frame. Returns the frame_id, or 0. */
   askAgain(drive, now) {
     return this.#ask(drive, now);
   }
 
   /**
-   * Whether the canvas shows this already; from now on it does. The same picture is not drawn again: the machine may be
-   * the one that draws the avatar.
+   * Return whether the canvas shows these inputs already, and keep them. A picture is not drawn twice, as the server
+   * may run on the same machine.
    */
   #shows(views, room, bare) {
     const eyes = views.flatMap(({ transform, projection, viewport }) => [...transform, ...projection, ...Object.values(viewport)]);
@@ -128,13 +144,13 @@ export class Stage {
     return same;
   }
 
-  /** What falls on the avatar, in its own space: the light of its place, or that which is `around`; null: the server's. */
+  /** Return the light in the avatar's own space: of its place, or `around`; null: the server's. */
   #falling(where, around = lightOf(this.settings.get('place'))) {
     if (!around || !this.settings.get('light')) return null;
     return where.glass ? around : turned(around, invert(where.shown)); // a mirror's user stands in the room itself
   }
 
-  /** Where those who are shown touch the floor. */
+  /** Return the shadows of all people on the floor. */
   #shadows(here, where, { pose, tracking }, now) {
     if (this.settings.get('place') === 'plain') return [];
     const shown = where.glass ? IDENTITY : where.shown; // a mirror shows the floor under its user
@@ -147,18 +163,18 @@ export class Stage {
     return box ? fromBox(box, shown, root) : [];
   }
 
-  /** Tell the user for some seconds. */
+  /** Show a message to the user for some seconds. */
   complain(text) {
     this.#complaint = { text, until: performance.now() + COMPLAINT };
   }
 
-  /** What the user has to know just now, in words; empty while all is well. */
+  /** The current message to the user; empty while all is well. */
   get notice() {
     if (this.connection.reason) return this.connection.reason;
     return performance.now() < this.#complaint.until ? this.#complaint.text : '';
   }
 
-  /** What the link takes away from the pictures, in a sentence; empty while it takes all. */
+  /** How much a slow link reduces the pictures, as a sentence; empty if it does not. */
   get link() {
     const { why, scale } = this.info.detail ?? {};
     if (why !== 'link' || this.connection.state !== 'open') return '';
@@ -166,7 +182,7 @@ export class Stage {
     return `The connection is slow: pictures have ${less} for now.`;
   }
 
-  /** Forget what was shown: another avatar, another place. */
+  /** Forget the picture, for another avatar or another place. */
   clear() {
     this.#scene++;
     this.framing.forget();
@@ -174,13 +190,13 @@ export class Stage {
   }
 
   /**
-   * Send a request for what `views` [{transform, projection}] are to see of the avatar, `drive` {tracking, t} or
-   * {pose} says how it stands, `light` falls on it. Returns its frame_id; 0 where nothing was sent.
+   * Request a picture for `views` [{transform, projection}]. `drive`: {tracking, t} or {pose} of the avatar; `light` on
+   * it. Returns the frame_id; 0 if nothing was sent.
    */
   ask(views, where, drive, { alpha, light = null, deep = false, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
-    const side = this.#hurry.side(this.settings.get('size'), this.speaks(), this.info.times, now, this.framing.seen);
+    const side = this.sideFor(this.settings.get('size'), this.info.times, now, this.framing.seen);
     const framed = this.framing.frame(views, where, sample, side, age, now);
     const request = {
       ...drive,
@@ -211,16 +227,22 @@ export class Stage {
     this.pictures.close(newest);
     this.figures.add('upload', performance.now() - started);
     this.shownId = newest.id;
+    this.#begin();
     this.#asked = newest.asked.sent;
     this.#seen = false;
     return true;
   }
 
-  /** The frame is drawn: the pair on the screen is shown from here on. */
+  /** Note that the frame is drawn: its pair is on the screen now. */
   drawn() {
     if (this.#seen) return;
     this.#seen = true;
     this.figures.show(this.#asked, performance.now());
+  }
+
+  /** Where the avatars are drawn, and why: `drawn` of the figures. */
+  get renderedBy() {
+    return this.here?.stats() ?? BY_SERVER;
   }
 
   /** The figures for `window.glsplat.stats()`. */
@@ -246,7 +268,7 @@ export class Stage {
       bitmaps: pictures.open,
       textures: painter.textures,
       place: painter.place.counts,
-      drawn: this.here.stats(),
+      drawn: this.renderedBy,
       link: this.link,
       server: Object.fromEntries(
         figures.names().filter((name) => name.startsWith('server ')).map((name) => [name.slice(7), figures.median(name)]),
@@ -254,7 +276,7 @@ export class Stage {
     };
   }
 
-  /** The avatar is out of sight, but its solver wants every sample: a picture of nothing, as small as there is. */
+  /** Request a tiny picture of nothing while the avatar is out of sight: its solver needs every sample. */
   #keepTracking(views, request) {
     const away = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, -1000, 0, 0, 0, 1]; // looks away from the room
     const eyes = views.map(() => ({ viewmat: away, K: [16, 16, 8, 8] }));
@@ -274,14 +296,14 @@ export class Stage {
       this.shownId = reply.id;
       return;
     }
-    if (asked?.scene !== this.#scene) return; // of nothing in sight, or of another place
+    if (asked?.scene !== this.#scene) return; // requested without the avatar in sight, or before `clear`
     this.framing.learn(reply.info.box, asked, standing(reply.info.room));
     this.pictures.offer(reply, buffer, { ...asked, sent });
   }
 }
 
-/** Those of a reply's room of whom it says where they stand, `at` [x, y, z]. */
+/** Return the people of a reply's room that have a valid position, `at` [x, y, z]. */
 const standing = (room) => (Array.isArray(room?.people) ? room.people : []).filter(({ at }) => Array.isArray(at) && at.length === 3 && at.every(Number.isFinite));
 
-/** The expression that goes with what moves an avatar, or nothing. */
+/** Return the expression of a drive, if any. */
 const saidBy = ({ pose, tracking }) => (pose ?? tracking)?.expression;

@@ -149,7 +149,7 @@ export class Immersive {
     const { framebuffer } = session.renderState.baseLayer;
     const [room, transparent] = [this.mode === 'vr', this.mode === 'ar'];
     const labels = () => this.#labels(frame, head, sample, now);
-    this.#stage.here.choice.display = session.frameRate;
+    this.#stage.display = session.frameRate;
     const around = transparent ? this.#estimate.light(frame, this.#space) : undefined;
     const deep = view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
     this.#stage.frame(views, this.#where, drive, { framebuffer, alpha, transparent, room, around, labels, deep, now });

@@ -1,4 +1,5 @@
-// Where the avatar is shown: in the mirror, facing its user, or as the user's own body.
+// Where the avatar is shown: in the mirror, facing its user, or as the user's own body. Twin:
+// glsplat/extras/openxr/placing.py.
 //
 // The server draws the avatar where its user is. `shown` takes that room to the room as it is shown, and an eye that
 // looks at the shown room is sent to the server as the eye that sees the same thing in the user's own.
@@ -39,7 +40,7 @@ export function placing(view, head, room = false) {
 }
 
 /** An upright mirror that stands at `foot` (on the floor) and looks along the level unit vector `normal`. */
-export function mirrorAt(foot, normal) {
+function mirrorAt(foot, normal) {
   const side = [normal[2] * (MIRROR.width / 2), 0, -normal[0] * (MIRROR.width / 2)]; // to the right as its user sees it
   const corner = (sign, height) => add(add(foot, scale(side, sign)), [0, height, 0]);
   const glass = [
@@ -78,7 +79,9 @@ export function planeAt(distance, eyes, ahead) {
   return { point: add(eye, scale(ahead, distance)), normal: scale(ahead, -1) };
 }
 
-/** {place, yaw}: where a space has to be put, and turned about y, for this head to be over its origin, looking along +z. */
+/**
+ * {place, yaw}: where a space has to be put, and turned about y, for this head to be over its origin, looking along +z.
+ */
 export function standing(head) {
   const ahead = heading(head);
   return { place: [head[12], 0, head[14]], yaw: Math.atan2(ahead[0], ahead[2]) };

@@ -1,21 +1,20 @@
-// The WebSocket of docs/protocol.md with reconnecting, acknowledging, and the reasons in words when it does not open.
+// The WebSocket of docs/protocol.md: reconnects, acknowledges, and gives reasons in words when it does not open.
 
-import { parsePoses } from './pose.js';
 import { parseReply } from './reply.js';
 import { openSocket } from './socket.js';
-import { decodable } from './video.js';
 
 const SERVER = new URL('..', location.href); // the page is SERVER/vr/, also behind a proxy that moves it
 const PAUSES = [250, 500, 1000, 2000, 4000]; // ms between attempts
-const MOST_BUFFERED = 128 * 1024; // bytes that may wait in the socket before requests are left out
-const LONGEST = 60_000; // ms that the server hears of
-const UNDECODED = 3; // key frames after which a browser that says that it decodes video is not believed
+const MOST_BUFFERED = 128 * 1024; // unsent bytes above which requests are dropped
+const LONGEST = 60_000; // ms; longest time that is reported
+const UNDECODED = 3; // failed key frames after which no video is requested
 const DATAGRAMS = typeof WebTransport === 'undefined' ? {} : { datagrams: true };
 const REMEMBERED = 2048; // requests whose replies may still come: 20 s at 90 Hz
 
 /**
  * Events: `state` (its `state` or `reason` changed), `reply` (detail {reply, buffer, asked, ms}), `complaint` (detail
- * {code, message} of the server's), `offer` (detail: what GET /session says). States: off, connecting, open, waiting.
+ * {code, message} of the server's), `offer` (detail: the answer of GET /session). States: off, connecting, open,
+ * waiting.
  */
 export class Connection extends EventTarget {
   state = 'off';
@@ -24,39 +23,47 @@ export class Connection extends EventTarget {
   sentId = 0;
   receivedId = 0;
   received = 0;
-  opened = 0; // times
-  awake = () => true; // asked before each attempt; while it says no, `hurry` makes the next one
+  opened = 0; // number of times that it opened
+  awake = () => true; // called before each attempt; while it returns false, only `hurry` connects
   #options;
   #token = null;
   #socket = null;
   #timer = 0;
   #failures = 0;
-  #asked = new Map(); // by frame_id: what goes with the reply
-  #acknowledged = 0; // frame_id received on this connection; another one knows nothing of it
-  videos = []; // codecs that the server has, as /session says
-  #codecs = []; // of video that this browser decodes
-  #lost = false; // the video cannot go on from what was decoded
-  #undecoded = 0; // key frames that were not
-  #arrival = null; // {age, at} of that picture, in ms, until the server has heard of it
-  #resume = ''; // token of the person in a room that this page is: the next connection comes back as them
+  #asked = new Map(); // by frame_id: {asked, sent}
+  #acknowledged = 0; // newest frame_id received on this connection
+  parsePoses = null; // reads replies in poses; set by show/here.js, which asks for them
+  #videos = []; // codecs of the server
+  #codecs = null; // codecs that this browser decodes; null: not known yet
+  #lost = false; // the video needs a key frame
+  #undecoded = 0; // key frames that failed to decode, in a row
+  #arrival = null; // {age, at} of the newest picture, ms, until it is reported
+  #resume = ''; // token with which the next connection resumes as the same person in a room
 
   /** `options()` gives the query of /ws at each attempt: {avatar, height, span, window}, those that are set. */
   constructor(options) {
     super();
     this.#options = options;
-    decodable().then((codecs) => (this.#codecs = codecs));
+  }
+
+  /** Video codecs that the server has, as /session says. */
+  set videos(names) {
+    this.#videos = names;
+    if (!names.length || this.#codecs) return;
+    this.#codecs = [];
+    import('./video.js').then(({ decodable }) => decodable()).then((codecs) => (this.#codecs = codecs), () => {});
   }
 
   set token(token) {
     this.#token = token || null;
   }
 
-  /** What goes with each request: the token. */
+  /** Headers of each HTTP request: the token. */
   get headers() {
     return this.#token ? { Authorization: `Bearer ${this.#token}` } : {};
   }
 
-  /** The address of a path of the server. */
+  /** Return the URL of a path of the server. */
   address(path) {
     return new URL(path, SERVER);
   }
@@ -72,7 +79,7 @@ export class Connection extends EventTarget {
     this.#connect();
   }
 
-  /** If it waits for its next attempt, make it now; why it waited stays said until the attempt has ended. */
+  /** Make the next attempt now, if one is due later; `reason` stays until it has ended. */
   hurry() {
     if (this.state !== 'waiting') return;
     clearTimeout(this.#timer);
@@ -88,7 +95,10 @@ export class Connection extends EventTarget {
     this.#become('off', '', '');
   }
 
-  /** Send a request without v, frame_id and ack; returns its frame_id, 0 if it was left out. `asked`: for the reply. */
+  /**
+   * Send a request, adding v, frame_id and ack. Return its frame_id, 0 if it was dropped. `asked` comes back with the
+   * reply.
+   */
   send(request, asked) {
     if (this.state !== 'open' || this.#socket.readyState !== WebSocket.OPEN) return 0; // it may be closing already
     if (this.#socket.bufferedAmount > MOST_BUFFERED) return 0;
@@ -100,14 +110,17 @@ export class Connection extends EventTarget {
     return frameId;
   }
 
-  /** The field that says which video this browser decodes; nothing for a server that has none. */
+  /** Return the field with the codecs that both sides have, if any. */
   #watching() {
-    const codecs = this.#codecs.filter((codec) => this.videos.includes(codec));
-    if (!codecs.length) return {};
+    const codecs = this.#codecs?.filter((codec) => this.#videos.includes(codec));
+    if (!codecs?.length) return {};
     return { video: { codecs, ...(this.#lost && { key: true }) } };
   }
 
-  /** The fields that acknowledge the newest picture, and once how it arrived: the server fits pictures to the link. */
+  /**
+   * Return the fields that acknowledge the newest picture and, once, report how it arrived, for the server's rate
+   * control.
+   */
   #acknowledging() {
     const fields = { ack: this.#acknowledged };
     if (this.#arrival) {
@@ -154,7 +167,7 @@ export class Connection extends EventTarget {
     }
     let reply;
     try {
-      reply = isOfPoses(data) ? parsePoses(data) : parseReply(data);
+      reply = isOfPoses(data) ? this.parsePoses(data) : parseReply(data);
     } catch (error) {
       this.dispatchEvent(new CustomEvent('complaint', { detail: { code: 'bad_reply', message: error.message } }));
       return;
@@ -172,13 +185,13 @@ export class Connection extends EventTarget {
     }
     if (reply.info?.datagrams) this.#openDatagrams(reply.info.datagrams);
     if (reply.info?.room?.resume) this.#resume = reply.info.room.resume;
-    this.#failures = 0; // not when it opens: a server may accept and drop at once
+    this.#failures = 0; // not on opening: a server may accept and drop at once
     this.received++;
     this.receivedId = this.#acknowledged = Math.max(this.#acknowledged, reply.id);
     const found = this.#asked.get(reply.id);
     const now = performance.now();
     if (found && reply.id === this.#acknowledged) this.#arrival = { age: now - found.sent, at: now };
-    // a request that waits for room in the window is drawn now, not only when the next one brings the news
+    // acknowledge now, so that a request that waits for the window is drawn before the next one is sent
     const listens = this.#socket.readyState === WebSocket.OPEN;
     if (listens && this.sentId > reply.id) this.#socket.send(JSON.stringify({ v: 1, ...this.#acknowledging() }));
     for (const id of this.#asked.keys()) {
@@ -190,7 +203,7 @@ export class Connection extends EventTarget {
     this.dispatchEvent(new CustomEvent('reply', { detail }));
   }
 
-  /** What the server offers: the same host and port, by UDP. */
+  /** Open the datagrams that the server offers, at the same host and port by UDP. */
   #openDatagrams({ path, sha256 }) {
     const address = this.address(path);
     address.protocol = 'https:';
@@ -202,13 +215,13 @@ export class Connection extends EventTarget {
     this.#asked.clear();
     const pause = PAUSES[Math.min(this.#failures++, PAUSES.length - 1)];
     const [problem, reason, least] = wasOpen ? closing(event) : await this.#refusal();
-    if (this.#socket || this.state === 'off') return; // somebody was faster
+    if (this.#socket || this.state === 'off') return; // another attempt was faster
     this.#become('waiting', reason, problem);
-    if (problem === 'token') return; // nothing to try until there is another one
+    if (problem === 'token') return; // no attempt until the user enters another one
     this.#timer = setTimeout(() => this.awake() && this.#connect(), Math.max(pause, least ?? 0));
   }
 
-  /** Why the handshake failed: the browser tells scripts nothing, so the server is asked another way. */
+  /** Find out why the handshake failed: browsers hide it from scripts, so the page asks /session. */
   async #refusal() {
     try {
       const response = await this.fetch('session');
@@ -221,7 +234,7 @@ export class Connection extends EventTarget {
       }
       if (response.ok) {
         const offer = await response.json();
-        this.dispatchEvent(new CustomEvent('offer', { detail: offer })); // what was asked for may be gone
+        this.dispatchEvent(new CustomEvent('offer', { detail: offer })); // the chosen avatar or room may be gone
         if (offer.avatars?.length === 0) return ['refused', 'there is no avatar here that you may drive now; trying again', 5000];
         if (offer.full) return ['full', 'the server is full; trying again', 2000];
         const words = roomRefusal(this.#options(), offer.rooms ?? []);
@@ -241,10 +254,10 @@ export class Connection extends EventTarget {
   }
 }
 
-/** Whether a reply is one of poses: it has no pictures (docs/protocol.md, section 4). */
+/** Return whether a reply has poses: it has no pictures then (docs/protocol.md, section 4). */
 const isOfPoses = (data) => data.byteLength > 8 && new DataView(data).getUint8(8) === 0;
 
-/** Why a room may not have let us in; empty where none was asked for. */
+/** Return why a room may have refused the user; empty without a room. */
 function roomRefusal({ room, name }, rooms) {
   if (!room) return '';
   const found = rooms.find((one) => one.name === room);
@@ -253,7 +266,7 @@ function roomRefusal({ room, name }, rooms) {
   return name ? `somebody called "${name}" may be in the room: choose another name` : 'the room lets nobody in; trying again';
 }
 
-/** What a close code of section 6 means: [problem, words, ms to wait at least]. */
+/** Return what a close code of section 6 means: [problem, words, ms to wait at least]. */
 function closing({ code, reason }) {
   const words = reason ? `: ${reason}` : '';
   if (code === 1001) return ['lost', `${reason || 'the server stops'}; trying again`];

@@ -1,11 +1,12 @@
-// Pictures to bitmaps, JPEGs and video, in a worker or (for comparison) on the page's own thread.
+// A worker that decodes pictures, JPEGs and video, to bitmaps (pictures.js).
 
-import { VideoFrames } from './video.js';
-
-// what the server sent is what the texture gets: no colour management, no alpha of the codec's own
+// the texture gets the server's bytes: no colour management, no premultiplication
 const OPTIONS = { premultiplyAlpha: 'none', colorSpaceConversion: 'none' };
 
-/** All pictures of a reply: [[colour, alpha | null], ...] of ImageBitmap, left eye first. Closes all if one fails. */
+/**
+ * Decode the pictures of a reply: [[colour, alpha | null], ...] of ImageBitmap, left eye first. Closes all if one
+ * fails.
+ */
 async function decodeAll(buffer, eyes) {
   const decode = (part) =>
     part && createImageBitmap(new Blob([new Uint8Array(buffer, ...part)], { type: 'image/jpeg' }), OPTIONS);
@@ -18,30 +19,25 @@ async function decodeAll(buffer, eyes) {
   return eyes.map((_, i) => [made[2 * i].value, made[2 * i + 1].value]);
 }
 
-export class Decoder {
-  #video = null;
+let frames = null; // promise of the decoder of a video; each picture goes on from the one before
 
-  /** {pictures}, none where `skip` says that only the next of a video needs it, or {lost: true}, or {error}. */
-  async decode({ buffer, eyes, video, side, skip }) {
-    try {
-      if (!video) return { pictures: await decodeAll(buffer, eyes) };
-      this.#video ??= new VideoFrames();
-      const data = new Uint8Array(buffer, ...eyes[0].colour);
-      const pictures = await this.#video.decode(data, video, side, skip ? null : OPTIONS);
-      return pictures ? { pictures } : { lost: true };
-    } catch (error) {
-      return { error: error.message };
-    }
+/**
+ * Return {pictures}, {lost: true} or {error}. `skip`: decode a picture of a video for the next one alone; `pictures` is
+ * empty.
+ */
+async function decode({ buffer, eyes, video, side, skip }) {
+  try {
+    if (!video) return { pictures: await decodeAll(buffer, eyes) };
+    frames ??= import('./video.js').then(({ VideoFrames }) => new VideoFrames());
+    const data = new Uint8Array(buffer, ...eyes[0].colour);
+    const pictures = await (await frames).decode(data, video, side, skip ? null : OPTIONS);
+    return pictures ? { pictures } : { lost: true };
+  } catch (error) {
+    return { error: error.message };
   }
 }
 
-/** In a worker: answers what `Decoder.decode` takes by what it gives. */
-function serve() {
-  const decoder = new Decoder();
-  self.onmessage = async ({ data }) => {
-    const answer = await decoder.decode(data);
-    self.postMessage(answer, (answer.pictures ?? []).flat().filter(Boolean));
-  };
-}
-
-if (typeof WorkerGlobalScope !== 'undefined' && self instanceof WorkerGlobalScope) serve();
+self.onmessage = async ({ data }) => {
+  const answer = await decode(data);
+  self.postMessage(answer, (answer.pictures ?? []).flat().filter(Boolean));
+};

@@ -1,35 +1,29 @@
-// Replies to decoded pictures: one at a time, always the newest one, and never a bitmap left open.
+// Decodes replies to bitmaps, one at a time, the newest first, and closes every bitmap.
 //
-// Of a video each picture is decoded, because the next goes on from it; bitmaps are made of the newest alone.
+// Each picture of a video is decoded, because the next depends on it; only the newest becomes bitmaps.
 
-import { Decoder } from './decoder.js';
-
-const MOST = 16; // pictures of a video that may wait: beyond that it begins anew
+const MOST = 16; // queued pictures of a video above which it restarts at a key frame
 
 export class Pictures {
-  dropped = 0; // replies that a newer one overtook before they were shown
-  open = 0; // bitmaps that wait for `take`, or are being decoded
-  #worker = null;
-  #decoder = new Decoder(); // where there is no worker
-  #waiting = []; // replies that are not being decoded: the newest, before it those of a video
-  #busy = null; // the one that is
+  dropped = 0; // replies replaced by a newer one before they were shown
+  open = 0; // bitmaps that are not closed
+  #worker = new Worker(new URL('./decoder.js', import.meta.url), { type: 'module' });
+  #waiting = []; // queued replies: the newest, before it those of a video
+  #busy = null; // the reply that is being decoded
   #ready = null; // decoded
   #newest = -1; // frame_id that was decoded
   #onDecoded;
   #onError;
 
-  /** `onDecoded(ms)` and `onError(text)` hear of every picture; `inWorker` false decodes on this thread. */
-  constructor({ inWorker = true, onDecoded = () => {}, onError = () => {} } = {}) {
+  /** `onDecoded(ms)` or `onError(text)` is called for every picture. */
+  constructor({ onDecoded, onError }) {
     this.#onDecoded = onDecoded;
     this.#onError = onError;
-    if (inWorker) {
-      this.#worker = new Worker(new URL('./decoder.js', import.meta.url), { type: 'module' });
-      this.#worker.onmessage = ({ data }) => this.#done(data);
-      this.#worker.onerror = (event) => this.#done({ error: event.message || 'the decoding worker does not start' });
-    }
+    this.#worker.onmessage = ({ data }) => this.#done(data);
+    this.#worker.onerror = (event) => this.#done({ error: event.message || 'the decoding worker does not start' });
   }
 
-  /** A parsed reply with its buffer, which is given away. `asked` comes back with its pictures. */
+  /** Queue a parsed reply; its buffer is transferred. `asked` comes back with its pictures. */
   offer(reply, buffer, asked) {
     if (reply.id <= this.#newest) {
       this.dropped++;
@@ -41,20 +35,23 @@ export class Pictures {
     }
     if (this.#waiting.length >= MOST) {
       this.dropped += this.#waiting.length;
-      this.#waiting = []; // what comes now misses those: it is found out below, and a key frame asked for
+      this.#waiting = []; // the decoder then reports a gap, and a key frame is requested
     }
     this.#waiting.push({ reply, buffer, asked });
     this.#next();
   }
 
-  /** The newest decoded {id, info, depth, asked, pictures: [[colour, alpha | null], ...]}, once, or null. Then `close` it. */
+  /**
+   * Return the newest decoded {id, info, depth, asked, pictures: [[colour, alpha | null], ...]} once, or null. Then
+   * `close` it.
+   */
   take() {
     const ready = this.#ready;
     this.#ready = null;
     return ready;
   }
 
-  /** Give back the memory of what `take` returned. */
+  /** Close the bitmaps of what `take` returned. */
   close({ pictures }) {
     for (const bitmap of pictures.flat()) {
       if (!bitmap) continue;
@@ -69,9 +66,7 @@ export class Pictures {
     this.#newest = reply.id;
     this.#busy.started = performance.now();
     const { video, size: side } = reply.info;
-    const message = { buffer, eyes: reply.eyes, video, side, skip: this.#waiting.length > 0 };
-    if (this.#worker) this.#worker.postMessage(message, [buffer]);
-    else this.#decoder.decode(message).then((answer) => this.#done(answer));
+    this.#worker.postMessage({ buffer, eyes: reply.eyes, video, side, skip: this.#waiting.length > 0 }, [buffer]);
   }
 
   #done({ pictures, lost, error }) {

@@ -1,12 +1,12 @@
-// The binary reply of docs/protocol.md, section 4, read without copying: where its pictures lie, and its JSON.
+// Parses the binary reply of docs/protocol.md, section 4, without copying its pictures. Twin: glsplat/net/reply.py.
 
 const MAGIC = 0x5256; // "VR", little endian
-const JPEG = 0xd8ff; // how one begins: FF D8
+const JPEG = 0xd8ff; // first bytes: FF D8
 const MOST = 65535; // points of a grid
 
 /**
- * {id, eyes: [{eye, colour: [offset, length], alpha: [offset, length] | null}], info, depth}: depth is null, or a grid
- * {columns, rows, inverse} an eye. Throws if it is cut short.
+ * Return {id, eyes: [{eye, colour: [offset, length], alpha: [offset, length] | null}], info, depth}: depth is null, or
+ * a grid {columns, rows, inverse} an eye. Throws if it ends early.
  */
 export function parseReply(buffer) {
   const view = new DataView(buffer);
@@ -24,7 +24,7 @@ export function parseReply(buffer) {
   for (let n = view.getUint8(8); n > 0; n--) {
     const eye = view.getUint8(offset++);
     const colour = part();
-    // neither a second picture's length nor a JSON object has these two bytes there
+    // these two bytes begin neither another picture's length nor a JSON object
     const follows = offset + 6 <= buffer.byteLength && view.getUint16(offset + 4, true) === JPEG;
     eyes.push({ eye, colour, alpha: follows ? part() : null });
   }
@@ -33,7 +33,7 @@ export function parseReply(buffer) {
   return { id, eyes, info, depth: info.depth ? grids(info.depth, new Uint8Array(buffer, offset)) : null };
 }
 
-/** The grids that lie behind the JSON, copied. */
+/** Return copies of the grids behind the JSON. */
 function grids({ grid: [columns, rows], inverse }, data) {
   const count = columns * rows;
   const whole = Number.isInteger(columns) && Number.isInteger(rows) && columns > 1 && rows > 1 && count <= MOST;

@@ -1,9 +1,9 @@
-// Two seconds of standing still: the user's eye height, stature, arm span and floor. The rules are those of
-// glsplat/tracking/calibration.py; what fits the avatar to them is the server's business.
+// Measures the user's eye height, stature, arm span and floor in two seconds of standing still. The server fits the
+// avatar to them. Twin: glsplat/tracking/calibration.py.
 
 import { browserStorage, keep, readKept } from '../storage.js';
 
-export const DURATION = 2000; // milliseconds of standing still
+const DURATION = 2000; // milliseconds of standing still
 const KEY = 'glsplat.calibration';
 const EYES_OF_STATURE = 0.936; // eye height / stature (Drillis & Contini 1966)
 const LEAST_SAMPLES = 10;
@@ -31,7 +31,7 @@ export class Calibration {
     return this.#start !== null;
   }
 
-  /** Begin; `height`: the user's stature in metres if it is known, which then tells where the floor is. */
+  /** Begin; `height`: the user's stature in metres if known, which places the floor. */
   begin(nowMs, { height = null } = {}) {
     this.#start = nowMs;
     this.#height = within(height, RANGES.height) ? height : null;
@@ -95,7 +95,7 @@ export class Calibration {
     return { result: { height: this.#height ?? eyes / EYES_OF_STATURE, eyes, span: this.#span(eyes), floor } };
   }
 
-  /** The arm span where the arms were stretched sideways, else null. */
+  /** Return the arm span if the arms were stretched sideways, else null. */
   #span(eyes) {
     if (!this.#spans.length) return null;
     const sorted = this.#spans.toSorted((a, b) => a - b);
@@ -108,7 +108,7 @@ function usable(pose) {
   return Array.isArray(pose) && pose.length === 7 && pose.every((v) => Math.abs(v) < FARTHEST);
 }
 
-/** Where a wrist is, [x, y, z]: tracked, or behind the grip of a controller along its y; null: not tracked. */
+/** Return a wrist [x, y, z]: tracked, or behind a controller's grip along its y; null if neither is tracked. */
 function wrist(sample, side) {
   if (usable(sample?.[side])) return sample[side].slice(0, 3);
   const grip = sample?.[`${side}_grip`];

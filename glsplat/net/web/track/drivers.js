@@ -5,7 +5,7 @@
 import { BODY_JOINTS } from './xr-sample.js';
 
 /** The most that a recording may hold here, bytes. */
-export const MAX_BYTES = 64 * 2 ** 20;
+const MAX_BYTES = 64 * 2 ** 20;
 const MAX_LINE = 2 ** 20; // characters
 const USUAL_STEP = 1 / 72; // seconds a sample lasts where a recording has only one
 
@@ -30,7 +30,7 @@ export class Rest {
   }
 }
 
-/** A motion as /motions/NAME gives it ({fps, frames: [pose, ...]}), in a loop: the last frame leads to the first. */
+/** A motion of /motions/NAME ({fps, frames: [pose, ...]}) in a loop. Twin: glsplat/motion/motion.py. */
 export class Motion {
   #fps;
   #keys;

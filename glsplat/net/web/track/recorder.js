@@ -1,7 +1,7 @@
 // Records tracking as JSON Lines, which `glsplat replay`, `glsplat tracking` and the page itself play.
 
 /** Bytes of one recording that the page keeps. With both hands about an hour at 120 Hz. */
-export const MAX_BYTES = 2 ** 30;
+const MAX_BYTES = 2 ** 30;
 
 const PART = 1 << 20; // characters kept as text before they become a Blob, which the browser may put on disk
 const POSES = ['head', 'left', 'right'];

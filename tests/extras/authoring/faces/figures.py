@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.faces.given import MovingFace, moving_face
-from glsplat.extras.authoring.fit.body import BETAS, open_body
+from glsplat.extras.authoring.body.open_body import BETAS, open_body
+from glsplat.extras.authoring.faces.moving_face import MovingFace, moving_face
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.body.open_face import with_expressions
 from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
 from glsplat.extras.authoring.faces.eyeballs import IRISES, eye_texture, eyeballs, with_eyeballs
-from glsplat.extras.authoring.faces.open_face import with_expressions
 from glsplat.extras.authoring.faces.openings import lid_edges, openings
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose

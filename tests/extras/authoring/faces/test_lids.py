@@ -11,11 +11,11 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.faces.blinks import BACK
 from glsplat.extras.authoring.faces.eyeballs import Eyeball, eyeballs
+from glsplat.extras.authoring.faces.lashes_and_hair import FRINGES, with_lashes
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.lids import with_lids
 from glsplat.extras.authoring.faces.openings import Opening, lid_edges
-from glsplat.extras.authoring.faces.shapes import with_shapes
-from glsplat.extras.authoring.faces.trimmings import FRINGES, with_lashes
+from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 from tests.extras.authoring.faces.figures import avatar_on, face

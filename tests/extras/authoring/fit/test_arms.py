@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit.face import face_turn
 from glsplat.extras.authoring.fit.landmarks import landmarks
 from glsplat.extras.authoring.fit.prior import HINGES, MEAN, POSED, SPREAD, PosePrior

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.fit.body import BETAS, Points, open_body
+from glsplat.extras.authoring.body.open_body import BETAS, Points, open_body
+from glsplat.extras.authoring.fit.body_fit import BodyFit, assembled
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import eyeball
 from glsplat.extras.authoring.fit.face import face_places, fit_face
-from glsplat.extras.authoring.fit.fit import BodyFit, assembled
 from glsplat.extras.authoring.fit.hands import CARRIERS, fit_hand, hand_places, hand_size
 from glsplat.extras.authoring.fit.kinematics import PosedBody, fully_posed, projected
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit import eyes
-from glsplat.extras.authoring.fit.body import open_body
 from glsplat.extras.authoring.fit.eyes import EyeLook, eyeball, iris_angle, look_of_eye, read_eyes
 from glsplat.extras.authoring.networks.face import Eye, Face
 from glsplat.extras.authoring.networks.network import Crop

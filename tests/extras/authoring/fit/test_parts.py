@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.fit.body import BETAS, open_body
+from glsplat.extras.authoring.body.open_body import BETAS, open_body
+from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, Hinges, PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
-from glsplat.extras.authoring.fit.levenberg import least_squares
 from glsplat.extras.authoring.fit.offsets import MOST, smooth_offsets
 from glsplat.extras.authoring.fit.outline import brimless, edge_distances, lengths_inside, overlap, projected_mask
 from glsplat.extras.authoring.fit.view import SIDES, View, facing

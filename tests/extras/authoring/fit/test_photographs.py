@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.check.photos import check_photos
+from glsplat.extras.authoring.fit.body_fit import FittedView, fit_body
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.face import face_turn
-from glsplat.extras.authoring.fit.fit import FittedView, fit_body
 from glsplat.extras.authoring.fit.hands import hand_size
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import find_person
-from glsplat.extras.authoring.photo.mask import person_mask
 from glsplat.extras.authoring.reconstruct.builtin import PHONE
-from glsplat.extras.authoring.reconstruct.photos import check_photos
+from glsplat.extras.authoring.segment.mask import person_mask
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.authoring.captures import Capture, capture, needs_networks

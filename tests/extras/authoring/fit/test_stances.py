@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.fit.body import BETAS, open_body
-from glsplat.extras.authoring.fit.fit import BodyFit, dressed, fit_body
+from glsplat.extras.authoring.body.open_body import BETAS, open_body
+from glsplat.extras.authoring.fit.body_fit import BodyFit, dressed, fit_body
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
 from glsplat.extras.authoring.fit.offsets import outward
 from glsplat.extras.authoring.fit.outline import projected_mask

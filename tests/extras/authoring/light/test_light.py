@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.light.capture import CapturedLight, with_captured_light
-from glsplat.extras.authoring.light.carried import surface_carried
-from glsplat.extras.authoring.light.cloth import cloth_normals
-from glsplat.extras.authoring.light.occlusion import ambient_occlusion
+from glsplat.extras.authoring.geometry.attribute_transfer import surface_carried
+from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
+from glsplat.extras.authoring.light.captured_light import CapturedLight, with_captured_light
+from glsplat.extras.authoring.light.cloth_normals import cloth_normals
 from glsplat.extras.authoring.light.surfaces import nearest_open, with_surface
-from glsplat.extras.authoring.paint.light import Light as Lamp
-from glsplat.extras.authoring.paint.light import find_light
+from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
-from tests.extras.authoring.test_surface import ball, rigged
+from tests.extras.authoring.sample.test_surface import ball, rigged
 from tests.light.lit import random_surface
 from tests.scenes import cloud
 

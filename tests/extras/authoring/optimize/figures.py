@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.extras.authoring.posed import posed_splats
-from glsplat.extras.authoring.raster import mesh_picture
-from glsplat.extras.authoring.surface import SamplerConfig, make_avatar
+from glsplat.extras.authoring.geometry.posed import posed_splats
+from glsplat.extras.authoring.geometry.raster import mesh_picture
+from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
-from tests.extras.authoring.test_surface import ball, rigged
+from tests.extras.authoring.sample.test_surface import ball, rigged
 
 __all__ = ["HELD_OUT", "camera_at", "decibel", "kept", "mesh", "start"]
 

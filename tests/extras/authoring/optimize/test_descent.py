@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.extras.authoring.optimize import descent
 from glsplat.extras.authoring.optimize.kernels import GRADIENTS
-from glsplat.extras.authoring.refine import Adam
+from glsplat.extras.authoring.optimize.refine import Adam
 
 COUNT = 30
 FREE = (1e9, -1e9, 1e9, 1e9, -1e9, 1e9)

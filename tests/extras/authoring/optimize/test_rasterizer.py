@@ -13,9 +13,9 @@ import pytest
 from glsplat import reference
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
-from glsplat.extras.authoring.footprints import Footprints, footprints
+from glsplat.extras.authoring.geometry.footprints import Footprints, footprints
+from glsplat.extras.authoring.geometry.posed import PosedSplats, placed
 from glsplat.extras.authoring.optimize.rasterizer import Gradients, Rasterizer
-from glsplat.extras.authoring.posed import PosedSplats, placed
 from glsplat.splats import Splats
 from tests.extras.authoring.optimize.figures import decibel
 from tests.scenes import camera, cloud, one_splat

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 
 from glsplat.camera import Camera
-from glsplat.extras.authoring.fit.body import Body, open_body
-from glsplat.extras.authoring.fit.fit import BodyFit, FittedView
+from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.dress.fitted_mesh import dressed_mesh
+from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import projected
 from glsplat.extras.authoring.fit.prior import HINGES
-from glsplat.extras.authoring.paint.dress import dressed_mesh
-from glsplat.extras.authoring.paint.light import Light
-from glsplat.extras.authoring.paint.shot import FittedPicture
-from glsplat.extras.authoring.raster import visible_faces
+from glsplat.extras.authoring.geometry.raster import visible_faces
+from glsplat.extras.authoring.paint.lamp import Lamp
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.pictures import to_srgb
 from tests.extras.authoring.made_up import FOCAL, posed_view
@@ -32,7 +32,7 @@ class Scene:
     body: Body
     fit: BodyFit
     mesh: RiggedMesh
-    light: Light  # axes of the first picture's camera
+    light: Lamp  # axes of the first picture's camera
     shots: list[FittedPicture]
 
 
@@ -58,7 +58,7 @@ def photographed(*sides: str, lamp: tuple[float, float, float] = (0.5, -0.6, -0.
     rest, joints = body.shaped(solver.betas)
     fit = BodyFit(solver.betas, 1.7, np.zeros(len(rest)), rest, joints, tuple(fitted), "")
     mesh = dressed_mesh(body, fit)
-    light = Light(np.array(lamp) / np.linalg.norm(lamp), fitted[0].root[:, 1], strength)
+    light = Lamp(np.array(lamp) / np.linalg.norm(lamp), fitted[0].root[:, 1], strength)
     shots = []
     for view, seen in zip(views, fitted, strict=True):
         height, width = (side * _TIMES for side in view.mask.shape)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import tracemalloc
 import zlib
 
 import numpy as np
@@ -159,6 +160,30 @@ def test_bombs_are_refused_before_decoding(monkeypatch) -> None:
     monkeypatch.setattr(photo_file, "MOST_BYTES", 10)
     with pytest.raises(FormatError, match="at most"):
         photo_of(bytes(11))
+
+
+def test_hostile_metadata_neither_costs_memory_nor_warns() -> None:
+    """EXIF entries that share the same bytes, an EXIF folder that is its own child, and compressed text that grows."""
+    whole = packed(Image.fromarray(scene()), "PNG")
+
+    def with_part(name: bytes, body: bytes) -> bytes:
+        part = struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(body, zlib.crc32(name)))
+        return whole[:33] + part + whole[33:]
+
+    shared = b"".join(struct.pack("<HHII", tag, 7, 900_000, 8) for tag in range(60_000))
+    cycle = struct.pack("<HHII", 0x8769, 4, 1, 8)
+    for entries, count in ((shared, 60_000), (cycle, 1)):
+        data = with_part(b"eXIf", b"II*\0" + struct.pack("<IH", 8, count) + entries + bytes(4))
+        tracemalloc.start()
+        photo = photo_of(data)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert photo.focal is None and np.array_equal(photo.picture, scene()) and peak < 100e6
+    with pytest.raises(FormatError, match="PNG file cannot be read"):
+        photo_of(with_part(b"zTXt", b"a\0\0" + zlib.compress(bytes(50_000_000))))
+    wide = b"VP8X" + struct.pack("<I", 10) + bytes(4) + b"\xff\x3f\0" * 2
+    with pytest.raises(FormatError, match="WebP file claims too many pixels"):
+        photo_of(b"RIFF" + struct.pack("<I", 4 + len(wide)) + b"WEBP" + wide)
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WebP"])

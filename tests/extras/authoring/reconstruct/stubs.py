@@ -10,14 +10,14 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
-from glsplat.extras.authoring.fit.body import open_body
-from glsplat.extras.authoring.fit.fit import fit_body
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.check import photos
+from glsplat.extras.authoring.check.capture import Capture, Finding
+from glsplat.extras.authoring.dress.fitted_mesh import dressed_mesh
+from glsplat.extras.authoring.fit.body_fit import fit_body
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.paint.dress import dressed_mesh
-from glsplat.extras.authoring.photo.capture import Capture, Finding
-from glsplat.extras.authoring.reconstruct import photos
+from glsplat.extras.authoring.paint.bake import baked
 from glsplat.extras.authoring.reconstruct.builtin import FittedBody, MadeAvatar
-from glsplat.extras.authoring.texture import baked
 from tests.extras.authoring.paint.scene import photographed
 
 __all__ = ["Detailed", "Meshed", "Plain", "fitting", "misfitting", "replace_check", "small_avatar"]

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from glsplat.errors import CaptureError, FormatError, GlsplatError
-from glsplat.extras.authoring.photo.capture import Finding
+from glsplat.extras.authoring.check.capture import Finding
+from glsplat.extras.authoring.check.photos import check_photos
 from glsplat.extras.authoring.reconstruct import from_photos, plugins, registry
-from glsplat.extras.authoring.reconstruct.photos import check_photos, reconstruct
+from glsplat.extras.authoring.reconstruct.photos import reconstruct
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.formats import load, save
 from tests.extras.authoring.reconstruct.stubs import Detailed, Plain, replace_check

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.photo.capture import check_capture
+from glsplat.extras.authoring.check.capture import check_capture
 from glsplat.extras.authoring.photo.photo_file import photo_of
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.fit.fit import BodyFit
-from glsplat.extras.authoring.optimize.pictures import ViewConfig
+from glsplat.extras.authoring.fit.body_fit import BodyFit
+from glsplat.extras.authoring.optimize.target_pictures import ViewConfig
 from glsplat.extras.authoring.reconstruct import video
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.authoring.reconstruct.video import from_pictures, from_video, reconstruct_frames
@@ -17,7 +17,7 @@ from glsplat.extras.evaluate.turntable import turntable
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from tests.extras.authoring.captures import capture, needs_networks
-from tests.extras.authoring.reconstruct.test_sharp import FEW
+from tests.extras.authoring.optimize.test_photo_fit import FEW
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.fit import prior
-from glsplat.extras.authoring.fit.body import BETAS, open_body
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT, landmarks
 from glsplat.extras.authoring.fit.solver import BodySolver, KnownShape
 from glsplat.extras.authoring.fit.view import View

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import CaptureError, FormatError
+from glsplat.extras.authoring.check.capture import Capture, Finding
 from glsplat.extras.authoring.fit.view import apart
 from glsplat.extras.authoring.networks.person import LANDMARKS
-from glsplat.extras.authoring.photo.capture import Capture, Finding
 from glsplat.extras.authoring.video import frames as module
 from glsplat.extras.authoring.video.frames import check_frames, frames_of
 from glsplat.extras.authoring.video.turns import facings

@@ -147,7 +147,7 @@ async def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
             assert counts == [2, 1, 1]
             await cat.poses(tracking=head(0.3))
             person = server.clients[2].member.person  # type: ignore[union-attr]
-            person._heard -= 2.25
+            person._last_seen -= 2.25
             await asyncio.sleep(0.04)  # a room looks now and then who is silent
             bodies = {body.you: body for body in (await ann.poses(tracking=head())).bodies}
             assert 0.3 < bodies[False].opacity < 0.6
@@ -158,7 +158,7 @@ async def test_who_leaves_is_gone_and_who_is_silent_fades(serve: Serve) -> None:
         room = server.feature(Rooms)._rooms["lab"]
         await ann.close()
         await until(lambda: not server.clients)
-        assert not room._guests and not room._news
+        assert not room._guests and not room._changes
 
 
 async def test_a_busy_renderer_holds_no_pose_back(serve: Serve) -> None:

@@ -13,5 +13,5 @@ def every_link_is_long(monkeypatch: pytest.MonkeyPatch) -> None:
     from glsplat.extras.far_links.datagrams import path, way  # here: aioquic may not be installed
 
     monkeypatch.setattr(way, "LONG", 0.0)
-    monkeypatch.setattr(path, "_SILENT", HANG)
-    monkeypatch.setattr(path, "_HANDSHAKE", HANG)
+    monkeypatch.setattr(path, "_SILENT_S", HANG)
+    monkeypatch.setattr(path, "_HANDSHAKE_S", HANG)

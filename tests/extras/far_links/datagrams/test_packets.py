@@ -1,24 +1,16 @@
-"""Pictures in datagrams: the erasure code, losses, made-up packets, and the page's twin in Node."""
+"""Pictures in datagrams: the erasure code, losses, made-up packets."""
 
 from __future__ import annotations
 
-import base64
-import json
-import shutil
-import subprocess
-from pathlib import Path
 from random import Random
 
 import numpy as np
 import pytest
 
-import glsplat
 from glsplat.extras.far_links.datagrams.erasure import parity_of, restored
 from glsplat.extras.far_links.datagrams.packets import HEAD, LARGEST, PIECE, REQUEST, Assembler, groups_of, packets_of
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
-from tests.needs import program, require
 
-STREAM = Path(glsplat.__file__).parent / "net" / "web" / "stream"
 SIZES = (1, PIECE - 1, PIECE, PIECE + 1, 63_000, 160 * PIECE, 160 * PIECE + 1, 500_000)
 
 
@@ -108,40 +100,6 @@ def test_nearly_all_pictures_are_whole(loss: float, pieces: int) -> None:
     assert (lost > parity).mean() < 0.005 or parity == most
     assert 0 <= parity <= most and (parity < most or loss >= 0.03)
     assert parity_for(pieces, loss / 4) <= parity
-
-
-@pytest.mark.check
-def test_the_page_puts_together_what_python_sent_and_the_other_way_round(tmp_path: Path) -> None:
-    require("node")
-    shutil.copytree(STREAM, tmp_path / "stream")
-    (tmp_path / "package.json").write_text('{"type": "module"}')
-    chance, cases = Random(8), []
-    for number, (nbytes, parity) in enumerate([(1, 1), (PIECE, 2), (63_000, 5), (160 * PIECE + 1, 3), (400_000, 9)]):
-        message = chance.randbytes(nbytes)
-        left = lossy(packets_of(number, message, parity), nbytes, parity, chance)
-        cases.append((message, [base64.b64encode(one).decode() for one in left]))
-    text = "ä" * 3000
-    script = """
-import { Assembler, piecesOf } from './stream/pieces.js';
-import { readFileSync } from 'node:fs';
-const whole = new Assembler();
-const out = [];
-for (const datagrams of JSON.parse(readFileSync(0, 'utf8'))) {
-  const found = datagrams.map((one) => whole.add(new Uint8Array(Buffer.from(one, 'base64')))).filter(Boolean);
-  out.push(found.map((bytes) => Buffer.from(bytes).toString('base64')));
-}
-const asked = piecesOf(5, 'ä'.repeat(3000)).map((one) => Buffer.from(one).toString('base64'));
-console.log(JSON.stringify([out, asked]));
-"""
-    (tmp_path / "run.js").write_text(script)
-    given = json.dumps([datagrams for _, datagrams in cases])
-    node = [program("node"), str(tmp_path / "run.js")]
-    done = subprocess.run(node, input=given, stdout=subprocess.PIPE, check=True, text=True)
-    out, asked = json.loads(done.stdout)
-    assert [[base64.b64decode(one) for one in found] for found in out] == [[message] for message, _ in cases]
-    whole = Assembler(REQUEST, 65_536)
-    found = [whole.add(base64.b64decode(one)) for one in asked]
-    assert [one for one in found if one] == [(5, text.encode())]
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ async def test_pictures_fall_back_to_the_websocket(serve: Any, monkeypatch: pyte
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         path = await viewer.open()
         await viewer.more(5, by_datagrams=True)
-        monkeypatch.setattr(paths, "_SILENT", 0.3)
+        monkeypatch.setattr(paths, "_SILENT_S", 0.3)
         if how == "closed":
             path.close()
         else:
@@ -129,7 +129,7 @@ async def test_a_way_that_lets_no_picture_through_is_left(
         await viewer.more(3, by_datagrams=True)
         path.keep = lambda datagram: datagram[0] != PICTURE
         narrow.append(True)
-        monkeypatch.setattr(paths, "_SILENT", 0.5)
+        monkeypatch.setattr(paths, "_SILENT_S", 0.5)
         await until(lambda: ways(server)["open"] == 0)
         await viewer.more(10)
         assert [by for _, by in viewer.frames[-10:]] == [False] * 10
@@ -143,7 +143,7 @@ async def test_a_browser_that_throws_away_what_quic_says_it_has_is_left(
         path = await viewer.open()
         await viewer.more(3, by_datagrams=True)
         path.keep = lambda datagram: datagram[0] != PICTURE
-        monkeypatch.setattr(paths, "_UNANSWERED", 0.3)
+        monkeypatch.setattr(paths, "_UNANSWERED_S", 0.3)
         await until(lambda: ways(server)["open"] == 0)
         await viewer.more(10)
         assert server.stats()["clients"][0]["unacknowledged"] < 8
@@ -151,7 +151,7 @@ async def test_a_browser_that_throws_away_what_quic_says_it_has_is_left(
 
 async def test_an_answer_that_is_lost_before_a_pause_ends_nothing(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for a picture that only QUIC acknowledges."""
-    monkeypatch.setattr(paths, "_UNANSWERED", 0.2)
+    monkeypatch.setattr(paths, "_UNANSWERED_S", 0.2)
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         path = await viewer.open()
         await viewer.more(3, by_datagrams=True)

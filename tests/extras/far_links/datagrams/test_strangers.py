@@ -54,7 +54,7 @@ async def test_a_wrong_secret_is_refused(serve: Any, path: str) -> None:
 
 
 async def test_half_open_connections_are_few_and_end(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paths, "_HANDSHAKE", 0.5)
+    monkeypatch.setattr(paths, "_HANDSHAKE_S", 0.5)
     async with serve(config=CONFIG) as server, viewing(server) as viewer:
         await until(lambda: viewer.offers)
         listener = server.feature(Datagrams).listener
@@ -110,7 +110,7 @@ async def test_packets_that_take_long_count_as_many(serve: Any, monkeypatch: pyt
         await good.open()
         path = await bad.open()
         await bad.more(3, by_datagrams=True)
-        monkeypatch.setattr(paths, "_USUAL", 1e-8)
+        monkeypatch.setattr(paths, "_PACKET_S", 1e-8)
         await asyncio.wait_for(path.ended, HANG)
         monkeypatch.undo()
         await bad.more(5)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.rotations import matrix_quaternions, rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 from tests.formats.scenes import glb_arrays, glb_of

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 from tests.extras.rigs.gltf.built import FINGERS, PLAIN, TITLE, biped_fingers, fingers, sided
 

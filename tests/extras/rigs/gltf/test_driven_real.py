@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.fit.body import open_body
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.formats.motion_files import load_motion
 from glsplat.meshes import RiggedMesh

@@ -14,7 +14,7 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.lam import load_lam_zip
+from glsplat.extras.authoring.importers.lam import load_lam_zip
 from glsplat.extras.rigs.meshes import reader
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
@@ -26,7 +26,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
-from tests.extras.authoring.test_lam import skin_glb
+from tests.extras.authoring.importers.test_lam import skin_glb
 from tests.extras.rigs.gltf.built import FAMILIES, build
 from tests.extras.rigs.gltf.test_surfaces import CORNERS, UV, seen, square
 from tests.formats.scenes import glb_parts, random_avatar, write_glb

@@ -14,7 +14,7 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.extras.speech.face.feed import FORGOTTEN, HELD, LEFT, FaceFeed
+from glsplat.extras.speech.face.feed import FORGET_S, HOLD_S, WEARER_TIMEOUT_S, FaceFeed
 from glsplat.extras.speech.face.listener import FaceListener
 from glsplat.extras.speech.face.osc import osc_messages
 from glsplat.extras.speech.face.unified import PARAMETERS, gaze_of, parameter_of, weights_of
@@ -53,7 +53,7 @@ def bundle(*elements: bytes) -> bytes:
 def face_of(**values: float) -> dict[str, float]:
     feed = FaceFeed()
     for name, value in values.items():
-        feed.heard(message(FT + name, value), 1.0)
+        feed.receive(message(FT + name, value), 1.0)
     return dict(feed.face(1.0)[0])
 
 
@@ -130,29 +130,29 @@ def test_gaze() -> None:
 
 def test_a_face_that_is_no_longer_tracked_relaxes_smoothly_and_is_gone() -> None:
     feed = FaceFeed()
-    feed.heard(message(FT + "JawOpen", 1.0), 10.0)
-    seen = [feed.face(10 + k / 90)[0].get("jawOpen", 0.0) for k in range(int(90 * (FORGOTTEN + 0.2)))]
-    assert seen[int(90 * HELD) - 1] == 1
+    feed.receive(message(FT + "JawOpen", 1.0), 10.0)
+    seen = [feed.face(10 + k / 90)[0].get("jawOpen", 0.0) for k in range(int(90 * (FORGET_S + 0.2)))]
+    assert seen[int(90 * HOLD_S) - 1] == 1
     steps = [a - b for a, b in pairwise(seen)]
     assert min(steps) >= 0 and max(steps) < 0.05 and seen[-1] == 0
-    assert max(seen[int(90 * (HELD + 1.2)) :]) < 0.01
+    assert max(seen[int(90 * (HOLD_S + 1.2)) :]) < 0.01
 
 
 def test_a_sample_has_the_face_unless_it_says_its_own() -> None:
     feed, me, other = FaceFeed(), object(), object()
-    feed.heard(bundle(message(FT + "JawOpen", 0.5), message(FT + "EyeLeftX", 0.25)), 0.0)
+    feed.receive(bundle(message(FT + "JawOpen", 0.5), message(FT + "EyeLeftX", 0.25)), 0.0)
     sample = Sample(0.0, head=(0, 1.6, 0, 0, 0, 0, 1), expression={"jawOpen": 0.1, "cheekPuff": 0.2})
     mine = feed.worn(me, sample, 0.1)
     assert mine.expression == {"jawOpen": 0.1, "cheekPuff": 0.2} and mine.left_eye == (0.25, 0.0, -1.0)
     assert feed.worn(other, sample, 0.2) is sample, "one user at a time"
-    feed.heard(message(FT + "JawOpen", 0.5), 1.0 + LEFT)
-    assert feed.worn(other, Sample(0.0, head=sample.head), 0.2 + LEFT).expression == {"jawOpen": 0.5}
-    assert feed.worn(me, sample, 0.3 + LEFT) is sample
+    feed.receive(message(FT + "JawOpen", 0.5), 1.0 + WEARER_TIMEOUT_S)
+    assert feed.worn(other, Sample(0.0, head=sample.head), 0.2 + WEARER_TIMEOUT_S).expression == {"jawOpen": 0.5}
+    assert feed.worn(me, sample, 0.3 + WEARER_TIMEOUT_S) is sample
 
 
 def test_the_solver_of_a_server_wears_it() -> None:
     feed = FaceFeed()
-    feed.heard(message(FT + "JawOpen", 0.75), 0.0)
+    feed.receive(message(FT + "JawOpen", 0.75), 0.0)
     solver = TrackingSolver(default_avatar().skeleton, Calibration(), face=feed)
     request = Decoder().decode('{"v": 1, "frame_id": 1, "tracking": {"head": [0, 1.6, 0, 0, 0, 0, 1]}, "want": "pose"}')
     assert isinstance(request, Request)
@@ -205,12 +205,12 @@ def test_hostile_packets_do_no_harm(listener: FaceListener) -> None:
                 packet[chance.randrange(len(packet))] = chance.randrange(256)
         if chance.random() < 0.3:
             packet = packet[: chance.randrange(len(packet) + 1)]
-        feed.heard(bytes(packet), 0.0)
+        feed.receive(bytes(packet), 0.0)
         weights, values = feed.face(0.0)
         assert set(values) <= PARAMETERS and all(0 <= weight <= 1 for weight in weights.values())
     assert feed.malformed > 600
     for value in (float("inf"), float("-inf"), float("nan"), 3e38):
-        feed.heard(message(FT + "TongueOut", value), 0.0)
+        feed.receive(message(FT + "TongueOut", value), 0.0)
     assert "TongueOut" not in feed.face(0.0)[1] or feed.face(0.0)[1]["TongueOut"] == 0.5
     sent(listener, *(chance.randbytes(900) for _ in range(300)), b"", bytes(60000))
     until(lambda: hears(listener))

@@ -15,7 +15,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.study.serving.light import dim
-from glsplat.extras.study.serving.live import GONE, resumed_at
+from glsplat.extras.study.serving.live import PAGE_TIMEOUT_S, resumed_at
 from glsplat.extras.study.session import Event
 from glsplat.extras.study.store import SESSION, TRACKING, Log, Store
 from glsplat.net.reply import parse_reply
@@ -68,7 +68,7 @@ def test_time_passes_while_the_page_is_there(tmp_path: Path) -> None:
         assert client.live.session.state.phase == "countdown"
         clock.now += 3.1
         await until(lambda: client.live.session.state.phase == "running")
-        clock.now += GONE + 1  # silence
+        clock.now += PAGE_TIMEOUT_S + 1  # silence
         await until(lambda: client.live.session.state.phase == "instruction")
         assert client.live.session.state.attempt == 2
         clock.now += 10_000
@@ -124,7 +124,7 @@ def test_a_condition_is_applied_to_the_client(tmp_path: Path) -> None:
                     while (await client.state())["kind"] == "task":
                         if client.live.session.state.phase == "instruction":
                             await client.do("ready", step=client.live.session.step.alias)
-                        clock.now += 3  # of the page's silence fewer than GONE
+                        clock.now += 3  # of the page's silence fewer than PAGE_TIMEOUT_S
                         await asyncio.sleep(0.15)
                 await client.answer_all()
                 ended = await ws.receive(20)

@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import glsplat
 from glsplat.extras.study.serving import quota
 from tests.extras.study.serving.client import TOKEN, Client, run
+from tests.in_node import write_modules
 from tests.needs import program, require
 
 pytestmark = pytest.mark.check
 
-STUDY = Path(glsplat.__file__).parent / "net" / "web" / "study"
 SCRIPT = Path(__file__).with_name("questions_page.mjs")
 
 
 async def answering(client: Client, folder: Path, values: list[int]) -> dict[str, Any]:
     """What the page says once it has given these answers to one item, one after the other."""
     require("node")
-    shutil.copytree(STUDY, folder / "page", dirs_exist_ok=True)
-    (folder / "page" / "package.json").write_text('{"type": "module"}')  # Node before 22 asks for it
+    write_modules(folder / "page")
     origin, secret = f"http://127.0.0.1:{client.server.port}", client.lead.secrets["participant"]
-    words = [(folder / "page").as_uri(), origin, secret, TOKEN, json.dumps(values)]
+    words = [(folder / "page" / "study").as_uri(), origin, secret, TOKEN, json.dumps(values)]
     process = await asyncio.create_subprocess_exec(program("node"), str(SCRIPT), *words, stdout=asyncio.subprocess.PIPE)
     out, _ = await process.communicate()
     assert process.returncode == 0

@@ -95,7 +95,7 @@ def test_a_full_log_takes_what_leads_on(tmp_path: Path, monkeypatch: pytest.Monk
                 await client.do("ready", step=state["step"])
             else:
                 clock.now += 4.5
-                client.live.seen()
+                client.live.touch()
                 await until(lambda: client.live.session.left(client.live.t) != 0)
         assert state["ended"] == "done"
 

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.extras.authoring.fit.body import Body
+from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.outline import projected_mask
-from glsplat.extras.authoring.raster import visible_faces
+from glsplat.extras.authoring.geometry.raster import visible_faces
+from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
@@ -130,8 +131,7 @@ def _trunk_depth(body: Body, where: F64, pixels: F64, focal: float, shape: tuple
 @lru_cache(maxsize=1)
 def _areas(body: Body) -> F64:
     """[V] square metres of the surface around each vertex."""
-    corner = body.vertices[body.faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6
+    area = triangle_areas(body.vertices, body.faces) / 3
     return np.asarray(np.bincount(body.faces.ravel(), np.repeat(area, 3), len(body.vertices)), np.float64)
 
 

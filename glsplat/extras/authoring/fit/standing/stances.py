@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.body import BETAS, Body
+from glsplat.extras.authoring.body.open_body import BETAS, Body
+from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
-from glsplat.extras.authoring.fit.levenberg import least_squares
 from glsplat.extras.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior
 from glsplat.extras.authoring.fit.standing.arms import arm_mixture
 from glsplat.extras.authoring.fit.view import View, apart

@@ -1,0 +1,1 @@
+"""The fitted body as a mesh, and skirts."""

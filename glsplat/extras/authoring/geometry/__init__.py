@@ -1,0 +1,1 @@
+"""Geometry of meshes and splats: nearest points, rasterization, visibility, poses, shapes and footprints."""

@@ -1,0 +1,164 @@
+"""What of a mesh cameras can see, in the zero pose and a few others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.extras.authoring.geometry.raster import visible_faces
+from glsplat.meshes import RiggedMesh
+from glsplat.skinning.pose import Pose
+
+__all__ = ["EYES", "GAZE_LIDS", "HEAD", "VisiblePart", "probe_poses", "seen_surface", "sphere", "sphere_around"]
+
+EYES = ("left_eye_smplhf", "right_eye_smplhf")
+"""Joints that turn the eyeballs."""
+HEAD = ("head", "jaw", *EYES)
+"""Joints that move the head's surface."""
+
+_OPENED = (("jawOpen",), ("jawOpen", "tongueOut"), ("eyeBlinkLeft", "eyeBlinkRight"))
+"""Expressions that show what a still face hides: teeth and tongue, and the lids."""
+
+GAZE_LIDS = {  # degrees about x (down) and y (to the person's left) -> the lids that go along
+    (-22, 0): ("eyeLookUpLeft", "eyeLookUpRight"),
+    (25, 0): ("eyeLookDownLeft", "eyeLookDownRight"),
+    (0, 32): ("eyeLookOutLeft", "eyeLookInRight"),
+    (0, -32): ("eyeLookInLeft", "eyeLookOutRight"),
+}
+"""Turns of the eyes that faces are looked at in."""
+_GAZES = tuple(GAZE_LIDS)
+
+_GRAIN = 0.002  # metres; seen points are counted in cubes of this size
+_GLIMPSES = 3  # pixels, over all views, in a cube that counts as well seen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VisiblePart:
+    """The part of a mesh that cameras can see."""
+
+    faces: NDArray[np.bool_]  # [F] seen, or beside a seen one
+    points: NDArray[np.float64]  # [H, 3] seen points in the zero pose, one a cube of 2 mm and mesh part
+    parts: NDArray[np.intp]  # [H] their mesh part
+    hits: NDArray[np.intp]  # [H] pixels, over all views, that showed this cube
+
+    def shows(
+        self, points: NDArray[np.float64], normals: NDArray[np.float64], parts: NDArray[np.intp], reach: float
+    ) -> NDArray[np.bool_]:
+        """[M] True for surface points to draw: a point of the same part was seen within ``reach`` metres.
+
+        Where another part lies closely above (skin under a hem), a few glimpses up a sleeve do not count.
+        """
+        out = np.zeros(len(points), bool)
+        for part in np.unique(parts):
+            mine = np.flatnonzero(parts == part)
+            own = self.parts == part
+            if not own.any():
+                continue
+            seen = _within(self.points[own], points[mine], reach)
+            well = _within(self.points[own & (self.hits >= _GLIMPSES)], points[mine], reach)
+            above = np.zeros(len(mine), bool)
+            others = self.points[self.parts != part]
+            if len(others):
+                distance, index = cKDTree(others).query(points[mine], distance_upper_bound=2 * reach, workers=-1)
+                close = np.flatnonzero(np.isfinite(distance))
+                away = others[index[close]] - points[mine[close]]
+                above[close] = np.einsum("ij,ij->i", away, normals[mine[close]]) > 0.5 * distance[close]
+            out[mine] = np.where(above, well, seen)
+        return out
+
+
+def seen_surface(mesh: RiggedMesh, size: int = 512) -> VisiblePart:
+    """What some view of some pose shows: triangles, and the points behind a sample of the pixels."""
+    seen = np.zeros(len(mesh.faces), bool)
+    keys: list[NDArray[np.int64]] = []
+    counts: list[NDArray[np.intp]] = []
+    corners, part_of = mesh.vertices[mesh.faces], mesh.face_parts
+    low = mesh.vertices.min(axis=0) - 1
+    poses = probe_poses(mesh.skeleton.names)
+    faces = _gazes(mesh)
+    if mesh.morphs is not None:
+        still = np.zeros((len(mesh.skeleton), 3))
+        faces += [Pose(still, expression=dict.fromkeys(names, 1.0)) for names in _OPENED]
+    used = np.unique(mesh.faces)
+    head = used[np.isin(mesh.joints[used, 0], [i for i, name in enumerate(mesh.skeleton.names) if name in HEAD])]
+    for number, pose in enumerate(poses + faces):
+        vertices = mesh.posed(pose)
+        spheres = [(vertices[used], 20)] if number < len(poses) and len(head) < len(used) else []
+        if len(head):
+            spheres.append((vertices[head], 12))
+        for points, views in spheres:
+            centre = (points.max(axis=0) + points.min(axis=0)) / 2
+            radius = float(np.linalg.norm(points - centre, axis=1).max())
+            for direction in sphere(views):
+                viewmat = look_at(centre + direction * 4 * radius, centre)
+                camera = Camera(viewmat, pinhole(size, size, 29.0), size, size, near=1e-3)
+                ids, bary = visible_faces(mesh, vertices, camera)
+                hit = ids >= 0
+                seen[ids[hit]] = True
+                at = np.einsum("nk,nkc->nc", bary[hit], corners[ids[hit]])
+                cube = np.clip(np.rint((at - low) / _GRAIN), 0, 2**18 - 1).astype(np.int64)
+                packed = ((part_of[ids[hit]] << 54) | (cube[:, 0] << 36) | (cube[:, 1] << 18)) | cube[:, 2]
+                key, count = np.unique(packed, return_counts=True)
+                keys.append(key)
+                counts.append(count)
+    touched = np.zeros(len(mesh.vertices), bool)
+    touched[mesh.faces[seen]] = True
+    key, first = np.unique(np.concatenate(keys), return_inverse=True)
+    hits = np.bincount(first, np.concatenate(counts), minlength=len(key)).astype(np.intp)
+    cube = np.stack([key >> 36, key >> 18, key], axis=1) & (2**18 - 1)
+    return VisiblePart(seen | touched[mesh.faces].any(axis=1), cube * _GRAIN + low, (key >> 54).astype(np.intp), hits)
+
+
+def _within(theirs: NDArray[np.float64], ours: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
+    if not len(theirs):
+        return np.zeros(len(ours), bool)
+    return np.isfinite(cKDTree(theirs).query(ours, distance_upper_bound=reach, workers=-1)[0])
+
+
+def probe_poses(names: tuple[str, ...]) -> list[Pose]:
+    """The zero pose and, on rigs that have the joints, two that open what it hides (cuffs, armpits, knees, mouth)."""
+    index = {name: i for i, name in enumerate(names)}
+    poses = [Pose.zero(len(names))]
+    if all(name in index for name in ("left_shoulder", "right_shoulder", "left_hip", "left_knee", "left_wrist")):
+        for bend in (0.5, -0.5):
+            rotations = np.zeros((len(names), 3))
+            for side, sign in (("left", 1.0), ("right", -1.0)):
+                rotations[index[f"{side}_shoulder"]] = (0, 0, -sign * 2 * bend)
+                rotations[index[f"{side}_wrist"]] = (0, 0, -sign * bend)
+                rotations[index[f"{side}_hip"]] = (-sign * bend, 0, sign * 0.3)
+                rotations[index[f"{side}_knee"]] = (0.6, 0, 0)
+                rotations[index[f"{side}_ankle"]] = (bend, 0, 0)
+            if "jaw" in index:
+                rotations[index["jaw"]] = (0.3, 0, 0)
+            poses.append(Pose(rotations))
+    return poses
+
+
+def _gazes(mesh: RiggedMesh) -> list[Pose]:
+    """Eyes turned to the sides, up and down, with the lids that go along: whites that a look ahead hides."""
+    names, moved = mesh.skeleton.names, np.unique(mesh.joints[np.unique(mesh.faces), 0])
+    eyes = [names.index(name) for name in EYES if name in names and names.index(name) in moved]
+    out = []
+    for turn in _GAZES if eyes else ():
+        rotations = np.zeros((len(names), 3))
+        rotations[eyes] = np.radians((*turn, 0))
+        out.append(Pose(rotations, expression=dict.fromkeys(GAZE_LIDS[turn], 1.0) if mesh.morphs else None))
+    return out
+
+
+def sphere(count: int) -> NDArray[np.float64]:
+    """[count, 3] directions spread evenly over the sphere (Fibonacci lattice)."""
+    i = np.arange(count) + 0.5
+    y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    r = np.sqrt(1 - y * y)
+    return np.stack([r * np.cos(turn), y, r * np.sin(turn)], axis=1)
+
+
+def sphere_around(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Centre [3] of the box around points [N, 3], and the radius within which all of them lie; 1e-6 at least."""
+    centre = (points.max(axis=0) + points.min(axis=0)) / 2
+    return centre, max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)

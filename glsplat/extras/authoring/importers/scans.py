@@ -1,0 +1,76 @@
+"""People without a rig: a textured OBJ in a T-pose takes joints and weights from a rigged body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.extras.authoring.geometry.mesh_shapes import body_morphs
+from glsplat.extras.authoring.geometry.nearest import nearest_weights
+from glsplat.extras.formats.obj import flat, parse_obj, textures_of
+from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.skinning.skeleton import Skeleton
+
+__all__ = ["read_obj_person"]
+
+_TYPICAL, _WORST = 0.06, 0.2  # metres a scan may lie off the body: the median, and 95 % of its vertices
+
+
+def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
+    """An OBJ of a person in T-pose (y up, facing +z, any unit) with the joints and weights of ``body``.
+
+    The body is scaled to the person's height and put where it stands; each vertex takes the weights of the nearest
+    point of the body. The texture is the first map_Kd of the material file beside the OBJ, or its Kd colour. Raises
+    FormatError: no triangles, or a person that lies too far off the body (another pose).
+    """
+    source = Path(path)
+    try:
+        text = source.read_text(encoding="utf-8", errors="replace")
+        obj = parse_obj(text)
+        vertices, faces, corner = obj.vertices, obj.faces, obj.uv
+    except OSError as error:
+        raise FormatError(f"{path}: cannot read the person ({error.strerror})") from None
+    except (ValueError, IndexError) as error:
+        raise FormatError(f"{path}: not a usable OBJ ({str(error)[:80]})") from None
+    if not len(faces) or not np.isfinite(vertices).all() or not np.ptp(vertices[:, 1]) > 0:
+        raise FormatError(f"{path}: a person needs triangles with finite vertices and some height")
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle = (low + high) / 2
+    fitted = _fitted(body, low, high)
+    scale = np.ptp(fitted.vertices[:, 1]) / (high[1] - low[1])
+    at = (vertices - (middle[0], low[1], middle[2])) * scale
+    joints, weights, distance = nearest_weights(fitted, at)
+    if np.median(distance) > _TYPICAL or np.percentile(distance, 95) > _WORST:
+        raise FormatError(
+            f"{path}: the person lies {np.median(distance) * 100:.0f} cm off the body (median); "
+            "it needs to stand in a T-pose, y up, facing +z"
+        )
+    part = MeshPart(source.stem, faces, corner, _texture(source, obj.library))
+    morphs = body_morphs(fitted, at)
+    return RiggedMesh(at, fitted.skeleton, joints, weights, (part,), {"source": source.name}, morphs)
+
+
+def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64]) -> RiggedMesh:
+    """The body with its feet on y = 0, over the origin; metres if the scan is, else of its own height."""
+    own = body.vertices
+    height = high[1] - low[1]
+    scale = height / np.ptp(own[:, 1]) if 0.5 < height < 2.6 else 1.0  # another unit: keep the body's size
+    centre = (own.max(axis=0) + own.min(axis=0)) / 2
+    origin = np.array([centre[0], own[:, 1].min(), centre[2]])
+    skeleton = Skeleton.from_joints(body.skeleton.names, body.skeleton.parents, (body.skeleton.joints - origin) * scale)
+    morphs = None if body.morphs is None else body.morphs.turned(scale * np.eye(3))
+    return replace(body, vertices=(own - origin) * scale, skeleton=skeleton, morphs=morphs)
+
+
+def _texture(source: Path, library: str | None) -> NDArray[np.uint8]:
+    """The first image of the material file, else its last colour."""
+    colour = flat()
+    for _, texture, mapped in textures_of(source, library):
+        if mapped:
+            return texture
+        colour = texture
+    return colour

@@ -1,0 +1,83 @@
+"""Splats that give back the photographs they were made from, and elsewhere the painted body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera
+from glsplat.extras.authoring.compute.compiled import available
+from glsplat.extras.authoring.optimize.colour_fit import sharpened
+from glsplat.extras.authoring.paint.bake import Colours, baked
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
+from glsplat.meshes import RiggedMesh
+from glsplat.skinning.pose import Pose
+
+if TYPE_CHECKING:
+    from glsplat.extras.authoring.optimize.target_pictures import TargetPicture
+
+__all__ = ["fitted_to_photos"]
+
+_ROUNDS = 8  # of matching colours alone
+_FIGURE = 1536  # pixels of the person's height that are looked at
+_AGAIN = 5  # times that a round of all pictures shows photographs
+_EDGE = 4  # pixels inside the outline, whose colours are mixed with the room's
+
+
+def fitted_to_photos(
+    avatar: Avatar,
+    mesh: RiggedMesh,
+    colours: Colours,
+    shots: Sequence[FittedPicture],
+    seed: int,
+    steps: int,
+    texture: int,
+    progress: Callable[[str, float], None],
+) -> Avatar:
+    """Return the avatar fitted to ``shots`` and, where they show nothing, to ``mesh`` in ``colours``.
+
+    ``texture`` is the number of texels a side in which the mesh is painted for that.
+    All of the splats is fitted where numba is installed, their colours alone where it is not.
+    """
+    if not steps:
+        return avatar
+    if not available():
+        progress("fitting colours", 0.0)
+        return sharpened(avatar, shots, _ROUNDS)
+    from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
+    from glsplat.extras.authoring.optimize.target_pictures import pictures_of
+
+    progress("painting the body", 0.0)
+    truth = baked(mesh, colours, texture)
+    pictures = pictures_of(truth, seed, progress=progress)
+    photographs = [_picture(avatar, shot) for shot in shots]
+    pictures += photographs * max(1, _AGAIN // len(photographs))
+    return fitted(avatar, pictures, seed, FitConfig(steps=steps), progress)
+
+
+def _picture(avatar: Avatar, shot: FittedPicture) -> TargetPicture:
+    """The photograph as a picture that counts inside the person only."""
+    from glsplat.extras.authoring.optimize.target_pictures import TargetPicture
+
+    camera = shot.camera(avatar.skeleton.joints[0], _FIGURE)
+    small, mask = shot.resized(camera)
+    top, left, high, wide = (int(n) for n in _box(mask))
+    part = slice(top, top + high), slice(left, left + wide)
+    K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
+    kernel = np.ones((2 * _EDGE + 1,) * 2, np.uint8)
+    trust = cv2.erode(mask[part].astype(np.float32), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    target = np.full((*trust.shape, 4), 255, np.uint8)
+    target[:, :, :3] = small[part]
+    share = float(shot.view.pelvis[2]) / float(K[0, 0])
+    return TargetPicture(Camera(camera.viewmat, K, wide, high), target, share, Pose(shot.view.rotations), trust)
+
+
+def _box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """First row and column of the person, and how many."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return rows[0], columns[0], rows[-1] - rows[0] + 1, columns[-1] - columns[0] + 1

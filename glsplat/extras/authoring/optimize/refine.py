@@ -1,0 +1,236 @@
+"""Fit an avatar's splats to pictures of the mesh they came from.
+
+Stochastic gradient descent (Adam) on position, scale, opacity and colour; each step draws a pose and a camera at
+random, the whole body at several distances and close-ups of head and hands. It closes holes, sharpens texture and
+takes back the bloat that overlapping discs and the renderer's dilation give to silhouettes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from glsplat.avatar import Avatar
+from glsplat.camera import Camera, look_at, pinhole
+from glsplat.extras.authoring.geometry.attribute_transfer import carried, surface_carried
+from glsplat.extras.authoring.geometry.footprints import footprints
+from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
+from glsplat.meshes import RiggedMesh
+from glsplat.rotations import nearest_rotations
+from glsplat.skinning.pose import Pose
+from glsplat.splats import SH_C0, Splats
+
+__all__ = ["Fit", "RefineConfig", "falling", "random_pose", "refine"]
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RefineConfig:
+    """How far and how fast splats may move."""
+
+    steps: int = 450
+    size: int = 448  # pixels, square
+    mean_rate: float = 0.025  # in cell sizes a step
+    scale_rate: float = 0.025  # natural logarithm a step
+    turn_rate: float = 0.012  # radians a step
+    opacity_rate: float = 0.03  # logit a step
+    color_rate: float = 0.01
+    alpha_weight: float = 1.0  # of the coverage in the loss, against colour
+    layer: float = 0.02  # metres; what lies farther behind the surface must not help to close it
+    max_shift: float = 1.0  # cell sizes from where the splat began
+    max_turn: float = 0.6  # radians
+    max_growth: float = 0.9  # natural logarithm of the scale, either way
+
+
+class Adam:
+    """Adam that leaves alone what a step did not see (rows with no gradient)."""
+
+    def __init__(self, value: F64, rate: float) -> None:
+        self.value, self.rate = value, rate
+        self.first, self.second = np.zeros_like(value), np.zeros_like(value)
+        self.count = np.zeros(len(value))
+
+    def step(self, gradient: F64, seen: NDArray[np.bool_], decay: float) -> None:
+        g = gradient[seen]
+        self.count[seen] += 1
+        shape = (-1,) + (1,) * (g.ndim - 1)
+        n = self.count[seen].reshape(shape)
+        self.first[seen] += 0.1 * (g - self.first[seen])
+        self.second[seen] += 0.01 * (g * g - self.second[seen])
+        mean, power = self.first[seen] / (1 - 0.9**n), self.second[seen] / (1 - 0.99**n)
+        self.value[seen] -= self.rate * decay * mean / (np.sqrt(power) + 1e-20)
+
+
+class Fit:
+    """An avatar's splats while they are moved, turned, scaled and coloured; SH degree 0."""
+
+    def __init__(self, avatar: Avatar, config: RefineConfig) -> None:
+        self._avatar, self._config = avatar, config
+        splats = avatar.splats
+        self._start = splats.means.astype(np.float64)
+        self._log_start = np.log(splats.scales.astype(np.float64))
+        self._cell = np.exp(self._log_start[:, :2].mean(axis=1, keepdims=True))
+        self._rest = Rotation.from_quat(splats.quats[:, [1, 2, 3, 0]].astype(np.float64)).as_matrix()
+        self._shift = Adam(np.zeros_like(self._start), config.mean_rate)
+        self._growth = Adam(np.zeros_like(self._start), config.scale_rate)
+        self._turn = Adam(np.zeros_like(self._start), config.turn_rate)
+        opacity = np.clip(splats.opacities.astype(np.float64), 0.02, 0.985)
+        self._logit = Adam(np.log(opacity / (1 - opacity)), config.opacity_rate)
+        self._color = Adam(np.clip(splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0, 1), config.color_rate)
+        self._joints, self._weights = avatar.skin.joints.astype(np.int64), avatar.skin.weights.astype(np.float64)
+
+    def descend(
+        self,
+        pose: Pose,
+        camera: Camera,
+        loss: Callable[[F64], F64],
+        decay: float,
+        beyond: F64,
+    ) -> None:
+        """One step down the slope [H, W, 4] that ``loss`` gives for the picture (premultiplied RGBA) from there.
+
+        ``decay`` is the share of the full rates; ``beyond`` as of footprints().
+        """
+        bones = np.einsum("nk,nkij->nij", self._weights, pose.bones(self._avatar.skeleton)[self._joints])
+        scales = np.exp(self._log_start + self._growth.value)
+        alpha = 1 / (1 + np.exp(-self._logit.value))
+        at = self._start + self._shift.value * self._cell
+        means = np.einsum("nij,nj->ni", bones[:, :, :3], at) + bones[:, :, 3]
+        turned = Rotation.from_rotvec(self._turn.value).as_matrix()
+        rotations = nearest_rotations(bones[:, :, :3]) @ self._rest @ turned
+        prints = footprints(means, rotations, scales, alpha, camera, beyond)
+        grad = prints.backward(loss(prints.picture(self._color.value)), self._color.value, alpha, scales)
+        seen = grad.weight > 0.05
+        by_shift = np.einsum("nij,ni->nj", bones[:, :, :3], grad.means) * self._cell
+        self._shift.step(by_shift, seen, decay)
+        self._growth.step(grad.log_scales, seen, decay)
+        self._turn.step(grad.turns, seen, decay)
+        self._logit.step(grad.opacities * alpha * (1 - alpha), seen, decay)
+        self._color.step(grad.rgb, seen, decay)
+        self._bound()
+
+    def _bound(self) -> None:
+        config, shift, growth = self._config, self._shift.value, self._growth.value
+        shift *= np.minimum(1, config.max_shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9))
+        np.clip(growth, -config.max_growth, config.max_growth, out=growth)
+        np.clip(self._turn.value, -config.max_turn, config.max_turn, out=self._turn.value)
+        np.clip(self._logit.value, -3.0, 4.6, out=self._logit.value)
+        np.clip(self._color.value, 0, 1, out=self._color.value)
+
+    def avatar(self) -> Avatar:
+        """As it is now."""
+        turned = Rotation.from_matrix(self._rest) * Rotation.from_rotvec(self._turn.value)
+        fitted = Splats.create(
+            self._start + self._shift.value * self._cell,
+            turned.as_quat()[:, [3, 0, 1, 2]],
+            np.exp(self._log_start + self._growth.value),
+            1 / (1 + np.exp(-self._logit.value)),
+            rgb=self._color.value,
+            antialias=self._avatar.splats.antialias,
+        )
+        old, shapes = self._avatar.splats, self._avatar.shapes
+        fitted = replace(fitted, surface=surface_carried(old.surface, old, fitted))
+        if shapes is not None:
+            shapes = carried(shapes, old, fitted)
+        return replace(self._avatar, splats=fitted, shapes=shapes)
+
+
+def refine(
+    avatar: Avatar,
+    mesh: RiggedMesh,
+    seed: int = 0,
+    config: RefineConfig | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Avatar:
+    """The avatar with its splats fitted to ``mesh``; SH degree 0. Deterministic in ``seed``."""
+    config = config or RefineConfig()
+    rng = np.random.default_rng(seed)
+    fit = Fit(avatar, config)
+    for step in range(config.steps):
+        if progress:
+            progress("fitting to pictures", step / config.steps)
+        pose = random_pose(avatar.skeleton.names, rng)
+        vertices = mesh.posed(pose)
+        camera = _random_camera(mesh, vertices, config.size, rng)
+        target, depth = mesh_picture_and_depth(mesh, vertices, camera, 2)
+        # a splat has more pixels in a close-up, and would listen to those only; by surface area, it would hear the
+        # distant views only and shrink to make up for the renderer's dilation there. In between, both look right.
+        shown = depth[np.isfinite(depth)]
+        share = float(np.median(shown)) / camera.K[0, 0] if len(shown) else 0.0
+        weight = np.array([1, 1, 1, config.alpha_weight])
+
+        def slope(picture: F64, target: F64 = target, by: F64 = weight, share: float = share) -> F64:
+            return 2 * (picture - target) * by * share
+
+        fit.descend(pose, camera, slope, falling(step / config.steps), depth + config.layer)
+    return fit.avatar()
+
+
+def falling(done: float) -> float:
+    """Share of the full rates when ``done`` of the steps lie behind: all of it at first, a twentieth at last."""
+    return float(0.05 ** max(0.0, 1.6 * done - 0.6))
+
+
+def random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
+    """Arms anywhere between hanging and raised, one pose in three sits deep, joints bent the way they bend."""
+    index = {name: i for i, name in enumerate(names)}
+    if "left_shoulder" not in index or "right_shoulder" not in index:
+        return Pose.zero(len(names))
+    rotations = rng.normal(0, 0.06, (len(names), 3))
+    rotations[index.get("pelvis", 0)] = 0
+    if "jaw" in index:
+        rotations[index["jaw"]] += (max(0.0, rng.uniform(-0.3, 0.3)), 0.0, 0.0)
+    deep = rng.uniform(0.5, 1.0) if rng.uniform() < 1 / 3 else 0.0
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        changes = {
+            "shoulder": (0.0, -sign * rng.uniform(-0.2, 0.8), -sign * rng.uniform(-0.4, 1.25)),
+            "elbow": (0.0, -sign * rng.uniform(0, 1.9), 0.0),
+            "wrist": (rng.normal(0, 0.3), rng.normal(0, 0.15), rng.normal(0, 0.3)),
+            "hip": (rng.uniform(-0.8, 0.3) - 1.4 * deep, 0.0, sign * rng.uniform(0, 0.3)),
+            "knee": (rng.uniform(0, 0.9) + 1.5 * deep, 0.0, 0.0),
+            "ankle": (rng.normal(0, 0.2), 0.0, 0.0),
+        }
+        curl = rng.uniform(0, 0.7)
+        for finger in ("index", "middle", "ring", "pinky"):
+            for i in (1, 2, 3):
+                changes[f"{finger}{i}"] = (0.0, 0.0, -sign * curl * rng.uniform(0.6, 1.0))
+        for name, value in changes.items():
+            if f"{side}_{name}" in index:
+                rotations[index[f"{side}_{name}"]] += value
+    return Pose(rotations)
+
+
+_CLOSE_UPS = (
+    ("head", "jaw"),
+    ("left_wrist", "left_index", "left_thumb"),
+    ("right_wrist", "right_index", "right_thumb"),
+)
+
+
+def _random_camera(mesh: RiggedMesh, vertices: F64, size: int, rng: np.random.Generator) -> Camera:
+    """The whole figure, its head, a hand or a random spot, from anywhere around, mostly level."""
+    names = mesh.skeleton.names
+    points = vertices[np.unique(mesh.faces)]
+    centre = (points.max(axis=0) + points.min(axis=0)) / 2
+    radius = float(np.linalg.norm(points - centre, axis=1).max())
+    kind = rng.choice(len(_CLOSE_UPS) + 2, p=[0.45, 0.17, 0.18, 0.1, 0.1])
+    if kind == 1:
+        centre, radius = points[rng.integers(len(points))], radius * rng.uniform(0.15, 0.4)
+    elif kind > 1:
+        wanted = np.array([name.startswith(_CLOSE_UPS[kind - 2]) for name in names])
+        mine = wanted[mesh.joints[:, 0]]
+        if mine.any():
+            centre = (vertices[mine].max(axis=0) + vertices[mine].min(axis=0)) / 2
+            radius = float(np.linalg.norm(vertices[mine] - centre, axis=1).max())
+    turn, lift = rng.uniform(0, 2 * np.pi), np.arcsin(np.clip(rng.normal(0.1, 0.4), -0.95, 0.95))
+    direction = np.array([np.cos(lift) * np.sin(turn), np.sin(lift), np.cos(lift) * np.cos(turn)])
+    distance = radius * rng.uniform(2.2, 4.0)
+    fov = 2 * np.degrees(np.arctan(radius * rng.uniform(0.75, 1.2) / distance))
+    centre = centre + rng.normal(0, 0.1, 3) * radius
+    viewmat = look_at(centre + direction * distance, centre)
+    return Camera(viewmat, pinhole(size, size, float(fov)), size, size)

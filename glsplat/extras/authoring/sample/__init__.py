@@ -1,0 +1,1 @@
+"""Splats that tile the surface of a mesh."""

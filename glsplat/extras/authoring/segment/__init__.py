@@ -1,0 +1,1 @@
+"""Masks: the pixels of a picture that show the person."""

@@ -1,0 +1,54 @@
+"""Masks that users bring along: picture files and arrays, made to fit the photograph that they belong to."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.errors import FormatError
+from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
+
+__all__ = ["MaskSource", "mask_of"]
+
+MaskSource = str | os.PathLike[str] | NDArray[np.bool_]
+"""A picture file, or the mask itself [H, W] in the pixels of ``Photo.picture``."""
+
+_WHITE = 127  # levels above it are the person
+_LEAST, _MOST = 0.002, 0.95  # share of the picture that a person can cover
+
+
+def mask_of(source: MaskSource, photo: Photo) -> NDArray[np.bool_]:
+    """[H, W] true on the person, for ``photo.picture``.
+
+    A file is white on the person, or opaque on the person and transparent elsewhere; it has the photograph's size,
+    upright both. Raises FormatError, one line.
+    """
+    if isinstance(source, np.ndarray):
+        return _checked(_array(source, photo), "the mask")
+    drawn = read_photo(source, max(photo.picture.shape[:2]))
+    if drawn.size != photo.size:
+        raise FormatError(
+            f"{source}: the mask has {drawn.size[0]} x {drawn.size[1]} pixels, its picture {photo.size[0]} x "
+            f"{photo.size[1]} (upright); draw it over the picture, at the same size"
+        )
+    values = drawn.picture.max(axis=2) if drawn.alpha is None else drawn.alpha
+    return _checked(values > _WHITE, str(source))
+
+
+def _array(mask: NDArray[np.bool_], photo: Photo) -> NDArray[np.bool_]:
+    if mask.dtype != np.bool_ or mask.shape != photo.picture.shape[:2]:
+        raise FormatError(
+            f"a mask needs booleans {photo.picture.shape[:2]}, one for each pixel, not {mask.dtype} {mask.shape}"
+        )
+    return mask
+
+
+def _checked(mask: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
+    share = float(mask.mean())
+    if not _LEAST <= share <= _MOST:
+        raise FormatError(
+            f"{name}: {share:.1%} of the mask are white, that is no person; make the person white, all else black"
+        )
+    return mask

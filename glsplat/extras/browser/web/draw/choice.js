@@ -1,0 +1,99 @@
+// Chooses whether the server draws, and sends pictures, or this device. Pictures come first. The device takes over once
+// it has an avatar and was measured to be faster, and gives back when it misses the display's rate.
+
+const SHARE = 0.8; // of the display's rate; if slower for
+const PATIENCE = 3000; // ms, the server draws again
+const WATCHED = 2000; // ms of pictures before their rate is known
+const PAUSE = 60_000; // ms before another try; doubles each time
+
+export class Choice {
+  here = false; // this device draws
+  reason = 'pictures come first'; // of the choice, in words
+  #wish;
+  #display = 60; // Hz
+  #times = []; // ms, frames of the last two seconds
+  #begun = null; // ms
+  #slow = null; // ms, start of being too slow
+  #until = 0; // ms, time of the next try
+  #pause = PAUSE;
+
+  /** `wish`: a value of the setting `drawn`. */
+  constructor(wish = 'auto') {
+    this.#wish = wish;
+  }
+
+  set wish(wish) {
+    this.#wish = wish;
+    this.#until = 0;
+    this.#pause = PAUSE;
+    if (wish === 'server') this.#back('you chose the server');
+  }
+
+  /** Whether the user chose this device, so that no comparison is needed. */
+  get settled() {
+    return this.#wish === 'here';
+  }
+
+  /** Refresh rate of the display in Hz, where a headset reports it; otherwise learnt from the page's frames. */
+  set display(hertz) {
+    if (hertz > 0) this.#display = hertz;
+  }
+
+  get display() {
+    return this.#display;
+  }
+
+  /**
+   * Return whether to measure now, and then call `measured`. `able`: '' or why nothing can be drawn here; `now`: ms.
+   */
+  asks(able, now) {
+    if (able) {
+      this.#back(able);
+      return false;
+    }
+    const known = this.#wish === 'here' || (this.#begun !== null && now - this.#begun >= WATCHED);
+    return !this.here && known && this.#wish !== 'server' && now >= this.#until;
+  }
+
+  /** Choose by the time of a picture here, `ms`, and the server's pictures per second, `rate`. */
+  measured(ms, rate, now) {
+    const own = Math.min(1000 / ms, this.#display);
+    if (this.#wish === 'here' ? Number.isFinite(ms) : own > rate) {
+      Object.assign(this, { here: true, reason: `${own.toFixed(0)} pictures a second here, ${rate.toFixed(0)} from the server` });
+      [this.#slow, this.#times] = [null, []];
+    } else {
+      this.#later(now, `the server is faster: ${rate.toFixed(0)} pictures a second, ${own.toFixed(0)} here`);
+    }
+  }
+
+  /** Count a frame of the display at `now`, ms. */
+  frame(now) {
+    this.#begun ??= now;
+    this.#times.push(now);
+    while (this.#times[0] < now - 2000) this.#times.shift();
+    const span = now - this.#times[0];
+    if (span < 500) return;
+    const rate = ((this.#times.length - 1) * 1000) / span;
+    if (!this.here) {
+      if (rate > this.#display) this.#display = rate; // the fastest rate that was observed
+      return;
+    }
+    if (rate >= SHARE * this.#display) this.#slow = null;
+    else this.#slow ??= now;
+    if (this.#wish === 'auto' && this.#slow !== null && now - this.#slow >= PATIENCE) {
+      this.#later(now, `this device drew ${rate.toFixed(0)} of ${this.#display.toFixed(0)} pictures a second`);
+    }
+  }
+
+  #later(now, reason) {
+    this.#until = now + this.#pause;
+    this.#pause *= 2;
+    this.#back(reason);
+  }
+
+  #back(reason) {
+    Object.assign(this, { here: false, reason });
+    this.#slow = null;
+    this.#times = [];
+  }
+}

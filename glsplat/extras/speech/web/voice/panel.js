@@ -1,0 +1,43 @@
+// The voice's controls on the flat page: a button to start and stop, a button to mute, and the state in words.
+
+import { Hurry } from './hurry.js';
+import { Voice } from './voice.js';
+
+const SAID = 'Your voice moves the avatar’s mouth. The sound stays in this browser: only how the mouth stands is sent.';
+const STATES = { off: '', asking: 'The browser asks whether it may listen…', on: 'Listening.', muted: 'Muted.', refused: '' };
+
+/**
+ * Insert the controls after `place`, an element; request smaller pictures of `stage` while the user speaks. Return the
+ * voice.
+ */
+export function addVoice(place, stage) {
+  const voice = new Voice();
+  const hurry = new Hurry();
+  stage.sideFor = (side, ...rest) => hurry.side(side, Object.keys(voice.weights() ?? {}).length > 0, ...rest);
+  const document = place.ownerDocument;
+  const element = (tag, fields) => Object.assign(document.createElement(tag), fields);
+  const box = element('section', { id: 'voice' });
+  box.setAttribute('aria-label', 'Your voice');
+  const talk = element('button', { type: 'button', id: 'voice-talk' });
+  const mute = element('button', { type: 'button', id: 'voice-mute' });
+  const note = element('p', { className: 'note', id: 'voice-note', textContent: SAID });
+  const state = element('p', { className: 'note', id: 'voice-state' });
+  state.setAttribute('role', 'status');
+  talk.setAttribute('aria-describedby', note.id);
+  box.append(talk, ' ', mute, note, state);
+  place.after(box);
+  const show = () => {
+    const open = voice.state === 'on' || voice.state === 'muted';
+    talk.textContent = open ? 'Stop listening' : 'Speak with my microphone';
+    talk.disabled = voice.state === 'asking';
+    mute.hidden = !open;
+    mute.textContent = voice.state === 'muted' ? 'Unmute' : 'Mute';
+    mute.setAttribute('aria-pressed', String(voice.state === 'muted'));
+    state.textContent = voice.why ? `It does not listen: ${voice.why}.` : STATES[voice.state];
+  };
+  talk.addEventListener('click', () => (voice.state === 'on' || voice.state === 'muted' ? voice.stop() : voice.start()));
+  mute.addEventListener('click', () => voice.mute(voice.state === 'on'));
+  voice.addEventListener('change', show);
+  show();
+  return voice;
+}

@@ -1,0 +1,93 @@
+"""A skirt is one surface between the legs, and follows both."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from glsplat.extras.authoring.dress.fitted_mesh import Dressed
+from glsplat.extras.authoring.dress.skirt import hem_of, with_skirt
+from glsplat.extras.authoring.fit.view import View
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.extras.authoring.made_up import posed_view
+from tests.extras.authoring.paint.scene import photographed
+
+
+def view_with(mask: np.ndarray) -> View:
+    scene = photographed("front")
+    view, _, _ = posed_view("front")
+    return View(mask, view.landmarks * 2, view.visibility, scene.shots[0].focal, view.centre * 2)
+
+
+def skirted(share: float, reach: float = 0.12) -> tuple[np.ndarray, float]:
+    """The person's mask with cloth from leg to leg down to a share of the way from hip to ankle; the hem's row."""
+    scene = photographed("front")
+    front = scene.shots[0]
+    at = front.project(front.view.joints)
+    hips, ankles = (
+        at[[JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right")], 1].mean() for name in ("hip", "ankle")
+    )
+    hem = hips + share * (ankles - hips)
+    mask = front.mask.copy()
+    for row in range(int(hips), int(hem)):
+        columns = np.flatnonzero(mask[row])
+        middle = columns[np.abs(columns - at[0, 0]) < reach * (ankles - hips) * 2]
+        mask[row, middle.min() : middle.max() + 1] = True
+    return mask, hem
+
+
+def test_a_skirt_ends_at_its_hem_and_trousers_have_none() -> None:
+    scene = photographed("front")
+    assert hem_of(scene.body, scene.fit, scene.mesh, view_with(scene.shots[0].mask)) is None
+    mask, row = skirted(0.6)
+    hem = hem_of(scene.body, scene.fit, scene.mesh, view_with(mask))
+    assert hem is not None
+    front = scene.shots[0]
+    legs = np.isin(scene.body.part, [JOINT_NAMES.index(f"{side}_knee") for side in ("left", "right")])
+    there = legs & (np.abs(front.view.pixels[:, 1] - row) < 4)
+    assert abs(hem - np.median(scene.mesh.vertices[there, 1])) < 0.03
+    kernel = np.ones((3, 3), np.uint8)
+    thin = cv2.erode(scene.shots[0].mask.astype(np.uint8), kernel) > 0
+    assert hem_of(scene.body, scene.fit, scene.mesh, view_with(thin)) is None
+
+
+def test_a_gown_ends_at_the_ankles() -> None:
+    scene = photographed("front")
+    mask, _ = skirted(1.1, 0.2)
+    hem = hem_of(scene.body, scene.fit, scene.mesh, view_with(mask))
+    ankle = scene.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_ankle") for side in ("left", "right")], 1].mean()
+    assert hem is not None and abs(hem - ankle) < 0.08
+    torn = mask.copy()
+    middle = int(scene.shots[0].project(scene.shots[0].view.joints)[0, 0])
+    torn[:, middle - 3 : middle + 3] = False  # two trouser legs that nearly meet
+    assert hem_of(scene.body, scene.fit, scene.mesh, view_with(torn)) is None
+
+
+def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:
+    scene = photographed("front")
+    mask, _ = skirted(0.6)
+    view = view_with(mask)
+    hem = hem_of(scene.body, scene.fit, scene.mesh, view)
+    assert hem is not None
+    made, seen = with_skirt(scene.body, Dressed(scene.mesh, scene.fit.views), [view], hem)
+    below = scene.mesh.vertices[:, 1] <= hem
+    assert np.array_equal(made.vertices[below], scene.mesh.vertices[below])
+    assert np.allclose(made.weights.sum(axis=1), 1)
+    moved = np.linalg.norm(made.vertices - scene.mesh.vertices, axis=1) > 1e-4
+    assert 100 < moved.sum() < 0.2 * len(moved)
+    # one leg steps forward: the sheet stays in one piece, the legs of trousers come apart
+    stride = np.zeros((55, 3))
+    stride[JOINT_NAMES.index("left_hip"), 0] = -0.5
+    level = (scene.mesh.vertices[:, 1] > hem) & (scene.mesh.vertices[:, 1] < hem + 0.1)
+
+    def torn(mesh) -> float:
+        """Metres between what meets in the middle."""
+        now = mesh.posed(Pose(stride))
+        inmost = level & (np.abs(mesh.vertices[:, 0]) < 0.02 + np.abs(mesh.vertices[level, 0]).min())
+        left, right = (now[inmost & (sign * mesh.vertices[:, 0] >= 0)].mean(axis=0) for sign in (1, -1))
+        return float(np.linalg.norm(left - right))
+
+    assert torn(made) < 0.4 * torn(scene.mesh)
+    there = (made.posed(Pose(scene.fit.views[0].rotations)) - made.skeleton.joints[0]) @ scene.fit.views[0].root.T
+    assert np.abs(there + scene.fit.views[0].pelvis - seen[0].vertices)[moved].max() < 1e-6

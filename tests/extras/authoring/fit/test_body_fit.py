@@ -1,0 +1,82 @@
+"""The fit finds a body again whose pictures were made from it, and says so where it does not."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from glsplat.errors import FormatError
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
+from glsplat.extras.authoring.fit.landmarks import landmarks
+from glsplat.extras.authoring.fit.solver import BodySolver
+from glsplat.extras.authoring.fit.view import View
+from tests.extras.authoring.made_up import FOCAL, SIZE, made, slope_error
+
+
+@lru_cache(maxsize=1)
+def plain() -> tuple[View, np.ndarray, float, BodyFit]:
+    view, joints, stature = made()
+    return view, joints, stature, fit_body([view], stature)
+
+
+def errors(found: np.ndarray, joints: np.ndarray) -> float:
+    """Millimetres, the pelvis held, mean over the body's joints."""
+    return float(np.linalg.norm((found - found[0]) - (joints - joints[0]), axis=1)[1:22].mean() * 1000)
+
+
+def test_derivatives_of_all_equations(rng: np.random.Generator) -> None:
+    solver = BodySolver(open_body(), landmarks(), [made()[0], made("back")[0]], None)
+    assert slope_error(solver, rng) < 1e-5
+
+
+def test_a_made_up_person_is_found_again() -> None:
+    _, joints, stature, fit = plain()
+    assert fit.problem == "" and fit.views[0].overlap > 0.97 and fit.views[0].strays < 0.5
+    assert errors(fit.views[0].joints, joints) < 30 and abs(fit.stature / stature - 1) < 0.02
+    assert fit.rest.shape == fit.views[0].vertices.shape == open_body().vertices.shape
+
+
+def test_one_wrong_landmark_and_a_hidden_hand() -> None:
+    view, joints, stature, fit = plain()
+    marks, sure = view.landmarks.copy(), view.visibility.copy()
+    marks[25] += (60, -40)  # the left knee
+    marks[[16, 18, 20, 22]] += (25, 25)
+    sure[[16, 18, 20, 22]] = 0.1
+    wrong = fit_body([View(view.mask, marks, sure, FOCAL)], stature)
+    assert errors(wrong.views[0].joints, joints) < errors(fit.views[0].joints, joints) + 20
+
+
+def test_landmarks_of_a_network_that_took_front_for_back() -> None:
+    view, _, stature, fit = plain()
+    marks = view.landmarks.copy()
+    table = landmarks()
+    arms = np.isin(table.numbers, range(11, 23))
+    marks[table.numbers[arms]] = view.landmarks[table.numbers[table.twins[arms]]]
+    swapped = fit_body([View(view.mask, marks, view.visibility, FOCAL)], stature)
+    assert errors(swapped.views[0].joints, fit.views[0].joints) < 1
+
+
+@pytest.mark.check
+def test_front_and_back_share_a_shape() -> None:
+    front, joints, stature = made()
+    back, behind, _ = made("back")
+    fit = fit_body([front, back], stature)
+    assert fit.problem == "" and errors(fit.views[1].joints, behind) < 40 and errors(fit.views[0].joints, joints) < 40
+    assert fit.views[1].overlap > 0.96
+
+
+def test_what_is_no_person_is_said() -> None:
+    view, _, stature, _ = plain()
+    block = np.zeros(SIZE, bool)
+    block[60:420, 40:280] = True
+    fit = fit_body([View(block, view.landmarks, view.visibility, FOCAL)], stature)
+    assert "covers" in fit.problem and "front picture" in fit.problem
+
+
+@pytest.mark.parametrize("height", [174.0, 0.0, float("nan")])
+def test_a_height_is_in_metres(height: float) -> None:
+    with pytest.raises(FormatError, match=r"metres from 0\.5 to 2\.5"):
+        fit_body([plain()[0]], height)

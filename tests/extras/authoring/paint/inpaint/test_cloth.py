@@ -1,0 +1,139 @@
+"""Cloth goes on where nobody looks: without prints, without the room, and as far up as straps go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.front_to_back_transfer import Front
+from glsplat.extras.authoring.paint.inpaint.ground import Ground
+from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
+from glsplat.extras.authoring.paint.painter import Painter, painter_of
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
+from glsplat.extras.authoring.sample.scatter import even_points
+from glsplat.meshes import vertex_normals
+from glsplat.pictures import to_linear
+from glsplat.skinning.smplx import JOINT_NAMES
+from tests.extras.authoring.paint import scene as made_up
+from tests.extras.authoring.paint.scene import Scene, albedo, photographed
+
+SHIRT, SKIN = np.array([0.5, 0.1, 0.08]), np.array([0.45, 0.3, 0.22])
+
+
+def places(scene: Scene) -> tuple[SurfacePoints, np.ndarray, np.ndarray]:
+    """Points, where they are in the zero pose in heights of the person, and how far they turn to the front."""
+    points = even_points(scene.mesh, 30_000)
+    height = scene.mesh.vertices[:, 1].max()
+    facing = points.directions(vertex_normals(scene.mesh.vertices, scene.mesh.faces))[:, 2]
+    return points, points.at(scene.mesh.vertices) / height, facing
+
+
+def unlit(painter: Painter, points: SurfacePoints) -> np.ndarray:
+    """[M, 3] linear colours without the light."""
+    return (
+        to_linear(painter.colours(points)) / painter.light.shade(points.directions(painter.shots[0].normals))[:, None]
+    )
+
+
+def of(points: SurfacePoints, some: np.ndarray) -> SurfacePoints:
+    return SurfacePoints(points.corners[some], points.weights[some])
+
+
+def hue(colours: np.ndarray) -> np.ndarray:
+    """[M, 3] without brightness."""
+    return colours / colours.sum(axis=1, keepdims=True)
+
+
+def with_picture(scene: Scene, rgb: np.ndarray) -> FittedPicture:
+    return replace(scene.shots[0], rgb=np.ascontiguousarray(rgb))
+
+
+def test_a_shirts_sign_is_not_on_its_back() -> None:
+    scene = photographed("front")
+    points, where, facing = places(scene)
+    chest = (np.abs(where[:, 0]) < 0.05) & (where[:, 1] > 0.66) & (where[:, 1] < 0.76)
+    pixels = scene.shots[0].project(points.at(scene.shots[0].view.vertices))[chest & (facing > 0.5)]
+    (x, y), (right, low) = pixels.min(axis=0).astype(int), pixels.max(axis=0).astype(int)
+    rgb = scene.shots[0].rgb.copy()
+    for left in range(x, right, 16):
+        rgb[y:low, left : left + 8] = 250  # white bars, as letters are
+    painter = painter_of(scene.body, [with_picture(scene, rgb)], points)
+    front = unlit(painter, of(points, chest & (facing > 0.8)))
+    assert (np.abs(hue(front) - 1 / 3).max(axis=1) < 0.05).mean() > 0.2  # it is where it was
+    back = unlit(painter, of(points, chest & (facing < -0.5)))
+    assert len(back) > 50 and np.abs(hue(back) - hue(SHIRT[None])).max() < 0.12
+
+
+def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> None:
+    wide = 0.05  # from the middle to the straps' outer edges, in heights of the person
+
+    def vest(mesh: object) -> np.ndarray:
+        colours = albedo(mesh)
+        where = mesh.vertices / mesh.vertices[:, 1].max()
+        bare = (where[:, 1] > 0.79) & (np.abs(where[:, 0]) > wide)
+        neckline = (where[:, 1] > 0.80) & (np.abs(where[:, 0]) < 0.03) & (where[:, 2] > 0)
+        colours[bare | neckline | (where[:, 1] > 0.84) | (np.abs(where[:, 0]) > 0.1)] = SKIN
+        return colours
+
+    monkeypatch.setattr(made_up, "albedo", vest)
+    scene = photographed.__wrapped__("front")
+    points, where, facing = places(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    back = (facing < -0.5) & (where[:, 1] > 0.80) & (where[:, 1] < 0.82)
+    middle = unlit(painter, of(points, back & (np.abs(where[:, 0]) < 0.03)))
+    assert len(middle) > 5 and np.abs(hue(middle) - hue(SHIRT[None])).max() < 0.15
+    beside = unlit(painter, of(points, back & (np.abs(where[:, 0]) > wide + 0.02) & (np.abs(where[:, 0]) < 0.14)))
+    assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
+
+
+def test_a_hands_brightness_says_nothing() -> None:
+    """Palms and nails are brighter than the backs of hands, and are believed; another hue is not."""
+    back = np.array([[0.08, 0.04, 0.03]])
+    one = np.ones(1)
+    hand, leg = (
+        Ground(back, 0.06 * one, one, np.zeros(1, bool), np.full((1, 3), np.nan), np.array([is_hand]))
+        for is_hand in (True, False)
+    )
+    palm, cloth = 2.5 * back, np.array([[0.05, 0.08, 0.25]])
+    assert hand.alike(palm) == 1 and leg.alike(palm) == 0
+    assert hand.alike(cloth) == 0 and hand.alike(25 * back) == 0
+
+
+def test_an_arm_before_the_trunk_does_not_take_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Deep inside of an arm, too: the fit may have it beside its place."""
+    scene = photographed("front")
+    points, _, facing = places(scene)
+    shot, shade = scene.shots[0], np.ones(len(points.corners))
+    cloth = painter_of(scene.body, scene.shots, points).cloth
+    arms = np.isin(cloth.region[points.corners[:, 0]], (3, 4)) & (facing > 0.9)
+    legs = cloth.rows[1]
+    assert arms.sum() > 200 and legs is not None
+    trousers = np.tile(np.median(legs.colour, axis=0) ** 2, (len(shade), 1))
+    ground = cloth.at(points)
+    deep = shot.shallow(shot.project(points.at(shot.view.vertices)), shot.layers_at(points)) > 0.02
+    assert (arms & deep).sum() > 50
+    assert cloth.strange(shot, points, trousers, shade, ground)[arms & deep].max() == 0
+    monkeypatch.setattr(FittedPicture, "over_trunk", lambda self, pixels: np.ones(len(pixels), bool))
+    assert cloth.strange(shot, points, trousers, shade, ground)[arms].min() > 0.9
+    assert cloth.strange(shot, points, ground.colour, shade, ground)[arms].max() == 0  # its own colour stays
+
+
+def test_sleeves_are_cut_from_the_trunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = photographed("front")
+    span, where = (0.95, 1.25), scene.mesh.vertices
+    there = cut_sleeves(scene.mesh, Front(scene.mesh), span).at(where)
+    arm = np.isin(
+        scene.body.part,
+        [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for name in ("shoulder", "elbow")],
+    )
+    aside = np.abs(there[arm])
+    assert (aside[:, 0] > 0.02).all() and (aside[:, 0] < 0.12).all()
+    assert (aside[:, 1] > span[0] - 0.01).all() and (aside[:, 1] < span[1] + 0.01).all()
+    assert (np.sign(there[arm, 0]) == np.sign(where[arm, 0])).all()
+    # along the arm it goes down, as far as the cloth reaches
+    shoulder = scene.mesh.skeleton.joints[JOINT_NAMES.index("left_shoulder"), 0]
+    first = arm & (where[:, 0] > shoulder + 0.02) & (where[:, 0] < shoulder + 0.25)
+    assert np.polyfit(where[first, 0], there[first, 1], 1)[0] == pytest.approx(-1.0, abs=0.05)

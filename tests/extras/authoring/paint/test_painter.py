@@ -1,0 +1,145 @@
+"""Colours: what is seen is taken as it is, the light is found, and what nobody saw is guessed well."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.front_to_back_transfer import find_twins
+from glsplat.extras.authoring.paint.lamp import find_light
+from glsplat.extras.authoring.paint.painter import paint, painter_of
+from glsplat.extras.authoring.sample.scatter import scatter
+from glsplat.meshes import vertex_normals
+from glsplat.pictures import to_srgb
+from tests.extras.authoring.paint.scene import Scene, albedo, photographed
+
+
+def truth(scene: Scene, points: SurfacePoints) -> np.ndarray:
+    """[M, 3] sRGB of the points in the person's light."""
+    front = scene.shots[0]
+    shade = scene.light.shade(points.directions(front.normals))
+    nearest = points.corners[np.arange(len(points.corners)), points.weights.argmax(axis=1)]
+    return to_srgb(albedo(scene.mesh)[nearest] * shade[:, None] * 0.6)
+
+
+def some_points(scene: Scene, seed: int = 5) -> SurfacePoints:
+    return scatter(scene.mesh, 500, np.random.default_rng(seed)).points
+
+
+@pytest.mark.parametrize("lamp", [(0.5, -0.6, -0.62), (-0.6, -0.5, -0.6)])
+def test_the_lamp_is_found(lamp: tuple[float, float, float]) -> None:
+    scene = photographed("front", lamp=lamp)
+    points = some_points(scene)
+    front = scene.shots[0]
+    sight = front.look(points)
+    found = find_light(
+        points.directions(front.normals), sight.linear, sight.trust, front.view.root[:, 1], np.array([0, 0, -1.0])
+    )
+    assert np.degrees(np.arccos(found.direction @ scene.light.direction)) < 20
+    assert 0.7 < found.strength / scene.light.strength < 1.4
+
+
+def test_a_picture_without_colours_shows_its_lamp_too() -> None:
+    """All of one kind: warnings of a search for several would be errors here."""
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    up, towards, lamp = np.array([0.0, -1, 0]), np.array([0.0, 0, -1]), np.array([0.6, -0.6, -0.529])
+    grey = np.repeat(0.2 * (1 + np.maximum(normals @ lamp, 0))[:, None], 3, axis=1)
+    light = find_light(normals, grey, np.ones(2000), up, towards)
+    assert np.degrees(np.arccos(light.direction @ lamp)) < 20
+
+
+def test_a_dark_picture_has_the_usual_lamp() -> None:
+    normals = np.tile([0.0, 0, -1], (50, 1))
+    up, towards = np.array([0.0, -1, 0]), np.array([0.0, 0, -1])
+    light = find_light(normals, np.zeros((50, 3)), np.ones(50), up, towards)
+    assert light.direction @ up > 0.5 and light.direction @ towards > 0.5
+
+
+def test_seen_points_have_the_pictures_colours() -> None:
+    scene = photographed("front")
+    points = some_points(scene)
+    painted = paint(scene.body, scene.shots, points)
+    seen = painted.seen > 0.95
+    assert 0.1 < seen.mean() < 0.5
+    assert np.median(np.abs(painted.rgb - truth(scene, points))[seen].mean(axis=1)) < 0.01
+    assert not painted.seen[points.directions(scene.shots[0].normals)[:, 2] > 0.1].any()  # they face away
+
+
+def test_colours_alone_are_those_of_the_whole_paint() -> None:
+    scene = photographed("front")
+    points = some_points(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    painted = painter.paint(points)
+    assert np.abs(painter.colours(points) - painted.rgb).max() < 1e-5
+    for some in (painted.seen == 1, painted.seen == 0, np.zeros(len(painted.seen), bool)):
+        few = SurfacePoints(points.corners[some], points.weights[some])
+        assert np.abs(painter.colours(few) - painted.rgb[some]).max(initial=0) < 1e-5
+
+
+def test_blocks_on_any_number_of_cores_are_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = photographed("front")
+    points = some_points(scene)
+    painter = painter_of(scene.body, scene.shots, points)
+    whole, found = painter.paint(points), set()
+    monkeypatch.setattr("glsplat.extras.authoring.paint.painter._BLOCK", len(points.corners) // 3 - 7)
+    for count in (1, 3):
+        monkeypatch.setattr("glsplat.extras.authoring.compute.threads.cores", lambda count=count: count)
+        parts = painter.paint(points)
+        for name in ("rgb", "seen", "busy"):
+            assert np.allclose(getattr(parts, name), getattr(whole, name), atol=2e-6)
+        found.add(parts.rgb.tobytes() + parts.seen.tobytes() + parts.busy.tobytes())
+    assert len(found) == 1
+    assert painter.paint(points.take(slice(0, 0))).rgb.shape == (0, 3)
+
+
+def test_the_back_is_darker_cloth_not_bright_cloth() -> None:
+    scene = photographed("front")
+    points = some_points(scene)
+    painted = paint(scene.body, scene.shots, points)
+    back = (points.directions(vertex_normals(scene.mesh.vertices, scene.mesh.faces))[:, 2] < -0.5) & (
+        points.at(scene.mesh.vertices)[:, 1] < 0.8 * scene.mesh.vertices[:, 1].max()
+    )
+    right = truth(scene, points)
+    error = np.abs(painted.rgb - right)[back].mean(axis=1)
+    unlit = paint_without_light(scene, points)
+    assert np.median(error) < 0.05
+    assert np.median(error) < 0.6 * np.median(np.abs(unlit - right)[back].mean(axis=1))
+
+
+def paint_without_light(scene: Scene, points: SurfacePoints) -> np.ndarray:
+    """The front's colours as they are, at the same place behind."""
+    twins = find_twins(scene.mesh, np.zeros(len(scene.mesh.vertices), bool))
+    return to_srgb(twins.colours(scene.shots[0], points).linear)
+
+
+def test_a_picture_of_the_back_is_believed() -> None:
+    scene = photographed("front", "back")
+    points = some_points(scene)
+    painted = paint(scene.body, scene.shots, points)
+    back = points.directions(scene.shots[0].normals)[:, 2] > 0.6
+    assert painted.seen[back].mean() > 0.8
+    assert np.median(np.abs(painted.rgb - truth(scene, points))[back].mean(axis=1)) < 0.02
+
+
+def test_no_face_on_the_back_of_the_head() -> None:
+    """The face's colours must not be carried through the head."""
+    scene = photographed("front")
+    front = scene.shots[0]
+    head = scene.mesh.skeleton.joints[15]
+    vertices = scene.mesh.vertices
+    mouth = (np.abs(vertices[:, 1] - head[1]) < 0.05) & (vertices[:, 2] > head[2] + 0.03) & (abs(vertices[:, 0]) < 0.05)
+    green = front.rgb.copy()
+    x, y = front.view.pixels[mouth].round().astype(int).T
+    green[y.min() : y.max() + 1, x.min() : x.max() + 1] = (0, 255, 0)
+    shot = type(front)(green, front.mask, front.focal, front.view, front.mesh)
+    points = some_points(scene)
+    painted = paint(scene.body, [shot], points)
+    where = points.at(vertices)
+    behind = (where[:, 1] > head[1] - 0.05) & (where[:, 2] < head[2] - 0.02)
+    greenness = painted.rgb[:, 1] - painted.rgb[:, [0, 2]].mean(axis=1)
+    assert behind.sum() > 20
+    assert greenness[painted.seen > 0.9].max() > 0.8
+    assert greenness[behind].max() < 0.1
