@@ -55,7 +55,7 @@ def test_text_has_time_level_and_logger(capsys):
 def test_the_server_logs_as_asked(capsys, monkeypatch):
     class Quiet:
         url, port, drawer = "ws://192.0.2.1:8000/ws", 8000, argparse.Namespace(driver="none")
-        fitting = fitted = None
+        config = argparse.Namespace(fit=False)
 
         async def run(self, started):
             started()

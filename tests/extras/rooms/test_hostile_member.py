@@ -162,7 +162,7 @@ class Play:
             assert one.opacity == 1.0 and one.pose is not None
             assert np.allclose(one.transform[:3, 3], self.seats[other][:3, 3])
             head = one.transform[:3, :3] @ (*one.pose.trans[:1], 1.5, *one.pose.trans[2:]) + one.transform[:3, 3]
-            assert np.abs(self.drawn.labels[f"driven by {other}, synthetic"].place - head).max() < 1.5
+            assert np.abs(self.drawn.labels[f"driven by {other}, synthetic"].position - head).max() < 1.5
             assert np.abs(one.pose.trans).max() < 1.0  # where they went, and at most 0.3 m ahead of it
 
     # -- Eve

@@ -24,26 +24,28 @@ class Datagrams(Feature):
     Raises GlsplatError if aioquic is not installed, or is a version whose internals differ.
     """
 
-    listener: DatagramListener
-
     def __init__(self) -> None:
         require_package("WebTransport", "aioquic", "webtransport", "leave it out")
+        from glsplat.extras.far_links.datagrams.listener import DatagramListener
+
+        self._listener_type = DatagramListener
+        self.listener: DatagramListener | None = None  # until the server starts
 
     async def start(self, server: ServerView) -> None:
         """Listen. Raises GlsplatError where the port is in use."""
-        from glsplat.extras.far_links.datagrams.listener import DatagramListener
-
-        self._clock, self.listener = server.clock, DatagramListener(server.clock)
+        self._clock, self.listener = server.clock, self._listener_type(server.clock)
         await self.listener.open(server.config.access.host, server.port)
 
     async def stop(self) -> None:
         """Close all connections and the port."""
-        await self.listener.close()
+        if self.listener is not None:
+            await self.listener.close()
 
     def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
         """Offer the client datagrams once its link is worth it."""
+        assert self.listener is not None
         client.offer(SecondWay(self.listener, client.session, client.address, self._clock, client.wake))
 
     def stats(self, user: User | None) -> Mapping[str, Any]:
-        """Return ``datagrams`` of /stats."""
-        return {"datagrams": self.listener.status()}
+        """Return ``datagrams`` of /stats; nothing before the server listens."""
+        return {} if self.listener is None else {"datagrams": self.listener.status()}
