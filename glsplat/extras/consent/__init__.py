@@ -3,4 +3,8 @@
 `policy.ConsentPolicy` plugs into the server by `ServerConfig.consent`; `glsplat avatar consent` signs files.
 """
 
+import lazy_loader
+
 REQUIRES = ()
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
