@@ -105,7 +105,7 @@ class RenderConfig:
     RenderConfig(output='float32', cull_hidden=True)
     """
 
-    target: Target = "auto"  # float target; auto = 32f on software rasterizers, 16f on GPUs (measured)
+    target: Target = "auto"  # float target; auto = 32f on software rasterizers, 16f on GPUs
     output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the unclipped target
     sorter: Literal["auto", "cpu", "gpu"] = "auto"  # gpu needs OpenGL 4.3
     sh_degree: int = 3  # evaluate at most this degree
