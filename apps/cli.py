@@ -33,7 +33,7 @@ class Command(NamedTuple):
 
 
 GROUPS = ("Start", "Make an avatar", "Show it", "Build on it", "Measured")
-"""Groups of commands, named as the parts of the site (mkdocs.yml)."""
+"""Groups of commands in --help."""
 
 # a command's module is imported when it is called
 COMMANDS = {
