@@ -40,8 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommands."""
     commands = parser.add_subparsers(dest="task", required=True, metavar="TASK", parser_class=CommandParser)
 
-    command = commands.add_parser("new", help="a folder with the paper's study and the instruments, to begin from")
+    command = commands.add_parser(
+        "new", help="make a folder with a study that runs, and the instruments, to begin from"
+    )
     command.add_argument("folder", type=Path, metavar="FOLDER", help="is made; files that are there stay")
+    command.add_argument("--paper", action="store_true", help="the paper's study, which lacks texts and avatars")
     command.set_defaults(work=new)
 
     command = commands.add_parser("check", help="read a design; say what is missing: texts, avatars, balance")
@@ -94,7 +97,7 @@ def new(args: argparse.Namespace) -> int:
     """Copy the example and the instruments into a folder."""
     folder: Path = args.folder
     home = resources.files("glsplat.extras.study")
-    copies = {"study.toml": home / "examples" / "paper.toml"}
+    copies = {"study.toml": home / "examples" / ("paper.toml" if args.paper else "first.toml")}
     copies |= {f"instruments/{name}.toml": home / "instruments" / f"{name}.toml" for name in embedded()}
     try:
         (folder / "instruments").mkdir(parents=True, exist_ok=True)

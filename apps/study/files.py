@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from glsplat.data import PEOPLE, embedded_file
 from glsplat.extras.study.design import Study
 
 from ..usage import UsageError
@@ -26,8 +27,14 @@ def data_of(design: Path, given: Path | None) -> Path:
 
 def avatar_files(study: Study, participant: str) -> dict[str, Path | None]:
     """Return the avatar file of each condition for a participant (sub-007); None: the embedded avatar."""
-    found = {one.name: one.file(participant) for one in study.conditions}
-    return {name: None if file == DEFAULT else study.path.parent / file for name, file in found.items()}
+
+    def path_of(file: str) -> Path | None:
+        path = study.path.parent / file
+        if file == DEFAULT:
+            return None
+        return embedded_file(file) if file in PEOPLE and not path.exists() else path
+
+    return {one.name: path_of(one.file(participant)) for one in study.conditions}
 
 
 def factors_of(given: str | None, book: Codebook | None, table: Path) -> dict[str, Sequence[str]]:

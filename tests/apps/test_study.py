@@ -12,8 +12,12 @@ from pathlib import Path
 import pytest
 
 from apps.cli import main
+from apps.serve.agreed import policy_of
+from apps.serve.study import study_of
 from glsplat.extras.study.plan import label
 from glsplat.extras.study.store import Store
+from glsplat.formats import load_scene
+from tests.apps.cli import serving
 from tests.extras.study.designs import SMALL, write
 from tests.extras.study.test_session import Walk
 
@@ -51,7 +55,7 @@ def test_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_new_folder_says_what_it_lacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "lab"
-    assert main(["study", "new", str(folder)]) == 0
+    assert main(["study", "new", str(folder), "--paper"]) == 0
     path = folder / "study.toml"
     assert main(["study", "check", str(path), "--participant", "7"]) == 1
     out = capsys.readouterr().out
@@ -61,6 +65,19 @@ def test_a_new_folder_says_what_it_lacks(tmp_path: Path, capsys: pytest.CaptureF
     path.write_text("mine")
     assert main(["study", "new", str(folder)]) == 0
     assert path.read_text() == "mine" and "stays as it is" in capsys.readouterr().out
+
+
+def test_a_new_study_runs_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is missing, both avatars are there and shown without a consent of their own."""
+    assert main(["study", "new", str(tmp_path)]) == 0
+    design = tmp_path / "study.toml"
+    assert main(["study", "check", str(design)]) == 0
+    assert "no text yet" not in (out := capsys.readouterr().out) and "no such avatar" not in out
+    assert main(["study", "plan", str(design)]) == 0
+    served = study_of(serving(f"study={design}", "participant=2"))
+    names = [path.name for path in (Path(served.options.scene or ""), *served.options.avatar)]
+    assert sorted(names) == ["anna.glb", "ben.glb"]
+    policy_of(served.options, load_scene(served.options.scene), "anna")
 
 
 def test_check_says_what_an_analysis_will_lack(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

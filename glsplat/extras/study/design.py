@@ -51,7 +51,7 @@ class Condition:
 
     name: str
     levels: Mapping[str, str]  # by within-subject factor
-    avatar: str  # "default", or a file; {participant} stands for sub-007
+    avatar: str  # "default", an embedded person, or a file; {participant} stands for sub-007
     view: View = "mirror"
     light: tuple[float, float, float] = (1.0, 1.0, 1.0)  # factor on the baked light, linear RGB
     latency: float = 0.0  # milliseconds added to each picture
