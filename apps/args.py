@@ -77,7 +77,7 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     what = f"a {suffixes()}, or a scene file (JSON), or an embedded person: {_PEOPLE}; default: the embedded avatar"
     parser.add_argument("scene", nargs="?", metavar="SCENE", help=what)
     add_up(parser)
-    parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity instead of skipping")
+    parser.add_argument("--strict", action="store_true", help="refuse files with NaN or infinity")
 
 
 def add_light(parser: argparse.ArgumentParser) -> None:

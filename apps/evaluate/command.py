@@ -55,19 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--participants",
         type=Path,
         metavar="DIR",
-        help="NAME.npz or .glb (the truth) and capture/NAME.jpg (docs/evaluation.md); default: four that come along",
+        help="NAME.npz or .glb (the truth) and capture/NAME.jpg (docs/evaluation.md); default: four included people",
     )
     parser.add_argument(
         "--methods",
         default=",".join(OWN),
-        help="names, with commas between: %(default)s (the default), other packages', or NAME=FOLDER with a "
+        help="names, separated by commas: %(default)s (the default), other packages', or NAME=FOLDER with a "
         "file (.glb, .ply, ...) a participant",
     )
-    parser.add_argument("--only", help="participants to take, with commas between (default: all)")
+    parser.add_argument("--only", help="participants, separated by commas (default: all)")
     parser.add_argument(
         "--poses", help=f"some of: {', '.join(TASKS)}; or a motion, of which 8 moments are taken (default: all tasks)"
     )
-    parser.add_argument("--views", help=f"sides that are looked at, some of {', '.join(VIEWS)} (default: all)")
+    parser.add_argument("--views", help=f"sides to compare, some of {', '.join(VIEWS)} (default: all)")
     parser.add_argument("--size", type=int, help="pixels a side of an eye's picture (default 512; 256 with --quick)")
     parser.add_argument(
         "--light",

@@ -163,7 +163,7 @@ class ServeOptions:
 
     # ------------------------------------------------------------------------------------------------------- pictures
     up: str = _option("y", f"the scene file's axis that points up: {', '.join(UPS)}", _one_of(UPS))
-    strict: bool = _option(False, "refuse files with NaN or infinity instead of skipping")
+    strict: bool = _option(False, "refuse files with NaN or infinity")
     light: str | None = _option(
         None, f"light the avatars that know their surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; none: "
         "as they were photographed (default: as a scene file says, else none)", light_name, sample="day",

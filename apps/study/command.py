@@ -43,16 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command = commands.add_parser(
         "new", help="make a folder with a study that runs, and the instruments, to begin from"
     )
-    command.add_argument("folder", type=Path, metavar="FOLDER", help="is made; files that are there stay")
+    command.add_argument("folder", type=Path, metavar="FOLDER", help="folder to make; existing files stay")
     command.add_argument("--paper", action="store_true", help="the paper's study, which lacks texts and avatars")
     command.set_defaults(work=new)
 
-    command = commands.add_parser("check", help="read a design; say what is missing: texts, avatars, balance")
+    command = commands.add_parser("check", help="check a design: texts, avatars, balance")
     _add_study(command)
-    command.add_argument("--participant", type=int, metavar="N", help="look for this one's avatars only")
+    command.add_argument("--participant", type=int, metavar="N", help="check this participant's avatars only")
     command.set_defaults(work=check)
 
-    command = commands.add_parser("plan", help="write everybody's order, once, before the first participant")
+    command = commands.add_parser("plan", help="write each participant's order, once, before the first session")
     _add_study(command)
     command.set_defaults(work=plan)
 
@@ -65,15 +65,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTIONS", help="of glsplat serve")
     command.set_defaults(work=run_study)
 
-    command = commands.add_parser("export", help="CSV tables with codebooks, of all that is there")
+    command = commands.add_parser("export", help="write CSV tables with codebooks")
     _add_study(command)
     command.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="of the tables")
     command.set_defaults(work=run_export)
 
-    command = commands.add_parser("delete", help="all data of one participant, for good")
+    command = commands.add_parser("delete", help="delete all data of one participant")
     _add_study(command)
     command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
-    command.add_argument("--yes", action="store_true", help="needed: nothing brings it back")
+    command.add_argument("--yes", action="store_true", help="confirm; the data cannot be restored")
     command.set_defaults(work=delete)
 
     for name, text in _SUBCOMMANDS.items():
@@ -224,5 +224,5 @@ def _number(study: Study, number: int) -> int:
 def _add_study(command: argparse.ArgumentParser) -> None:
     command.add_argument("study", type=Path, metavar="STUDY.toml", help="the design (docs/study.md)")
     command.add_argument(
-        "--data", type=Path, metavar="FOLDER", help="of the plan and the participants (default: data beside the design)"
+        "--data", type=Path, metavar="FOLDER", help="folder of plan and participants (default: data beside the design)"
     )
