@@ -19,7 +19,16 @@ MODULE = re.compile(r"(?<!window\.)\b((?:glsplat|apps|tests|tools)(?:\.[a-z_]\w*
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#([\w-]+))?\)")
 # patterns of names, files of users, groups of entry points
 FOREIGN = {
-    *("server.toml", "study.toml", "mine.toml", "noun.glsl", "name.stage.glsl", "LICENSE.md", "results.md"),
+    *(
+        "server.toml",
+        "study.toml",
+        "lab/study.toml",
+        "mine.toml",
+        "noun.glsl",
+        "name.stage.glsl",
+        "LICENSE.md",
+        "results.md",
+    ),
     *("glsplat.methods", "glsplat.reconstructors", "glsplat.consent"),
 }
 NO_MODULE = ("service", "v1", "md", "org", "css", "js", "json", "py")  # endings of names that only look like one
