@@ -22,6 +22,7 @@ from glsplat.extras.authoring.reconstruct.photos import (
 )
 from glsplat.extras.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
 from glsplat.extras.authoring.reconstruct.registry import named, names
+from glsplat.optional import require_package
 
 from ..args import natural, positive
 from ..output import save_png
@@ -101,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
     """Make an avatar, or one per picture. With --check return 0 for suitable pictures, else 1."""
     if args.mine and args.check:
         raise UsageError("--mine signs an avatar, --check makes none: leave one of them out")
+    if args.mine:
+        require_package("--mine", "cryptography", "server")  # before the work, not after it
     if args.front.is_dir():
         from . import photo_folder
 

@@ -80,7 +80,7 @@ def announce(endpoint: Endpoint, out: TextIO, show_qr: bool, status: bool = True
         rows.append(("token", "each account has its own (glsplat users); the page asks for it"))
     for label, text in rows:
         print(f"  {label:<12}{text}", file=out)
-    if person or show_qr:
+    if show_qr or (person and status and not endpoint.local):  # other devices cannot open a local address
         _print_qr(address, out, person)
     out.flush()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 from pathlib import Path
 
 import cv2
@@ -294,3 +295,9 @@ def test_the_guide_is_drawn_and_the_same_every_time(tmp_path, capsys) -> None:
         assert shirt[y0:y1, x0:x1].sum() > 150
     assert (sheet[744:1006, 1036:1208][:2] == sheet[744, 1120]).all(axis=-1).mean() < 1  # "cut off": the head is
     assert np.ptp(sheet[1010:1080, 680:1560]) > 100  # words below
+
+
+def test_mine_without_what_signs_is_refused_before_the_work(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    assert cli.main(["avatar", "photo", str(tmp_path / "none.jpg"), "-o", str(tmp_path / "me.glb"), "--mine"]) == 1
+    assert "--mine needs cryptography: pip install 'glsplat[server]'" in capsys.readouterr().err

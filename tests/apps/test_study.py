@@ -80,6 +80,15 @@ def test_a_new_study_runs_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture
     policy_of(served.options, load_scene(served.options.scene), "anna")
 
 
+def test_texts_of_a_dropped_questionnaire_say_what_to_delete(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path)
+    path.write_text(path.read_text() + "\n[text.veq]\n")
+    assert main(["study", "check", str(path)]) == 1
+    assert "[text.veq] is for a questionnaire that the study does not have; delete it" in capsys.readouterr().err
+
+
 def test_check_says_what_an_analysis_will_lack(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A forgotten condition, and groups that cannot be of one size, while they can still be helped."""
     path = write(tmp_path)

@@ -150,7 +150,11 @@ def read_study(path: str | Path) -> Study:
     questionnaires: dict[str, Questionnaire] = {}
     stages = tuple(_read_stage(asked, stage, path.parent, questionnaires) for stage in ("before", "each", "after"))
     texts = table.table("text")
-    texts.known(*questionnaires)
+    if unused := [name for name in texts.keys if name not in questionnaires]:
+        raise FormatError(
+            f"{path}: [text.{unused[0]}] is for a questionnaire that the study does not have; delete it, or name the "
+            "questionnaire under [questionnaires]"
+        )
     for name in texts.keys:
         questionnaires[name] = questionnaires[name].with_texts(texts.table(name))
     conditions = _conditions(table, within)

@@ -33,6 +33,7 @@ _WAY_OUT = {
     "HEIC": "on an iPhone choose Settings, Camera, Formats, Most Compatible, or share it as JPEG",
     "RAW": "develop it and save it as JPEG",
     "RAW or TIFF": "develop it and save it as JPEG or PNG",
+    "video": "glsplat avatar video makes an avatar of one, or save one picture of it as JPEG or PNG",
 }
 
 
