@@ -67,8 +67,8 @@ class ConsentPolicy:
         """Raise GlsplatError if ``avatar`` may be shown to nobody."""
         if not self.without and (why := self._refusal(avatar, None, now)):
             raise GlsplatError(
-                f"{why}; sign one (glsplat avatar consent, or --mine of avatar photo), or serve it with without-consent = "
-                "true, which says so in every picture"
+                f"{why}; sign one (glsplat avatar consent, or --mine of avatar photo), or serve it with "
+                "without-consent = true, which says so in every picture"
             )
 
     def doubts(self, avatar: str, *, accounts: bool) -> list[str]:
