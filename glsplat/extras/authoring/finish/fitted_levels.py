@@ -14,7 +14,7 @@ from itertools import pairwise
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.finish.level_merge import MergeConfig, merged
-from glsplat.extras.authoring.geometry.attribute_transfer import carried
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
 
 __all__ = ["FittedConfig", "fitted_levels", "reduced"]
 
@@ -95,5 +95,5 @@ def reduced(
         recycled=config.recycled,
     )
     made = fitted(replace(start, shapes=None), pictures, seed, descent, progress)
-    shapes = None if start.shapes is None else carried(start.shapes, start.splats, made.splats)
+    shapes = None if start.shapes is None else transferred_shapes(start.shapes, start.splats, made.splats)
     return replace(made, shapes=shapes)

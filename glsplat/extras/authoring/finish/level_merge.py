@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.geometry.attribute_transfer import merged_shapes, surface_carried
+from glsplat.extras.authoring.geometry.attribute_transfer import merged_shapes, transferred_surface
 from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
@@ -252,7 +252,7 @@ def _made(scene: Any, usable: NDArray[np.intp], work: _Clusters) -> Any:
     sh = (rows @ few.sh.reshape(len(few), -1)) / total
     quats = Rotation.from_matrix(vectors).as_quat()[:, [3, 0, 1, 2]]
     made = Splats.create(centre, quats, deviations, opacity, sh.reshape(count, -1, 3), antialias=splats.antialias)
-    made = replace(made, surface=surface_carried(few.surface, few, made))
+    made = replace(made, surface=transferred_surface(few.surface, few, made))
     if not isinstance(scene, Avatar):
         return made
     joints = len(scene.skeleton)

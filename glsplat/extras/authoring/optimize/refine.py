@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.extras.authoring.geometry.attribute_transfer import carried, surface_carried
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes, transferred_surface
 from glsplat.extras.authoring.geometry.footprints import footprints
 from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh
@@ -134,9 +134,9 @@ class Fit:
             antialias=self._avatar.splats.antialias,
         )
         old, shapes = self._avatar.splats, self._avatar.shapes
-        fitted = replace(fitted, surface=surface_carried(old.surface, old, fitted))
+        fitted = replace(fitted, surface=transferred_surface(old.surface, old, fitted))
         if shapes is not None:
-            shapes = carried(shapes, old, fitted)
+            shapes = transferred_shapes(shapes, old, fitted)
         return replace(self._avatar, splats=fitted, shapes=shapes)
 
 

@@ -15,7 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.attribute_transfer import carried, deformed, surface_carried
+from glsplat.extras.authoring.geometry.attribute_transfer import (
+    expression_maps,
+    transferred_shapes,
+    transferred_surface,
+)
 from glsplat.extras.authoring.geometry.posed import PosedSplats, drawable
 from glsplat.extras.authoring.optimize import descent
 from glsplat.extras.authoring.optimize.loss import loss_of
@@ -211,11 +215,11 @@ class _Fit:
             np.where(alive, (rgb - 0.5) / SH_C0, first.sh[:, 0])[:, None],
             antialias=self._antialias,
         )
-        made = replace(made, surface=surface_carried(first.surface, first, made))
+        made = replace(made, surface=transferred_surface(first.surface, first, made))
         skin = Skin(self._joints.astype(self._avatar.skin.joints.dtype), self._weights.astype(np.float32))
         shapes = self._avatar.shapes
         if shapes is not None:
-            shapes = carried(shapes.take(self._origin), first.take(self._origin), made)
+            shapes = transferred_shapes(shapes.take(self._origin), first.take(self._origin), made)
         return replace(self._avatar, splats=made, skin=skin, shapes=shapes, levels=())
 
     def _compose(self) -> None:
@@ -234,7 +238,7 @@ class _Fit:
             turned = nearest_rotations(blended[:, :, :3])
             weights = self._avatar.weights(pose)
             if weights is not None and self._avatar.shapes is not None:
-                bend, move = deformed(self._avatar.shapes, self._avatar.splats, weights)
+                bend, move = expression_maps(self._avatar.shapes, self._avatar.splats, weights)
                 bend, move = bend[self._origin], move[self._origin]
                 blended[:, :, 3] += np.einsum("nij,nj->ni", blended[:, :, :3], move)
                 blended[:, :, :3], turned = blended[:, :, :3] @ bend, turned @ bend

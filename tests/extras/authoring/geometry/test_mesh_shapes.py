@@ -13,7 +13,7 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones
-from glsplat.extras.authoring.geometry.attribute_transfer import carried
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
 from glsplat.extras.authoring.geometry.mesh_shapes import body_morphs, with_shapes
 from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.authoring.optimize.refine import RefineConfig, refine
@@ -109,7 +109,7 @@ def test_shapes_follow_splats_that_were_turned_and_moved() -> None:
     splats = replace(after.splats, quats=turned, means=moved)
     wanted = with_shapes(replace(after, splats=splats), face).shapes
     assert before.shapes is not None and wanted is not None
-    found = carried(before.shapes, before.splats, splats)
+    found = transferred_shapes(before.shapes, before.splats, splats)
     one, other = (reference.expressed(splats, shapes, np.ones(1)) for shapes in (found, wanted))
     assert np.abs(one.means - other.means).max() < 2e-3  # the gradient is rounded to 0.024
     assert np.abs(one.shapes - other.shapes).max() < 0.06 * 0.02
