@@ -216,7 +216,7 @@ def _weigher(count: int, eps2d: float) -> Callable[[Splats, Camera], F64]:
         return weigh
     from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
 
-    drawing = Rasterizer(count, least=0.0)  # also what hardly shows says from where
+    drawing = Rasterizer(count, min_transmittance=0.0)  # also what hardly shows says from where
 
     def weigh_compiled(posed: Splats, camera: Camera) -> F64:
         drawing.draw(placed(posed), camera, antialias=False)

@@ -32,10 +32,10 @@ class FittedConfig:
     splats: int = 23_000  # ... that as many splats stand for, and fewer in smaller pictures by this power
     power: float = 0.7
     poses: int = 64
-    structure: float = 0.03  # as of FitConfig
-    thrift: float = 0.08
-    growth: float = 0.6
-    recycled: float = 0.0
+    ssim_weight: float = 0.03  # this and the next three as of FitConfig
+    scale_decay: float = 0.08
+    max_growth: float = 0.6
+    recycled_fraction: float = 0.0
     merge: MergeConfig | None = None
 
 
@@ -89,10 +89,10 @@ def reduced(
     pictures = pictures_of_splats(bare, seed, views, progress)
     descent = FitConfig(
         steps=config.steps,
-        structure=config.structure,
-        thrift=config.thrift,
-        growth=config.growth,
-        recycled=config.recycled,
+        ssim_weight=config.ssim_weight,
+        scale_decay=config.scale_decay,
+        max_growth=config.max_growth,
+        recycled_fraction=config.recycled_fraction,
     )
     made = fitted(replace(start, shapes=None), pictures, seed, descent, progress)
     shapes = None if start.shapes is None else transferred_shapes(start.shapes, start.splats, made.splats)

@@ -24,7 +24,7 @@ from glsplat.extras.authoring.light.captured_light import captured_light, with_c
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
-from glsplat.extras.authoring.optimize.surface_consistency import ready
+from glsplat.extras.authoring.optimize.surface_consistency import load_compiled
 from glsplat.extras.authoring.paint.bake import baked
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
@@ -62,7 +62,7 @@ class Builtin:
     def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """The avatar with all that led to it."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
-        loaded = None if options.keep_light else aside(ready)  # where a core has nothing to do
+        loaded = None if options.keep_light else aside(load_compiled)  # where a core has nothing to do
         shots = with_hair(body, bald)
         mesh = shots[0].mesh
         rng = np.random.default_rng(options.seed)

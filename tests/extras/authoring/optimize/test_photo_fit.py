@@ -83,7 +83,7 @@ def test_a_photograph_is_where_the_avatar_is_seen(scene: Scene, painted: tuple[A
 
 def test_large_photographs_are_looked_at_smaller(scene: Scene, painted: tuple[Avatar, Colours], monkeypatch) -> None:
     whole = _picture(painted[0], scene.shots[0])
-    monkeypatch.setattr(module, "_FIGURE", 300)
+    monkeypatch.setattr(module, "_PERSON_HEIGHT_PX", 300)
     small = _picture(painted[0], scene.shots[0])
     scale = small.target.shape[0] / whole.target.shape[0]
     assert small.target.shape[0] == pytest.approx(300, abs=2) and scale < 0.7
@@ -122,6 +122,6 @@ def test_without_numba_colours_alone_are_fitted(
 ) -> None:
     without_numba(monkeypatch)
     avatar, colours = painted
-    monkeypatch.setattr(module, "sharpened", lambda *words: words)
+    monkeypatch.setattr(module, "fit_colours", lambda *words: words)
     made = fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 400, 256, silent)
     assert made == (avatar, scene.shots, 8)

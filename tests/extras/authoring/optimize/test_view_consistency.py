@@ -7,7 +7,7 @@ import numpy as np
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.geometry.posed import PosedSplats, placed
 from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
-from glsplat.extras.authoring.optimize.view_consistency import SUMS, agreed
+from glsplat.extras.authoring.optimize.view_consistency import SUMS, gather_visible
 from tests.scenes import cloud
 
 VIEW = Camera(look_at((0.3, 1, 3), (0, 0, 0)), pinhole(150, 90), 150, 90)
@@ -43,7 +43,7 @@ def sums(splats: PosedSplats, values: np.ndarray, towards: np.ndarray) -> tuple[
     drawing = Rasterizer(count + 100)
     drawing.place(splats, VIEW, True)
     shares, found = drawing.shares(), np.empty((count, SUMS))
-    agreed(*shares, VIEW.width * VIEW.height, values.astype(np.float32), towards.astype(np.float32), found)
+    gather_visible(*shares, VIEW.width * VIEW.height, values.astype(np.float32), towards.astype(np.float32), found)
     return found, np.bincount(np.repeat(shares.splat, np.diff(shares.first)), shares.weight, count)
 
 
@@ -67,7 +67,7 @@ def test_shares_make_the_picture_and_end_where_too_little_passes() -> None:
     splats = placed(cloud(400))
     counts = []
     for least in (0.4, 1e-4):
-        drawing = Rasterizer(400, least=least)
+        drawing = Rasterizer(400, min_transmittance=least)
         drawing.place(splats, VIEW, True)
         shares = drawing.shares()
         picture = np.bincount(shares.pixel, shares.weight, VIEW.width * VIEW.height).reshape(VIEW.height, VIEW.width)
