@@ -17,7 +17,7 @@ from glsplat.avatar import Avatar
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.compute.compiled import MISSING, available
-from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, worth_cones
+from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, without_useless_cones
 from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.geometry.posed import posed_splats
@@ -172,7 +172,7 @@ def make(args: argparse.Namespace) -> int:
             show("finding the surface", 0.0)
             avatar = with_surface(avatar, mesh)
         if not args.no_cones:
-            avatar = worth_cones(with_cones(avatar, progress=show))
+            avatar = without_useless_cones(with_cones(avatar, progress=show))
     _report(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), reported)
     return write(avatar, args, began)
 

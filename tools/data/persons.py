@@ -22,7 +22,7 @@ from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with
 from glsplat.extras.authoring.faces.eyeballs import eyeballs, with_eyeballs
 from glsplat.extras.authoring.faces.lashes_and_hair import with_brow_hairs, with_lashes, with_strands
 from glsplat.extras.authoring.faces.openings import openings
-from glsplat.extras.authoring.finish.cones import with_cones, worth_cones
+from glsplat.extras.authoring.finish.cones import with_cones, without_useless_cones
 from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES, HEAD
@@ -270,7 +270,7 @@ def main() -> None:
         avatar = fitted_around(avatar, mesh, show)
         if options.levels:
             avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
-        avatar = with_surface(worth_cones(with_cones(avatar, progress=show)), mesh)
+        avatar = with_surface(without_useless_cones(with_cones(avatar, progress=show)), mesh)
     save(small(replace(avatar, meta=about(recipe, blink))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 

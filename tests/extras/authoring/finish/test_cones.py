@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.finish.cones import _far_camera, _weigher, worth_cones
+from glsplat.extras.authoring.finish.cones import _far_camera, _weigher, without_useless_cones
 from glsplat.extras.authoring.geometry.footprints import EPS2D
 from glsplat.splats import Splats
 from tests.extras.authoring.optimize.figures import start
@@ -40,5 +40,5 @@ def test_cones_that_hide_hardly_anything_are_left_out(hiding: float) -> None:
     avatar = start()
     cones = np.tile(np.array([0, 0, 127, -127], np.int8), (len(avatar.splats), 1))
     cones[: round(hiding * len(cones)), 3] = 0
-    kept = worth_cones(replace(avatar, splats=replace(avatar.splats, cones=cones, cones_psnr=50.0))).splats
+    kept = without_useless_cones(replace(avatar, splats=replace(avatar.splats, cones=cones, cones_psnr=50.0))).splats
     assert (kept.cones is None, kept.cones_psnr) == ((False, 50.0) if hiding > 0.1 else (True, None))

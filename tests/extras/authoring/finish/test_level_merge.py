@@ -109,7 +109,7 @@ def test_levels_are_measured_and_replace_those_that_are_there(context: Context) 
     stages: list[str] = []
     made = with_merged_levels(scene, [200, 100], config, lambda stage, done: stages.append(stage), context)
     assert made.levels and all(level.psnr is not None and level.psnr >= 24 for level in made.levels)
-    assert {"merging splats", "matching what levels cover", "measuring levels"} == set(stages)
+    assert {"merging splats", "matching the coverage of levels", "measuring levels"} == set(stages)
     again = with_merged_levels(made, [200, 100], config, context=context)
     assert [level.density for level in again.levels] == [level.density for level in made.levels]
     with pytest.raises(GlsplatError, match="fewer splats than the finest, which has 400"):
