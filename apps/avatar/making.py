@@ -22,7 +22,7 @@ from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.authoring.importers.bind import bind_to_mesh
-from glsplat.extras.authoring.importers.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.extras.authoring.importers.lam import FOLLOW_MODES, is_lam_zip, load_lam_zip
 from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
 from glsplat.extras.authoring.importers.on_smplx import on_smplx
 from glsplat.extras.authoring.importers.scans import read_obj_person
@@ -119,7 +119,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--follow",
-        choices=FOLLOW,
+        choices=FOLLOW_MODES,
         help="what moves a LAM zip's splats: their vertices' weights (default), or all the head, as LAM's own viewer",
     )
     parser.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
@@ -208,7 +208,7 @@ def take(args: argparse.Namespace) -> int:
             raise UsageError(f"{args.dump}: import the zip first, then its avatar (.glb) with --rig-map")
         if args.mesh is not None:
             raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
-        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
+        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW_MODES[0]), args, began)
     if args.follow is not None:
         raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
     if args.mesh is None and is_gltf(args.dump):

@@ -239,15 +239,9 @@ def viewpoints_of(scene: Splats | Avatar, config: MeasureConfig) -> list[Viewpoi
             rim = 0.01 * radius / (_FAR_RADII * radius)
             out.append(Viewpoint(pose, viewmat, flat.min(axis=0) - rim, flat.max(axis=0) + rim, 1e-3 * radius))
         if isinstance(scene, Splats):
+            half = np.full(2, _INSIDE_HALF_TAN)
             out += [
-                Viewpoint(
-                    None,
-                    viewmat,
-                    np.full(2, -_INSIDE_HALF_TAN),
-                    np.full(2, _INSIDE_HALF_TAN),
-                    0.01 * radius,
-                    inside=True,
-                )
+                Viewpoint(None, viewmat, -half, half, 0.01 * radius, inside=True)
                 for viewmat in _free_views(points, config.inside)
             ]
     return [replace(one, unit=proxy.density(one.camera(1e3), None, _bones(scene, one.pose)) / 1e3) for one in out]

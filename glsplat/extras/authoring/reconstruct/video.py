@@ -24,7 +24,7 @@ from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.video.body import fit_turning, key_views
-from glsplat.extras.authoring.video.film import FEWEST
+from glsplat.extras.authoring.video.film import MIN_FRAMES
 from glsplat.extras.authoring.video.frames import Frame, FramePicture, FrameSource, check_frames, frames_of
 from glsplat.meshes import RiggedMesh
 
@@ -140,8 +140,8 @@ def from_video(
     """
     options = options or Options()
     checked_form(form)
-    if not FEWEST <= frames <= _MOST_FRAMES:
-        raise FormatError(f"a turn needs {FEWEST} to {_MOST_FRAMES} frames, not {frames}")
+    if not MIN_FRAMES <= frames <= _MOST_FRAMES:
+        raise FormatError(f"a turn needs {MIN_FRAMES} to {_MOST_FRAMES} frames, not {frames}")
     options.progress("reading the frames", 0.0)
     pictures, in_order = frames_of(sources, frames)
     return from_pictures(pictures, in_order=in_order, options=options, form=form, anyway=anyway, meta=meta)
@@ -192,7 +192,7 @@ def _problem(fit: BodyFit, used: int) -> str:
     met = float(np.median([view.overlap for view in fit.views]))
     if met < _GOOD:
         return f"the body covers {met:.1%} of the person in most frames, not {_GOOD:.0%}; stand in an A-pose, and alone"
-    if used < _LEAST_USED * len(fit.views) or used < FEWEST:
+    if used < _LEAST_USED * len(fit.views) or used < MIN_FRAMES:
         return f"the body fits {used} of {len(fit.views)} frames; keep the pose while turning, and the camera still"
     return ""
 

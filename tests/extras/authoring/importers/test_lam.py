@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.importers import lam
-from glsplat.extras.authoring.importers.lam import FOLLOW, is_lam_zip, load_lam_zip, read_lam_zip
+from glsplat.extras.authoring.importers.lam import FOLLOW_MODES, is_lam_zip, load_lam_zip, read_lam_zip
 from glsplat.formats.gltf import morphs
 from glsplat.formats.ply import save_ply
 from glsplat.splats import SH_C0, Splats
@@ -233,7 +233,7 @@ def test_hostile_zips(packed, tmp_path, monkeypatch):
 
     bomb = packed({"skin.glb": b" " * ((1 << 20) + 1)})
     assert bomb.stat().st_size < 1 << 14
-    monkeypatch.setitem(lam._MEMBERS, "skin.glb", 1 << 20)
+    monkeypatch.setitem(lam._MAX_MEMBER_BYTES, "skin.glb", 1 << 20)
     monkeypatch.setattr(zipfile.ZipFile, "read", lambda *_: pytest.fail("unpacked"))
     refused(bomb, "skin.glb", "1 MiB")
     monkeypatch.undo()
@@ -283,7 +283,7 @@ def test_mutated_members(packed, data):
     path = packed(changes)
     tracemalloc.start()
     try:
-        head = read_lam_zip(path, follow=data.draw(st.sampled_from(FOLLOW)))
+        head = read_lam_zip(path, follow=data.draw(st.sampled_from(FOLLOW_MODES)))
         assert int(head.morphs.vertices.max(initial=0)) < max(len(head.avatar.splats), 1)
     except FormatError as error:
         assert str(error).startswith(f"{path}: ") and "\n" not in str(error) and "glsplat-" not in str(error)

@@ -130,7 +130,7 @@ def test_too_short_too_large_missing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     path = write(tmp_path / "a.avi", [picture(0), picture(1)], "MJPG")
     with pytest.raises(FormatError, match=r"a\.avi: a video needs at least 8 frames, this has 2; film a whole turn"):
         read_frames(path, 8)
-    monkeypatch.setattr(film, "_MOST_BYTES", 10)
+    monkeypatch.setattr(film, "_MAX_BYTES", 10)
     with pytest.raises(FormatError, match="at most 0 GB"):
         read_frames(path, 8)
     with pytest.raises(FormatError, match=r"b\.mp4: .*No such file"):
