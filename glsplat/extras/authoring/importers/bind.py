@@ -14,7 +14,7 @@ from glsplat.splats import Splats
 __all__ = ["bind_to_mesh"]
 
 
-def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influences: int = 4) -> Avatar:
+def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05) -> Avatar:
     """Return an avatar of static splats in the mesh's zero pose, with the weights of the nearest surface points.
 
     Raises FormatError if more than one splat in a hundred lies farther than ``reach`` metres from the surface (another
@@ -29,5 +29,5 @@ def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influenc
             f"{int(far.sum())} of {len(splats)} splats lie more than {reach * 100:g} cm from the mesh "
             f"(median {np.median(distance[usable]) * 100:.1f} cm); both need one pose, place and scale"
         )
-    skin = Skin.create(joints, weights, len(mesh.skeleton), influences)
+    skin = Skin.create(joints, weights, len(mesh.skeleton))
     return Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))

@@ -28,7 +28,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["FOLLOW_MODES", "Follow", "LamHead", "is_lam_zip", "load_lam_zip", "read_lam_zip"]
+__all__ = ["FOLLOW_MODES", "Follow", "is_lam_zip", "load_lam_zip"]
 
 Follow = Literal["weights", "head"]
 FOLLOW_MODES: tuple[Follow, ...] = ("weights", "head")
@@ -40,14 +40,6 @@ _MAX_ENTRIES = 10_000  # of the zip's directory
 _HEAD_JOINT = "head"
 
 
-@dataclass(frozen=True, eq=False)
-class LamHead:
-    """The avatar of a LAM export, and its morph targets (vertex i is splat i)."""
-
-    avatar: Avatar
-    morphs: Morphs
-
-
 def is_lam_zip(path: str | Path) -> bool:
     """Return True for a zip with a member called offset.ply; False for anything else, readable or not."""
     try:
@@ -57,13 +49,8 @@ def is_lam_zip(path: str | Path) -> bool:
         return False
 
 
-def load_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weights") -> Avatar:
-    """Return the avatar of ``read_lam_zip``."""
-    return read_lam_zip(path, influences, follow).avatar
-
-
-def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weights") -> LamHead:
-    """Read a LAM export: the avatar in the rest pose of its mesh, and its morph targets.
+def load_lam_zip(path: str | Path, follow: Follow = "weights") -> Avatar:
+    """Read the avatar of a LAM export, in the rest pose of its mesh; morph targets become its shapes.
 
     Members, in the zip's root or in one folder: ``offset.ply``, a 3DGS PLY whose x y z is the offset of each splat
     from its mesh vertex and whose f_dc is plain RGB in [0, 1]; ``skin.glb``, the skinned mesh with morph targets.
@@ -84,7 +71,7 @@ def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weight
             for name, info in found.items():
                 (Path(folder) / name).write_bytes(archive.read(info))
             try:
-                return _head(Path(folder), Path(path), influences, follow)
+                return _avatar(Path(folder), Path(path), follow)
             except FormatError as error:
                 raise FormatError(str(error).replace(f"{folder}/", "").replace(f"{folder}\\", "")) from None
     except FormatError as error:
@@ -131,7 +118,7 @@ class _Mesh:
     morphs: Morphs
 
 
-def _head(folder: Path, source: Path, influences: int, follow: Follow) -> LamHead:
+def _avatar(folder: Path, source: Path, follow: Follow) -> Avatar:
     splats, mesh = splats_of(load_splats(folder / "offset.ply", format="ply")), _mesh(folder / "skin.glb", source)
     count, names = len(splats), mesh.skeleton.names
     if len(mesh.vertices) != count:
@@ -149,13 +136,13 @@ def _head(folder: Path, source: Path, influences: int, follow: Follow) -> LamHea
             raise FormatError(f'skin.glb has no joint called "{_HEAD_JOINT}" that all splats could follow')
         skin = Skin.create(np.full((count, 1), names.index(_HEAD_JOINT)), np.ones((count, 1)), len(names), 1)
     else:
-        skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names), influences)
+        skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names))
     meta: dict[str, Any] = {
         "source": f"LAM, {source.name}",
         "body_model": f"{len(names)} joints of skin.glb",
         "licence": "as the picture and LAM's weights (CC BY-NC 4.0) allow",
     }
-    return LamHead(Avatar(placed, mesh.skeleton, skin, meta, shapes=_shapes(mesh.morphs, count)), mesh.morphs)
+    return Avatar(placed, mesh.skeleton, skin, meta, shapes=_shapes(mesh.morphs, count))
 
 
 def _shapes(morphs: Morphs, count: int) -> Shapes | None:

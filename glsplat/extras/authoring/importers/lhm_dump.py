@@ -40,7 +40,7 @@ _LHM_KEYS: dict[str, tuple[int | str, ...]] = {
 }
 
 
-def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
+def load_lhm_dump(path: str | Path) -> Avatar:
     """Read the .npz that a user's own LHM checkout dumps: activated attributes in LHM's canonical pose.
 
     Keys and shapes (N splats): query_points (N, 3), offset_xyz (N, 3), opacity (N, 1), rotation_wxyz (N, 4), scaling
@@ -69,7 +69,7 @@ def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
         up = np.array([0, floor, 0])
         splats = Splats.create(means - up, quats, data["scaling"], data["opacity"], rgb=data["rgb"])
         skeleton = Skeleton.from_joints(JOINT_NAMES, data["parents"].astype(np.int32), data["joints_zero"] - up)
-        skin = Skin.create(np.broadcast_to(np.arange(55), weights.shape), weights, 55, influences)
+        skin = Skin.create(np.broadcast_to(np.arange(55), weights.shape), weights, 55)
     except (FormatError, PoseError) as error:
         raise FormatError(f"{path}: {error}") from None
     meta: dict[str, Any] = {"source": f"LHM, {Path(path).name}", "body_model": "SMPL-X (55 joints)"}
