@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from glsplat import reference
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.compute.compiled import available
@@ -30,7 +30,7 @@ from glsplat.extras.authoring.optimize.refine import random_pose
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
-from glsplat.splats import Splats
+from glsplat.splats import Level, Splats
 
 __all__ = ["ConeConfig", "hidden", "with_cones", "without_useless_cones"]
 
@@ -81,7 +81,7 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
     """
     config = config or ConeConfig()
     report = progress or (lambda stage, done: None)
-    splats = scene.splats if isinstance(scene, Avatar) else scene
+    splats = splats_of(scene)
     usable = drawable(splats)
     if not usable.any():
         raise GlsplatError("visibility cones need at least one finite splat")
@@ -116,7 +116,10 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
     if isinstance(scene, Avatar) and scene.shapes is not None:
         cones[_uncovered(scene.splats, scene.shapes)] = _EVERYWHERE
     done = replace(splats, cones=cones, cones_psnr=round(kept, 2))
-    return cast("Scene", _with_levels(scene, done, config, progress))
+    old: Sequence[Level[Any]] = scene.levels
+    levels = tuple(replace(one, content=with_cones(one.content, config, progress)) for one in old)
+    made: Any = replace(scene, splats=done) if isinstance(scene, Avatar) else done
+    return cast("Scene", replace(made, levels=levels))
 
 
 def without_useless_cones(avatar: Avatar) -> Avatar:
@@ -139,16 +142,6 @@ def _uncovered(splats: Splats, shapes: Shapes) -> NDArray[np.bool_]:
         near = cKDTree(splats.means[far]).query(splats.means[rows], distance_upper_bound=_UNCOVERING_M)[0]
         out[rows[np.isfinite(near)]] = True
     return np.asarray(out)
-
-
-def _with_levels(
-    scene: Splats | Avatar, done: Splats, config: ConeConfig, progress: Progress | None
-) -> Splats | Avatar:
-    if isinstance(scene, Avatar):
-        rigged = tuple(replace(one, content=with_cones(one.content, config, progress)) for one in scene.levels)
-        return replace(scene, splats=done, levels=rigged)
-    levels = tuple(replace(one, content=with_cones(one.content, config, progress)) for one in scene.levels)
-    return replace(done, levels=levels)
 
 
 def hidden(posed: Splats, eyes: Sequence[NDArray[np.float64]], margin: float = 0.0) -> NDArray[np.bool_]:

@@ -21,6 +21,7 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
+from glsplat.extras.authoring.geometry.footprints import ALPHA_MIN
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.authoring.geometry.visibility import probe_poses, sphere, sphere_around
 from glsplat.gl.context import Context, create_context
@@ -42,7 +43,6 @@ _MAX_SAMPLES = 65536  # splats, in the search for free places
 _DENSITY_FACTOR = 2**0.5  # between measured densities
 _REFINEMENT_STEPS = 3  # halvings of that factor: 4 % remain
 _MIN_PICTURE_PX = 24  # longer side at the lowest density, and of pictures from inside
-_MIN_ALPHA = 1 / 255
 _MAX_PSNR_DB = 120.0  # of equal pictures
 _EXACT = RenderConfig(target="32f", output="float32", cull_hidden=False)
 
@@ -135,7 +135,7 @@ def box_psnr(picture: F32, other: F32) -> float:
 
     It is taken over the box that either covers, before black and before grey: the lower of the two.
     """
-    shown = (picture[..., 3] >= _MIN_ALPHA) | (other[..., 3] >= _MIN_ALPHA)
+    shown = (picture[..., 3] >= ALPHA_MIN) | (other[..., 3] >= ALPHA_MIN)
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
     if not len(rows):
         return _MAX_PSNR_DB
@@ -225,7 +225,7 @@ def viewpoints_of(scene: Splats | Avatar, config: MeasureConfig) -> list[Viewpoi
         poses = [*probe_poses(scene.skeleton.names)]
     for number, pose in enumerate(poses):
         splats = posed_splats(scene, pose) if isinstance(scene, Avatar) and pose is not None else splats_of(scene)
-        points = splats.means[splats.finite() & (splats.opacities > _MIN_ALPHA)].astype(np.float64)
+        points = splats.means[splats.finite() & (splats.opacities > ALPHA_MIN)].astype(np.float64)
         if not len(points):
             raise GlsplatError("levels of detail need at least one finite splat that is not transparent")
         low, high = np.percentile(points, (0.5, 99.5), axis=0)  # stray splats must not shrink the rest

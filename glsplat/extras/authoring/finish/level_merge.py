@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.geometry.attribute_transfer import merged_shapes, transferred_surface
 from glsplat.rotations import quaternion_matrices
@@ -63,7 +63,7 @@ def merged(scene: Scene, count: int, config: MergeConfig | None = None, progress
     Splats that are not finite or transparent are dropped. Merged splats of an avatar take the mean of their weights
     and shapes. Raises GlsplatError for a count below 1 or a scene without a splat that can be drawn.
     """
-    if count >= len(scene.splats if isinstance(scene, Avatar) else scene):
+    if count >= len(splats_of(scene)):
         return scene
     (found,) = merged_levels(scene, [count], config, progress)
     return covered(found, Cover())
@@ -84,7 +84,7 @@ def merged_levels(
         raise GlsplatError(
             f"levels need falling numbers of splats above 0, not {', '.join(map(str, counts)) or 'none'}"
         )
-    splats = scene.splats if isinstance(scene, Avatar) else scene
+    splats = splats_of(scene)
     usable = np.flatnonzero(splats.finite() & (splats.opacities > 0) & (np.abs(splats.quats).max(-1, initial=0) > 0))
     if not len(usable):
         raise GlsplatError("levels of detail need at least one finite splat that is not transparent")
@@ -103,7 +103,7 @@ def merged_levels(
 def covered(scene: Scene, cover: Cover) -> Scene:
     """Return a scene of ``merged_levels`` with valid opacities: excess opacity enlarges a splat in its plane."""
     bare: Any = scene
-    splats = bare.splats if isinstance(bare, Avatar) else bare
+    splats: Any = splats_of(bare)
     opacity = cover.gain * splats.opacities.astype(np.float64)
     over = np.maximum(opacity / cover.most, 1) ** (cover.grow / 2)
     scales = splats.scales * over[:, None]
@@ -232,7 +232,7 @@ def _dense(scene: Splats | Avatar, usable: NDArray[np.intp]) -> NDArray[np.float
 
 def _merged_scene(scene: Any, usable: NDArray[np.intp], work: _Clusters) -> Any:
     """Return the scene of the clusters, from the moments of their splats."""
-    splats = scene.splats if isinstance(scene, Avatar) else scene
+    splats: Any = splats_of(scene)
     used = splats.take(usable)
     count, label = work.count, work.label
     scales = np.abs(used.scales.astype(np.float64))

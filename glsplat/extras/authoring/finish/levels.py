@@ -17,12 +17,14 @@ from glsplat.extras.authoring.finish.level_merge import Cover, MergeConfig, area
 from glsplat.gl.context import Context
 from glsplat.splats import Splats
 
-__all__ = ["halves", "with_levels", "with_merged_levels"]
+__all__ = ["MIN_LEVEL_SPLATS", "halves", "with_levels", "with_merged_levels"]
 
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]
 
-_MIN_SPLATS, _MAX_LEVELS = 5000, 8  # of the coarsest level by default
+MIN_LEVEL_SPLATS = 5000
+"""Splats of the coarsest level by default."""
+_MAX_LEVELS = 8
 _GAINS = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 _GROWTHS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 _TUNING_VIEWS = 4  # for the choice of gain and growth
@@ -31,7 +33,7 @@ _TUNING_VIEWS = 4  # for the choice of gain and growth
 def halves(count: int) -> list[int]:
     """Return ``count`` / 2, / 4, ... down to 5,000; below 10,000 only the half."""
     out = [count // 2]
-    while len(out) < _MAX_LEVELS and out[-1] // 2 >= _MIN_SPLATS:
+    while len(out) < _MAX_LEVELS and out[-1] // 2 >= MIN_LEVEL_SPLATS:
         out.append(out[-1] // 2)
     return [one for one in out if one > 0]
 

@@ -202,10 +202,10 @@ def draw(
     record: F32,
     box: I32,
     picture: F32,  # [H, W, 4] premultiplied, added to
-    passes: F32,  # [H, W] what passes, begins at 1
+    passes: F32,  # [H, W] transmittance, initially 1
     least: np.float32,  # of it: nothing is drawn where less passes
 ) -> None:
-    """Some tiles of the picture."""
+    """Draw ``tiles`` of the picture."""
     height, width = passes.shape
     for tile in tiles:
         left, top, right, bottom = _edges(tile, tile_columns, width, height)
@@ -243,9 +243,9 @@ def backward(
     box: I32,
     slope: F32,  # [H, W, 4] of the loss by the picture
     error: F32,  # [H, W]
-    passes: F32,  # [H, W] begins at 1
+    passes: F32,  # [H, W] initially 1
     least: np.float32,  # as of draw()
-    behind: F32,  # [H, W] begins at the sum over channels of slope times picture
+    behind: F32,  # [H, W] initially the sum over channels of slope times picture
     sums: F32,  # [E, SUMS] written
 ) -> None:
     """Write the gradient of the loss for each splat-tile pair in ``tiles``."""

@@ -121,5 +121,5 @@ class Rasterizer:
         return self.backward(nothing, nothing[:, :, 0]).weight.copy()
 
     def _each(self, parts: list[Any], work: Callable[[Any], None]) -> None:
-        for _ in map(work, parts) if self._pool is None else self._pool.map(work, parts):  # raises what a thread raised
+        for _ in map(work, parts) if self._pool is None else self._pool.map(work, parts):  # re-raises a thread's error
             pass

@@ -57,8 +57,7 @@ _EXPRESSIONS: tuple[dict[str, float], ...] = (  # others are close to one of the
 )
 _REVEALING = _EXPRESSIONS[0], _EXPRESSIONS[2]  # lids, teeth and tongue
 _FACE_ANGLES_DEG = ((0, 0), (-35, 5), (35, -5))
-_LIDS, _LIPS = ("eyeBlinkLeft", "eyeBlinkRight"), ("mouthFunnel", "mouthPucker")
-_REGIONS = {"lids": _LIDS, "lips": _LIPS}
+_REGIONS = {"lids": ("eyeBlinkLeft", "eyeBlinkRight"), "lips": ("mouthFunnel", "mouthPucker")}
 _MIN_MOVE_M = 0.001  # by an expression, of the vertices of its region
 _MIN_HALF_TAN = 1e-3  # tangent of half an angle of view, for a hand of a single splat
 
@@ -183,7 +182,7 @@ def _cropped_pictures(views: list[TargetView], drawn: Iterator[U8], progress: Re
     out = []
     for index, (view, picture) in enumerate(zip(views, drawn, strict=True)):
         if progress:
-            progress("drawing what to fit to", index / len(views))
+            progress("drawing target pictures", index / len(views))
         out.append(_cropped(view, picture))
     return out
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.compute.compiled import compiled
-from glsplat.extras.authoring.geometry.footprints import ALPHA_MAX
-from glsplat.extras.authoring.optimize.kernels import TILE, _alpha, _edges, _read, _span
+from glsplat.extras.authoring.optimize.kernels import _ALPHA_CAP, TILE, _alpha, _edges, _read, _span
 
 __all__ = ["SUMS", "VALUES", "Shares", "gather_visible", "list_shares"]
 
@@ -28,7 +27,6 @@ SUMS = 7
 """Columns of a splat: five blended values and 1, weighted by the squared cosine of the view; weighted pixels."""
 
 _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
-_ALPHA_CAP = np.float32(ALPHA_MAX)
 _MIN_FACING_SHARE = np.float32(0.5)  # of a pixel; with less, the surface is seen through
 
 

@@ -1,4 +1,4 @@
-"""How much of a picture each splat makes is the same compiled and in numpy; cones that hide nothing are left out."""
+"""Each splat's share of a picture is the same compiled and in numpy; useless cones are dropped."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from tests.scenes import cloud
 
 @pytest.fixture
 def scene() -> Splats:
-    """Of all opacities, some scales negative, which means nothing; in no order."""
+    """Return unordered splats of all opacities, some with negative scales."""
     splats = cloud(1500, spread=0.3)
     sign = np.random.default_rng(4).choice([-1, 1], (1500, 3))
     return replace(splats, scales=splats.scales * sign, antialias=True)  # cones are made without
 
 
-def test_weights_are_those_of_numpy(scene: Splats, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_equal_numpy(scene: Splats, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = _weigher(len(scene), EPS2D)
     without_numba(monkeypatch)
     computed = _weigher(len(scene), EPS2D)
@@ -36,7 +36,7 @@ def test_weights_are_those_of_numpy(scene: Splats, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("hiding", [0.0, 0.01, 0.5])
-def test_cones_that_hide_hardly_anything_are_left_out(hiding: float) -> None:
+def test_cones_that_hide_hardly_any_splat_are_dropped(hiding: float) -> None:
     avatar = start()
     cones = np.tile(np.array([0, 0, 127, -127], np.int8), (len(avatar.splats), 1))
     cones[: round(hiding * len(cones)), 3] = 0

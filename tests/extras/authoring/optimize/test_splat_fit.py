@@ -1,4 +1,4 @@
-"""Splats fitted to pictures: closer to them, the same for the same seed, within bounds, in poses, and broken off."""
+"""Fits of splats to pictures: PSNR, determinism, bounds, poses, interruption."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def data(avatar: Avatar) -> list[bytes]:
     return [array.tobytes() for array in (*avatar.splats.arrays, avatar.skin.joints, avatar.skin.weights)]
 
 
-def test_a_fit_comes_closer(pictures: list[TargetPicture]) -> None:
+def test_a_fit_raises_the_psnr(pictures: list[TargetPicture]) -> None:
     told: list[tuple[str, float]] = []
     done = fitted(start(), pictures, 0, FitConfig(steps=60), lambda stage, share: told.append((stage, share)))
     assert kept(done) > kept(start()) + 4
@@ -62,7 +62,7 @@ def broken() -> tuple[Avatar, list[int]]:
     return replace(start(), splats=Splats(**arrays, antialias=True)), rows
 
 
-def test_what_is_not_drawn_disturbs_nothing(pictures: list[TargetPicture]) -> None:
+def test_splats_that_are_not_drawn_change_nothing(pictures: list[TargetPicture]) -> None:
     given, rows = broken()
     others = ~np.isin(np.arange(400), rows)
     done = fitted(given, pictures, 0, FitConfig(steps=20, recycled_fraction=0))
@@ -73,7 +73,7 @@ def test_what_is_not_drawn_disturbs_nothing(pictures: list[TargetPicture]) -> No
     assert (np.abs(done.splats.means - given.splats.means)[others].max(axis=1) > 0).mean() > 0.9
 
 
-def test_nothing_goes_beyond_its_bounds(pictures: list[TargetPicture]) -> None:
+def test_parameters_stay_within_bounds(pictures: list[TargetPicture]) -> None:
     fast = {"mean_rate": 0.5, "scale_rate": 0.3, "turn_rate": 0.3, "opacity_rate": 1.0, "colour_rate": 0.3}
     config = FitConfig(steps=80, recycled_fraction=0, **fast)
     before, after = start().splats, fitted(start(), pictures, 0, config).splats
@@ -91,7 +91,7 @@ def test_nothing_goes_beyond_its_bounds(pictures: list[TargetPicture]) -> None:
     assert colours.min() == pytest.approx(0, abs=1e-6) and colours.max() == pytest.approx(1, abs=1e-6)
 
 
-def test_recycled_splats_are_put_where_they_show(pictures: list[TargetPicture]) -> None:
+def test_recycled_splats_become_visible(pictures: list[TargetPicture]) -> None:
     inside = np.arange(0, 400, 20)
     splats, skin = start().splats, start().skin
     means, weights = splats.means.copy(), skin.weights.copy()
@@ -143,7 +143,7 @@ def test_a_splat_is_split_along_its_longest_axis(pictures: list[TargetPicture]) 
         np.testing.assert_allclose(kept_one, made_anew, atol=1e-6)
 
 
-def test_ctrl_c_keeps_what_was_reached(pictures: list[TargetPicture]) -> None:
+def test_ctrl_c_keeps_the_state(pictures: list[TargetPicture]) -> None:
     told: list[str] = []
 
     def show(stage: str, done: float) -> None:
@@ -159,7 +159,7 @@ def test_ctrl_c_keeps_what_was_reached(pictures: list[TargetPicture]) -> None:
 
 
 def person(seed: int) -> Avatar:
-    """Few large splats on two joints."""
+    """Return a few large splats on two joints."""
     rng = np.random.default_rng(seed)
     means, quats = rng.normal(0, 0.3, (40, 3)), rng.normal(size=(40, 4))
     scales, opacities = np.exp(rng.uniform(-3.2, -1.8, (40, 3))), rng.uniform(0.3, 0.9, 40)
@@ -170,7 +170,7 @@ def person(seed: int) -> Avatar:
 
 
 def drawn(avatar: Avatar, values: np.ndarray, camera: Camera, pose: Pose) -> np.ndarray:
-    """The picture of what a descent's numbers say, in float64."""
+    """Return the picture of the parameters of a descent, in float64."""
     splats = avatar.splats
     logs = np.log(splats.scales.astype(np.float64))
     means = splats.means + values[:, :3] * np.exp(logs[:, :2].mean(axis=1, keepdims=True))
@@ -186,7 +186,7 @@ def drawn(avatar: Avatar, values: np.ndarray, camera: Camera, pose: Pose) -> np.
 
 
 @pytest.mark.check
-def test_the_slope_by_every_number_is_that_of_finite_differences() -> None:
+def test_the_slope_by_every_parameter_equals_finite_differences() -> None:
     avatar, other, pose = person(0), person(9), BENT
     view = Camera(look_at((0.3, 0.5, 6), (0, 0, 0)), pinhole(48, 48, 22), 48, 48)
     zero = Pose.zero(2)

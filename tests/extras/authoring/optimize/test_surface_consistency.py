@@ -1,4 +1,4 @@
-"""Normals and occlusion that agree with what is seen: what shows through a skin is lit as the skin is."""
+"""Normals and occlusion consistent with the visible surface: splats that show through a skin are lit as the skin."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def cheek() -> tuple[Avatar, F64, F64, F64]:
     return Avatar(splats, skeleton, skin), ways, normals, occlusion
 
 
-def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
+def test_deviating_splats_take_the_visible_surface_and_visible_ones_stay() -> None:
     avatar, ways, normals, occlusion = cheek()
     found, opened, shade = view_consistent(avatar, normals, occlusion, np.repeat([0.5, 1.0], [700, 400]))
     before, after = ((some * ways).sum(axis=1) for some in (normals, found))
@@ -57,7 +57,7 @@ def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
     assert (ones == 1).all() and (unlit * found).sum(axis=1)[outer].min() > 0.95
 
 
-def test_without_numba_all_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     avatar, _, normals, occlusion = cheek()
     without_numba(monkeypatch)
     same, opened, shade = view_consistent(avatar, normals, occlusion)

@@ -69,7 +69,7 @@ def test_opengl_and_numpy_draw_the_same(context: Context, monkeypatch: pytest.Mo
         (("left_thumb3", "right_wrist", "jaw"), 20),
     ],
 )
-def test_close_ups_are_taken_where_the_rig_has_such_joints(
+def test_close_ups_need_the_joints_of_the_rig(
     names: tuple[str, ...], close_ups: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "create_context", no_context)
@@ -86,7 +86,7 @@ def test_close_ups_are_taken_where_the_rig_has_such_joints(
             assert (at > 0).all() and (at < (picture.camera.width, picture.camera.height)).all()
 
 
-def test_the_figure_fills_the_pictures_and_is_nowhere_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_figure_fills_the_pictures_and_is_not_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "create_context", no_context)
     figure = named(*ARMED)
     found = pictures_of(figure, 3, replace(FEW, size=160))
@@ -122,7 +122,7 @@ def on_three_joints() -> Avatar:
 
 
 @pytest.mark.parametrize("antialias", [False, True])
-def test_pictures_of_splats_are_those_of_the_renderer(antialias: bool) -> None:
+def test_pictures_of_splats_equal_the_renderer(antialias: bool) -> None:
     avatar = on_three_joints()
     avatar = replace(avatar, splats=replace(avatar.splats, antialias=antialias))
     found = pictures_of_splats(avatar, 3, FEW)

@@ -1,4 +1,4 @@
-"""What pictures of splats' own values say of each splat, against the drawing of colours and its way back."""
+"""Values gathered from pictures, against the drawing of colours and its gradients."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def sums(splats: PosedSplats, values: np.ndarray, towards: np.ndarray) -> tuple[
     return found, np.bincount(np.repeat(shares.splat, np.diff(shares.first)), shares.weight, count)
 
 
-def test_sums_are_those_of_pictures_of_the_values() -> None:
+def test_sums_equal_those_of_pictures_of_the_values() -> None:
     splats = placed(cloud(400))
     rng = np.random.default_rng(5)
     values = rng.normal(size=(400, 6))
@@ -63,7 +63,7 @@ def test_sums_are_those_of_pictures_of_the_values() -> None:
     assert np.allclose(weights, whole, rtol=1e-4, atol=1e-4)
 
 
-def test_shares_make_the_picture_and_end_where_too_little_passes() -> None:
+def test_shares_sum_to_the_picture_and_end_at_min_transmittance() -> None:
     splats = placed(cloud(400))
     counts = []
     for least in (0.4, 1e-4):
