@@ -54,8 +54,7 @@ class ConeConfig:
 
     directions: int = 96  # around a scene; an avatar has three times as many, shared out among its poses
     poses: int = 16  # of an avatar: probe_poses, then random ones
-    size: int = 320  # pixels, square, filled by the sphere around the scene
-    eps2d: float = 0.3  # px^2: at this size the dilation closes the surface in front of hidden splats
+    size: int = 320  # pixels, square, filled by the scene's sphere; small, so that the dilation closes surfaces
     psnr: float = 45.0  # dB that pictures keep
     psnr_margin: float = 1.0  # dB above ``psnr`` to which cones are widened
     # candidate cosines by which all cones are widened
@@ -186,7 +185,7 @@ def _weights_and_directions(
     count = int(usable.sum())
     weight, to_eye = np.empty((views, count), np.float32), np.empty((views, count, 3), np.float32)
     view = 0
-    weigh = _weigher(count, config.eps2d)
+    weigh = _weigher(count)
     for pose in poses:
         posed = _posed(scene, pose, usable)
         for direction in sphere(directions) @ Rotation.random(rng=rng).as_matrix():
@@ -199,12 +198,12 @@ def _weights_and_directions(
     return weight, to_eye
 
 
-def _weigher(count: int, eps2d: float) -> Callable[[Splats, Camera], F64]:
+def _weigher(count: int) -> Callable[[Splats, Camera], F64]:
     """Return a function for each splat's share [N] of a picture, in pixels: compiled with numba, else in numpy."""
-    if not available() or eps2d != EPS2D:
+    if not available():
 
         def weigh(posed: Splats, camera: Camera) -> F64:
-            prints = _footprints(posed, camera, eps2d)
+            prints = _footprints(posed, camera, EPS2D)
             return np.bincount(prints.splat, prints.alpha * prints.transmittance, prints.count).astype(np.float64)
 
         return weigh

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.finish.level_merge import MergeConfig, merged
+from glsplat.extras.authoring.finish.level_merge import merged
 from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
 
 __all__ = ["FittedConfig", "fitted_levels", "reduced"]
@@ -36,7 +36,6 @@ class FittedConfig:
     scale_decay: float = 0.08
     max_growth: float = 0.6
     recycled_fraction: float = 0.0
-    merge: MergeConfig | None = None
 
 
 def fitted_levels(
@@ -78,7 +77,7 @@ def reduced(
     """
     config = config or FittedConfig()
     bare = replace(avatar, levels=(), splats=replace(avatar.splats, cones=None, cones_psnr=None))
-    start = merged(bare, count, config.merge)
+    start = merged(bare, count)
     if not config.steps:
         return start
     from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted

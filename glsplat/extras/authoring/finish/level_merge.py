@@ -25,7 +25,7 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["Cover", "MergeConfig", "covered", "merged", "merged_levels"]
+__all__ = ["Cover", "covered", "merged", "merged_levels"]
 
 F64 = NDArray[np.float64]
 Scene = TypeVar("Scene", bound=Splats | Avatar)
@@ -33,19 +33,14 @@ Report = Callable[[str, float], None]
 
 _CHUNK_SIZE = 1 << 17  # pairs or splats, to bound the memory
 _TWO_PASS_SPLATS = 200_000  # from here on rounds are expensive, and each pairs twice
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MergeConfig:
-    """Weights in the cost of a pair. Tuned on the default avatar and a captured plant."""
-
-    neighbours: int = 5  # candidates of each splat
-    share: float = 0.35  # of all splats, merged before neighbours are searched again
-    colour: float = 2.0  # cost of a colour difference of one, in sizes of the pair
-    normal: float = 1.2  # cost of a right angle, in sizes
-    sheet: float = 3.0  # factor of distances along the normal
-    joints: float = 1.0  # cost of a change of all joint weights, in sizes
-    mass: float = 0.5  # power of the pair's area
+# Costs of a pair are in its own sizes; tuned on the default avatar and a captured plant.
+_NEIGHBOURS = 5  # candidates of each splat
+_ROUND_FRACTION = 0.35  # of all splats, merged before neighbours are searched again
+_COLOUR_COST = 2.0  # of a difference of one
+_NORMAL_COST = 1.2  # of a right angle
+_SHEET_FACTOR = 3.0  # of distances along the normal
+_JOINTS_COST = 1.0  # of a change of all joint weights
+_MASS_POWER = 0.5  # of the pair's area
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +52,7 @@ class Cover:
     most: float = 0.97  # opacity
 
 
-def merged(scene: Scene, count: int, config: MergeConfig | None = None, progress: Report | None = None) -> Scene:
+def merged(scene: Scene, count: int, progress: Report | None = None) -> Scene:
     """Return the scene merged to ``count`` splats, without levels; unchanged if it has no more. Deterministic.
 
     Splats that are not finite or transparent are dropped. Merged splats of an avatar take the mean of their weights
@@ -65,21 +60,20 @@ def merged(scene: Scene, count: int, config: MergeConfig | None = None, progress
     """
     if count >= len(splats_of(scene)):
         return scene
-    (found,) = merged_levels(scene, [count], config, progress)
+    (found,) = merged_levels(scene, [count], progress)
     return covered(found, Cover())
 
 
 def merged_levels(
     scene: Scene,
     counts: Sequence[int],  # falling
-    config: MergeConfig | None = None,
     progress: Report | None = None,
 ) -> list[Scene]:
     """Return the scene merged to each of several counts, each from the one before; pass them to ``covered``.
 
     Their opacities keep the covered area, and may be far above 1. Raises as ``merged``.
     """
-    config, report = config or MergeConfig(), progress or (lambda stage, done: None)
+    report = progress or (lambda stage, done: None)
     if not counts or min(counts) < 1 or any(a <= b for a, b in pairwise(counts)):
         raise GlsplatError(
             f"levels need falling numbers of splats above 0, not {', '.join(map(str, counts)) or 'none'}"
@@ -88,7 +82,7 @@ def merged_levels(
     usable = np.flatnonzero(splats.finite() & (splats.opacities > 0) & (np.abs(splats.quats).max(-1, initial=0) > 0))
     if not len(usable):
         raise GlsplatError("levels of detail need at least one finite splat that is not transparent")
-    work = _Clusters(splats.take(usable), _dense(scene, usable), config)
+    work = _Clusters(splats.take(usable), _dense(scene, usable))
     first = len(usable)
     out: list[Scene] = []
     for count in counts:
@@ -116,8 +110,7 @@ def covered(scene: Scene, cover: Cover) -> Scene:
 class _Clusters:
     """The state of a merge: clusters and their moments."""
 
-    def __init__(self, splats: Splats, weights: NDArray[np.float32] | None, config: MergeConfig) -> None:
-        self._config = config
+    def __init__(self, splats: Splats, weights: NDArray[np.float32] | None) -> None:
         self.label = np.arange(len(splats))  # the cluster of each splat
         scales = np.abs(splats.scales.astype(np.float64))
         self.mass: F64 = np.minimum(splats.opacities, 1).astype(np.float64) * area_of(scales)
@@ -144,7 +137,7 @@ class _Clusters:
     def merge(self, least: int) -> None:
         """Merge the cheapest pairs in which each splat is the other's cheapest neighbour, down to ``least`` splats."""
         target, cost = self._pairs()
-        most = max(1, min(self.count - least, int(self._config.share * self.count)))
+        most = max(1, min(self.count - least, int(_ROUND_FRACTION * self.count)))
         chosen = np.flatnonzero(target >= 0)
         if len(chosen) > most:
             chosen = chosen[np.argpartition(cost[chosen], most - 1)[:most]]
@@ -168,7 +161,7 @@ class _Clusters:
 
         A pair merges where it is the cheapest for both; in a second pass, unpaired splats try the rest.
         """
-        k = min(self._config.neighbours + 1, self.count)
+        k = min(_NEIGHBOURS + 1, self.count)
         tree = cKDTree(self._means)
         near, costs = np.empty((self.count, k), np.int32), np.empty((self.count, k), np.float32)
         for at in range(0, self.count, _CHUNK_SIZE):
@@ -200,21 +193,20 @@ class _Clusters:
 
     def _costs(self, rows: NDArray[np.intp], near: NDArray[np.int32]) -> F64:
         """Return the cost [R, k] of merging each of ``rows`` with each of its neighbours."""
-        config = self._config
         a, b = self.mass[rows][:, None], self.mass[near]
         apart = self._means[near] - self._means[rows][:, None]
         one, other = self._normals[rows][:, None], self._normals[near]
         along = np.maximum(np.abs((one * apart).sum(axis=2)), np.abs((other * apart).sum(axis=2)))
-        place = (apart * apart).sum(axis=2) + (config.sheet**2 - 1) * along * along
+        place = (apart * apart).sum(axis=2) + (_SHEET_FACTOR**2 - 1) * along * along
         colour = ((self._rgb[near] - self._rgb[rows][:, None]) ** 2).sum(axis=2)
         size = a + b  # the product of two deviations: a squared length
-        square = colour * config.colour**2
+        square = colour * _COLOUR_COST**2
         lengths = np.sqrt((one * one).sum(axis=2) * (other * other).sum(axis=2))
-        square += config.normal**2 * 2 * np.maximum(lengths - np.abs((one * other).sum(axis=2)), 0)
+        square += _NORMAL_COST**2 * 2 * np.maximum(lengths - np.abs((one * other).sum(axis=2)), 0)
         if self._weights is not None:
             turn = self._weights[near] - self._weights[rows][:, None]
-            square += config.joints**2 * np.einsum("rkj,rkj->rk", turn, turn)
-        return np.asarray(a * b / size * size ** (config.mass - 1) * (place + 4 * size * square))
+            square += _JOINTS_COST**2 * np.einsum("rkj,rkj->rk", turn, turn)
+        return np.asarray(a * b / size * size ** (_MASS_POWER - 1) * (place + 4 * size * square))
 
 
 def _dense(scene: Splats | Avatar, usable: NDArray[np.intp]) -> NDArray[np.float32] | None:

@@ -13,7 +13,7 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.compute.compiled import available
 from glsplat.extras.authoring.finish.fitted_levels import FittedConfig, fitted_levels
 from glsplat.extras.authoring.finish.level_measure import MeasureConfig, Pictures, Viewpoint, measured, viewpoints_of
-from glsplat.extras.authoring.finish.level_merge import Cover, MergeConfig, area_of, covered, merged_levels
+from glsplat.extras.authoring.finish.level_merge import Cover, area_of, covered, merged_levels
 from glsplat.gl.context import Context
 from glsplat.splats import Splats
 
@@ -75,7 +75,7 @@ def with_merged_levels(
     counts = halves(total) if counts is None else list(counts)
     if not counts or counts[0] >= total:
         raise GlsplatError(f"levels need fewer splats than the finest, which has {total}")
-    raw = merged_levels(bare, counts, MergeConfig(), report)
+    raw = merged_levels(bare, counts, report)
     viewpoints = viewpoints_of(bare, config)
     tuning = viewpoints[:: max(1, len(viewpoints) // _TUNING_VIEWS)]
     levels, cover = [], Cover()

@@ -31,16 +31,16 @@ class Loss(NamedTuple):
     error: F32  # [H, W] sum over channels of trust times the error
 
 
-def loss_of(picture: F32, target: U8, share: float, structure: float, trust: F32 | None = None) -> Loss:
-    """Return the loss share * trust * (sum (picture - target)^2 + structure * sum (1 - SSIM)) and its slope.
+def loss_of(picture: F32, target: U8, weight: float, ssim_weight: float, trust: F32 | None = None) -> Loss:
+    """Return the loss weight * trust * (sum (picture - target)^2 + ssim_weight * sum (1 - SSIM)) and its slope.
 
     Sums run over pixels and channels. ``picture`` [H, W, 4] in [0, 1], ``target`` in steps of 1/255, ``trust``
-    [H, W]. SSIM is computed only if ``structure`` is not 0; its slope is weighted by the trust of the changed pixel,
+    [H, W]. SSIM is computed only if ``ssim_weight`` is not 0; its slope is weighted by the trust of the changed pixel,
     not of the windows around it.
     """
     x, y = picture.reshape(-1), np.multiply(target, np.float32(1 / 255), dtype=np.float32)
     slope, error = np.empty_like(picture), np.empty(picture.shape[:2], np.float32)
-    if structure:
+    if ssim_weight:
         moments = [_blurred(one) for one in (picture, picture * picture, picture * y, y, y * y)]
         _by_moments(*(one.reshape(-1) for one in moments))
         by_mean, by_square, by_product = (_blurred(one).reshape(-1) for one in moments[:3])
@@ -48,7 +48,7 @@ def loss_of(picture: F32, target: U8, share: float, structure: float, trust: F32
         by_mean = by_square = by_product = np.zeros(0, np.float32)
     trusts = np.zeros(0, np.float32) if trust is None else trust.reshape(-1)
     blurred = by_mean, by_square, by_product
-    squares = _slopes(x, y.reshape(-1), blurred, trusts, share, structure, slope.reshape(-1), error.reshape(-1))
+    squares = _slopes(x, y.reshape(-1), blurred, trusts, weight, ssim_weight, slope.reshape(-1), error.reshape(-1))
     return Loss(squares / picture.size, slope, error)
 
 
@@ -68,11 +68,11 @@ def _by_moments(mean: F32, square: F32, product: F32, mean_y: F32, square_y: F32
 
 @compiled
 def _slopes(
-    x: F32, y: F32, blurred: tuple[F32, F32, F32], trust: F32, share: float, structure: float, slope: F32, error: F32
+    x: F32, y: F32, blurred: tuple[F32, F32, F32], trust: F32, share: float, ssim_weight: float, slope: F32, error: F32
 ) -> float:
     """Write slope and error; return the sum of squared errors."""
     by_mean, by_square, by_product = blurred
-    weight, one = np.float32(structure), np.float32(share)
+    weight, one = np.float32(ssim_weight), np.float32(share)
     total = 0.0
     for pixel in range(len(error)):
         wrong = np.float32(0)

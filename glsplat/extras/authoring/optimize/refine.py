@@ -24,7 +24,7 @@ from glsplat.rotations import nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["Fit", "RefineConfig", "random_pose", "rate_decay", "refine"]
+__all__ = ["RefineConfig", "random_pose", "rate_decay", "refine"]
 
 F64 = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Adam:
         self.value[visible] -= self.rate * decay * mean / (np.sqrt(power) + 1e-20)
 
 
-class Fit:
+class _Fit:
     """An avatar's splats while they are moved, turned, scaled and coloured; SH degree 0."""
 
     def __init__(self, avatar: Avatar, config: RefineConfig) -> None:
@@ -158,7 +158,7 @@ def refine(
     """Return the avatar with its splats fitted to ``mesh``; SH degree 0. Deterministic in ``seed``."""
     config = config or RefineConfig()
     rng = np.random.default_rng(seed)
-    fit = Fit(avatar, config)
+    fit = _Fit(avatar, config)
     for step in range(config.steps):
         if progress:
             progress("fitting to pictures", step / config.steps)

@@ -1,6 +1,6 @@
 """Fit splats to pictures by Adam: positions, shapes, opacities and colours; recycle those of little use.
 
-    loss = share * (sum (picture - target)^2 + 0.03 * sum (1 - SSIM)),   share = metres a pixel
+    loss = metres_per_pixel * (sum (picture - target)^2 + 0.03 * sum (1 - SSIM))
 
 Each pass takes the pictures in a new random order. Three times, the splats that show least in every picture are
 removed, and as many splats where the error is largest are split in two.
@@ -83,7 +83,7 @@ def fitted(
         return avatar
     fit = _Fit(avatar, pictures, Rasterizer(len(avatar.splats), threads), config)
     first = len(pictures)  # after a whole pass
-    recycle_steps = [max(first, round(config.steps * share)) for share in config.recycle_at]
+    recycle_steps = [max(first, round(config.steps * fraction)) for fraction in config.recycle_at]
     queue: list[int] = []
     error = 0.0
     for step in range(config.steps):
@@ -150,11 +150,11 @@ class _Fit:
             splats = self._posed
             descent.pose(0, len(self._values), *bones, *self._placed[:2], *splats[:2])
         drawn = self._rasterizer.draw(splats, picture.camera, self._antialias)
-        loss = loss_of(drawn, picture.target, picture.share, config.ssim_weight, picture.trust)
+        loss = loss_of(drawn, picture.target, picture.metres_per_pixel, config.ssim_weight, picture.trust)
         gradients = self._rasterizer.backward(loss.slope, loss.error)
         if bones is not None:
             gradients.means[:] = np.einsum("nij,ni->nj", bones[0][:, :, :3], gradients.means)
-        self._record(gradients, picture.share)
+        self._record(gradients, picture.metres_per_pixel)
         state = self._values, self._moments, self._powers, self._counts
         rows = self._rasterizer.out
         descent.step(
@@ -162,12 +162,12 @@ class _Fit:
         )
         return float(np.sqrt(loss.squares))
 
-    def recycle(self, share: float) -> None:
+    def recycle(self, fraction: float) -> None:
         """Prune the least visible fraction and split as many splats where the error is largest.
 
         Hands, head and the rest each keep their number: by pixels alone the small splats of hands would go.
         """
-        removed, split = self._removed_and_split(share)
+        removed, split = self._removed_and_split(fraction)
         self._compose()
         means, rotations, scales, opacities, rgb = self._placed
         longest = scales[split].argmax(axis=1)
@@ -190,13 +190,13 @@ class _Fit:
             blended[removed], turned[removed] = blended[split], turned[split]
         self._max_weight[:], self._max_error[:] = 0, 0
 
-    def _removed_and_split(self, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _removed_and_split(self, fraction: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return as many splats to remove as to split, zone by zone."""
         removed, split = [], []
         for zone in np.unique(self._zones):
             mine = np.flatnonzero(self._drawn & (self._zones == zone))
             by_weight = mine[np.argsort(self._max_weight[mine], kind="stable")]
-            count = min(int(share * len(mine)), len(mine) // 2)
+            count = min(int(fraction * len(mine)), len(mine) // 2)
             kept = by_weight[count:]
             removed.append(by_weight[:count])
             split.append(kept[np.argsort(-self._max_error[kept], kind="stable")[:count]])
@@ -227,9 +227,9 @@ class _Fit:
         descent.compose(0, len(self._values), self._values, self._start, self._placed[:5])
         self._placed.opacities[~self._drawn] = 0
 
-    def _record(self, gradients: Gradients, share: float) -> None:
+    def _record(self, gradients: Gradients, weight: float) -> None:
         np.maximum(self._max_weight, gradients.weight, out=self._max_weight)
-        np.maximum(self._max_error, gradients.error * share, out=self._max_error)
+        np.maximum(self._max_error, gradients.error * weight, out=self._max_error)
 
     def _blend(self, pose: Pose) -> tuple[F32, F32]:
         """Return the blended bones [N, 3, 4] of a pose with its expression, and their rotations and bends [N, 3, 3]."""

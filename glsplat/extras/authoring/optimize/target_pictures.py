@@ -84,7 +84,7 @@ class TargetPicture:
 
     camera: Camera
     target: U8  # [H, W, 4] premultiplied, over nothing
-    share: float  # metres a pixel: weight of its errors, so that close-ups do not dominate
+    metres_per_pixel: float  # weight of its errors, so that close-ups do not dominate
     pose: Pose | None = None  # None: the zero pose
     trust: F32 | None = None  # [H, W] weight of errors; None: 1
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.finish.cones import _far_camera, _weigher, without_useless_cones
-from glsplat.extras.authoring.geometry.footprints import EPS2D
 from glsplat.splats import Splats
 from tests.extras.authoring.optimize.figures import start
 from tests.extras.authoring.optimize.without import without_numba
@@ -24,9 +23,9 @@ def scene() -> Splats:
 
 
 def test_weights_equal_numpy(scene: Splats, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled = _weigher(len(scene), EPS2D)
+    compiled = _weigher(len(scene))
     without_numba(monkeypatch)
-    computed = _weigher(len(scene), EPS2D)
+    computed = _weigher(len(scene))
     for direction in ((0.0, 0, 1), (0.6, 0, -0.8), (0, 0.8, 0.6)):
         camera = _far_camera(scene, np.array(direction), 160)
         found, expected = compiled(scene, camera), computed(scene, camera)

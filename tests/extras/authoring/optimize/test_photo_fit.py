@@ -78,7 +78,7 @@ def test_a_photograph_aligns_with_the_avatar(scene: Scene, painted: tuple[Avatar
     alpha = drawn(painted[0], picture)[..., 3]
     assert alpha[picture.trust > 0].mean() > 0.97
     assert off(alpha, mask) < 0.5
-    assert picture.share == pytest.approx(shot.view.pelvis[2] / shot.focal)
+    assert picture.metres_per_pixel == pytest.approx(shot.view.pelvis[2] / shot.focal)
 
 
 def test_large_photographs_are_resampled(scene: Scene, painted: tuple[Avatar, Colours], monkeypatch) -> None:
@@ -87,7 +87,7 @@ def test_large_photographs_are_resampled(scene: Scene, painted: tuple[Avatar, Co
     small = _picture(painted[0], scene.shots[0])
     scale = small.target.shape[0] / whole.target.shape[0]
     assert small.target.shape[0] == pytest.approx(300, abs=2) and scale < 0.7
-    assert small.share == pytest.approx(whole.share / scale, rel=0.01)
+    assert small.metres_per_pixel == pytest.approx(whole.metres_per_pixel / scale, rel=0.01)
     height, width = small.target.shape[:2]
     mask = cv2.resize(cut(scene.shots[0]).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
     assert off(drawn(painted[0], small)[..., 3], mask) < 1

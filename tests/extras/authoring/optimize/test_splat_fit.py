@@ -199,7 +199,7 @@ def test_the_slope_by_every_parameter_equals_finite_differences() -> None:
 
     def loss(at: np.ndarray) -> float:
         missed = drawn(avatar, at, view, pose) - picture.target / 255
-        return float(picture.share * (missed**2).sum())
+        return float(picture.metres_per_pixel * (missed**2).sum())
 
     expected = np.zeros(values.shape)
     for place in np.ndindex(values.shape):

@@ -52,7 +52,7 @@ def test_opengl_and_numpy_draw_the_same(context: Context, monkeypatch: pytest.Mo
     computed = pictures_of(figure, 3, config)
     assert len(drawn) == len(computed) == 3 + 2 * 2
     for ours, theirs in zip(drawn, computed, strict=True):
-        assert np.array_equal(ours.camera.K, theirs.camera.K) and ours.share == theirs.share
+        assert np.array_equal(ours.camera.K, theirs.camera.K) and ours.metres_per_pixel == theirs.metres_per_pixel
         mine, other = ours.target / 255, theirs.target / 255
         assert decibel(mine, other) > 35
         inner = cv2.erode((mine[..., 3] == 1).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
@@ -78,7 +78,7 @@ def test_close_ups_need_the_joints_of_the_rig(
     assert len(found) == 1 + close_ups + 1
     for picture in found[1:-1]:
         assert picture.pose is None and max(picture.target.shape) <= 48
-        assert picture.share < 0.85 * found[0].share  # metres a pixel
+        assert picture.metres_per_pixel < 0.85 * found[0].metres_per_pixel
     if names[2] == "head":
         upper = figure.vertices[figure.joints[:, 0] == 2]
         for picture in found[1:-1]:
@@ -100,7 +100,7 @@ def test_the_figure_fills_the_pictures_and_is_not_cut(monkeypatch: pytest.Monkey
         assert not any(edge.any() for edge in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
         shown = np.flatnonzero(alpha.any(axis=1))
         assert np.ptp(shown) == pytest.approx(np.ptp(at[:, 1]), abs=2) and np.ptp(shown) > 0.7 * 160
-        assert np.ptp(at[:, 1]) * picture.share == pytest.approx(0.6, rel=0.25)
+        assert np.ptp(at[:, 1]) * picture.metres_per_pixel == pytest.approx(0.6, rel=0.25)
     poses = [picture.pose for picture in found]
     assert poses[:3] == [None] * 3 and poses[3] is poses[4] and poses[5] is poses[6] and poses[3] is not poses[5]
     assert np.abs(poses[3].rotations - poses[5].rotations).max() > 0.1
