@@ -32,10 +32,6 @@ class FittedConfig:
     splats: int = 23_000
     power: float = 0.7
     poses: int = 64
-    ssim_weight: float = 0.03  # this and the next three as of FitConfig
-    scale_decay: float = 0.08
-    max_growth: float = 0.6
-    recycled_fraction: float = 0.0
 
 
 def fitted_levels(
@@ -86,13 +82,7 @@ def reduced(
     size = max(_MIN_SIZE_PX, round(config.size * min(1.0, (count / config.splats) ** config.power)))
     views = ViewConfig(body=12, poses=config.poses, each=1, size=size, close=size // 2)
     pictures = pictures_of_splats(bare, seed, views, progress)
-    descent = FitConfig(
-        steps=config.steps,
-        ssim_weight=config.ssim_weight,
-        scale_decay=config.scale_decay,
-        max_growth=config.max_growth,
-        recycled_fraction=config.recycled_fraction,
-    )
-    made = fitted(replace(start, shapes=None), pictures, seed, descent, progress)
+    fit = FitConfig(steps=config.steps, scale_decay=0.08, recycled_fraction=0.0)
+    made = fitted(replace(start, shapes=None), pictures, seed, fit, progress)
     shapes = None if start.shapes is None else transferred_shapes(start.shapes, start.splats, made.splats)
     return replace(made, shapes=shapes)

@@ -39,7 +39,6 @@ _ROUND_FRACTION = 0.35  # of all splats, merged before neighbours are searched a
 _COLOUR_COST = 2.0  # of a difference of one
 _NORMAL_COST = 1.2  # of a right angle
 _SHEET_FACTOR = 3.0  # of distances along the normal
-_JOINTS_COST = 1.0  # of a change of all joint weights
 _MASS_POWER = 0.5  # of the pair's area
 
 
@@ -205,7 +204,7 @@ class _Clusters:
         square += _NORMAL_COST**2 * 2 * np.maximum(lengths - np.abs((one * other).sum(axis=2)), 0)
         if self._weights is not None:
             turn = self._weights[near] - self._weights[rows][:, None]
-            square += _JOINTS_COST**2 * np.einsum("rkj,rkj->rk", turn, turn)
+            square += np.einsum("rkj,rkj->rk", turn, turn)
         return np.asarray(a * b / size * size ** (_MASS_POWER - 1) * (place + 4 * size * square))
 
 

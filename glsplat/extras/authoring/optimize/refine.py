@@ -47,7 +47,6 @@ class RefineConfig:
     turn_rate: float = 0.012  # radians a step
     opacity_rate: float = 0.03  # logit a step
     color_rate: float = 0.01
-    alpha_weight: float = 1.0  # of the coverage in the loss, against colour
     layer: float = 0.02  # metres behind the surface within which splats are drawn: deeper ones must not close its holes
     max_shift: float = 1.0  # cell sizes from where the splat began
     max_turn: float = 0.6  # radians
@@ -170,10 +169,9 @@ def refine(
         # to undo the renderer's dilation there. Metres a pixel lies between.
         shown = depth[np.isfinite(depth)]
         share = float(np.median(shown)) / camera.K[0, 0] if len(shown) else 0.0
-        weight = np.array([1, 1, 1, config.alpha_weight])
 
-        def slope(picture: F64, target: F64 = target, by: F64 = weight, share: float = share) -> F64:
-            return 2 * (picture - target) * by * share
+        def slope(picture: F64, target: F64 = target, share: float = share) -> F64:
+            return 2 * (picture - target) * share
 
         fit.descend(pose, camera, slope, rate_decay(step / config.steps), depth + config.layer)
     return fit.avatar()

@@ -39,7 +39,7 @@ FRAMES = 30
 """Frames of a video that are used by default."""
 MAX_FRAMES = 120
 _MIN_OVERLAP, _MIN_MEDIAN_OVERLAP = 0.85, 0.93  # overlap with the mask: of a used frame, and of all
-_BLUR_PENALTY, _OVERLAP_PENALTY = 0.3, 1.0  # off the cosine of the viewing angle
+_BLUR_PENALTY = 0.3  # off the cosine of the viewing angle, for a completely blurred frame
 _MIN_USED_FRACTION = 0.7  # of the frames
 
 
@@ -182,7 +182,7 @@ def _focal(frame: Frame) -> float:
 
 def _penalty(frame: Frame, view: FittedView) -> float:
     """Return the penalty on the colours of a frame, for blur and missing overlap."""
-    return _BLUR_PENALTY * frame.blur + _OVERLAP_PENALTY * (1 - view.overlap)
+    return _BLUR_PENALTY * frame.blur + (1 - view.overlap)
 
 
 def _problem(fit: BodyFit, used: int) -> str:
