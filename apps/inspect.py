@@ -121,7 +121,7 @@ def _scene_text(report: dict[str, Any]) -> str:
         words += [f"scale {entry['scale']:.4g}"] if abs(entry["scale"] - 1) > 1e-9 else []
         words += [f"{entry['levels']} coarser levels"] if entry.get("levels") else []
         words += [f"{entry['joints']} joints"] if "joints" in entry else []
-        words += [consent.briefly(entry["consent"])] if entry.get("consent") else []
+        words += [consent.short_text(entry["consent"])] if entry.get("consent") else []
         words += ["takes poses"] if entry.get("driven") else []
         words += [f"moves by {entry['motion']['name']}"] if entry.get("motion") else []
         words += [] if entry["visible"] else ["hidden"]
@@ -299,7 +299,7 @@ def _outliers(means: NDArray[np.float32]) -> NDArray[np.bool_]:
 def _notes(meta: dict[str, Any], agreed: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Return rows of a file's metadata, and of the verified consent record, as a text alone is not signed."""
     rows = [(key, _note_text(key, value)) for key, value in meta.items() if key != "consent" or isinstance(value, str)]
-    return rows if agreed is None else [*rows, ("signed", consent.said(agreed))]
+    return rows if agreed is None else [*rows, ("signed", consent.full_text(agreed))]
 
 
 def _note_text(key: str, value: Any) -> str:

@@ -15,7 +15,7 @@ from glsplat.extras.consent.keys import new_key, private_key, public_path
 
 from ..usage import UsageError
 
-__all__ = ["add_arguments", "briefly", "report", "run", "said"]
+__all__ = ["add_arguments", "full_text", "report", "run", "short_text"]
 
 _PURPOSE = "to be shown and driven as an avatar"
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     sign_file(args.file, out, key, **fields)
     drivers = "everybody" if ANYBODY in fields["drivers"] else ", ".join(fields["drivers"])
     days = f"from {fields['start']} until {fields['until']}"
-    print(f"{out}: {fields['subject']}, {days}, may be driven by {drivers}{_given(fields)}")
+    print(f"{out}: {fields['subject']}, {days}, may be driven by {drivers}{_handing_out(fields)}")
     return 0
 
 
@@ -82,8 +82,8 @@ def _fields(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _given(told: dict[str, Any]) -> str:
-    return ", splats may be handed out" if told["hand_out"] else ""
+def _handing_out(record: dict[str, Any]) -> str:
+    return ", splats may be handed out" if record["hand_out"] else ""
 
 
 def _day(text: str) -> date:
@@ -118,20 +118,21 @@ def report(found: OnFile, now: float | None = None) -> dict[str, Any]:
     }
 
 
-def briefly(told: dict[str, Any]) -> str:
-    """Return a short text of ``report``."""
-    return "shows nobody" if told["nobody"] else str(told["fault"]) or "consent valid"
+def short_text(record: dict[str, Any]) -> str:
+    """Return the validity in a few words, of a record of ``report``."""
+    return "shows nobody" if record["nobody"] else str(record["fault"]) or "consent valid"
 
 
-def said(told: dict[str, Any]) -> str:
-    """Return the text of ``report``."""
-    if told["nobody"]:
+def full_text(record: dict[str, Any]) -> str:
+    """Return all fields as text, of a record of ``report``."""
+    if record["nobody"]:
         return "not needed: it comes with glsplat and shows nobody"
-    if "subject" not in told:
-        return str(told["fault"])
-    drivers = "everybody" if ANYBODY in told["drivers"] else ", ".join(told["drivers"])
-    by = "" if told["given_by"] == told["subject"] else f", given by {told['given_by']}"
+    if "subject" not in record:
+        return str(record["fault"])
+    drivers = "everybody" if ANYBODY in record["drivers"] else ", ".join(record["drivers"])
+    by = "" if record["given_by"] == record["subject"] else f", given by {record['given_by']}"
+    days = f"from {record['from']} until {record['until']}"
     return (
-        f"{told['fault'] or 'valid'}: {told['subject']}{by}, purpose: {told['purpose']}, from {told['from']} until "
-        f"{told['until']}, may be driven by {drivers}{_given(told)}; the signature by {told['key']} fits"
+        f"{record['fault'] or 'valid'}: {record['subject']}{by}, purpose: {record['purpose']}, {days}, "
+        f"may be driven by {drivers}{_handing_out(record)}; the signature by {record['key']} fits"
     )

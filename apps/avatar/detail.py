@@ -79,6 +79,6 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(facts))
         return 0
     print(f"{args.out}: {total:,} splats, {len(levels)} coarser levels, {size / 1e6:.2f} MB, {seconds:.1f} s")
-    for said in levels_text(levels) or [f"no level keeps {args.psnr:g} dB; --psnr asks for less"]:
-        print(f"  {said}")
+    for line in levels_text(levels) or [f"no level keeps {args.psnr:g} dB; --psnr asks for less"]:
+        print(f"  {line}")
     return 0

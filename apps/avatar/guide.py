@@ -18,7 +18,7 @@ from glsplat.skinning.pose import Pose
 
 from ..usage import output_kind
 
-__all__ = ["A_POSE", "add_arguments", "draw_guide", "run"]
+__all__ = ["A_POSE", "FOV_DEG", "add_arguments", "draw_guide", "run"]
 
 Picture = NDArray[np.uint8]
 
@@ -36,9 +36,10 @@ _ARMS_DOWN = {**A_POSE, "left_shoulder": (0, 0, -1.42), "right_shoulder": (0, 0,
 _TURNED = {**A_POSE, "pelvis": (0, 0.9, 0)}
 _INK, _GOOD, _BAD = (40, 40, 40), (30, 130, 60), (190, 40, 40)  # RGB
 _WALL, _FLOOR, _PAPER = (214, 211, 205), (164, 150, 134), (255, 255, 255)
-_SIZE = 1600, 1180
-_FOV = 32.0  # degrees; a phone at that height of the picture
-_SCALE = 2  # figures are drawn larger and averaged
+_SIZE_PX = 1600, 1180
+FOV_DEG = 32.0
+"""Vertical field of view of a phone."""
+_SUPERSAMPLE = 2  # a side
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,15 +53,15 @@ def run(args: argparse.Namespace) -> int:
     drawn = cv2.cvtColor(draw_guide(), cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".png", drawn)
     replace_file(Path(args.out), [data.tobytes()])
-    print(f"{args.out}: how to take the photograph, {_SIZE[0]} x {_SIZE[1]} pixels")
+    print(f"{args.out}: how to take the photograph, {_SIZE_PX[0]} x {_SIZE_PX[1]} pixels")
     return 0
 
 
 def draw_guide() -> Picture:
     """Return the picture, RGB uint8 [H, W, 3]."""
-    sheet = np.full((_SIZE[1], _SIZE[0], 3), _PAPER, np.uint8)
+    sheet = np.full((_SIZE_PX[1], _SIZE_PX[0], 3), _PAPER, np.uint8)
     avatar = default_avatar()
-    with Renderer(avatar, size=(600 * _SCALE, 860 * _SCALE)) as renderer:
+    with Renderer(avatar, size=(600 * _SUPERSAMPLE, 860 * _SUPERSAMPLE)) as renderer:
 
         def figure(pose: Mapping[str, tuple[float, float, float]], size: tuple[int, int], **view: float) -> Picture:
             rotations = np.zeros((len(avatar.skeleton), 3))
@@ -139,10 +140,10 @@ def _figure(
     wall: float = 0.2,
 ) -> Picture:
     """Return a person before a wall; the picture is ``height`` m high about ``centre``, the floor ends at ``wall``."""
-    width, rows = size[0] * _SCALE, size[1] * _SCALE
-    distance = height / 2 / np.tan(np.radians(_FOV) / 2)
+    width, rows = size[0] * _SUPERSAMPLE, size[1] * _SUPERSAMPLE
+    distance = height / 2 / np.tan(np.radians(FOV_DEG) / 2)
     view = look_at(eye=(0, centre, distance), target=(0, centre, 0))
-    camera = Camera(view, pinhole(width, rows, fov=_FOV), width, rows)
+    camera = Camera(view, pinhole(width, rows, fov=FOV_DEG), width, rows)
     renderer.resize(width, rows)
     image = renderer.render([camera], pose)[0].astype(np.float32)
     room = np.empty((rows, width, 3), np.float32)

@@ -13,16 +13,16 @@ from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.compute.compiled import MISSING, available
-from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, worth_cones
-from glsplat.extras.authoring.finish.levels import with_levels
+from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, without_useless_cones
+from glsplat.extras.authoring.finish.levels import MIN_LEVEL_SPLATS, with_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.authoring.importers.bind import bind_to_mesh
-from glsplat.extras.authoring.importers.lam import FOLLOW, is_lam_zip, load_lam_zip
+from glsplat.extras.authoring.importers.lam import FOLLOW_MODES, is_lam_zip, load_lam_zip
 from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
 from glsplat.extras.authoring.importers.on_smplx import on_smplx
 from glsplat.extras.authoring.importers.scans import read_obj_person
@@ -42,7 +42,7 @@ from glsplat.splats import Level
 from ..args import add_up, motion_of, whole
 from ..convert import add_quiet, save_with_report
 from ..usage import UsageError, make_folder
-from .person import add_rig, doubts, is_gltf, read_any_person
+from .person import add_rig, diagnostics, is_gltf, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
 __all__ = [
@@ -58,9 +58,6 @@ __all__ = [
     "motions",
     "take",
 ]
-
-_COARSEST = 5000
-"""Least number of splats of a default level."""
 
 
 def add_make(parser: argparse.ArgumentParser) -> None:
@@ -84,7 +81,7 @@ def add_make(parser: argparse.ArgumentParser) -> None:
         "--levels",
         nargs="+",
         metavar="N",
-        help=f"splats of coarser levels of detail (default: --splats halved down to {_COARSEST}); none: none",
+        help=f"splats of coarser levels of detail (default: --splats halved down to {MIN_LEVEL_SPLATS}); none: none",
     )
     parser.add_argument("--no-surface", action="store_true", help="store no surface: --light has no effect")
     parser.add_argument("--no-cones", action="store_true", help="store no visibility cones (--cull-hidden needs them)")
@@ -119,7 +116,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--follow",
-        choices=FOLLOW,
+        choices=FOLLOW_MODES,
         help="what moves a LAM zip's splats: their vertices' weights (default), or all the head, as LAM's own viewer",
     )
     parser.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
@@ -161,7 +158,7 @@ def make(args: argparse.Namespace) -> int:
     if args.steps and not available():
         print(f"glsplat avatar make: {MISSING}", file=sys.stderr)
     reported: list[str] = []
-    _report(args.person, doubts(mesh, scale=args.extra_scale), reported)  # before the long computation
+    _report(args.person, diagnostics(mesh, scale=args.extra_scale), reported)  # before the long computation
     with progress_bar() as show:
         avatar = make_avatar(mesh, args.splats, args.seed, progress=show)
         if args.steps:
@@ -172,8 +169,8 @@ def make(args: argparse.Namespace) -> int:
             show("finding the surface", 0.0)
             avatar = with_surface(avatar, mesh)
         if not args.no_cones:
-            avatar = worth_cones(with_cones(avatar, progress=show))
-    _report(args.person, doubts(mesh, avatar, args.splats, args.extra_scale), reported)
+            avatar = without_useless_cones(with_cones(avatar, progress=show))
+    _report(args.person, diagnostics(mesh, avatar, args.splats, args.extra_scale), reported)
     return write(avatar, args, began)
 
 
@@ -208,7 +205,7 @@ def take(args: argparse.Namespace) -> int:
             raise UsageError(f"{args.dump}: import the zip first, then its avatar (.glb) with --rig-map")
         if args.mesh is not None:
             raise UsageError(f"{args.dump}: a LAM zip brings its own mesh; leave out --mesh")
-        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW[0]), args, began)
+        return write(load_lam_zip(args.dump, follow=args.follow or FOLLOW_MODES[0]), args, began)
     if args.follow is not None:
         raise UsageError(f"{args.dump}: --follow is for LAM zips; leave it out")
     if args.mesh is None and is_gltf(args.dump):
@@ -226,8 +223,7 @@ def take(args: argparse.Namespace) -> int:
         return write(load_lhm_dump(args.dump), args, began)
     if not 0 < args.reach < 1000:
         raise UsageError(f"--reach needs centimetres above 0, not {args.reach:g}")
-    scene = load_splats(args.dump)
-    splats = scene.splats if isinstance(scene, Avatar) else scene
+    splats = splats_of(load_splats(args.dump))
     try:
         mesh = read_any_person(args.mesh)
         avatar = with_shapes(bind_to_mesh(splats, mesh, args.reach / 100), mesh)
@@ -278,17 +274,17 @@ def motions(args: argparse.Namespace) -> int:
     return 0
 
 
-def counts_of(asked: Sequence[str] | None, splats: int) -> tuple[int, ...]:
+def counts_of(requested: Sequence[str] | None, splats: int) -> tuple[int, ...]:
     """Return the splat counts of the coarser levels: halves by default, () for ``none``. Raises UsageError."""
-    if asked is None:
+    if requested is None:
         halves = [splats >> k for k in range(1, 32)]
-        return tuple(half for half in halves if half >= _COARSEST)
-    if list(asked) in (["none"], ["0"]):
+        return tuple(half for half in halves if half >= MIN_LEVEL_SPLATS)
+    if list(requested) in (["none"], ["0"]):
         return ()
-    counts = [int(word) if word.isascii() and word.isdigit() else 0 for word in asked]
+    counts = [int(word) if word.isascii() and word.isdigit() else 0 for word in requested]
     if not counts or min(counts) < FEWEST or any(few >= many for many, few in pairwise((splats, *counts))):
         raise UsageError(
             f"--levels needs falling numbers of splats below {splats}, none under {FEWEST}, or none; "
-            f"not {' '.join(asked) or 'nothing'}"
+            f"not {' '.join(requested) or 'nothing'}"
         )
     return tuple(counts)

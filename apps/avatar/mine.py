@@ -15,7 +15,7 @@ from glsplat.net.guard.state_dir import state_folder
 __all__ = ["sign_mine"]
 
 _VALIDITY = timedelta(days=365)
-_SUBJECT, _SAID = "the person of the photograph", "whoever made it on this computer"
+_SUBJECT, _GIVEN_BY = "the person of the photograph", "whoever made it on this computer"
 _PURPOSE = "to be shown and driven as an avatar; whoever made it said: this is me, or this person agreed"
 
 
@@ -30,7 +30,7 @@ def sign_mine(path: Path) -> None:
         path.read_bytes(),
         key,
         subject=_SUBJECT,
-        given_by=_SAID,
+        given_by=_GIVEN_BY,
         purpose=_PURPOSE,
         start=today,
         until=today + _VALIDITY,

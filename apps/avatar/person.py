@@ -27,7 +27,7 @@ from glsplat.skinning.smplx import JOINT_NAMES
 from ..args import add_up
 from ..usage import UsageError
 
-__all__ = ["add_rig", "doubts", "is_gltf", "read_any_person"]
+__all__ = ["add_rig", "diagnostics", "is_gltf", "read_any_person"]
 
 _SIZE_RANGE_M = 0.3, 3.0  # of people and most objects
 _MIN_SHARE = 0.9  # of the requested splats
@@ -56,8 +56,8 @@ def read_any_person(path: Path, args: argparse.Namespace | None = None) -> Rigge
             return _turned(mesh, upright(up)[:3, :3])
         if up == "y":
             return mesh
-        said = [*mesh.meta.get("left_out", ()), f"--up {up} is not needed: a person's axes are told by the joints"]
-        return replace(mesh, meta={**mesh.meta, "left_out": said})
+        notes = [*mesh.meta.get("left_out", ()), f"--up {up} is not needed: a person's axes are told by the joints"]
+        return replace(mesh, meta={**mesh.meta, "left_out": notes})
     if rig_map is not None or scale != 1 or up != "y":
         raise UsageError(f"{path}: --rig-map, --extra-scale and --up are for glTF and VRM; leave them out")
     if path.suffix.lower() == ".obj":
@@ -84,7 +84,7 @@ def _turned(mesh: RiggedMesh, turn: NDArray[np.float64]) -> RiggedMesh:
     return replace(mesh, vertices=mesh.vertices @ turn.T, skeleton=skeleton, morphs=morphs)
 
 
-def doubts(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, scale: float = 1.0) -> Iterator[str]:
+def diagnostics(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, scale: float = 1.0) -> Iterator[str]:
     """Yield a line about each unusual property. Raises FormatError for an invisibly small mesh.
 
     ``asked`` is the requested number of splats of ``avatar``, ``scale`` the factor by which the mesh was read.

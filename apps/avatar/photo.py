@@ -30,10 +30,9 @@ from ..ray_tasks import add_ray
 from ..usage import UsageError, make_folder
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
-__all__ = ["add_arguments", "run"]
+__all__ = ["add_arguments", "options_of", "run"]
 
 _OTHERS = ("back", "left", "right")
-_SPLATS_ONLY, _MESH_ONLY = ("splats", "seed", "steps"), ("texture",)
 _DEFAULT = Options()
 
 
@@ -117,7 +116,7 @@ def _one(args: argparse.Namespace) -> int:
     began = time.perf_counter()
     one_heap()
     if args.debug is not None:
-        _make_folder(args.debug)
+        make_folder(args.debug)
     if args.check:
         with progress_bar() as show:
             return _report(_shots(args, show), args)
@@ -129,8 +128,8 @@ def _one(args: argparse.Namespace) -> int:
     mesh = args.kind == "mesh"
     with progress_bar() as show:
         options = _options(args, show)
-        maker = aside(lambda: named(args.using))  # much to import, beside the networks
-        # what others name is looked for before the pictures are
+        maker = aside(lambda: named(args.using))  # imports in the background
+        # plugins are checked before the pictures
         if args.using != "builtin" and not isinstance(maker(), MeshReconstructor) and mesh:
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
         shots = _shots(args, show)
@@ -163,7 +162,7 @@ def _one(args: argparse.Namespace) -> int:
                 avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
     if args.mine:
-        from .mine import sign_mine  # and with it what a server keeps
+        from .mine import sign_mine  # imports the server's key store
 
         sign_mine(args.out)
     if not args.json:
@@ -179,18 +178,23 @@ def _guessed(meta: Mapping[str, Any]) -> str:
 
 
 def _options(args: argparse.Namespace, show: Progress) -> Options:
-    asked = {name: getattr(args, name) for name in ("height", *_SPLATS_ONLY, *_MESH_ONLY)}
-    senseless = _SPLATS_ONLY if args.kind == "mesh" else _MESH_ONLY
-    for name in senseless:
-        if asked[name] is not None:
-            raise UsageError(f"--{name} has no meaning with --as {args.kind}: leave it out")
     if args.cones and args.kind == "mesh":
         raise UsageError("--cones has no meaning with --as mesh: leave it out")
     if args.keep_light and args.kind == "mesh":
         raise UsageError("--keep-light has no meaning with --as mesh, which keeps it anyway: leave it out")
-    known = {name: value for name, value in asked.items() if value is not None}
+    return options_of(args, show, keep_light=args.keep_light)
+
+
+def options_of(args: argparse.Namespace, show: Progress, **more: Any) -> Options:
+    """Return the options of ``avatar photo`` and ``video``. Raises UsageError, also for one that --as excludes."""
+    splats_only, mesh_only = ("splats", "seed", "steps"), ("texture",)
+    values = {name: getattr(args, name) for name in ("height", *splats_only, *mesh_only)}
+    values = {name: value for name, value in values.items() if value is not None}
+    for name in splats_only if args.kind == "mesh" else mesh_only:
+        if name in values:
+            raise UsageError(f"--{name} has no meaning with --as {args.kind}: leave it out")
     try:
-        return Options(**known, keep_light=args.keep_light, progress=show)
+        return Options(**values, **more, progress=show)
     except FormatError as error:
         raise UsageError(str(error)) from None
 
@@ -220,7 +224,7 @@ def _report(shots: Mapping[str, CheckedPhoto], args: argparse.Namespace) -> int:
 
 
 def _notes(shots: Mapping[str, CheckedPhoto], guessed: bool = False) -> None:
-    """Return the metadata of the files, and with ``guessed`` the sources of guessed parts."""
+    """Print the notes about the files, and with ``guessed`` the findings behind guessed parts."""
     for shot in shots.values():
         for finding in shot.capture.findings if guessed else ():
             print(f"{shot.name}: {finding.text}")
@@ -268,7 +272,3 @@ def _sheet(
         result = done.mesh if isinstance(done, MeshReconstruction) else None if done is None else done.avatar
         drawn = photo_sheet.draw(shots, result, None if done is None else done.made)
         save_png(args.debug / "photo.png", drawn)
-
-
-def _make_folder(folder: Path) -> None:
-    make_folder(folder)

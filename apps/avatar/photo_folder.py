@@ -47,8 +47,8 @@ def run(args: argparse.Namespace, one: Callable[[argparse.Namespace], int]) -> i
     pieces = [(one, _of(args, path)) for path in pictures]
     failed = 0
     for count, (place, made) in enumerate(_all(pieces, args.ray), 1):
-        code, said, why = made
-        print(said, end="", flush=True)
+        code, output, why = made
+        print(output, end="", flush=True)
         if args.mine and code == 0:
             why = _signed(args.out / f"{pictures[place].stem}.glb")
             code = 1 if why else 0
@@ -90,9 +90,9 @@ def _all(
 
 def _made(piece: tuple[Callable[[argparse.Namespace], int], argparse.Namespace]) -> Made:
     one, args = piece
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
-            return one(args), said.getvalue(), ""
+        with contextlib.redirect_stdout(output):
+            return one(args), output.getvalue(), ""
     except GlsplatError as error:
-        return 1, said.getvalue(), str(error)
+        return 1, output.getvalue(), str(error)

@@ -26,22 +26,21 @@ from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0
 
 from ..output import label, stack
-from .guide import A_POSE
+from .guide import A_POSE, FOV_DEG
 
 __all__ = ["draw"]
 
 Image = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
-_CELL = 480, 720  # pixels, width and height
+_CELL_PX = 480, 720  # width and height
 _OUTLINE, _WRONG = (0, 255, 120), (255, 70, 70)  # RGB
 _LEFT, _RIGHT, _FACE, _TRUNK = (255, 170, 0), (0, 190, 255), (255, 255, 0), (255, 255, 255)
 _GUESSED = (235, 120, 60)
-_SEEN = {"front": (70, 190, 90), "back": (80, 130, 230), "left": (220, 200, 60), "right": (170, 90, 210)}
-_INKS = {"front": "green", "back": "blue", "left": "yellow", "right": "violet"}
-_FACING = 0.15  # cosine to the camera below which a picture says nothing of a surface
-_BEHIND = 0.015  # metres
-_FOV = 32.0  # degrees
+_SIDE_COLOURS = {"front": (70, 190, 90), "back": (80, 130, 230), "left": (220, 200, 60), "right": (170, 90, 210)}
+_SIDE_NAMES = {"front": "green", "back": "blue", "left": "yellow", "right": "violet"}
+_MIN_COSINE = 0.15  # to the camera, of a visible surface
+_DEPTH_TOLERANCE_M = 0.015
 _LIMBS = (
     "shoulder elbow", "elbow wrist", "shoulder hip", "hip knee", "knee ankle", "ankle heel", "heel foot_index"
 )  # fmt: skip
@@ -61,8 +60,8 @@ def draw(
             cells.append(_details(shot))
         rows.append(cells)
     if made is not None and avatar is not None:
-        words = ", ".join(f"{side} {_INKS[side]}" for side in shots)
-        rows.append(_four_sides(_seen(avatar, made, list(shots)), f"{words}, guessed orange"))
+        words = ", ".join(f"{side} {_SIDE_NAMES[side]}" for side in shots)
+        rows.append(_four_sides(_visible_surface(avatar, made, list(shots)), f"{words}, guessed orange"))
     if avatar is not None:
         rows.append(_four_sides(avatar, "the avatar"))
     return stack(rows)
@@ -76,16 +75,16 @@ class _Frame:
         shown = mask if mask.any() else np.ones(picture.shape[:2], bool)
         rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
         high, wide = 1.1 * (rows[-1] - rows[0] + 1), 1.1 * (columns[-1] - columns[0] + 1)
-        self.scale = min(_CELL[1] / high, _CELL[0] / wide)
-        self.shift = np.array(_CELL) / 2 - self.scale * np.array([columns[0] + columns[-1], rows[0] + rows[-1]]) / 2
+        self.scale = min(_CELL_PX[1] / high, _CELL_PX[0] / wide)
+        self.shift = np.array(_CELL_PX) / 2 - self.scale * np.array([columns[0] + columns[-1], rows[0] + rows[-1]]) / 2
         self.picture = self._moved(picture)
-        self.mask = self._moved(mask.astype(np.uint8) * 255) > 127 if mask.size else np.zeros(_CELL[::-1], bool)
+        self.mask = self._moved(mask.astype(np.uint8) * 255) > 127 if mask.size else np.zeros(_CELL_PX[::-1], bool)
 
     def _moved(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         matrix = np.array([[self.scale, 0, self.shift[0]], [0, self.scale, self.shift[1]]])
         if self.scale < 1:
             picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.4 / self.scale), np.uint8)
-        return np.asarray(cv2.warpAffine(picture, matrix, _CELL, borderValue=(40, 40, 40)), np.uint8)
+        return np.asarray(cv2.warpAffine(picture, matrix, _CELL_PX, borderValue=(40, 40, 40)), np.uint8)
 
     def points(self, points: F64) -> F64:
         """Return pixels [N, 2] of the picture as pixels of the cell."""
@@ -102,7 +101,7 @@ def _outline(shot: CheckedPhoto) -> Image:
     found = [finding.code for finding in shot.capture.findings]
     shown = _titled(shown, f"{shot.side}: {', '.join(found) or 'nothing wrong found'}")
     if shot.capture.refused:
-        cv2.rectangle(shown, (0, 0), (_CELL[0] - 1, _CELL[1] - 1), _WRONG, 4)
+        cv2.rectangle(shown, (0, 0), (_CELL_PX[0] - 1, _CELL_PX[1] - 1), _WRONG, 4)
     return shown
 
 
@@ -120,25 +119,25 @@ def _landmarks(shot: CheckedPhoto) -> Image:
             _line(shown, [where[f"{side}_{end}"] for end in limb.split()], ink)
     for name, point in where.items():
         ink = _LEFT if "left" in name else _RIGHT if "right" in name else _TRUNK
-        cv2.circle(shown, _at(point), 4, ink, -1 if sure[name] > 0.5 else 1, cv2.LINE_AA)  # hollow: not believed
+        cv2.circle(shown, _at(point), 4, ink, -1 if sure[name] > 0.5 else 1, cv2.LINE_AA)  # hollow: uncertain
     for hand, ink in ((person.left_hand, _LEFT), (person.right_hand, _RIGHT)):
         if hand.presence > 0.5:
             _hand(shown, frame.points(hand.points), ink)
     if person.face.presence > 0.5:
         for point in frame.points(person.face.points):
-            shown[tuple(np.clip(_at(point), 0, np.array(_CELL) - 1)[::-1])] = _FACE
-    return _titled(shown, "landmarks (hollow: not believed)")
+            shown[tuple(np.clip(_at(point), 0, np.array(_CELL_PX) - 1)[::-1])] = _FACE
+    return _titled(shown, "landmarks (hollow: uncertain)")
 
 
 def _details(shot: CheckedPhoto) -> Image:
     """Return the face above both hands, as cropped for the networks."""
     person = shot.capture.person
     assert person is not None
-    cell = np.full((*_CELL[::-1], 3), 40, np.uint8)
-    side = _CELL[0]
+    cell = np.full((*_CELL_PX[::-1], 3), 40, np.uint8)
+    side = _CELL_PX[0]
     top = _cut(shot, person.face.points, side)
     cell[:side] = _titled(top, f"face: {person.face.presence:.2f}")
-    half = _CELL[0] // 2
+    half = _CELL_PX[0] // 2
     # as the picture shows them: the person's right hand stands left in a picture from the front
     hands = sorted(
         ((person.left_hand, _LEFT, "left"), (person.right_hand, _RIGHT, "right")),
@@ -210,18 +209,18 @@ def _shades(vertices: F64, faces: NDArray[np.int32]) -> F64:
 
 def _painted(pixels: F64, depth: F64, faces: NDArray[np.int32], colours: F64) -> Image:
     """Return triangles painted in flat colours [F, 3], far to near, on black."""
-    drawn = np.zeros((*_CELL[::-1], 3), np.uint8)
+    drawn = np.zeros((*_CELL_PX[::-1], 3), np.uint8)
     corners = np.rint(pixels[faces] * 16).astype(np.int32)
     for face in np.argsort(-depth[faces].mean(axis=1), kind="stable"):
         cv2.fillConvexPoly(drawn, corners[face], colours[face].tolist(), cv2.LINE_8, 4)
     return drawn
 
 
-def _seen(avatar: Avatar | RiggedMesh, made: FittedBody, sides: Sequence[str]) -> Avatar | RiggedMesh:
+def _visible_surface(avatar: Avatar | RiggedMesh, made: FittedBody, sides: Sequence[str]) -> Avatar | RiggedMesh:
     """Return the avatar tinted by the picture that shows each part of its surface, with its own brightness."""
     colours = np.tile(np.array(_GUESSED, np.float64), (len(made.mesh.vertices), 1)) / 255
-    for side, view in reversed(list(zip(sides, made.fit.views, strict=True))):  # the front has the last word
-        colours[_visible(view, open_body().faces)] = np.array(_SEEN[side]) / 255
+    for side, view in reversed(list(zip(sides, made.fit.views, strict=True))):  # the front overrides the rest
+        colours[_visible(view, open_body().faces)] = np.array(_SIDE_COLOURS[side]) / 255
     if isinstance(avatar, RiggedMesh):
         return replace(avatar, parts=tuple(_tinted(part, colours) for part in avatar.parts))
     splats = avatar.splats
@@ -256,7 +255,7 @@ def _visible(view: FittedView, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
     at = np.clip(np.floor(pixels).astype(int), 0, size - 1)
     facing = -(vertex_normals(view.vertices, faces) * view.vertices).sum(axis=1)
     facing /= np.linalg.norm(view.vertices, axis=1)
-    return np.asarray((depth <= nearest[at[:, 1], at[:, 0]] + _BEHIND) & (facing > _FACING))
+    return np.asarray((depth <= nearest[at[:, 1], at[:, 0]] + _DEPTH_TOLERANCE_M) & (facing > _MIN_COSINE))
 
 
 def _four_sides(avatar: Avatar | RiggedMesh, words: str) -> list[Image]:
@@ -266,14 +265,14 @@ def _four_sides(avatar: Avatar | RiggedMesh, words: str) -> list[Image]:
     means = avatar.vertices if isinstance(avatar, RiggedMesh) else avatar.splats.means
     low, high = np.percentile(means, (0.1, 99.9), axis=0)
     middle, tall = (low[1] + high[1]) / 2, max(float(high[1] - low[1]), 0.1)
-    distance = 1.35 * tall / 2 / np.tan(np.radians(_FOV) / 2)
+    distance = 1.35 * tall / 2 / np.tan(np.radians(FOV_DEG) / 2)
     cells = []
-    drawn = MeshTruth(avatar, size=_CELL) if isinstance(avatar, RiggedMesh) else Renderer(avatar, size=_CELL)
+    drawn = MeshTruth(avatar, size=_CELL_PX) if isinstance(avatar, RiggedMesh) else Renderer(avatar, size=_CELL_PX)
     with drawn as renderer:
         for name, turn in (("front", 0.0), ("left", 90.0), ("back", 180.0), ("right", -90.0)):
             angle = np.radians(turn)
             eye = (distance * np.sin(angle), middle, distance * np.cos(angle))
-            camera = Camera(look_at(eye=eye, target=(0, middle, 0)), pinhole(*_CELL, fov=_FOV), *_CELL)
+            camera = Camera(look_at(eye=eye, target=(0, middle, 0)), pinhole(*_CELL_PX, fov=FOV_DEG), *_CELL_PX)
             image = renderer.render([camera], Pose(rotations))[0].astype(np.float32)
             shown = image[..., :3] + 96 * (1 - image[..., 3:] / 255)
             cells.append(_titled(np.clip(shown + 0.5, 0, 255).astype(np.uint8), f"{name}: {words}"))

@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar
-from glsplat.errors import CaptureError, FormatError
+from glsplat.errors import CaptureError
 from glsplat.extras.authoring.compute.compiled import MISSING, available
-from glsplat.extras.authoring.reconstruct.reconstructor import Options, Progress
-from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, VideoResult, from_video
+from glsplat.extras.authoring.reconstruct.reconstructor import Options
+from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, MAX_FRAMES, VideoResult, from_video
+from glsplat.extras.authoring.video.film import MIN_FRAMES
 
 from ..args import natural, positive, whole
-from ..usage import UsageError
+from .photo import options_of
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
 __all__ = ["add_arguments", "run"]
 
-_SPLATS_ONLY, _MESH_ONLY = ("splats", "seed", "steps"), ("texture",)
 _DEFAULT = Options()
 
 
@@ -43,7 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
     parser.add_argument(
-        "--frames", type=whole(8, 120), default=FRAMES, help="frames of a video that are used (default %(default)d)"
+        "--frames",
+        type=whole(MIN_FRAMES, MAX_FRAMES),
+        default=FRAMES,
+        help="frames of a video that are used (default %(default)d)",
     )
     parser.add_argument(
         "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
@@ -69,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     began = time.perf_counter()
     check_name(args.out)
     with progress_bar() as show:
-        options = _options(args, show)
+        options = options_of(args, show)
         try:
             made = from_video(
                 *args.frames_from,
@@ -83,11 +86,11 @@ def run(args: argparse.Namespace) -> int:
             hint = "" if args.anyway else "; --anyway goes on all the same, where it can"
             raise CaptureError(f"{error}{hint}", error.findings) from None
     words = f"; {made.unseen:.0%} of the surface is guessed"
-    if isinstance(made.thing, Avatar):
-        code = write(made.thing, args, began, _facts(made), words)
+    if isinstance(made.content, Avatar):
+        code = write(made.content, args, began, _facts(made), words)
     else:
-        code = write_mesh(made.thing, args, began, _facts(made), words)
-    if isinstance(made.thing, Avatar) and options.steps and not available():
+        code = write_mesh(made.content, args, began, _facts(made), words)
+    if isinstance(made.content, Avatar) and options.steps and not available():
         print(f"glsplat avatar video: {MISSING}", file=sys.stderr)
     if not args.json:
         for line in made.left_out:
@@ -95,17 +98,6 @@ def run(args: argparse.Namespace) -> int:
         if made.problem:
             print(made.problem)
     return code
-
-
-def _options(args: argparse.Namespace, show: Progress) -> Options:
-    asked = {name: getattr(args, name) for name in ("height", *_SPLATS_ONLY, *_MESH_ONLY)}
-    for name in _SPLATS_ONLY if args.kind == "mesh" else _MESH_ONLY:
-        if asked[name] is not None:
-            raise UsageError(f"--{name} has no meaning with --as {args.kind}: leave it out")
-    try:
-        return Options(**{name: value for name, value in asked.items() if value is not None}, progress=show)
-    except FormatError as error:
-        raise UsageError(str(error)) from None
 
 
 def _facts(made: VideoResult) -> dict[str, Any]:

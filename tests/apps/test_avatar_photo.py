@@ -121,7 +121,7 @@ def test_a_refusal_leaves_the_sheet_and_no_avatar(seen, front, tmp_path, capsys)
 def test_a_body_that_does_not_fit_leaves_the_whole_sheet(seen, front, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:misfitting")
     monkeypatch.setattr("apps.avatar.photo_sheet._fitted", lambda shot, view: np.zeros((720, 480, 3), np.uint8))
-    monkeypatch.setattr("apps.avatar.photo_sheet._seen", lambda avatar, made, sides: avatar)
+    monkeypatch.setattr("apps.avatar.photo_sheet._visible_surface", lambda avatar, made, sides: avatar)
     words = (front, "-o", tmp_path / "me.glb", "--debug", tmp_path / "a")
     assert photo(*words) == 1
     error = capsys.readouterr().err

@@ -39,7 +39,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         words["options"].progress("looking at the frames", 0.5)
         thing = mesh() if words["form"] == "mesh" else default_avatar()
         return SimpleNamespace(
-            thing=thing,
+            content=thing,
             frames=[SimpleNamespace(name="frame 3", turn=12.34)],
             fit=SimpleNamespace(views=[SimpleNamespace(overlap=0.971234)], stature=1.7412),
             unseen=0.0512,

@@ -22,7 +22,7 @@ from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with
 from glsplat.extras.authoring.faces.eyeballs import eyeballs, with_eyeballs
 from glsplat.extras.authoring.faces.lashes_and_hair import with_brow_hairs, with_lashes, with_strands
 from glsplat.extras.authoring.faces.openings import openings
-from glsplat.extras.authoring.finish.cones import with_cones, worth_cones
+from glsplat.extras.authoring.finish.cones import with_cones, without_useless_cones
 from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES, HEAD
@@ -52,7 +52,7 @@ AT_REST = {"mouthClose": 0.035}
 LEVEL_STEPS = 150
 LASHES, BROWS, STRANDS = 342, 360, 2_000
 """Splats of each kind, of the 40,000; strands take what the others leave."""
-AROUND_VIEWS = ViewConfig(body=30, poses=60, each=2, up=(-75, -40, 0, 40, 75), spread=45.0)
+AROUND_VIEWS = ViewConfig(body=30, poses=60, each=2, elevations=(-75, -40, 0, 40, 75), elevation_spread=45.0)
 AROUND_STEPS, AROUND_RATE = 300, 0.6  # rate: share of a first fit's rates, as most of the body is right by then
 _BENT = 0.2  # share of an axis; smaller bends of a shape are stored as none
 LICENCE = "CC0-1.0; teeth of ICT-FaceKit: MIT, Copyright (c) 2020 USC Institute for Creative Technologies"
@@ -220,7 +220,9 @@ def fitted_around(avatar: Avatar, mesh: RiggedMesh, progress: Callable[[str, flo
     rates = {
         name: AROUND_RATE * getattr(usual, name) for name in ("mean_rate", "scale_rate", "turn_rate", "opacity_rate")
     }
-    fit = FitConfig(steps=AROUND_STEPS, recycled=0.0, thrift=0.0, colour_rate=AROUND_RATE * usual.colour_rate, **rates)
+    fit = FitConfig(
+        steps=AROUND_STEPS, recycled_fraction=0.0, scale_decay=0.0, colour_rate=AROUND_RATE * usual.colour_rate, **rates
+    )
     made = fitted(bare, still, 1, fit, progress)
     head = np.array([name.startswith(HEAD) for name in avatar.skeleton.names])
     kept = head[strongest_joint(avatar.skin.joints, avatar.skin.weights)]
@@ -268,7 +270,7 @@ def main() -> None:
         avatar = fitted_around(avatar, mesh, show)
         if options.levels:
             avatar = with_levels(avatar, options.levels, steps=options.level_steps, progress=show)
-        avatar = with_surface(worth_cones(with_cones(avatar, progress=show)), mesh)
+        avatar = with_surface(without_useless_cones(with_cones(avatar, progress=show)), mesh)
     save(small(replace(avatar, meta=about(recipe, blink))), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 

@@ -24,7 +24,7 @@ from glsplat import Camera, Item, Pose, Renderer, Scene
 from glsplat.extras.authoring.check.photos import check_photos
 from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.authoring.photo.photo_file import read_photo
-from glsplat.extras.authoring.reconstruct.builtin import PHONE
+from glsplat.extras.authoring.reconstruct.builtin import PHONE_FOCAL_FACTOR
 from glsplat.extras.authoring.reconstruct.photos import reconstruct
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
@@ -57,7 +57,7 @@ def measure(participant: Participant, out: Path) -> dict[str, Any]:
     made = reconstruct(shots, Options(height=participant.height))
     assert made.made is not None
     fitted = made.made.fit.views[0]
-    focal = (read_photo(photo).focal or PHONE * max(frame.rgb.shape[:2])) * SIZE[1] / frame.rgb.shape[0]
+    focal = (read_photo(photo).focal or PHONE_FOCAL_FACTOR * max(frame.rgb.shape[:2])) * SIZE[1] / frame.rgb.shape[0]
     own = np.eye(4)
     own[:3, :3] = fitted.root
     own[:3, 3] = fitted.pelvis - fitted.root @ made.avatar.skeleton.joints[0]

@@ -1,8 +1,8 @@
-"""Fewer splats fitted to pictures of more: levels of detail, and avatars with fewer splats.
+"""Fit fewer splats to pictures of more: levels of detail, and avatars with fewer splats.
 
-Neighbours are merged first; a descent (authoring/optimize) then brings the pictures of what is left close to those of
-all. The pictures of a coarse level are as small as those in which it stands in for the finest: there a splat covers a
-few pixels, however many there are.
+Neighbours are merged first; a fit (authoring/optimize) then brings the pictures of the merged splats close to those of
+all. A coarse level is fitted to pictures as small as those in which it replaces the finest, where a splat covers a few
+pixels.
 """
 
 from __future__ import annotations
@@ -13,30 +13,25 @@ from itertools import pairwise
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.finish.level_merge import MergeConfig, merged
-from glsplat.extras.authoring.geometry.attribute_transfer import carried
+from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
 
 __all__ = ["FittedConfig", "fitted_levels", "reduced"]
 
 Report = Callable[[str, float], None]
 
-_LEAST = 160  # pixels a side
+_MIN_SIZE_PX = 160  # a side, of a whole figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedConfig:
-    """How fewer splats are fitted to more."""
+    """Parameters of a fit of fewer splats."""
 
-    steps: int = 600  # a level
-    size: int = 768  # pixels a side of a whole figure at most ...
-    splats: int = 23_000  # ... that as many splats stand for, and fewer in smaller pictures by this power
+    steps: int = 600  # for each level
+    size: int = 768  # pixels a side of a whole figure, times (count / splats) ** power for fewer splats
+    splats: int = 23_000
     power: float = 0.7
     poses: int = 64
-    structure: float = 0.03  # as of FitConfig
-    thrift: float = 0.08
-    growth: float = 0.6
-    recycled: float = 0.0
-    merge: MergeConfig | None = None
 
 
 def fitted_levels(
@@ -46,9 +41,9 @@ def fitted_levels(
     config: FittedConfig | None = None,
     progress: Report | None = None,
 ) -> tuple[Avatar, ...]:
-    """Avatars of ``counts`` splats (falling) that look like ``avatar`` from afar; SH degree 0. Deterministic; a level
-    does not hang on those beside it. Needs numba.
+    """Return avatars of ``counts`` splats (falling) fitted to ``avatar``; SH degree 0. Needs numba.
 
+    Deterministic; each level is independent of the others.
     Raises GlsplatError for counts that do not fall from the avatar's own.
     """
     sizes = [len(avatar.splats), *counts]
@@ -72,28 +67,22 @@ def reduced(
     config: FittedConfig | None = None,
     progress: Report | None = None,
 ) -> Avatar:
-    """``count`` splats fitted to pictures of ``avatar``; SH degree 0, no levels, no cones.
+    """Return an avatar of ``count`` splats fitted to pictures of ``avatar``; SH degree 0, no levels, no cones.
 
-    Needs numba; with 0 steps they are merged alone.
+    Needs numba, except with 0 steps, which only merge.
     """
     config = config or FittedConfig()
     bare = replace(avatar, levels=(), splats=replace(avatar.splats, cones=None, cones_psnr=None))
-    start = merged(bare, count, config.merge)
+    start = merged(bare, count)
     if not config.steps:
         return start
     from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
     from glsplat.extras.authoring.optimize.target_pictures import ViewConfig, pictures_of_splats
 
-    size = max(_LEAST, round(config.size * min(1.0, (count / config.splats) ** config.power)))
+    size = max(_MIN_SIZE_PX, round(config.size * min(1.0, (count / config.splats) ** config.power)))
     views = ViewConfig(body=12, poses=config.poses, each=1, size=size, close=size // 2)
     pictures = pictures_of_splats(bare, seed, views, progress)
-    descent = FitConfig(
-        steps=config.steps,
-        structure=config.structure,
-        thrift=config.thrift,
-        growth=config.growth,
-        recycled=config.recycled,
-    )
-    made = fitted(replace(start, shapes=None), pictures, seed, descent, progress)
-    shapes = None if start.shapes is None else carried(start.shapes, start.splats, made.splats)
+    fit = FitConfig(steps=config.steps, scale_decay=0.08, recycled_fraction=0.0)
+    made = fitted(replace(start, shapes=None), pictures, seed, fit, progress)
+    shapes = None if start.shapes is None else transferred_shapes(start.shapes, start.splats, made.splats)
     return replace(made, shapes=shapes)

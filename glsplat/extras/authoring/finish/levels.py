@@ -1,4 +1,4 @@
-"""Levels of detail: fitted, or merged and covering as much as the finest in pictures of it; then measured."""
+"""Levels of detail: fitted, or merged with their coverage tuned to pictures of the finest; then measured."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.compute.compiled import available
 from glsplat.extras.authoring.finish.fitted_levels import FittedConfig, fitted_levels
-from glsplat.extras.authoring.finish.level_measure import MeasureConfig, Pictures, Station, measured, stations_of
-from glsplat.extras.authoring.finish.level_merge import Cover, MergeConfig, area_of, covered, merged_levels
+from glsplat.extras.authoring.finish.level_measure import MeasureConfig, Pictures, Viewpoint, measured, viewpoints_of
+from glsplat.extras.authoring.finish.level_merge import Cover, area_of, covered, merged_levels
 from glsplat.gl.context import Context
 from glsplat.splats import Splats
 
-__all__ = ["halves", "with_levels", "with_merged_levels"]
+__all__ = ["MIN_LEVEL_SPLATS", "halves", "with_levels", "with_merged_levels"]
 
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]
 
-_LEAST, _LEVELS = 5000, 8  # splats of the coarsest level, and levels at most
+MIN_LEVEL_SPLATS = 5000
+"""Splats of the coarsest level by default."""
+_MAX_LEVELS = 8
 _GAINS = (0.7, 0.85, 1.0, 1.2, 1.4, 1.7)
 _GROWTHS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-_LOOKED_AT = 4  # pictures that choose among them
+_TUNING_VIEWS = 4  # for the choice of gain and growth
 
 
 def halves(count: int) -> list[int]:
-    """Half of ``count``, and half of that, down to 5,000; of less than 10,000 the half alone."""
+    """Return ``count`` / 2, / 4, ... down to 5,000; below 10,000 only the half."""
     out = [count // 2]
-    while len(out) < _LEVELS and out[-1] // 2 >= _LEAST:
+    while len(out) < _MAX_LEVELS and out[-1] // 2 >= MIN_LEVEL_SPLATS:
         out.append(out[-1] // 2)
     return [one for one in out if one > 0]
 
@@ -44,10 +46,9 @@ def with_levels(
     config: MeasureConfig | None = None,
     progress: Report | None = None,
 ) -> Scene:
-    """``scene`` with levels instead of those it has: of an avatar fitted to it in so many steps, where numba is
-    installed; merged alone of static splats, with 0 steps, and elsewhere.
+    """Return ``scene`` with new levels, fitted in ``steps`` each for an avatar where numba is installed.
 
-    Raises as ``with_merged_levels``.
+    Levels of static splats, with 0 steps, or without numba are merged only. Raises as ``with_merged_levels``.
     """
     if not (isinstance(scene, Avatar) and steps and available()):
         return with_merged_levels(scene, counts, config, progress)
@@ -64,9 +65,9 @@ def with_merged_levels(
     progress: Report | None = None,
     context: Context | None = None,
 ) -> Scene:
-    """``scene`` with merged levels instead of those it has. A level that keeps ``config.psnr`` nowhere is left out.
+    """Return ``scene`` with new merged levels, without those that keep ``config.psnr`` nowhere.
 
-    Raises GlsplatError for counts that do not fall from below the number of splats, and where nothing can be drawn.
+    Raises GlsplatError for counts that do not fall from below the number of splats, and where no splat can be drawn.
     """
     config, report = config or MeasureConfig(), progress or (lambda stage, done: None)
     bare: Any = replace(scene, levels=())  # type: ignore[arg-type]
@@ -74,33 +75,35 @@ def with_merged_levels(
     counts = halves(total) if counts is None else list(counts)
     if not counts or counts[0] >= total:
         raise GlsplatError(f"levels need fewer splats than the finest, which has {total}")
-    raw = merged_levels(bare, counts, MergeConfig(), report)
-    stations = stations_of(bare, config)
-    few = stations[:: max(1, len(stations) // _LOOKED_AT)]
+    raw = merged_levels(bare, counts, report)
+    viewpoints = viewpoints_of(bare, config)
+    tuning = viewpoints[:: max(1, len(viewpoints) // _TUNING_VIEWS)]
     levels, cover = [], Cover()
-    with Pictures([bare, raw[0]], few, config.size, context) as pictures:
+    with Pictures([bare, raw[0]], tuning, config.size, context) as pictures:
         for number, one in enumerate(raw):
-            report("matching what levels cover", number / len(raw))
-            cover = _matched(one, few, pictures, config, cover)
+            report("matching the coverage of levels", number / len(raw))
+            cover = _matched(one, tuning, pictures, config, cover)
             levels.append(covered(one, cover))
     made: Scene = replace(bare, levels=measured(bare, levels, config, report, context))
     return made
 
 
-def _matched(raw: Any, stations: Sequence[Station], pictures: Pictures, config: MeasureConfig, start: Cover) -> Cover:
-    """The cover with which pictures of the level are nearest to the finest, where a splat is about a pixel or half."""
+def _matched(
+    raw: Any, viewpoints: Sequence[Viewpoint], pictures: Pictures, config: MeasureConfig, start: Cover
+) -> Cover:
+    """Return the cover with the least error against the finest, where a splat is about one pixel or half of one."""
     splats = splats_of(raw)
     spacing = float(np.sqrt(2 * np.pi * area_of(np.abs(splats.scales.astype(np.float64))).mean()))
-    largest = min(config.size / one.extent * one.unit for one in stations if not one.inside)
+    largest = min(config.size / one.extent * one.unit for one in viewpoints if not one.inside)
     density = min(1 / spacing, largest)
-    seen: dict[Cover, float] = {}
+    errors: dict[Cover, float] = {}
 
     def error(cover: Cover) -> float:
-        if cover not in seen:
-            pictures.show(1, covered(raw, cover))
-            kept = [*pictures.kept(1, density), *pictures.kept(1, density / 2)]
-            seen[cover] = float(np.mean([10 ** (-one / 10) for one in kept]))
-        return seen[cover]
+        if cover not in errors:
+            pictures.replace_scene(1, covered(raw, cover))
+            kept = [*pictures.psnrs(1, density), *pictures.psnrs(1, density / 2)]
+            errors[cover] = float(np.mean([10 ** (-one / 10) for one in kept]))
+        return errors[cover]
 
     best = start
     for key, values in (("grow", _GROWTHS), ("gain", _GAINS), ("grow", _GROWTHS)):

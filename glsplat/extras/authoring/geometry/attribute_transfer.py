@@ -1,4 +1,4 @@
-"""Shapes and surfaces carried over to other splats: to fewer that stand for them, and to the same ones elsewhere."""
+"""Transfer shapes and surfaces to other splats: to merged splats, and to splats that a fit has moved."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import Splats
 
-__all__ = ["carried", "deformed", "merged_shapes", "surface_carried"]
+__all__ = ["expression_maps", "merged_shapes", "transferred_shapes", "transferred_surface"]
 
 F64 = NDArray[np.float64]
 
-_AS_MANY = 4  # splats of a finer one that a coarser one's surface is the mean of, at most
+_MAX_SOURCES = 4  # finer splats averaged into a coarser one's surface
 
 
 def merged_shapes(shapes: Shapes, splats: Splats, label: NDArray[np.intp], weight: F64, made: Splats) -> Shapes:
-    """Of ``made``, each of which stands for the ``splats`` [N] of its ``label`` [N]: means by ``weight`` [N].
+    """Return the shapes of merged splats ``made``: means over the ``splats`` [N] of each ``label`` [N].
 
-    What the deformation of the place does to a splat is averaged as a matrix, and applied to the axes of what is made.
+    The means are weighted by ``weight`` [N]. Bends are averaged as deformation gradients and applied to the axes of
+    ``made``.
     """
     rows, count = shapes.rows, len(shapes)
     total = np.bincount(label, weight, len(made))
@@ -37,11 +38,11 @@ def merged_shapes(shapes: Shapes, splats: Splats, label: NDArray[np.intp], weigh
     )
 
 
-def carried(shapes: Shapes, before: Splats, after: Splats) -> Shapes:
-    """Of the splats ``after``, which are those ``before`` moved a little, turned and scaled."""
+def transferred_shapes(shapes: Shapes, before: Splats, after: Splats) -> Shapes:
+    """Return ``shapes`` for ``after``: the splats ``before`` in the same order, moved a little, turned and scaled."""
     rows, gradients = shapes.rows, _gradients(shapes, before)
-    way = after.means.astype(np.float64) - before.means
-    moves = shapes.metres + np.einsum("eij,ej->ei", gradients, np.where(np.isfinite(way), way, 0)[rows])
+    shift = after.means.astype(np.float64) - before.means
+    moves = shapes.metres + np.einsum("eij,ej->ei", gradients, np.where(np.isfinite(shift), shift, 0)[rows])
     return Shapes.create(
         shapes.names,
         len(after),
@@ -53,28 +54,30 @@ def carried(shapes: Shapes, before: Splats, after: Splats) -> Shapes:
     )
 
 
-def deformed(shapes: Shapes, splats: Splats, weights: F64) -> tuple[F64, F64]:
-    """The affine map x -> B x + t that an expression of ``weights`` [T] is at each splat: B [N, 3, 3] and t [N, 3]."""
+def expression_maps(shapes: Shapes, splats: Splats, weights: F64) -> tuple[F64, F64]:
+    """Return the affine map x -> B x + t of an expression at each splat: B [N, 3, 3] and t [N, 3] in metres.
+
+    ``weights`` [T] are those of the targets.
+    """
     rows, share = shapes.rows, weights[shapes.targets]
     active = np.flatnonzero(share)
     bend = np.tile(np.eye(3), (len(splats), 1, 1))
     move = np.zeros((len(splats), 3))
-    some = rows[active]
-    np.add.at(bend, some, _gradients(shapes, splats)[active] * share[active, None, None])
-    np.add.at(move, some, shapes.metres[active].astype(np.float64) * share[active, None])
+    np.add.at(bend, rows[active], _gradients(shapes, splats)[active] * share[active, None, None])
+    np.add.at(move, rows[active], shapes.metres[active].astype(np.float64) * share[active, None])
     means = np.where(np.isfinite(splats.means), splats.means, 0).astype(np.float64)
     return bend, move - np.einsum("nij,nj->ni", bend - np.eye(3), means)
 
 
-def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
-    """The surface of splats that were made of others: the mean of as many of the nearest as each stands for.
+def transferred_surface(surface: Surface | None, before: Splats, after: Splats) -> Surface | None:
+    """Return the surface of ``after``: for each splat the mean over the nearest splats of ``before``.
 
-    Where there are as many they are the same ones moved a little, and each takes the nearest's.
+    The mean is over len(before) / len(after) splats, 1 to 4. None without a surface or without a finite splat.
     """
     usable = np.flatnonzero(before.finite())
     if surface is None or not len(usable):
         return None
-    k = int(np.clip(round(len(before) / max(len(after), 1)), 1, min(_AS_MANY, len(usable))))
+    k = int(np.clip(round(len(before) / max(len(after), 1)), 1, min(_MAX_SOURCES, len(usable))))
     means = np.nan_to_num(after.means.astype(np.float64), posinf=0, neginf=0)
     near = usable[cKDTree(before.means[usable].astype(np.float64)).query(means, k)[1].reshape(len(means), k)]
     normals = unit_vectors(surface.units[near].sum(axis=1))
@@ -83,7 +86,7 @@ def surface_carried(surface: Surface | None, before: Splats, after: Splats) -> S
 
 
 def _gradients(shapes: Shapes, splats: Splats) -> F64:
-    """[E, 3, 3] by how much an entry deforms the place, less one: its two axes say it, and the normal follows."""
+    """Return the deformation gradients less the identity [E, 3, 3]; the normal stays perpendicular to both axes."""
     axes = _axes(splats)[shapes.rows]
     one, other, normal = axes[:, :, 0], axes[:, :, 1], axes[:, :, 2]
     first, second = (shapes.bends[:, k] * BEND for k in (0, 1))
@@ -96,7 +99,7 @@ def _bends(gradients: F64, splats: Splats, rows: NDArray[np.integer]) -> F64:
 
 
 def _axes(splats: Splats) -> F64:
-    """[N, 3, 3] columns: the two long axes and the thin one."""
-    known = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
-    axes = quaternion_matrices(np.where(known, splats.quats, (1, 0, 0, 0)))
+    """Return the two long axes and the thin one, as columns [N, 3, 3]."""
+    finite = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
+    axes = quaternion_matrices(np.where(finite, splats.quats, (1, 0, 0, 0)))
     return np.take_along_axis(axes, long_axes(splats.scales)[:, None, :], axis=2)

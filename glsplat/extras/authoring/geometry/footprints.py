@@ -1,7 +1,7 @@
-"""The pixel contract with its derivatives, in numpy: what each splat adds to each pixel, and how to change it.
+"""The pixel contract and its derivatives in numpy: each splat's contribution to each pixel, and its gradient.
 
-Vectorised over (splat, pixel) pairs, so a 512x512 picture of 40,000 splats takes a fraction of a second. It serves to
-fit splats to pictures; the projection is that of reference.py. Formulas: EWA projection and front-to-back
+Vectorised over (splat, pixel) pairs: a 512x512 picture of 40,000 splats takes a fraction of a second. Fits of splats
+to pictures use it; the projection is that of reference.py. Formulas: EWA projection and front-to-back
 compositing of 3D Gaussian Splatting (Kerbl et al. 2023), differentiated by hand; the projection's Jacobian counts as
 constant under a moving mean.
 """
@@ -20,19 +20,19 @@ __all__ = ["Footprints", "SplatGradients", "footprints", "transmittance"]
 
 F64 = NDArray[np.float64]
 
-EPS2D, ALPHA_MAX, ALPHA_MIN, MAX_SIGMA = 0.3, 0.99, 1 / 255, 3.33
+EPS2D, ALPHA_MAX, ALPHA_MIN, MAX_SIGMA = 0.3, 0.99, 1 / 255, 3.33  # px^2, and the rest of docs/conventions.md
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatGradients:
-    """Derivatives of a loss by the splats of a view (zero where nothing is seen)."""
+    """Derivatives of a loss by the splats of a view; zero for splats that it does not show."""
 
-    means: F64  # [N, 3] by world position
+    means: F64  # [N, 3] by world position, metres
     log_scales: F64  # [N, 3]
     turns: F64  # [N, 3] by a small rotation about the splat's own axes
     opacities: F64  # [N]
     rgb: F64  # [N, 3]
-    weight: F64  # [N] how much of the picture a splat makes, in pixels
+    weight: F64  # [N] sum over pixels of alpha times transmittance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,17 +42,17 @@ class Footprints:
     splat: NDArray[np.int64]  # [E]
     pixel: NDArray[np.int64]  # [E] row * width + column, ascending
     alpha: F64  # [E]
-    transmittance: F64  # [E] of what lies in front
+    transmittance: F64  # [E] of the pairs in front
     offset: F64  # [2, E] pixel centre minus splat centre
     conic: F64  # [N, 3] inverse of the dilated covariance: a, b, c of [[a, b], [b, c]]
     to_pixels: F64  # [N, 2, 3] Jacobian of the projection by world position
     axes: F64  # [N, 2, 3] principal axes of the splat (unit, without scales) on the screen
     count: int
     shape: tuple[int, int]
-    compensation: F64 | None = None  # [N, 2, 2] slope of its logarithm by the covariance; None: drawn without
+    compensation: F64 | None = None  # [N, 2, 2] slope of its logarithm by the covariance; None: without antialias
 
     def picture(self, rgb: F64) -> F64:
-        """Premultiplied RGBA [H, W, 4] over nothing."""
+        """Return the premultiplied picture of ``rgb`` [N, 3], RGBA [H, W, 4], over nothing."""
         weight = self.alpha * self.transmittance
         size = self.shape[0] * self.shape[1]
         columns = [np.bincount(self.pixel, weight * c[self.splat], minlength=size) for c in rgb.T]
@@ -60,7 +60,7 @@ class Footprints:
         return np.stack(columns, axis=1).reshape(*self.shape, 4).astype(np.float64)
 
     def backward(self, by_picture: F64, rgb: F64, opacities: F64, scales: F64) -> SplatGradients:
-        """Gradients by the splats from the gradient [H, W, 4] by the picture."""
+        """Return the gradients by the splats for the gradient ``by_picture`` [H, W, 4] by the picture."""
         g = by_picture.reshape(-1, 4)[self.pixel]
         weight = self.alpha * self.transmittance
         by_weight = np.einsum("ec,ec->e", g[:, :3], rgb[self.splat]) + g[:, 3]
@@ -114,10 +114,10 @@ def footprints(
     eps2d: float = EPS2D,
     antialias: bool = False,
 ) -> Footprints:
-    """Project splats (means [N, 3], rotations [N, 3, 3], scales [N, 3], opacities [N]) and list what they cover.
+    """Project splats (means [N, 3], rotations [N, 3, 3], scales [N, 3], opacities [N]) and list the pixels they cover.
 
-    ``beyond`` [H, W] leaves out, pixel by pixel, splats whose camera z is larger. ``eps2d``: the dilation, px^2;
-    ``antialias`` takes back from the opacity what it adds to the area (RenderConfig.antialias).
+    ``beyond`` [H, W], metres: the largest camera z drawn at each pixel. ``eps2d``: the dilation, px^2; ``antialias``
+    lowers the opacity by the factor that the dilation adds to the area (RenderConfig.antialias).
     """
     view, shift = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     width, height = camera.width, camera.height
@@ -164,7 +164,7 @@ def footprints(
 
 
 def transmittance(pixel: NDArray[np.int32] | NDArray[np.int64], alpha: F64) -> F64:
-    """[E] what passes the pairs in front, for pairs grouped by pixel, near to far."""
+    """Return the transmittance [E] in front of each pair; pairs are grouped by pixel, near to far."""
     log_pass = np.log1p(-alpha)
     before = np.cumsum(log_pass) - log_pass
     starts = np.append(True, pixel[1:] != pixel[:-1])[: len(pixel)]
@@ -173,7 +173,7 @@ def transmittance(pixel: NDArray[np.int32] | NDArray[np.int64], alpha: F64) -> F
 
 
 def _span(centre: F64, reach: F64, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and last pixel whose centre lies within ``reach`` of ``centre``, clipped to the picture."""
+    """Return the first and last pixel whose centre lies within ``reach`` of ``centre``, clipped to the picture."""
     low = np.clip(np.ceil(centre - reach - 0.5), 0, size).astype(np.int64)
     high = np.clip(np.floor(centre + reach - 0.5), -1, size - 1).astype(np.int64)
     return low, high

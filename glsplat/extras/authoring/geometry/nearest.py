@@ -1,4 +1,4 @@
-"""The points of a mesh nearest to given ones, and the skinning weights there."""
+"""The surface points of a mesh nearest to other points, and the skinning weights there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["NearestPoints", "NearestWeights", "nearest_on", "nearest_weights"]
 
 F64 = NDArray[np.float64]
 
-_CANDIDATES = 8
+_CANDIDATES = 8  # triangles tested for each point
 
 
 class NearestPoints(NamedTuple):
@@ -24,7 +24,7 @@ class NearestPoints(NamedTuple):
 
     points: F64  # [N, 3]
     distance: F64  # [N]
-    faces: NDArray[np.intp]  # [N] the triangles that they lie in
+    faces: NDArray[np.intp]  # [N] their triangles
     weights: F64  # [N, 3] barycentric
 
 
@@ -33,7 +33,7 @@ class NearestWeights(NamedTuple):
 
     joints: NDArray[np.int64]  # [N, J]
     weights: F64  # [N, J]
-    distance: F64  # [N] of the points from the surface
+    distance: F64  # [N] of the points from the surface, metres
 
 
 def nearest_weights(mesh: RiggedMesh, points: F64) -> NearestWeights:
@@ -58,9 +58,9 @@ def nearest_on(vertices: F64, faces: NDArray[np.integer], points: F64) -> Neares
 
 
 def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArray[np.intp]]:
-    """Nearest surface point of each of ``points`` [N, 3], its distance [N] and triangle [N].
+    """Return the nearest surface point of each of ``points`` [N, 3], its distance [N] and triangle [N].
 
-    Triangles are looked for around the nearest of many samples, which spares a spatial index of triangles.
+    Candidates are the triangles of the nearest samples of the surface: no spatial index of triangles is needed.
     """
     count = max(200_000, 4 * len(surface.faces))
     samples, of = trimesh.sample.sample_surface(surface, count, seed=0)

@@ -1,4 +1,4 @@
-"""An avatar in a pose as plain splats, and splats as the numbers that drawing on the CPU takes."""
+"""An avatar in a pose as static splats, and splats as float64 arrays for rasterizers on the CPU."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ class PosedSplats(NamedTuple):
 
 
 def drawable(splats: Splats) -> NDArray[np.bool_]:
-    """[N] what the renderer draws: finite, with a rotation."""
+    """Return True [N] for splats that the renderer draws: finite, with a rotation."""
     return splats.finite() & (np.abs(splats.quats).max(axis=1, initial=0) > 0)
 
 
 def axes_of(splats: Splats) -> F64:
-    """[N, 3, 3] columns: principal axes as the renderer has them, where a negative scale turns one round."""
-    known = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
+    """Return the principal axes as columns [N, 3, 3]; as in the renderer, a negative scale flips its axis."""
+    finite = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
     sign = np.where(splats.scales < 0, -1.0, 1.0)
-    return quaternion_matrices(np.where(known, splats.quats, (1, 0, 0, 0))) * sign[:, None, :]
+    return quaternion_matrices(np.where(finite, splats.quats, (1, 0, 0, 0))) * sign[:, None, :]
 
 
 def placed(splats: Splats) -> PosedSplats:
-    """Splats in their own places, of their colours of degree 0; what cannot be drawn is left out."""
+    """Return splats where they lie, in their colours of degree 0; splats that cannot be drawn get opacity 0."""
     usable = drawable(splats)
     colours = np.where(usable[:, None], splats.sh[:, 0], 0).astype(np.float64) * SH_C0 + 0.5
     return PosedSplats(
@@ -54,10 +54,10 @@ def placed(splats: Splats) -> PosedSplats:
 
 
 def posed_splats(avatar: Avatar, pose: Pose) -> Splats:
-    """The avatar's splats under ``pose``, in the avatar's order: float64 linear blend skinning with polar rotations.
+    """Return the avatar's splats under ``pose``, in its order: float64 linear blend skinning with polar rotations.
 
-    Spherical harmonics of degree 1 and above turn with each splat, so that colours stay where the body has them. With
-    an expression, splats that it bends get the axes of their new covariance, and cones are left out.
+    Spherical harmonics of degree 1 and above turn with each splat. With an expression, bent splats get the axes of
+    their new covariance, and cones are dropped.
     """
     splats = avatar.splats
     weights = avatar.weights(pose)

@@ -1,6 +1,6 @@
-"""A small software rasterizer in numpy: which triangle a pixel shows, and the textured picture of a mesh.
+"""A small software rasterizer in numpy: the visible triangle of each pixel, and the textured picture of a mesh.
 
-It serves where no OpenGL context may be needed: hidden-surface tests and target pictures for making avatars.
+It needs no OpenGL context: hidden-surface tests and target pictures for making avatars use it.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ __all__ = ["box_pixels", "mesh_picture", "mesh_picture_and_depth", "pixel_span",
 def visible_faces(
     mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """What each pixel centre sees: face index [H, W] (-1: nothing) and barycentric coordinates [H, W, 3].
+    """Return the face visible at each pixel centre [H, W] (-1: none) and barycentric coordinates [H, W, 3] in it.
 
-    Both sides of a triangle count; texels with alpha below one half are holes; triangles that reach behind the near
-    plane are left out. Barycentric coordinates are perspective-correct.
+    Both sides of a triangle are drawn; texels with alpha below one half are holes; triangles that cross the near
+    plane are skipped. Barycentric coordinates are perspective-correct.
     """
     faces = mesh.faces
     view = vertices @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
@@ -76,7 +76,7 @@ def visible_faces(
 def pixel_span(
     first: NDArray[np.float64], second: NDArray[np.float64], third: NDArray[np.float64], size: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """[F] along one axis: the first pixel whose centre may lie between three corners, and how many, 0 for none."""
+    """Return, along one axis, the first pixel [F] whose centre may lie between three corners, and the count [F]."""
     low, high = np.minimum(np.minimum(first, second), third), np.maximum(np.maximum(first, second), third)
     begin = np.ceil(low - 0.5).clip(0, size).astype(np.int64)
     return begin, np.maximum(np.floor(high - 0.5).clip(-1, size - 1).astype(np.int64) - begin + 1, 0)
@@ -85,7 +85,7 @@ def pixel_span(
 def box_pixels(
     left: NDArray[np.int64], top: NDArray[np.int64], wide: NDArray[np.int64], high: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Every pixel of F boxes as one flat list: its box, its column and its row; boxes one after another, row by row."""
+    """Return the box, column and row of every pixel of F boxes: box after box, row by row."""
     lines = np.where(wide > 0, high, 0)
     line = np.repeat(np.arange(len(left)), lines)
     row = np.arange(len(line)) - np.repeat(np.cumsum(lines) - lines - top, lines)
@@ -98,14 +98,14 @@ def box_pixels(
 def mesh_picture(
     mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera, supersample: int = 3
 ) -> NDArray[np.float64]:
-    """The unlit textured mesh, premultiplied RGBA [H, W, 4] in [0, 1], box-filtered from ``supersample``^2 samples."""
+    """Return the unlit textured mesh: premultiplied RGBA [H, W, 4], box-filtered from ``supersample``^2 samples."""
     return mesh_picture_and_depth(mesh, vertices, camera, supersample)[0]
 
 
 def mesh_picture_and_depth(
     mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera, supersample: int = 3
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``mesh_picture``, and the farthest camera z [H, W] a pixel shows (infinite where it shows nothing)."""
+    """Return ``mesh_picture`` and the farthest camera z [H, W] among a pixel's samples, metres (empty: infinite)."""
     large = camera.resized(camera.width * supersample, camera.height * supersample)
     ids, bary = visible_faces(mesh, vertices, large)
     picture = np.zeros((*ids.shape, 4))

@@ -1,4 +1,4 @@
-"""Points on the triangles of a mesh, and what values of its vertices are there."""
+"""Points on the triangles of a mesh, and vertex values interpolated there."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from glsplat.rotations import unit_vectors
 
-__all__ = ["SurfacePoints", "between", "triangle_areas"]
+__all__ = ["SurfacePoints", "barycentric_matrix", "triangle_areas"]
 
 F64 = NDArray[np.float64]
 
@@ -24,24 +24,24 @@ class SurfacePoints:
     weights: F64  # [M, 3] barycentric
 
     def take(self, some: NDArray[np.intp] | NDArray[np.bool_] | slice) -> SurfacePoints:
-        """N of the points."""
+        """Return a subset of the points."""
         return SurfacePoints(self.corners[some], self.weights[some])
 
     def at(self, values: F64) -> F64:
-        """[M, C] what a value [V, C] of the vertices is there."""
+        """Return vertex values [V, C] interpolated at the points, [M, C]."""
         return self.matrix(len(values)) @ values
 
     def matrix(self, count: int) -> csr_array:
-        """[M, V] the weights, of ``count`` vertices."""
-        return between(self.corners, self.weights, count)
+        """Return the weights as a sparse matrix [M, count]."""
+        return barycentric_matrix(self.corners, self.weights, count)
 
     def directions(self, values: F64) -> F64:
-        """[M, 3] unit vectors between the vertices' [V, 3]."""
+        """Return vertex directions [V, 3] interpolated at the points, as unit vectors [M, 3]."""
         return unit_vectors(self.at(values))
 
 
-def between(corners: NDArray[Any], share: F64, count: int) -> csr_array:
-    """[M, V] of points between vertices ``corners`` [M, 3], how much of each of ``count`` vertices they are."""
+def barycentric_matrix(corners: NDArray[Any], share: F64, count: int) -> csr_array:
+    """Return the sparse matrix [M, count] of barycentric weights ``share`` [M, 3] on vertices ``corners`` [M, 3]."""
     return csr_array((share.ravel(), corners.ravel(), np.arange(len(corners) + 1) * 3), (len(corners), count))
 
 

@@ -14,11 +14,11 @@ from glsplat.splats import Splats
 __all__ = ["bind_to_mesh"]
 
 
-def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influences: int = 4) -> Avatar:
-    """Static splats in the mesh's zero pose, bound with the weights of the nearest surface point.
+def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05) -> Avatar:
+    """Return an avatar of static splats in the mesh's zero pose, with the weights of the nearest surface points.
 
-    ``reach`` in metres: a mesh whose surface is farther than that from more than one splat in a hundred is refused
-    (wrong pose, scale or person); a few outliers take the weights of where they are nearest. Raises FormatError.
+    Raises FormatError if more than one splat in a hundred lies farther than ``reach`` metres from the surface (another
+    pose, scale or person).
     """
     usable = splats.finite()
     points = np.where(usable[:, None], splats.means, 0).astype(np.float64)
@@ -29,5 +29,5 @@ def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05, influenc
             f"{int(far.sum())} of {len(splats)} splats lie more than {reach * 100:g} cm from the mesh "
             f"(median {np.median(distance[usable]) * 100:.1f} cm); both need one pose, place and scale"
         )
-    skin = Skin.create(joints, weights, len(mesh.skeleton), influences)
+    skin = Skin.create(joints, weights, len(mesh.skeleton))
     return Avatar(splats, mesh.skeleton, skin, dict(mesh.meta))

@@ -1,4 +1,4 @@
-"""Avatars from LAM's export: a zip of Gaussians that ride the vertices of a skinned mesh, one each."""
+"""Read avatars from LAM's export: a zip of Gaussians, each attached to a vertex of a skinned mesh."""
 
 from __future__ import annotations
 
@@ -28,28 +28,20 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["FOLLOW", "Follow", "LamHead", "is_lam_zip", "load_lam_zip", "read_lam_zip"]
+__all__ = ["FOLLOW_MODES", "Follow", "is_lam_zip", "load_lam_zip"]
 
 Follow = Literal["weights", "head"]
-FOLLOW: tuple[Follow, ...] = ("weights", "head")
-"""What moves a splat: the weights of its vertex, or the joint called head alone, as the public renderer has it."""
+FOLLOW_MODES: tuple[Follow, ...] = ("weights", "head")
+"""A splat moves by the weights of its vertex, or, as in the public renderer, only by the joint called head."""
 
-_MEMBERS = {"offset.ply": 1 << 29, "skin.glb": 1 << 29}
-"""What is read, and how many bytes each may unpack to."""
-_ENTRIES = 10_000  # in the directory of the zip
-_HEAD = "head"
-
-
-@dataclass(frozen=True, eq=False)
-class LamHead:
-    """What a LAM export holds: the avatar, and how far its expressions move each splat (vertex i is splat i)."""
-
-    avatar: Avatar
-    morphs: Morphs
+_MAX_MEMBER_BYTES = {"offset.ply": 1 << 29, "skin.glb": 1 << 29}
+"""The members that are read, and the bytes each may unpack to."""
+_MAX_ENTRIES = 10_000  # of the zip's directory
+_HEAD_JOINT = "head"
 
 
 def is_lam_zip(path: str | Path) -> bool:
-    """True for a zip that holds a member called offset.ply; False for anything else, readable or not."""
+    """Return True for a zip with a member called offset.ply; False for anything else, readable or not."""
     try:
         with zipfile.ZipFile(path) as archive:
             return any(PurePosixPath(name).name == "offset.ply" for name in archive.namelist())
@@ -57,35 +49,29 @@ def is_lam_zip(path: str | Path) -> bool:
         return False
 
 
-def load_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weights") -> Avatar:
-    """The avatar of ``read_lam_zip``."""
-    return read_lam_zip(path, influences, follow).avatar
-
-
-def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weights") -> LamHead:
-    """An avatar from a zip as LAM exports it, in the rest pose of its mesh, and its morph targets.
+def load_lam_zip(path: str | Path, follow: Follow = "weights") -> Avatar:
+    """Read the avatar of a LAM export, in the rest pose of its mesh; morph targets become its shapes.
 
     Members, in the zip's root or in one folder: ``offset.ply``, a 3DGS PLY whose x y z is the offset of each splat
     from its mesh vertex and whose f_dc is plain RGB in [0, 1]; ``skin.glb``, the skinned mesh with morph targets.
-    Splat i rides vertex i. ``vertex_order.json`` is no such assignment, though it is a permutation: it lists the
-    vertices roughly from low to high, an order for drawing, and is not read; nor are ``animation.glb`` and
-    ``bsData.json``, a recorded motion.
+    Splat i belongs to vertex i. ``vertex_order.json`` is not read: it is a drawing order of the vertices, roughly from
+    low to high. Nor are ``animation.glb`` and ``bsData.json``, a recorded motion.
 
-    ``follow`` "weights": splats move and turn with the joints of their vertices, so that neck and shoulders stay
-    where they are when the head turns. "head": all follow the joint called head, as in the public renderer
-    (gaussian-splat-renderer-for-lam 0.0.8), which does so because splats far from their vertices, hair above all, are
-    pulled apart where weights change. Morph targets move the splats of their vertices, and do not bend them.
+    ``follow`` "weights": splats move and turn with the joints of their vertices, so that neck and shoulders stay when
+    the head turns. "head": all follow the joint called head, as in the public renderer (gaussian-splat-renderer-for-lam
+    0.0.8): splats far from their vertices, above all hair, would be pulled apart where weights change. Morph targets
+    move splats and do not bend them.
 
-    Raises FormatError naming the zip and the member. Nothing is unpacked before the directory's sizes are checked,
-    and nothing under a name from the zip.
+    Raises FormatError naming the zip and the member. Sizes in the directory are checked before anything is unpacked,
+    and files are never named after the zip's own names.
     """
     try:
         with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory(prefix="glsplat-") as folder:
-            found = _find(archive)
+            found = _checked_members(archive)
             for name, info in found.items():
                 (Path(folder) / name).write_bytes(archive.read(info))
             try:
-                return _head(Path(folder), Path(path), influences, follow)
+                return _avatar(Path(folder), Path(path), follow)
             except FormatError as error:
                 raise FormatError(str(error).replace(f"{folder}/", "").replace(f"{folder}\\", "")) from None
     except FormatError as error:
@@ -96,20 +82,22 @@ def read_lam_zip(path: str | Path, influences: int = 4, follow: Follow = "weight
         raise FormatError(f"{path}: a LAM export is a zip, but {' '.join(str(error).split())[:120]}") from None
 
 
-def _find(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """The members to read, after a look at their number, names and sizes."""
+def _checked_members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Return the members to read, after checks of their number, names and sizes."""
     entries = archive.infolist()
-    if len(entries) > _ENTRIES:
+    if len(entries) > _MAX_ENTRIES:
         raise FormatError(f"a LAM export has a handful of members, this zip {len(entries)}")
     found: dict[str, zipfile.ZipInfo] = {}
     for info in entries:
         name = PurePosixPath(info.filename).name
-        if info.is_dir() or name not in _MEMBERS or "__MACOSX" in info.filename:
+        if info.is_dir() or name not in _MAX_MEMBER_BYTES or "__MACOSX" in info.filename:
             continue
         if name in found:
             raise FormatError(f"two members are called {name}; keep one avatar in a zip")
-        if info.file_size > _MEMBERS[name]:
-            raise FormatError(f"{name} would unpack to {info.file_size >> 20} MiB, more than {_MEMBERS[name] >> 20}")
+        if info.file_size > _MAX_MEMBER_BYTES[name]:
+            raise FormatError(
+                f"{name} would unpack to {info.file_size >> 20} MiB, more than {_MAX_MEMBER_BYTES[name] >> 20}"
+            )
         if info.flag_bits & 1:
             raise FormatError(f"{name} is encrypted; unpack the zip and pack it without a password")
         found[name] = info
@@ -122,7 +110,7 @@ def _find(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
 
 @dataclass(frozen=True, eq=False)
 class _Mesh:
-    """What splats ride, vertex by vertex: textures and triangles do not matter."""
+    """The skinned vertices that splats are attached to."""
 
     vertices: NDArray[np.float64]
     skeleton: Skeleton
@@ -130,7 +118,7 @@ class _Mesh:
     morphs: Morphs
 
 
-def _head(folder: Path, source: Path, influences: int, follow: Follow) -> LamHead:
+def _avatar(folder: Path, source: Path, follow: Follow) -> Avatar:
     splats, mesh = splats_of(load_splats(folder / "offset.ply", format="ply")), _mesh(folder / "skin.glb", source)
     count, names = len(splats), mesh.skeleton.names
     if len(mesh.vertices) != count:
@@ -140,25 +128,25 @@ def _head(folder: Path, source: Path, influences: int, follow: Follow) -> LamHea
     rgb = splats.sh[:, 0].astype(np.float64)
     usable = splats.finite()
     if usable.any():
-        _check(splats.means[usable], rgb[usable], mesh.vertices)
+        _check_offsets(splats.means[usable], rgb[usable], mesh.vertices)
     at = mesh.vertices + splats.means
     placed = Splats.create(at, splats.quats, splats.scales, splats.opacities, rgb=rgb)
     if follow == "head":
-        if _HEAD not in names:
-            raise FormatError(f'skin.glb has no joint called "{_HEAD}" that all splats could follow')
-        skin = Skin.create(np.full((count, 1), names.index(_HEAD)), np.ones((count, 1)), len(names), 1)
+        if _HEAD_JOINT not in names:
+            raise FormatError(f'skin.glb has no joint called "{_HEAD_JOINT}" that all splats could follow')
+        skin = Skin.create(np.full((count, 1), names.index(_HEAD_JOINT)), np.ones((count, 1)), len(names), 1)
     else:
-        skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names), influences)
+        skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names))
     meta: dict[str, Any] = {
         "source": f"LAM, {source.name}",
         "body_model": f"{len(names)} joints of skin.glb",
         "licence": "as the picture and LAM's weights (CC BY-NC 4.0) allow",
     }
-    return LamHead(Avatar(placed, mesh.skeleton, skin, meta, shapes=_shapes(mesh.morphs, count)), mesh.morphs)
+    return Avatar(placed, mesh.skeleton, skin, meta, shapes=_shapes(mesh.morphs, count))
 
 
 def _shapes(morphs: Morphs, count: int) -> Shapes | None:
-    """Splats go with their vertices and keep their own axes: the export says nothing of triangles between them."""
+    """Return shapes that move splats with their vertices and keep their axes: the export has no triangles for them."""
     if not len(morphs) or len(morphs) > MOST_NAMES or not np.isfinite(morphs.offsets).all():
         return None
     targets = np.repeat(np.arange(len(morphs)), np.diff(morphs.starts))
@@ -177,13 +165,13 @@ def _mesh(path: Path, source: Path) -> _Mesh:
         skeleton = read_skeleton(container, instance, graph)
         skin = read_skin(container, instance, len(skeleton), len(vertices), {})
         morphs = read_morphs(container, mesh, instance.primitive)
-        with naming(f"{source}: {path.name}"):  # where it was unpacked says nothing to anybody
+        with naming(f"{source}: {path.name}"):  # the temporary path would mislead
             container.warn()
         return _Mesh(vertices.astype(np.float64), skeleton, skin, morphs)
 
 
 def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
-    """The one primitive with a skin; of several, that with the most vertices."""
+    """Return the primitive with a skin; of several, the one with the most vertices."""
     gltf = container.gltf
     found: list[tuple[int, Mesh, Instance]] = []
     for number, node in enumerate(gltf.nodes):
@@ -201,7 +189,7 @@ def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
     return mesh, instance
 
 
-def _check(offsets: NDArray[np.float32], rgb: NDArray[np.float64], vertices: NDArray[np.float64]) -> None:
+def _check_offsets(offsets: NDArray[np.float32], rgb: NDArray[np.float64], vertices: NDArray[np.float64]) -> None:
     if rgb.min() < -0.02 or rgb.max() > 1.02:
         raise FormatError(
             f"offset.ply needs RGB in [0, 1] in f_dc, as LAM writes it, found {rgb.min():.2f} to {rgb.max():.2f}; "

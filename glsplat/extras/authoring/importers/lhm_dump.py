@@ -1,4 +1,4 @@
-"""Avatars from dumps of LHM's Gaussians."""
+"""Read avatars from dumps of LHM's Gaussians."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ _LHM_KEYS: dict[str, tuple[int | str, ...]] = {
 }
 
 
-def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
-    """An avatar from the .npz a user's own LHM checkout dumps: activated attributes in LHM's canonical pose.
+def load_lhm_dump(path: str | Path) -> Avatar:
+    """Read the .npz that a user's own LHM checkout dumps: activated attributes in LHM's canonical pose.
 
     Keys and shapes (N splats): query_points (N, 3), offset_xyz (N, 3), opacity (N, 1), rotation_wxyz (N, 4), scaling
     (N, 3), rgb (N, 3) in [0, 1], skinning_weight (N, 55), transform_mat_neutral_pose (55, 4, 4) canonical to zero pose,
     betas (10), shape_dirs (N, 3, 10), joints_zero (55, 3), parents (55), is_constrain_body (N).
 
-    Means go through linear blend skinning to the zero pose and receive the shape; rotations turn with the blend,
-    except for splats of ``is_constrain_body``: LHM draws those as they are stored, in every pose. Here they start so
-    and then turn with the body as all others do (docs/avatars.md says why). Feet are put on y = 0.
+    Linear blend skinning takes means to the zero pose, then the shape is added; rotations turn with the blend, except
+    for splats of ``is_constrain_body``: LHM draws those as stored, in every pose. Here they start as stored and turn
+    with the body in other poses (docs/avatars.md says why). Feet are put on y = 0.
     Raises FormatError naming the file and the key.
     """
     data = _arrays(path)
@@ -61,15 +61,15 @@ def load_lhm_dump(path: str | Path, influences: int = 4) -> Avatar:
         blended = np.einsum("nj,jab->nab", weights / np.where(total > 0, total, 1), transform)
         zero = np.einsum("nab,nb->na", blended[:, :3, :3], query) + blended[:, :3, 3]
         means = zero + np.einsum("nax,x->na", data["shape_dirs"], data["betas"])
-        kept = data["is_constrain_body"] > 0.5
+        constrained = data["is_constrain_body"] > 0.5
         quats = data["rotation_wxyz"]
         turned = quaternion_product(matrix_quaternions(nearest_rotations(blended[:, :3, :3])), quats)
-        quats = np.where(kept[:, None], quats, turned)
+        quats = np.where(constrained[:, None], quats, turned)
         floor = float(np.percentile(means[:, 1], 0.1)) if count else 0.0
         up = np.array([0, floor, 0])
         splats = Splats.create(means - up, quats, data["scaling"], data["opacity"], rgb=data["rgb"])
         skeleton = Skeleton.from_joints(JOINT_NAMES, data["parents"].astype(np.int32), data["joints_zero"] - up)
-        skin = Skin.create(np.broadcast_to(np.arange(55), weights.shape), weights, 55, influences)
+        skin = Skin.create(np.broadcast_to(np.arange(55), weights.shape), weights, 55)
     except (FormatError, PoseError) as error:
         raise FormatError(f"{path}: {error}") from None
     meta: dict[str, Any] = {"source": f"LHM, {Path(path).name}", "body_model": "SMPL-X (55 joints)"}

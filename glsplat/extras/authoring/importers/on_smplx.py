@@ -1,4 +1,4 @@
-"""An avatar that somebody else rigged, put onto the 55 joints of SMPL-X, so that motions and tracking drive it."""
+"""Retarget an avatar of another rig to the 55 joints of SMPL-X, so that motions and tracking drive it."""
 
 from __future__ import annotations
 
@@ -24,35 +24,35 @@ __all__ = ["on_smplx"]
 
 
 def on_smplx(avatar: Avatar, rig_map: Mapping[str, str | None] | None = None) -> Avatar:
-    """The same splats in SMPL-X's T-pose, y up, facing +z, each moved by the joint of SMPL-X that stands for its own.
+    """Return the avatar in SMPL-X's T-pose, y up, facing +z, its splats bound to the matching SMPL-X joints.
 
-    What ``avatar make`` does to a mesh: ``rig_map`` (SMPL-X joint -> name of a joint here, or None) counts before
-    names and places. The splats are taken as they were bound and posed once, in float64. Raises FormatError, one line,
-    for a rig that lacks a joint without which nobody is driven.
+    As ``avatar make`` does for a mesh: ``rig_map`` (SMPL-X joint -> name of a joint here, or None) overrides names and
+    positions. The splats are posed once from the bind pose, in float64. Raises FormatError, one line, for a rig
+    without a joint that driving needs.
     """
     skeleton = avatar.skeleton
     if skeleton.names == JOINT_NAMES:
         raise FormatError("this avatar has the 55 joints of SMPL-X already")
-    given: dict[str, int | None] = {}
+    mapped: dict[str, int | None] = {}
     for joint, name in (rig_map or {}).items():
         if name is not None and name not in skeleton.names:
             raise FormatError(f'the rig map gives {joint} a joint "{name:.40}", which this avatar does not have')
-        given[joint] = None if name is None else skeleton.names.index(name)
+        mapped[joint] = None if name is None else skeleton.names.index(name)
     try:
         with np.errstate(all="ignore"):
-            return _put(avatar, given)
+            return _on_smplx(avatar, mapped)
     except (PoseError, np.linalg.LinAlgError) as error:
         raise FormatError(f"this avatar cannot be put onto SMPL-X's joints: {error}") from None
 
 
-def _put(avatar: Avatar, given: Mapping[str, int | None]) -> Avatar:
+def _on_smplx(avatar: Avatar, mapped: Mapping[str, int | None]) -> Avatar:
     skeleton = avatar.skeleton
     bound = np.linalg.inv(skeleton.inverse_bind).astype(np.float64)
-    found = match_rig(skeleton.names, skeleton.parents, bound[:, :3, 3], given)
+    found = match_rig(skeleton.names, skeleton.parents, bound[:, :3, 3], mapped)
     if found.missing:
         raise PoseError(f"no joint for {', '.join(found.missing)}; name them in a --rig-map")
     turn, as_bound, of = seated(found, skeleton.parents, bound, skeleton.rest, open_body().joints)
-    skin = _merged(of[avatar.skin.joints], avatar.skin)
+    skin = _merge_slots(of[avatar.skin.joints], avatar.skin)
     first = Avatar(transformed(avatar.splats, turn), as_bound, skin)
     splats, shapes = posed_splats(first, Pose.zero()), avatar.shapes
     if shapes is not None:
@@ -64,8 +64,8 @@ def _put(avatar: Avatar, given: Mapping[str, int | None]) -> Avatar:
     return Avatar(splats, Skeleton(JOINT_NAMES, PARENTS, as_bound.rest), skin, meta, shapes=shapes)
 
 
-def _merged(joints: NDArray[np.integer], skin: Skin) -> Skin:
-    """The skin with these joints [N, K]; several slots of a splat that came to one joint become one."""
+def _merge_slots(joints: NDArray[np.integer], skin: Skin) -> Skin:
+    """Return the skin with these joints [N, K]; slots of a splat with the same joint are merged."""
     weights = skin.weights.astype(np.float64)
     for later in range(1, joints.shape[1]):
         for earlier in range(later):

@@ -1,4 +1,4 @@
-"""People without a rig: a textured OBJ in a T-pose takes joints and weights from a rigged body."""
+"""Read people without a rig: a textured OBJ in a T-pose takes joints and weights from a rigged body."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["read_obj_person"]
 
-_TYPICAL, _WORST = 0.06, 0.2  # metres a scan may lie off the body: the median, and 95 % of its vertices
+_MAX_MEDIAN_M, _MAX_P95_M = 0.06, 0.2  # distance of vertices from the body
 
 
 def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
-    """An OBJ of a person in T-pose (y up, facing +z, any unit) with the joints and weights of ``body``.
+    """Read an OBJ of a person in T-pose (y up, facing +z, any unit) with the joints and weights of ``body``.
 
-    The body is scaled to the person's height and put where it stands; each vertex takes the weights of the nearest
+    The body is scaled to the person's height and placed at its feet; each vertex takes the weights of the nearest
     point of the body. The texture is the first map_Kd of the material file beside the OBJ, or its Kd colour. Raises
-    FormatError: no triangles, or a person that lies too far off the body (another pose).
+    FormatError without triangles, or for a person too far from the body (another pose).
     """
     source = Path(path)
     try:
@@ -40,11 +40,11 @@ def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
         raise FormatError(f"{path}: a person needs triangles with finite vertices and some height")
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = (low + high) / 2
-    fitted = _fitted(body, low, high)
+    fitted = _scaled_body(body, low, high)
     scale = np.ptp(fitted.vertices[:, 1]) / (high[1] - low[1])
     at = (vertices - (middle[0], low[1], middle[2])) * scale
     joints, weights, distance = nearest_weights(fitted, at)
-    if np.median(distance) > _TYPICAL or np.percentile(distance, 95) > _WORST:
+    if np.median(distance) > _MAX_MEDIAN_M or np.percentile(distance, 95) > _MAX_P95_M:
         raise FormatError(
             f"{path}: the person lies {np.median(distance) * 100:.0f} cm off the body (median); "
             "it needs to stand in a T-pose, y up, facing +z"
@@ -54,11 +54,11 @@ def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
     return RiggedMesh(at, fitted.skeleton, joints, weights, (part,), {"source": source.name}, morphs)
 
 
-def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64]) -> RiggedMesh:
-    """The body with its feet on y = 0, over the origin; metres if the scan is, else of its own height."""
+def _scaled_body(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64]) -> RiggedMesh:
+    """Return the body with its feet at the origin, of the scan's height if that is in metres, else of its own."""
     own = body.vertices
     height = high[1] - low[1]
-    scale = height / np.ptp(own[:, 1]) if 0.5 < height < 2.6 else 1.0  # another unit: keep the body's size
+    scale = height / np.ptp(own[:, 1]) if 0.5 < height < 2.6 else 1.0  # the scan is in another unit
     centre = (own.max(axis=0) + own.min(axis=0)) / 2
     origin = np.array([centre[0], own[:, 1].min(), centre[2]])
     skeleton = Skeleton.from_joints(body.skeleton.names, body.skeleton.parents, (body.skeleton.joints - origin) * scale)
@@ -67,7 +67,7 @@ def _fitted(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64
 
 
 def _texture(source: Path, library: str | None) -> NDArray[np.uint8]:
-    """The first image of the material file, else its last colour."""
+    """Return the first image of the material file, else its last colour."""
     colour = flat()
     for _, texture, mapped in textures_of(source, library):
         if mapped:

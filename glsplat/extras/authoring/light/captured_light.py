@@ -20,7 +20,7 @@ from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
 from glsplat.extras.authoring.light.cloth_normals import cloth_normals
 from glsplat.extras.authoring.light.surfaces import nearest_open, opened
-from glsplat.extras.authoring.optimize.surface_consistency import as_seen
+from glsplat.extras.authoring.optimize.surface_consistency import view_consistent
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.light.light import Light
@@ -98,7 +98,7 @@ def with_captured_light(
     if mine.any():  # elsewhere nothing lies behind what is seen but the same body's other side
         shapes = None if avatar.shapes is None else avatar.shapes.take(mine)
         head = replace(avatar, splats=avatar.splats.take(mine), skin=avatar.skin.take(mine), shapes=shapes, levels=())
-        normals[mine], occlusion[mine], shade[mine] = as_seen(head, normals[mine], occlusion[mine], shade[mine])
+        normals[mine], occlusion[mine], shade[mine] = view_consistent(head, normals[mine], occlusion[mine], shade[mine])
     surface = Surface.of(normals, occlusion, np.repeat(shade[:, None], 3, axis=1))
     meta: dict[str, Any] = dict(avatar.meta) | {"light": captured.light.to_json()}
     return replace(avatar, splats=replace(avatar.splats, surface=surface), meta=meta)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.visibility import probe_poses
 from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
-from glsplat.extras.authoring.optimize.surface_consistency import as_seen
+from glsplat.extras.authoring.optimize.surface_consistency import view_consistent
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import signed_axes, unit_vectors
@@ -130,7 +130,7 @@ def with_surface(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
 
     def surfaced(one: Avatar) -> Avatar:
         where = nearest_open(mesh, one.splats, occlusion)
-        seen = as_seen(one, where.directions(normals), opened(where.at(occlusion)))
+        seen = view_consistent(one, where.directions(normals), opened(where.at(occlusion)))
         surface = Surface.of(seen.normals, seen.occlusion)
         return replace(one, splats=replace(one.splats, surface=surface))
 

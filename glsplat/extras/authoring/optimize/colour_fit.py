@@ -1,8 +1,8 @@
-"""Colours of splats that give back the pictures they were taken from: a linear problem, solved as one.
+"""Colours of splats solved for so that their pictures equal the photographs: a linear least-squares problem.
 
-A splat takes the mean of its cell, and a picture of overlapping splats blurs that once more. With their shapes held, a
-picture is a sparse matrix times their colours; conjugate gradients find the colours nearest to the first ones with
-which it equals the photograph.
+A splat starts with the mean colour of its cell, and overlapping splats blur that once more. With fixed shapes, a
+picture is a sparse matrix times the colours; conjugate gradients solve for the colours, regularized towards the first
+ones.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from glsplat.rotations import nearest_rotations, quaternion_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["sharpened"]
+__all__ = ["fit_colours"]
 
 F64 = NDArray[np.float64]
 
-_FIGURE = 900.0  # pixels of the person's height that are looked at
-_LOYALTY = 0.6  # pixels that a splat's first colour is worth
-_DIGITS = 4  # of a colour, a fortieth of a step of 8 bits: the last bits of sums depend on the number of threads
-_COVERED = 0.6  # a pixel less covered than that is the outline's
-_MOST = 0.25  # how far a colour may go from the first one
+_PERSON_HEIGHT_PX = 900.0  # in the resampled photographs
+_PRIOR_WEIGHT_PX = 0.6  # weight of a splat's first colour
+_COLOUR_DECIMALS = 4  # the last bits of sums depend on the number of threads
+_MIN_COVERAGE = 0.6  # of a pixel; less is the outline
+_MAX_COLOUR_CHANGE = 0.25
 
 
-def sharpened(avatar: Avatar, shots: Sequence[FittedPicture], rounds: int) -> Avatar:
-    """The avatar with the colours of its seen splats solved for in so many rounds; the rest as it was."""
+def fit_colours(avatar: Avatar, shots: Sequence[FittedPicture], rounds: int) -> Avatar:
+    """Return the avatar with the colours of its visible splats solved for in ``rounds`` of conjugate gradients."""
     splats = avatar.splats
     first = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5
     rows, targets = [], []
@@ -43,7 +43,8 @@ def sharpened(avatar: Avatar, shots: Sequence[FittedPicture], rounds: int) -> Av
         rows.append(matrix)
         targets.append(target)
     colours = first + _solve(rows, [t - m @ first for m, t in zip(rows, targets, strict=True)], len(first), rounds)
-    colours = np.round(np.clip(colours, first - _MOST, first + _MOST).clip(0, 1), _DIGITS)
+    colours = np.clip(colours, first - _MAX_COLOUR_CHANGE, first + _MAX_COLOUR_CHANGE)
+    colours = np.round(colours.clip(0, 1), _COLOUR_DECIMALS)
     made = Splats.create(
         splats.means, splats.quats, splats.scales, splats.opacities, rgb=colours, antialias=splats.antialias
     )
@@ -51,8 +52,8 @@ def sharpened(avatar: Avatar, shots: Sequence[FittedPicture], rounds: int) -> Av
 
 
 def _equations(avatar: Avatar, shot: FittedPicture) -> tuple[csr_array, F64]:
-    """What each splat adds to each pixel of the person, and the photograph there."""
-    camera = shot.camera(avatar.skeleton.joints[0], _FIGURE)
+    """Return each splat's share of each pixel [P, N] of the person, and the photograph there [P, 3]."""
+    camera = shot.camera(avatar.skeleton.joints[0], _PERSON_HEIGHT_PX)
     height, width = camera.height, camera.width
     splats, skin = avatar.splats, avatar.skin
     bones = Pose(shot.view.rotations).bones(avatar.skeleton)
@@ -64,7 +65,7 @@ def _equations(avatar: Avatar, shot: FittedPicture) -> tuple[csr_array, F64]:
     covered = np.bincount(prints.pixel, weight, minlength=height * width)
     small, mask = shot.resized(camera)
     inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).ravel() > 0
-    used = inner & (covered > _COVERED)
+    used = inner & (covered > _MIN_COVERAGE)
     number = np.cumsum(used) - 1
     keep = used[prints.pixel]
     pixel = prints.pixel[keep]
@@ -73,14 +74,14 @@ def _equations(avatar: Avatar, shot: FittedPicture) -> tuple[csr_array, F64]:
     return matrix, small.reshape(-1, 3)[used] / 255
 
 
-def _solve(rows: Sequence[csr_array], misses: Sequence[F64], count: int, rounds: int) -> F64:
-    """[N, 3] the change that makes up for the misses, small where it is not needed; conjugate gradients."""
+def _solve(rows: Sequence[csr_array], residuals: Sequence[F64], count: int, rounds: int) -> F64:
+    """Return the regularized least-squares change [N, 3] for these residuals, by conjugate gradients."""
     change = np.zeros((count, 3))
-    rest = sum((matrix.T @ miss for matrix, miss in zip(rows, misses, strict=True)), np.zeros((count, 3)))
+    rest = sum((matrix.T @ residual for matrix, residual in zip(rows, residuals, strict=True)), np.zeros((count, 3)))
     along = rest.copy()
     size = (rest * rest).sum(axis=0)
     for _ in range(rounds):
-        moved = sum((matrix.T @ (matrix @ along) for matrix in rows), _LOYALTY * along)
+        moved = sum((matrix.T @ (matrix @ along) for matrix in rows), _PRIOR_WEIGHT_PX * along)
         step = size / np.maximum((along * moved).sum(axis=0), 1e-12)
         change += step * along
         rest -= step * moved

@@ -1,4 +1,4 @@
-"""What a descent changes of splats, one row of numbers each, and one step of Adam with its bounds, compiled."""
+"""The parameters of splats during a descent, and one step of bounded Adam on them, compiled."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 COUNT = 13
-"""Numbers a splat: shift in cells 3, growth (logarithm) 3, turn (rotation vector) 3, logit of the opacity, colour 3."""
+"""Parameters of a splat: shift in cells 3, log growth 3, turn (rotation vector) 3, logit of the opacity, colour 3."""
 Bounds = tuple[float, float, float, float, float, float]
-"""Longest shift, least and most growth, largest turn, lowest and highest logit."""
+"""Largest shift, smallest and largest log growth, largest turn, smallest and largest logit."""
 
-_SEEN = 0.05  # pixels; what a picture hardly shows it does not move
+_MIN_WEIGHT_PX = 0.05  # splats that a picture hardly shows are not moved by it
 
 
 @compiled
@@ -30,7 +30,7 @@ def compose(
     start: tuple[F64, F64, F64, F64],  # means [N, 3], rotations [N, 3, 3], logarithms of the scales, cells [N]
     placed: tuple[F64, F64, F64, F64, F64],  # written
 ) -> None:
-    """Splats first to last as their numbers say, in the zero pose."""
+    """Write the splats first to last of these parameters, in the zero pose."""
     means0, rotations0, logs0, cells = start
     means, rotations, scales, opacities, rgb = placed
     turn = np.empty((3, 3))
@@ -68,7 +68,7 @@ def pose(
     out_means: F64,
     out_rotations: F64,
 ) -> None:
-    """Splats first to last moved by their blended bones, their shapes turned."""
+    """Write the splats first to last, moved by their blended bones and turned."""
     for i in range(first, last):
         for r in range(3):
             out_means[i, r] = (
@@ -90,20 +90,20 @@ def step(
     first: int,
     last: int,
     gradients: F64,  # [N, kernels.GRADIENTS], in the axes of the zero pose
-    values: F32,  # [N, COUNT], changed as are the two moments and the number of steps
+    values: F32,  # [N, COUNT], updated, as are the two moments and the step counts
     moments: F32,
     powers: F32,
     counts: F32,
     cells: F64,
     rates: F64,  # [COUNT]
-    shrink: F64,  # [COUNT] of the rates, by which numbers fall of themselves (decoupled decay)
+    shrink: F64,  # [COUNT] decoupled weight decay, fraction of the rates
     bounds: Bounds,
 ) -> None:
-    """Adam (Kingma and Ba 2015) on the rows that the picture showed, with decays .9 and .99, then the bounds."""
+    """Apply Adam (Kingma and Ba 2015; decays 0.9 and 0.99) to the rows that the picture shows, then the bounds."""
     shift, least, most, turn, low, high = bounds
     slope = np.empty(COUNT)
     for i in range(first, last):
-        if not gradients[i, 13] > _SEEN:
+        if not gradients[i, 13] > _MIN_WEIGHT_PX:
             continue
         for k in range(3):
             slope[k] = gradients[i, k] * cells[i]

@@ -1,8 +1,8 @@
-"""The pixel contract and its derivatives as compiled loops: projection, tiles, drawing, and the way back.
+"""The pixel contract and its derivatives as compiled loops: projection, tiles, drawing, backward pass.
 
-They compute what footprints.py computes in numpy, which is their twin in the tests, in single precision per pixel and
-double precision per splat. A picture is cut into square tiles; an *entry* is a splat in a tile, entries of a tile
-stand near to far. Each function works on a part of the splats or of the tiles, so that threads can share the work.
+The same computation as footprints.py (tests compare them), in single precision per pixel and double precision per
+splat. A picture is cut into square tiles; an *entry* is a splat in a tile, and a tile's entries are sorted near to
+far. Each function works on a part of the splats or of the tiles, so that threads can share the work.
 
 Formulas: EWA projection and front-to-back compositing of 3D Gaussian Splatting (Kerbl et al. 2023), differentiated by
 hand. The projection's Jacobian counts as constant under a moving mean.
@@ -29,20 +29,20 @@ I64 = NDArray[np.int64]
 TILE = 64
 """Pixels a side."""
 RECORD = 11
-"""Numbers a splat of a view: u, v, conic a b c, opacity, squared extent, depth, colour 3."""
+"""Columns of a projected splat: u, v, conic a b c, opacity, squared extent, depth, colour 3."""
 SUMS = 11
-"""Numbers an entry of ``backward``: offset 2, its squares 3, exponent, colour 3, weight, error."""
+"""Columns of an entry of ``backward``: offset 2, its squares 3, exponent, colour 3, weight, error."""
 GRADIENTS = 15
-"""Numbers a splat of ``gather``: mean 3, logarithm of the scales 3, turn 3, exponent, colour 3, weight, error."""
+"""Columns of a splat of ``gather``: mean 3, logarithm of the scales 3, turn 3, exponent, colour 3, weight, error."""
 
 _ONE, _HALF, _TWO = np.float32(1), np.float32(0.5), np.float32(2)
-_CAP = np.float32(ALPHA_MAX)
-_MARGIN = 0.15  # of the picture beyond its edge, where the Jacobian stands still
+_ALPHA_CAP = np.float32(ALPHA_MAX)
+_CLAMP_MARGIN = 0.15  # fraction of the picture beyond its edge, from where the Jacobian is constant
 
 
 @compiled
 def _exp(x: np.float32) -> np.float32:
-    """exp(x) for -8 < x <= 0 in single precision: the series of exp(x / 8), to the eighth power."""
+    """Return exp(x) for -8 < x <= 0 in single precision: the series of exp(x / 8), to the eighth power."""
     y = x * np.float32(0.125)
     p = np.float32(1 / 120) + y * np.float32(1 / 720)
     p = _ONE + y * (_ONE + y * (_HALF + y * (np.float32(1 / 6) + y * (np.float32(1 / 24) + y * p))))
@@ -67,12 +67,12 @@ def project(
     axes: F64,  # [N, 2, 3] of the splat, on the screen
     slope: F64,  # [N, 3] of the logarithm of the compensation by the covariance: xx, xy, yy
 ) -> None:
-    """Splats first to last of a view, as in footprints()."""
+    """Project the splats first to last, as in footprints()."""
     means, rotations, scales, opacities, colours = splats
     fx, fy, cx, cy = intrinsics
     width, height = size
-    left, right = -cx / fx - _MARGIN * width / fx, (width - cx) / fx + _MARGIN * width / fx
-    top, bottom = -cy / fy - _MARGIN * height / fy, (height - cy) / fy + _MARGIN * height / fy
+    left, right = -cx / fx - _CLAMP_MARGIN * width / fx, (width - cx) / fx + _CLAMP_MARGIN * width / fx
+    top, bottom = -cy / fy - _CLAMP_MARGIN * height / fy, (height - cy) / fy + _CLAMP_MARGIN * height / fy
     for i in range(first, last):
         x, y, z = view[0, 3], view[1, 3], view[2, 3]
         for k in range(3):
@@ -133,21 +133,24 @@ def project(
 
 
 @compiled
-def list_entries(order: I64, box: I32, across: int, down: int) -> tuple[I64, I32]:
-    """Where the entries of each tile begin [tiles + 1], and the splat of each entry; ``order`` [K] are those shown."""
-    start = np.zeros(across * down + 1, np.int64)
+def list_entries(order: I64, box: I32, tile_columns: int, tile_rows: int) -> tuple[I64, I32]:
+    """Return where the entries of each tile begin [tiles + 1], and the splat of each entry.
+
+    ``order`` [K]: the splats in the picture, near to far.
+    """
+    start = np.zeros(tile_columns * tile_rows + 1, np.int64)
     for i in order:
         for row in range(box[i, 2] // TILE, box[i, 3] // TILE + 1):
             for column in range(box[i, 0] // TILE, box[i, 1] // TILE + 1):
-                start[row * across + column + 1] += 1
-    for tile in range(across * down):
+                start[row * tile_columns + column + 1] += 1
+    for tile in range(tile_columns * tile_rows):
         start[tile + 1] += start[tile]
     splat = np.empty(start[-1], np.int32)
     at = start[:-1].copy()
     for i in order:
         for row in range(box[i, 2] // TILE, box[i, 3] // TILE + 1):
             for column in range(box[i, 0] // TILE, box[i, 1] // TILE + 1):
-                tile = row * across + column
+                tile = row * tile_columns + column
                 splat[at[tile]] = i
                 at[tile] += 1
     return start, splat
@@ -157,7 +160,7 @@ def list_entries(order: I64, box: I32, across: int, down: int) -> tuple[I64, I32
 def _span(
     a: np.float32, b: np.float32, c: np.float32, q: np.float32, dy: np.float32, u: np.float32, low: int, high: int
 ) -> tuple[int, int]:
-    """First and last column of a row in which a dx^2 + 2 b dx dy + c dy^2 <= q."""
+    """Return the first and last column of a row in which a dx^2 + 2 b dx dy + c dy^2 <= q."""
     under = b * b * dy * dy - a * (c * dy * dy - q)
     if under <= np.float32(0):
         return 1, 0
@@ -169,15 +172,15 @@ def _span(
 
 
 @compiled
-def _edges(tile: int, across: int, width: int, height: int) -> tuple[int, int, int, int]:
-    """First column and row of a tile, and last."""
-    left, top = (tile % across) * TILE, (tile // across) * TILE
+def _edges(tile: int, tile_columns: int, width: int, height: int) -> tuple[int, int, int, int]:
+    """Return the first column and row of a tile, and the last."""
+    left, top = (tile % tile_columns) * TILE, (tile // tile_columns) * TILE
     return left, top, min(left + TILE, width) - 1, min(top + TILE, height) - 1
 
 
 @compiled
 def _read(record: F32, i: int) -> tuple[np.float32, ...]:
-    """u, v, conic a b c, opacity, squared extent, colour."""
+    """Return u, v, conic a b c, opacity, squared extent and colour of a splat."""
     r = record[i]
     return r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[8], r[9], r[10]
 
@@ -186,29 +189,29 @@ def _read(record: F32, i: int) -> tuple[np.float32, ...]:
 def _alpha(
     opacity: np.float32, a: np.float32, b: np.float32, c: np.float32, dx: np.float32, dy: np.float32
 ) -> np.float32:
-    """Of a splat with that conic, so many pixels from its middle, before the cap."""
+    """Return the alpha, before the cap, at (dx, dy) pixels from the centre of a splat."""
     return opacity * _exp(-_HALF * (a * dx * dx + _TWO * b * dx * dy + c * dy * dy))
 
 
 @compiled
 def draw(
     tiles: I64,
-    across: int,
+    tile_columns: int,
     start: I64,
     splat: I32,
     record: F32,
     box: I32,
     picture: F32,  # [H, W, 4] premultiplied, added to
-    passes: F32,  # [H, W] what passes, begins at 1
+    passes: F32,  # [H, W] transmittance, initially 1
     least: np.float32,  # of it: nothing is drawn where less passes
 ) -> None:
-    """Some tiles of the picture."""
+    """Draw ``tiles`` of the picture."""
     height, width = passes.shape
     for tile in tiles:
-        left, top, right, bottom = _edges(tile, across, width, height)
-        clear = (right - left + 1) * (bottom - top + 1)  # pixels that something passes to
+        left, top, right, bottom = _edges(tile, tile_columns, width, height)
+        open_pixels = (right - left + 1) * (bottom - top + 1)  # pixels not yet opaque
         for entry in range(start[tile], start[tile + 1]):
-            if not clear:
+            if not open_pixels:
                 break
             i = splat[entry]
             u, v, a, b, c, opacity, q, red, green, blue = _read(record, i)
@@ -220,39 +223,39 @@ def draw(
                     if before < least:
                         continue
                     dx = np.float32(x) + _HALF - u
-                    alpha = min(_alpha(opacity, a, b, c, dx, dy), _CAP)
+                    alpha = min(_alpha(opacity, a, b, c, dx, dy), _ALPHA_CAP)
                     weight = alpha * before
                     picture[y, x, 0] += weight * red
                     picture[y, x, 1] += weight * green
                     picture[y, x, 2] += weight * blue
                     picture[y, x, 3] += weight
                     passes[y, x] = before - weight
-                    clear -= before - weight < least
+                    open_pixels -= before - weight < least
 
 
 @compiled
 def backward(
     tiles: I64,
-    across: int,
+    tile_columns: int,
     start: I64,
     splat: I32,
     record: F32,
     box: I32,
     slope: F32,  # [H, W, 4] of the loss by the picture
-    error: F32,  # [H, W] what is still wrong there
-    passes: F32,  # [H, W] begins at 1
+    error: F32,  # [H, W]
+    passes: F32,  # [H, W] initially 1
     least: np.float32,  # as of draw()
-    behind: F32,  # [H, W] begins at the sum over channels of slope times picture
+    behind: F32,  # [H, W] initially the sum over channels of slope times picture
     sums: F32,  # [E, SUMS] written
 ) -> None:
-    """What the loss wants of each entry of some tiles."""
+    """Write the gradient of the loss for each splat-tile pair in ``tiles``."""
     height, width = passes.shape
     zero = np.float32(0)
     for tile in tiles:
-        left, top, right, bottom = _edges(tile, across, width, height)
-        clear = (right - left + 1) * (bottom - top + 1)
+        left, top, right, bottom = _edges(tile, tile_columns, width, height)
+        open_pixels = (right - left + 1) * (bottom - top + 1)
         for entry in range(start[tile], start[tile + 1]):
-            if not clear:
+            if not open_pixels:
                 sums[entry] = zero
                 continue
             i = splat[entry]
@@ -267,19 +270,19 @@ def backward(
                         continue
                     dx = np.float32(x) + _HALF - u
                     raw = _alpha(opacity, a, b, c, dx, dy)
-                    alpha = min(raw, _CAP)
+                    alpha = min(raw, _ALPHA_CAP)
                     weight = alpha * before
                     by_weight = slope[y, x, 0] * red + slope[y, x, 1] * green + slope[y, x, 2] * blue + slope[y, x, 3]
                     rest = behind[y, x] - weight * by_weight
                     behind[y, x] = rest
                     passes[y, x] = before - weight
-                    clear -= before - weight < least
+                    open_pixels -= before - weight < least
                     by_red += weight * slope[y, x, 0]
                     by_green += weight * slope[y, x, 1]
                     by_blue += weight * slope[y, x, 2]
                     seen += weight
                     wrong += weight * error[y, x]
-                    if raw < _CAP:
+                    if raw < _ALPHA_CAP:
                         by_exponent = (before * by_weight - rest / (_ONE - alpha)) * alpha
                         total += by_exponent
                         sx += by_exponent * dx
@@ -296,7 +299,7 @@ def backward(
 
 @compiled
 def add_up(splat: I32, sums: F32, totals: F64) -> None:
-    """Entries [E, K] to splats [N, K], always in the same order."""
+    """Sum entries [E, K] to splats [N, K], always in the same order."""
     totals[:] = 0
     for entry in range(len(splat)):
         i = splat[entry]
@@ -316,7 +319,7 @@ def gather(
     scales: F64,
     out: F64,  # [N, GRADIENTS]
 ) -> None:
-    """Splats first to last: from sums over pixels to derivatives by what a splat is made of."""
+    """Write the derivatives by the parameters of splats first to last, from sums over pixels."""
     mixed = np.empty((3, 3))
     for i in range(first, last):
         out[i] = 0

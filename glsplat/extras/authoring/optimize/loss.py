@@ -1,5 +1,7 @@
-"""The loss of a picture, and its slope: squared error and one minus SSIM (Wang et al. 2004: a Gaussian window of 11
-pixels, sigma 1.5), where the person is trusted to be."""
+"""The loss of a picture and its gradient: squared error and 1 - SSIM, weighted by trust.
+
+SSIM after Wang et al. 2004: a Gaussian window of 11 pixels, sigma 1.5.
+"""
 
 from __future__ import annotations
 
@@ -22,36 +24,37 @@ _CHANNELS = 4
 
 
 class Loss(NamedTuple):
-    """What is wrong with a picture."""
+    """Errors of a picture against its target, and the gradient of the loss."""
 
     squares: float  # mean over pixels and channels of trust times the squared error
     slope: F32  # [H, W, 4] of the loss by the picture
     error: F32  # [H, W] sum over channels of trust times the error
 
 
-def loss_of(picture: F32, target: U8, share: float, structure: float, trust: F32 | None = None) -> Loss:
-    """Of share * trust * (sum (picture - target)^2 + structure * sum (1 - SSIM)) over pixels and channels.
+def loss_of(picture: F32, target: U8, weight: float, ssim_weight: float, trust: F32 | None = None) -> Loss:
+    """Return the loss weight * trust * (sum (picture - target)^2 + ssim_weight * sum (1 - SSIM)) and its slope.
 
-    ``picture`` [H, W, 4] in [0, 1], ``target`` in steps of 1/255, ``trust`` [H, W]; without ``structure`` SSIM is not
-    looked at. Its slope counts by the trust of the pixel that is changed, not of the windows that see it.
+    Sums run over pixels and channels. ``picture`` [H, W, 4] in [0, 1], ``target`` in steps of 1/255, ``trust``
+    [H, W]. SSIM is computed only if ``ssim_weight`` is not 0; its slope is weighted by the trust of the changed pixel,
+    not of the windows around it.
     """
     x, y = picture.reshape(-1), np.multiply(target, np.float32(1 / 255), dtype=np.float32)
     slope, error = np.empty_like(picture), np.empty(picture.shape[:2], np.float32)
-    if structure:
+    if ssim_weight:
         moments = [_blurred(one) for one in (picture, picture * picture, picture * y, y, y * y)]
         _by_moments(*(one.reshape(-1) for one in moments))
         by_mean, by_square, by_product = (_blurred(one).reshape(-1) for one in moments[:3])
     else:
         by_mean = by_square = by_product = np.zeros(0, np.float32)
-    every = np.zeros(0, np.float32) if trust is None else trust.reshape(-1)
-    chain = by_mean, by_square, by_product
-    squares = _slopes(x, y.reshape(-1), chain, every, share, structure, slope.reshape(-1), error.reshape(-1))
+    trusts = np.zeros(0, np.float32) if trust is None else trust.reshape(-1)
+    blurred = by_mean, by_square, by_product
+    squares = _slopes(x, y.reshape(-1), blurred, trusts, weight, ssim_weight, slope.reshape(-1), error.reshape(-1))
     return Loss(squares / picture.size, slope, error)
 
 
 @compiled
 def _by_moments(mean: F32, square: F32, product: F32, mean_y: F32, square_y: F32) -> None:
-    """SSIM's slope by the blurred picture, its square and its product with the target, written over these."""
+    """Overwrite the blurred picture, square and product with the target by the slopes of SSIM by each."""
     for i in range(len(mean)):
         x, y = mean[i], mean_y[i]
         a1, a2 = _TWO * x * y + _C1, _TWO * (product[i] - x * y) + _C2
@@ -65,25 +68,25 @@ def _by_moments(mean: F32, square: F32, product: F32, mean_y: F32, square_y: F32
 
 @compiled
 def _slopes(
-    x: F32, y: F32, chain: tuple[F32, F32, F32], trust: F32, share: float, structure: float, slope: F32, error: F32
+    x: F32, y: F32, blurred: tuple[F32, F32, F32], trust: F32, share: float, ssim_weight: float, slope: F32, error: F32
 ) -> float:
-    """Writes slope and error; returns the sum of squared errors."""
-    by_mean, by_square, by_product = chain
-    weight, one = np.float32(structure), np.float32(share)
+    """Write slope and error; return the sum of squared errors."""
+    by_mean, by_square, by_product = blurred
+    weight, one = np.float32(ssim_weight), np.float32(share)
     total = 0.0
     for pixel in range(len(error)):
         wrong = np.float32(0)
-        believed = trust[pixel] if len(trust) else _ONE
-        factor = one * believed
+        trusted = trust[pixel] if len(trust) else _ONE
+        factor = one * trusted
         for i in range(_CHANNELS * pixel, _CHANNELS * pixel + _CHANNELS):
             miss = x[i] - y[i]
             wrong += abs(miss)
-            total += believed * miss * miss
+            total += trusted * miss * miss
             down = _TWO * miss
             if len(by_mean):
                 down -= weight * (by_mean[i] + _TWO * x[i] * by_square[i] + y[i] * by_product[i])
             slope[i] = factor * down
-        error[pixel] = believed * wrong
+        error[pixel] = trusted * wrong
     return total
 
 

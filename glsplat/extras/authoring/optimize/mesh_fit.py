@@ -1,4 +1,4 @@
-"""An avatar fitted to the mesh that it was made from."""
+"""Fit an avatar to the mesh that it was made from."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def fitted_to_mesh(
     steps: int = STEPS,
     progress: Callable[[str, float], None] | None = None,
 ) -> Avatar:
-    """The avatar with all parameters of its splats fitted to pictures of ``mesh``; SH degree 0. Deterministic.
+    """Return the avatar with all parameters of its splats fitted to pictures of ``mesh``; SH degree 0. Deterministic.
 
-    Without numba by ``refine``, its slow twin, in half as many steps at most: one takes a second and a half.
+    Without numba ``refine`` fits it, in at most 450 steps: each takes a second and a half.
     """
     if not available():
         return refine(avatar, mesh, seed, RefineConfig(steps=min(steps, RefineConfig().steps)), progress)

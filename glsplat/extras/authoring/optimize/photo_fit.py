@@ -1,4 +1,4 @@
-"""Splats that give back the photographs they were made from, and elsewhere the painted body."""
+"""Fit splats to the photographs they were made from, and elsewhere to the painted body."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.extras.authoring.compute.compiled import available
-from glsplat.extras.authoring.optimize.colour_fit import sharpened
+from glsplat.extras.authoring.optimize.colour_fit import fit_colours
 from glsplat.extras.authoring.paint.bake import Colours, baked
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = ["fitted_to_photos"]
 
-_ROUNDS = 8  # of matching colours alone
-_FIGURE = 1536  # pixels of the person's height that are looked at
-_AGAIN = 5  # times that a round of all pictures shows photographs
-_EDGE = 4  # pixels inside the outline, whose colours are mixed with the room's
+_COLOUR_ROUNDS = 8  # where colours alone are fitted
+_PERSON_HEIGHT_PX = 1536  # in the resampled photographs
+_PHOTO_REPEATS = 5  # photographs in each pass over all pictures
+_EDGE_PX = 4  # inside the outline, where colours are mixed with the background
 
 
 def fitted_to_photos(
@@ -41,14 +41,13 @@ def fitted_to_photos(
 ) -> Avatar:
     """Return the avatar fitted to ``shots`` and, where they show nothing, to ``mesh`` in ``colours``.
 
-    ``texture`` is the number of texels a side in which the mesh is painted for that.
-    All of the splats is fitted where numba is installed, their colours alone where it is not.
+    ``texture``: texels a side of the painted mesh. Without numba only colours are fitted.
     """
     if not steps:
         return avatar
     if not available():
         progress("fitting colours", 0.0)
-        return sharpened(avatar, shots, _ROUNDS)
+        return fit_colours(avatar, shots, _COLOUR_ROUNDS)
     from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
     from glsplat.extras.authoring.optimize.target_pictures import pictures_of
 
@@ -56,20 +55,20 @@ def fitted_to_photos(
     truth = baked(mesh, colours, texture)
     pictures = pictures_of(truth, seed, progress=progress)
     photographs = [_picture(avatar, shot) for shot in shots]
-    pictures += photographs * max(1, _AGAIN // len(photographs))
+    pictures += photographs * max(1, _PHOTO_REPEATS // len(photographs))
     return fitted(avatar, pictures, seed, FitConfig(steps=steps), progress)
 
 
 def _picture(avatar: Avatar, shot: FittedPicture) -> TargetPicture:
-    """The photograph as a picture that counts inside the person only."""
+    """Return the photograph as a target that is trusted inside the person only."""
     from glsplat.extras.authoring.optimize.target_pictures import TargetPicture
 
-    camera = shot.camera(avatar.skeleton.joints[0], _FIGURE)
+    camera = shot.camera(avatar.skeleton.joints[0], _PERSON_HEIGHT_PX)
     small, mask = shot.resized(camera)
     top, left, high, wide = (int(n) for n in _box(mask))
     part = slice(top, top + high), slice(left, left + wide)
     K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
-    kernel = np.ones((2 * _EDGE + 1,) * 2, np.uint8)
+    kernel = np.ones((2 * _EDGE_PX + 1,) * 2, np.uint8)
     trust = cv2.erode(mask[part].astype(np.float32), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     target = np.full((*trust.shape, 4), 255, np.uint8)
     target[:, :, :3] = small[part]
@@ -78,6 +77,6 @@ def _picture(avatar: Avatar, shot: FittedPicture) -> TargetPicture:
 
 
 def _box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """First row and column of the person, and how many."""
+    """Return the first row and column of the person, and the number of rows and columns."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return rows[0], columns[0], rows[-1] - rows[0] + 1, columns[-1] - columns[0] + 1

@@ -1,8 +1,8 @@
-"""Fit an avatar's splats to pictures of the mesh they came from.
+"""Fit an avatar's splats to pictures of the mesh they came from, without numba.
 
-Stochastic gradient descent (Adam) on position, scale, opacity and colour; each step draws a pose and a camera at
-random, the whole body at several distances and close-ups of head and hands. It closes holes, sharpens texture and
-takes back the bloat that overlapping discs and the renderer's dilation give to silhouettes.
+Stochastic gradient descent (Adam) on position, scale, opacity and colour. Each step draws a random pose and camera:
+the whole body at several distances, close-ups of head and hands. The fit closes holes, sharpens texture and undoes
+the growth of silhouettes by overlapping discs and the renderer's dilation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
-from glsplat.extras.authoring.geometry.attribute_transfer import carried, surface_carried
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes, transferred_surface
 from glsplat.extras.authoring.geometry.footprints import footprints
 from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh
@@ -24,14 +24,21 @@ from glsplat.rotations import nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["Fit", "RefineConfig", "falling", "random_pose", "refine"]
+__all__ = ["RefineConfig", "random_pose", "rate_decay", "refine"]
 
 F64 = NDArray[np.float64]
 
 
+_CLOSE_UPS = (  # prefixes of the names of joints
+    ("head", "jaw"),
+    ("left_wrist", "left_index", "left_thumb"),
+    ("right_wrist", "right_index", "right_thumb"),
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefineConfig:
-    """How far and how fast splats may move."""
+    """Step sizes and bounds of the fit."""
 
     steps: int = 450
     size: int = 448  # pixels, square
@@ -40,33 +47,32 @@ class RefineConfig:
     turn_rate: float = 0.012  # radians a step
     opacity_rate: float = 0.03  # logit a step
     color_rate: float = 0.01
-    alpha_weight: float = 1.0  # of the coverage in the loss, against colour
-    layer: float = 0.02  # metres; what lies farther behind the surface must not help to close it
+    layer: float = 0.02  # metres behind the surface within which splats are drawn: deeper ones must not close its holes
     max_shift: float = 1.0  # cell sizes from where the splat began
     max_turn: float = 0.6  # radians
     max_growth: float = 0.9  # natural logarithm of the scale, either way
 
 
 class Adam:
-    """Adam that leaves alone what a step did not see (rows with no gradient)."""
+    """Adam on the visible rows only."""
 
     def __init__(self, value: F64, rate: float) -> None:
         self.value, self.rate = value, rate
         self.first, self.second = np.zeros_like(value), np.zeros_like(value)
         self.count = np.zeros(len(value))
 
-    def step(self, gradient: F64, seen: NDArray[np.bool_], decay: float) -> None:
-        g = gradient[seen]
-        self.count[seen] += 1
+    def step(self, gradient: F64, visible: NDArray[np.bool_], decay: float) -> None:
+        g = gradient[visible]
+        self.count[visible] += 1
         shape = (-1,) + (1,) * (g.ndim - 1)
-        n = self.count[seen].reshape(shape)
-        self.first[seen] += 0.1 * (g - self.first[seen])
-        self.second[seen] += 0.01 * (g * g - self.second[seen])
-        mean, power = self.first[seen] / (1 - 0.9**n), self.second[seen] / (1 - 0.99**n)
-        self.value[seen] -= self.rate * decay * mean / (np.sqrt(power) + 1e-20)
+        n = self.count[visible].reshape(shape)
+        self.first[visible] += 0.1 * (g - self.first[visible])
+        self.second[visible] += 0.01 * (g * g - self.second[visible])
+        mean, power = self.first[visible] / (1 - 0.9**n), self.second[visible] / (1 - 0.99**n)
+        self.value[visible] -= self.rate * decay * mean / (np.sqrt(power) + 1e-20)
 
 
-class Fit:
+class _Fit:
     """An avatar's splats while they are moved, turned, scaled and coloured; SH degree 0."""
 
     def __init__(self, avatar: Avatar, config: RefineConfig) -> None:
@@ -92,26 +98,27 @@ class Fit:
         decay: float,
         beyond: F64,
     ) -> None:
-        """One step down the slope [H, W, 4] that ``loss`` gives for the picture (premultiplied RGBA) from there.
+        """Take one step for a picture of ``pose`` by ``camera``.
 
-        ``decay`` is the share of the full rates; ``beyond`` as of footprints().
+        ``loss`` maps the picture (premultiplied RGBA [H, W, 4]) to its slope; ``decay`` is the fraction of the full
+        rates; ``beyond`` as of footprints().
         """
         bones = np.einsum("nk,nkij->nij", self._weights, pose.bones(self._avatar.skeleton)[self._joints])
         scales = np.exp(self._log_start + self._growth.value)
         alpha = 1 / (1 + np.exp(-self._logit.value))
         at = self._start + self._shift.value * self._cell
         means = np.einsum("nij,nj->ni", bones[:, :, :3], at) + bones[:, :, 3]
-        turned = Rotation.from_rotvec(self._turn.value).as_matrix()
-        rotations = nearest_rotations(bones[:, :, :3]) @ self._rest @ turned
+        turns = Rotation.from_rotvec(self._turn.value).as_matrix()
+        rotations = nearest_rotations(bones[:, :, :3]) @ self._rest @ turns
         prints = footprints(means, rotations, scales, alpha, camera, beyond)
         grad = prints.backward(loss(prints.picture(self._color.value)), self._color.value, alpha, scales)
-        seen = grad.weight > 0.05
+        visible = grad.weight > 0.05
         by_shift = np.einsum("nij,ni->nj", bones[:, :, :3], grad.means) * self._cell
-        self._shift.step(by_shift, seen, decay)
-        self._growth.step(grad.log_scales, seen, decay)
-        self._turn.step(grad.turns, seen, decay)
-        self._logit.step(grad.opacities * alpha * (1 - alpha), seen, decay)
-        self._color.step(grad.rgb, seen, decay)
+        self._shift.step(by_shift, visible, decay)
+        self._growth.step(grad.log_scales, visible, decay)
+        self._turn.step(grad.turns, visible, decay)
+        self._logit.step(grad.opacities * alpha * (1 - alpha), visible, decay)
+        self._color.step(grad.rgb, visible, decay)
         self._bound()
 
     def _bound(self) -> None:
@@ -123,20 +130,20 @@ class Fit:
         np.clip(self._color.value, 0, 1, out=self._color.value)
 
     def avatar(self) -> Avatar:
-        """As it is now."""
-        turned = Rotation.from_matrix(self._rest) * Rotation.from_rotvec(self._turn.value)
+        """Return the avatar as fitted so far."""
+        turns = Rotation.from_matrix(self._rest) * Rotation.from_rotvec(self._turn.value)
         fitted = Splats.create(
             self._start + self._shift.value * self._cell,
-            turned.as_quat()[:, [3, 0, 1, 2]],
+            turns.as_quat()[:, [3, 0, 1, 2]],
             np.exp(self._log_start + self._growth.value),
             1 / (1 + np.exp(-self._logit.value)),
             rgb=self._color.value,
             antialias=self._avatar.splats.antialias,
         )
         old, shapes = self._avatar.splats, self._avatar.shapes
-        fitted = replace(fitted, surface=surface_carried(old.surface, old, fitted))
+        fitted = replace(fitted, surface=transferred_surface(old.surface, old, fitted))
         if shapes is not None:
-            shapes = carried(shapes, old, fitted)
+            shapes = transferred_shapes(shapes, old, fitted)
         return replace(self._avatar, splats=fitted, shapes=shapes)
 
 
@@ -147,10 +154,10 @@ def refine(
     config: RefineConfig | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Avatar:
-    """The avatar with its splats fitted to ``mesh``; SH degree 0. Deterministic in ``seed``."""
+    """Return the avatar with its splats fitted to ``mesh``; SH degree 0. Deterministic in ``seed``."""
     config = config or RefineConfig()
     rng = np.random.default_rng(seed)
-    fit = Fit(avatar, config)
+    fit = _Fit(avatar, config)
     for step in range(config.steps):
         if progress:
             progress("fitting to pictures", step / config.steps)
@@ -158,26 +165,25 @@ def refine(
         vertices = mesh.posed(pose)
         camera = _random_camera(mesh, vertices, config.size, rng)
         target, depth = mesh_picture_and_depth(mesh, vertices, camera, 2)
-        # a splat has more pixels in a close-up, and would listen to those only; by surface area, it would hear the
-        # distant views only and shrink to make up for the renderer's dilation there. In between, both look right.
+        # weighted by pixels, close-ups would dominate; by surface area, distant views would, and splats would shrink
+        # to undo the renderer's dilation there. Metres a pixel lies between.
         shown = depth[np.isfinite(depth)]
         share = float(np.median(shown)) / camera.K[0, 0] if len(shown) else 0.0
-        weight = np.array([1, 1, 1, config.alpha_weight])
 
-        def slope(picture: F64, target: F64 = target, by: F64 = weight, share: float = share) -> F64:
-            return 2 * (picture - target) * by * share
+        def slope(picture: F64, target: F64 = target, share: float = share) -> F64:
+            return 2 * (picture - target) * share
 
-        fit.descend(pose, camera, slope, falling(step / config.steps), depth + config.layer)
+        fit.descend(pose, camera, slope, rate_decay(step / config.steps), depth + config.layer)
     return fit.avatar()
 
 
-def falling(done: float) -> float:
-    """Share of the full rates when ``done`` of the steps lie behind: all of it at first, a twentieth at last."""
+def rate_decay(done: float) -> float:
+    """Return the fraction of the full rates after the fraction ``done`` of the steps: from 1 down to 0.05."""
     return float(0.05 ** max(0.0, 1.6 * done - 0.6))
 
 
 def random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
-    """Arms anywhere between hanging and raised, one pose in three sits deep, joints bent the way they bend."""
+    """Return a random pose: arms between hanging and raised, one in three sits deep, joints within their range."""
     index = {name: i for i, name in enumerate(names)}
     if "left_shoulder" not in index or "right_shoulder" not in index:
         return Pose.zero(len(names))
@@ -205,15 +211,8 @@ def random_pose(names: tuple[str, ...], rng: np.random.Generator) -> Pose:
     return Pose(rotations)
 
 
-_CLOSE_UPS = (
-    ("head", "jaw"),
-    ("left_wrist", "left_index", "left_thumb"),
-    ("right_wrist", "right_index", "right_thumb"),
-)
-
-
 def _random_camera(mesh: RiggedMesh, vertices: F64, size: int, rng: np.random.Generator) -> Camera:
-    """The whole figure, its head, a hand or a random spot, from anywhere around, mostly level."""
+    """Return a camera on the whole figure, its head, a hand or a random spot, mostly level."""
     names = mesh.skeleton.names
     points = vertices[np.unique(mesh.faces)]
     centre = (points.max(axis=0) + points.min(axis=0)) / 2

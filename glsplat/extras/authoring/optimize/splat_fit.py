@@ -1,9 +1,9 @@
-"""Splats fitted to pictures by Adam: where they are, their shapes, opacities and colours, and which of them there are.
+"""Fit splats to pictures by Adam: positions, shapes, opacities and colours; recycle those of little use.
 
-    loss = share * (sum (picture - target)^2 + 0.03 * sum (1 - SSIM)),   share = metres a pixel
+    loss = metres_per_pixel * (sum (picture - target)^2 + 0.03 * sum (1 - SSIM))
 
-The pictures are gone through in random order, again and again. Three times on the way, splats that hardly show in any
-picture are taken away, and those in whose place pictures are most wrong are split in two.
+Each pass takes the pictures in a new random order. Three times, the splats that show least in every picture are
+removed, and as many splats where the error is largest are split in two.
 """
 
 from __future__ import annotations
@@ -15,12 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.attribute_transfer import carried, deformed, surface_carried
+from glsplat.extras.authoring.geometry.attribute_transfer import (
+    expression_maps,
+    transferred_shapes,
+    transferred_surface,
+)
 from glsplat.extras.authoring.geometry.posed import PosedSplats, drawable
 from glsplat.extras.authoring.optimize import descent
 from glsplat.extras.authoring.optimize.loss import loss_of
 from glsplat.extras.authoring.optimize.rasterizer import Gradients, Rasterizer
-from glsplat.extras.authoring.optimize.refine import falling
+from glsplat.extras.authoring.optimize.refine import rate_decay
 from glsplat.extras.authoring.optimize.target_pictures import TargetPicture
 from glsplat.extras.authoring.sample.surface import joint_zones
 from glsplat.rotations import matrix_quaternions, nearest_rotations, quaternion_matrices
@@ -34,14 +38,14 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Report = Callable[[str, float], None]
 
-_EVERY, _MEMORY = 10, 0.95  # steps between reports; of the error that is told, a running mean
-_LOW, _HIGH = -5.5, 4.6  # logits
-_CLEAR, _SOLID = 0.0041, 0.985  # opacities that a descent begins with
+_REPORT_STEPS, _ERROR_DECAY = 10, 0.95  # the reported error is a running mean
+_MIN_LOGIT, _MAX_LOGIT = -5.5, 4.6  # of the opacity
+_MIN_START_OPACITY, _MAX_START_OPACITY = 0.0041, 0.985
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitConfig:
-    """How far and how fast. Rates are those of a whole step at the beginning; they fall to a twentieth."""
+    """Step sizes and bounds of the fit. Rates are those of the first step; they decay to a twentieth."""
 
     steps: int = 450
     mean_rate: float = 0.05  # cells
@@ -49,14 +53,14 @@ class FitConfig:
     turn_rate: float = 0.024  # radians
     opacity_rate: float = 0.06  # logit
     colour_rate: float = 0.02
-    structure: float = 0.03  # of 1 - SSIM in the loss
-    shift: float = 1.0  # cells from where a splat began
-    growth: float = 0.6  # natural logarithm of its scales
-    shrinking: float = 0.9
-    thrift: float = 0.16  # of the scales' rate, by which they shrink of themselves: what is drawn twice takes time
-    turn: float = 0.6  # radians
-    recycled: float = 0.05  # share of the splats that are taken away, and as many split, each time
-    recycle_at: tuple[float, ...] = (0.15, 0.3, 0.45)  # shares of the steps
+    ssim_weight: float = 0.03  # of 1 - SSIM in the loss
+    max_shift: float = 1.0  # cells from the start
+    max_growth: float = 0.6  # natural logarithm of the scales
+    max_shrink: float = 0.9  # natural logarithm
+    scale_decay: float = 0.16  # decoupled decay of the scales, fraction of their rate: overlap costs drawing time
+    max_turn: float = 0.6  # radians
+    recycled_fraction: float = 0.05  # of the splats, removed each time, and as many split
+    recycle_at: tuple[float, ...] = (0.15, 0.3, 0.45)  # fractions of the steps
 
 
 def fitted(
@@ -67,30 +71,30 @@ def fitted(
     progress: Report | None = None,
     threads: int | None = None,
 ) -> Avatar:
-    """The avatar with its splats fitted to the pictures; SH degree 0, as many splats, no levels. Needs numba.
+    """Return the avatar with its splats fitted to the pictures; SH degree 0, as many splats, no levels. Needs numba.
 
-    Pictures of expressions are met by its shapes, which go with the splats.
-
-    The same bytes for the same input, with any number of threads. Splats that are not drawn (not finite, or with a
-    scale of zero or less) stay as they are. Ctrl-C ends the descent and keeps what it reached.
+    Its shapes deform the splats for pictures with expressions, and are transferred to the fitted splats. The same
+    bytes for the same input, with any number of threads. Splats that cannot be drawn (not finite, or with a scale of
+    zero or less) stay as they are. Ctrl-C stops the fit and keeps its state.
     """
     config, report = config or FitConfig(), progress or (lambda stage, done: None)
     rng = np.random.default_rng(seed)
     if not (config.steps and pictures):
         return avatar
     fit = _Fit(avatar, pictures, Rasterizer(len(avatar.splats), threads), config)
-    turns = [max(len(pictures), round(config.steps * share)) for share in config.recycle_at]  # all were seen by then
+    first = len(pictures)  # after a whole pass
+    recycle_steps = [max(first, round(config.steps * fraction)) for fraction in config.recycle_at]
     queue: list[int] = []
     error = 0.0
     for step in range(config.steps):
         try:
             queue = queue or [int(i) for i in rng.permutation(len(pictures))]
-            missed = fit.descend(queue.pop(), falling(step / config.steps))
-            error = missed if step == 0 else _MEMORY * error + (1 - _MEMORY) * missed
-            if step % _EVERY == 0:
+            step_error = fit.descend(queue.pop(), rate_decay(step / config.steps))
+            error = step_error if step == 0 else _ERROR_DECAY * error + (1 - _ERROR_DECAY) * step_error
+            if step % _REPORT_STEPS == 0:
                 report(f"fitting splats, error {error:.4f}", step / config.steps)
-            if step + 1 in turns and config.recycled:
-                fit.recycle(config.recycled)
+            if step + 1 in recycle_steps and config.recycled_fraction:
+                fit.recycle(config.recycled_fraction)
         except KeyboardInterrupt:
             report(f"stopped after {step} of {config.steps} steps, error {error:.4f}", 1.0)
             break
@@ -98,12 +102,12 @@ def fitted(
 
 
 class _Fit:
-    """Splats while they are fitted."""
+    """The state of a fit."""
 
     def __init__(
-        self, avatar: Avatar, pictures: Sequence[TargetPicture], drawing: Rasterizer, config: FitConfig
+        self, avatar: Avatar, pictures: Sequence[TargetPicture], rasterizer: Rasterizer, config: FitConfig
     ) -> None:
-        self._avatar, self._pictures, self._drawing, self._config = avatar, pictures, drawing, config
+        self._avatar, self._pictures, self._rasterizer, self._config = avatar, pictures, rasterizer, config
         splats = avatar.splats
         count = len(splats)
         self._antialias = splats.antialias
@@ -127,16 +131,17 @@ class _Fit:
         self._joints, self._weights = avatar.skin.joints.astype(np.intp), avatar.skin.weights.astype(np.float64)
         strongest = strongest_joint(self._joints, self._weights)
         self._zones = joint_zones(avatar.skeleton.names)[strongest]
-        self._origin = np.arange(count)  # the splat that each was split from, whose shapes it has
+        self._origin = np.arange(count)  # the splat that each was split from: it has its shapes
         self._blended: dict[int, tuple[F32, F32]] = {}
-        self._seen, self._wrong = np.zeros(count), np.zeros(count)
+        self._max_weight, self._max_error = np.zeros(count), np.zeros(count)
         rates = (config.mean_rate, config.scale_rate, config.turn_rate, config.opacity_rate, config.colour_rate)
         self._rates = np.repeat(rates, (3, 3, 3, 1, 3)).astype(np.float64)
-        self._shrink = np.repeat((0.0, config.thrift, 0.0, 0.0, 0.0), (3, 3, 3, 1, 3))
-        self._bounds = (config.shift, -config.shrinking, config.growth, config.turn, _LOW, _HIGH)
+        self._shrink = np.repeat((0.0, config.scale_decay, 0.0, 0.0, 0.0), (3, 3, 3, 1, 3))
+        growth = -config.max_shrink, config.max_growth
+        self._bounds = (config.max_shift, *growth, config.max_turn, _MIN_LOGIT, _MAX_LOGIT)
 
     def descend(self, index: int, decay: float) -> float:
-        """One step down from a picture; the root of its mean squared error."""
+        """Take one step for a picture; return its RMS error."""
         picture, config = self._pictures[index], self._config
         self._compose()
         bones = None if picture.pose is None else self._blend(picture.pose)
@@ -144,61 +149,61 @@ class _Fit:
         if bones is not None:
             splats = self._posed
             descent.pose(0, len(self._values), *bones, *self._placed[:2], *splats[:2])
-        drawn = self._drawing.draw(splats, picture.camera, self._antialias)
-        loss = loss_of(drawn, picture.target, picture.share, config.structure, picture.trust)
-        gradients = self._drawing.backward(loss.slope, loss.error)
+        drawn = self._rasterizer.draw(splats, picture.camera, self._antialias)
+        loss = loss_of(drawn, picture.target, picture.metres_per_pixel, config.ssim_weight, picture.trust)
+        gradients = self._rasterizer.backward(loss.slope, loss.error)
         if bones is not None:
             gradients.means[:] = np.einsum("nij,ni->nj", bones[0][:, :, :3], gradients.means)
-        self._note(gradients, picture.share)
+        self._record(gradients, picture.metres_per_pixel)
         state = self._values, self._moments, self._powers, self._counts
-        everything = self._drawing.out
+        rows = self._rasterizer.out
         descent.step(
-            0, len(self._values), everything, *state, self._start[3], self._rates * decay, self._shrink, self._bounds
+            0, len(self._values), rows, *state, self._start[3], self._rates * decay, self._shrink, self._bounds
         )
         return float(np.sqrt(loss.squares))
 
-    def recycle(self, share: float) -> None:
-        """Take away that share of the splats, which show least, and split as many where pictures are most wrong.
+    def recycle(self, fraction: float) -> None:
+        """Prune the least visible fraction and split as many splats where the error is largest.
 
         Hands, head and the rest each keep their number: by pixels alone the small splats of hands would go.
         """
-        gone, split = self._chosen(share)
+        removed, split = self._removed_and_split(fraction)
         self._compose()
         means, rotations, scales, opacities, rgb = self._placed
         longest = scales[split].argmax(axis=1)
         rows = np.arange(len(split))
-        way = rotations[split, :, longest] * scales[split, longest][:, None] * 0.5
+        half_axis = rotations[split, :, longest] * scales[split, longest][:, None] * 0.5
         logs = np.log(scales[split])
         logs[rows, longest] -= 0.5
-        for which, sign in ((split, 1), (gone, -1)):
+        for chosen, sign in ((split, 1), (removed, -1)):
             start_means, start_rotations, start_logs, cells = self._start
-            start_means[which], start_rotations[which] = means[split] + sign * way, rotations[split]
-            start_logs[which], cells[which] = logs, np.exp(logs[:, :2].mean(axis=1))
-        for which in (gone, split):
+            start_means[chosen], start_rotations[chosen] = means[split] + sign * half_axis, rotations[split]
+            start_logs[chosen], cells[chosen] = logs, np.exp(logs[:, :2].mean(axis=1))
+        for chosen in (removed, split):
             values = np.zeros((len(split), descent.COUNT), np.float32)
             values[:, 9], values[:, 10:] = _logit(opacities[split]), rgb[split]
-            self._values[which], self._moments[which], self._powers[which] = values, 0, 0
-            self._counts[which] = 0
-        self._joints[gone], self._weights[gone] = self._joints[split], self._weights[split]
-        self._origin[gone] = self._origin[split]
+            self._values[chosen], self._moments[chosen], self._powers[chosen] = values, 0, 0
+            self._counts[chosen] = 0
+        self._joints[removed], self._weights[removed] = self._joints[split], self._weights[split]
+        self._origin[removed] = self._origin[split]
         for blended, turned in self._blended.values():
-            blended[gone], turned[gone] = blended[split], turned[split]
-        self._seen[:], self._wrong[:] = 0, 0
+            blended[removed], turned[removed] = blended[split], turned[split]
+        self._max_weight[:], self._max_error[:] = 0, 0
 
-    def _chosen(self, share: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """As many splats that go as are split, zone by zone."""
-        gone, split = [], []
+    def _removed_and_split(self, fraction: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return as many splats to remove as to split, zone by zone."""
+        removed, split = [], []
         for zone in np.unique(self._zones):
             mine = np.flatnonzero(self._drawn & (self._zones == zone))
-            by_sight = mine[np.argsort(self._seen[mine], kind="stable")]
-            many = min(int(share * len(mine)), len(mine) // 2)
-            left = by_sight[many:]
-            gone.append(by_sight[:many])
-            split.append(left[np.argsort(-self._wrong[left], kind="stable")[:many]])
-        return np.concatenate(gone), np.concatenate(split)
+            by_weight = mine[np.argsort(self._max_weight[mine], kind="stable")]
+            count = min(int(fraction * len(mine)), len(mine) // 2)
+            kept = by_weight[count:]
+            removed.append(by_weight[:count])
+            split.append(kept[np.argsort(-self._max_error[kept], kind="stable")[:count]])
+        return np.concatenate(removed), np.concatenate(split)
 
     def avatar(self) -> Avatar:
-        """As it is now."""
+        """Return the avatar as fitted so far."""
         self._compose()
         means, rotations, scales, opacities, rgb = self._placed
         first = self._avatar.splats
@@ -211,30 +216,30 @@ class _Fit:
             np.where(alive, (rgb - 0.5) / SH_C0, first.sh[:, 0])[:, None],
             antialias=self._antialias,
         )
-        made = replace(made, surface=surface_carried(first.surface, first, made))
+        made = replace(made, surface=transferred_surface(first.surface, first, made))
         skin = Skin(self._joints.astype(self._avatar.skin.joints.dtype), self._weights.astype(np.float32))
         shapes = self._avatar.shapes
         if shapes is not None:
-            shapes = carried(shapes.take(self._origin), first.take(self._origin), made)
+            shapes = transferred_shapes(shapes.take(self._origin), first.take(self._origin), made)
         return replace(self._avatar, splats=made, skin=skin, shapes=shapes, levels=())
 
     def _compose(self) -> None:
         descent.compose(0, len(self._values), self._values, self._start, self._placed[:5])
         self._placed.opacities[~self._drawn] = 0
 
-    def _note(self, gradients: Gradients, share: float) -> None:
-        np.maximum(self._seen, gradients.weight, out=self._seen)
-        np.maximum(self._wrong, gradients.error * share, out=self._wrong)
+    def _record(self, gradients: Gradients, weight: float) -> None:
+        np.maximum(self._max_weight, gradients.weight, out=self._max_weight)
+        np.maximum(self._max_error, gradients.error * weight, out=self._max_error)
 
     def _blend(self, pose: Pose) -> tuple[F32, F32]:
-        """Blended bones [N, 3, 4] of a pose after its expression, and how both turn and bend splats [N, 3, 3]."""
+        """Return the blended bones [N, 3, 4] of a pose with its expression, and their rotations and bends [N, 3, 3]."""
         if id(pose) not in self._blended:
             bones = pose.bones(self._avatar.skeleton)
             blended = np.einsum("nk,nkij->nij", self._weights, bones[self._joints])
             turned = nearest_rotations(blended[:, :, :3])
             weights = self._avatar.weights(pose)
             if weights is not None and self._avatar.shapes is not None:
-                bend, move = deformed(self._avatar.shapes, self._avatar.splats, weights)
+                bend, move = expression_maps(self._avatar.shapes, self._avatar.splats, weights)
                 bend, move = bend[self._origin], move[self._origin]
                 blended[:, :, 3] += np.einsum("nij,nj->ni", blended[:, :, :3], move)
                 blended[:, :, :3], turned = blended[:, :, :3] @ bend, turned @ bend
@@ -243,5 +248,5 @@ class _Fit:
 
 
 def _logit(opacities: NDArray[np.floating]) -> F64:
-    held = np.clip(opacities.astype(np.float64), _CLEAR, _SOLID)
-    return np.asarray(np.log(held / (1 - held)))
+    clipped = np.clip(opacities.astype(np.float64), _MIN_START_OPACITY, _MAX_START_OPACITY)
+    return np.asarray(np.log(clipped / (1 - clipped)))

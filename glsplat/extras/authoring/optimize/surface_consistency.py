@@ -1,8 +1,9 @@
-"""What splats know of their surface, made to agree with what is seen: a picture mixes splats that lie over each other.
+"""Make the normals, occlusion and shade of splats consistent with the surface that pictures show.
 
-A splat of the inside of a cheek shows through between those of its outside, in the skin's colour: a fit has seen to
-that. Lit by its own normal it would be a dark speck there. So a splat that is far from what faces the camera where it
-shows takes the mean of that; what nobody sees keeps its own, and teeth are mostly seen in an open mouth.
+Pictures blend overlapping splats. A splat inside a cheek shows between those of its outside, and a fit gives it the
+colour of the skin; lit by its own normal it would be a dark speck. So a splat that deviates far from the surface
+visible around it takes that surface's mean. Hidden splats keep their own values; teeth are mostly visible in an open
+mouth.
 """
 
 from __future__ import annotations
@@ -23,100 +24,102 @@ from glsplat.io.cores import cores
 if TYPE_CHECKING:
     from glsplat.extras.authoring.optimize.view_consistency import Shares
 
-__all__ = ["SeenSurface", "as_seen", "ready"]
+__all__ = ["ConsistentSurface", "load_compiled", "view_consistent"]
 
 F64 = NDArray[np.float64]
 
 _ROUNDS = 3
-_OWN = 1.0  # pixels of all pictures that a splat's own values count as
-_NEAR, _FAR = (
-    0.2,
-    0.4,
-)  # of a unit, or an octave: how far from the mean a splat's own may be; from there on it is the mean
-_GRAZING = 0.22  # square of the cosine under which a splat is seen at most from aside; from twice that it is seen well
-_LEAST = 1e-3  # of a pixel: what less passes to is not seen
+_OWN_WEIGHT_PX = 1.0  # weight of a splat's own values against its pixels in all pictures
+# From the mean, of a unit vector or an octave: below the first a splat keeps its values, from the second on it takes
+# the mean.
+_MIN_DEVIATION, _MAX_DEVIATION = 0.2, 0.4
+_GRAZING_COS2 = 0.22  # mean squared cosine up to which views are grazing; from twice that they are trusted
+_MIN_TRANSMITTANCE = 1e-3  # a pixel is finished when less passes
 
 
-def ready() -> None:
-    """Load the machine code of ``as_seen``, which takes a second the first time: for a core that has nothing to do."""
+def load_compiled() -> None:
+    """Load the compiled code of ``view_consistent`` before its first call, where loading would take a second."""
     if not available():
         return
     from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
-    from glsplat.extras.authoring.optimize.view_consistency import SUMS, VALUES, agreed
+    from glsplat.extras.authoring.optimize.view_consistency import SUMS, VALUES, gather_visible
 
-    drawing, way = Rasterizer(1, 1), np.zeros(3, np.float32)
+    rasterizer, towards = Rasterizer(1, 1), np.zeros(3, np.float32)
     one = PosedSplats(np.zeros((1, 3)), np.eye(3)[None], np.ones((1, 3)), np.ones(1), np.zeros((1, 3)))
-    drawing.place(one, Camera(look_at((0, 0, 3), (0, 0, 0)), pinhole(8, 8), 8, 8), True)
-    agreed(*drawing.shares(), 64, np.zeros((1, VALUES), np.float32), way, np.zeros((1, SUMS)))
+    rasterizer.place(one, Camera(look_at((0, 0, 3), (0, 0, 0)), pinhole(8, 8), 8, 8), True)
+    gather_visible(*rasterizer.shares(), 64, np.zeros((1, VALUES), np.float32), towards, np.zeros((1, SUMS)))
 
 
-class _Look(NamedTuple):
-    """A picture that is looked at, of M of the avatar's splats: those that it shows."""
+class _View(NamedTuple):
+    """A picture's M visible splats and their shares of its pixels."""
 
-    some: NDArray[np.intp]  # [M]
+    visible: NDArray[np.intp]  # [M]
     shares: Shares  # of these
     pixels: int
-    ways: F64  # [M, 3] metres from a splat to the camera
+    to_camera: F64  # [M, 3] vectors from the splats, metres
     towards: F64  # [3] unit, to the camera
 
 
-class SeenSurface(NamedTuple):
-    """The surface of N splats as pictures mix them."""
+class ConsistentSurface(NamedTuple):
+    """The surface of N splats as pictures blend them."""
 
     normals: F64  # [N, 3] unit
     occlusion: F64  # [N]
     shade: F64  # [N]
 
 
-def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> SeenSurface:
-    """Return unit normals [N, 3], occlusion [N] and shade [N], 1 if not given, of splats as pictures mix them.
+def view_consistent(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = None) -> ConsistentSurface:
+    """Return the surface of the zero pose: unit normals [N, 3], occlusion [N] and shade [N] (None: 1).
 
-    Of the zero pose. As they are without numba, and where there is nothing to look at.
+    Unchanged without numba, and for an avatar without drawable splats.
     """
     shade = np.ones(len(normals)) if shade is None else shade
     if not available():
-        return SeenSurface(normals, occlusion, shade)
+        return ConsistentSurface(normals, occlusion, shade)
     from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
-    from glsplat.extras.authoring.optimize.target_pictures import looks_at
-    from glsplat.extras.authoring.optimize.view_consistency import SUMS, agreed
+    from glsplat.extras.authoring.optimize.target_pictures import consistency_views
+    from glsplat.extras.authoring.optimize.view_consistency import SUMS, gather_visible
 
-    desks = SimpleQueue[Rasterizer]()
+    rasterizers = SimpleQueue[Rasterizer]()
     for _ in range(cores()):
-        desks.put(Rasterizer(len(avatar.splats), 1, _LEAST))
+        rasterizers.put(Rasterizer(len(avatar.splats), 1, _MIN_TRANSMITTANCE))
 
-    def looked(asked: tuple[PosedSplats, Camera]) -> _Look:
-        splats, camera = asked
-        drawing = desks.get()
+    def projected(view: tuple[PosedSplats, Camera]) -> _View:
+        splats, camera = view
+        rasterizer = rasterizers.get()
         try:
-            drawing.place(splats, camera, avatar.splats.antialias)
-            found = drawing.shares()
+            rasterizer.place(splats, camera, avatar.splats.antialias)
+            found = rasterizer.shares()
         finally:
-            desks.put(drawing)
-        some, own = np.unique(found.splat.astype(np.intp), return_inverse=True)
+            rasterizers.put(rasterizer)
+        visible, own = np.unique(found.splat.astype(np.intp), return_inverse=True)
         eye = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
         shares = found._replace(splat=own.astype(np.int32))
-        return _Look(some, shares, camera.width * camera.height, eye - splats.means[some], -camera.viewmat[2, :3])
+        return _View(visible, shares, camera.width * camera.height, eye - splats.means[visible], -camera.viewmat[2, :3])
 
-    def sums_of(look: _Look) -> F64:
-        own = values[look.some]
-        facing = np.einsum("nc,nc->n", look.ways, own[:, :3]) > 0
+    def sums_of(view: _View) -> F64:
+        own = values[view.visible]
+        facing = np.einsum("nc,nc->n", view.to_camera, own[:, :3]) > 0
         mixed = np.column_stack([own, np.ones(len(own))]) * facing[:, None]
         found = np.empty((len(own), SUMS))
-        agreed(*look.shares, look.pixels, mixed.astype(np.float32), look.towards.astype(np.float32), found)
+        gather_visible(*view.shares, view.pixels, mixed.astype(np.float32), view.towards.astype(np.float32), found)
         return found
 
-    looks = abreast(looked, ((splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras))
+    pairs = ((splats, camera) for splats, cameras in consistency_views(avatar) for camera in cameras)
+    views = abreast(projected, pairs)
     values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
     for _ in range(_ROUNDS):
         sums = np.zeros((len(values), SUMS))
-        for look, found in zip(looks, abreast(sums_of, looks), strict=True):
-            sums[look.some] += found
-        weight, whole = sums[:, 5:6] + _OWN, sums[:, 6:7]
-        total = values * _OWN + sums[:, :5]
+        for view, found in zip(views, abreast(sums_of, views), strict=True):
+            sums[view.visible] += found
+        weight, whole = sums[:, 5:6] + _OWN_WEIGHT_PX, sums[:, 6:7]
+        total = values * _OWN_WEIGHT_PX + sums[:, :5]
         mean = total / weight
-        off = np.linalg.norm(mean - values, axis=1, keepdims=True)
-        sure = np.clip(((weight - _OWN) / np.maximum(whole, 1e-6) - _GRAZING) / _GRAZING, 0, 1)
-        values += (mean - values) * sure * np.clip((off - _NEAR) / (_FAR - _NEAR), 0, 1)
+        deviation = np.linalg.norm(mean - values, axis=1, keepdims=True)
+        cos2 = (weight - _OWN_WEIGHT_PX) / np.maximum(whole, 1e-6)
+        confidence = np.clip((cos2 - _GRAZING_COS2) / _GRAZING_COS2, 0, 1)
+        excess = (deviation - _MIN_DEVIATION) / (_MAX_DEVIATION - _MIN_DEVIATION)
+        values += (mean - values) * confidence * np.clip(excess, 0, 1)
         length = np.linalg.norm(values[:, :3], axis=1, keepdims=True)
         values[:, :3] = np.where(length > 1e-6, values[:, :3] / np.maximum(length, 1e-6), 0)
-    return SeenSurface(values[:, :3], values[:, 3], np.exp2(values[:, 4]))
+    return ConsistentSurface(values[:, :3], values[:, 3], np.exp2(values[:, 4]))

@@ -1,5 +1,4 @@
-"""What a mesh looks like from around, near its head, hands and feet, and in other poses: the truth that splats are
-fitted to."""
+"""Target pictures for fits of splats: from around, near head, hands and feet, and in other poses."""
 
 from __future__ import annotations
 
@@ -26,27 +25,27 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Splats
 
-__all__ = ["TargetPicture", "ViewConfig", "looks_at", "pictures_of", "pictures_of_splats"]
+__all__ = ["TargetPicture", "ViewConfig", "consistency_views", "pictures_of", "pictures_of_splats"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 Report = Callable[[str, float], None]
 
-_RIM = 8  # pixels about what a picture shows, where splats must not be
-_HEAD_FROM = (  # degrees around and up
+_RIM_PX = 8  # around the subject, where splats must not be
+_HEAD_ANGLES_DEG = (  # around and up
     *((-90, 0), (-50, 10), (-20, -8), (0, 5), (20, 15), (50, -5), (90, 5)),
     *((180, 10), (135, 25), (-135, 0), (0, 25), (0, -20)),
 )
-_HAND_FROM = ((0, 0), (180, 10), (20, 60), (0, -60))
-_FOOT_FROM = ((0, 20), (180, 15), (90, 10), (-90, 10))
+_HAND_ANGLES_DEG = ((0, 0), (180, 10), (20, 60), (0, -60))
+_FOOT_ANGLES_DEG = ((0, 20), (180, 15), (90, 10), (-90, 10))
 _HAND, _FOOT = ("wrist", "index", "middle", "pinky", "ring", "thumb"), ("ankle", "foot")
-_CLOSE_UPS = (  # beginnings of the names of joints, and the sides
-    (HEAD, _HEAD_FROM),
-    *((tuple(f"{side}_{part}" for part in _HAND), _HAND_FROM) for side in ("left", "right")),
-    *((tuple(f"{side}_{part}" for part in _FOOT), _FOOT_FROM) for side in ("left", "right")),
+_CLOSE_UPS = (  # prefixes of the names of joints, and the angles
+    (HEAD, _HEAD_ANGLES_DEG),
+    *((tuple(f"{side}_{part}" for part in _HAND), _HAND_ANGLES_DEG) for side in ("left", "right")),
+    *((tuple(f"{side}_{part}" for part in _FOOT), _FOOT_ANGLES_DEG) for side in ("left", "right")),
 )
-_EXPRESSIONS: tuple[dict[str, float], ...] = (  # what a face does, of which the others are near relations
+_EXPRESSIONS: tuple[dict[str, float], ...] = (  # others are close to one of these
     {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
     {"eyeBlinkLeft": 0.5, "eyeBlinkRight": 0.5, "browDownLeft": 0.7, "browDownRight": 0.7},
     {"jawOpen": 0.7},
@@ -56,43 +55,42 @@ _EXPRESSIONS: tuple[dict[str, float], ...] = (  # what a face does, of which the
     {"mouthPucker": 1.0, "browInnerUp": 0.8},
     {"jawOpen": 0.5, "tongueOut": 1.0, "eyeWideLeft": 0.8, "eyeWideRight": 0.8},
 )
-_OPEN = _EXPRESSIONS[0], _EXPRESSIONS[2]  # what shows lids, teeth and a tongue
-_FACE_FROM = ((0, 0), (-35, 5), (35, -5))
-_LIDS, _LIPS = ("eyeBlinkLeft", "eyeBlinkRight"), ("mouthFunnel", "mouthPucker")
-_REGIONS = {"lids": _LIDS, "lips": _LIPS}
-_STIRRED = 0.001  # metres; what an expression moves less is not its region
-_LEAST = 1e-3  # tangent of half an angle of view: a hand of one splat has no extent
+_REVEALING = _EXPRESSIONS[0], _EXPRESSIONS[2]  # lids, teeth and tongue
+_FACE_ANGLES_DEG = ((0, 0), (-35, 5), (35, -5))
+_REGIONS = {"lids": ("eyeBlinkLeft", "eyeBlinkRight"), "lips": ("mouthFunnel", "mouthPucker")}
+_MIN_MOVE_M = 0.001  # by an expression, of the vertices of its region
+_MIN_HALF_TAN = 1e-3  # tangent of half an angle of view, for a hand of a single splat
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewConfig:
-    """Which pictures."""
+    """Number and size of the pictures."""
 
-    body: int = 24  # from around, in the zero pose
-    poses: int = 12  # further poses
-    each: int = 2  # pictures of a pose
+    body: int = 24  # pictures from around, in the zero pose
+    poses: int = 12  # random poses
+    each: int = 2  # pictures of each random pose
     size: int = 768  # pixels a side of a whole body
-    close: int = 384  # of a head, a hand or a foot, and of a face with an expression
-    up: tuple[float, ...] = (-12, 8, 30)  # degrees from which bodies in the zero pose are looked at, in turn
-    spread: float = 15.0  # degrees that those of other poses scatter
+    close: int = 384  # pixels a side of a head, a hand or a foot, and of a face with an expression
+    elevations: tuple[float, ...] = (-12, 8, 30)  # degrees of cameras around the zero pose, in turn
+    elevation_spread: float = 15.0  # degrees, standard deviation for other poses
 
 
-_LOOKS = ViewConfig(body=12, poses=0, size=384, close=192)
+_CONSISTENCY_VIEWS = ViewConfig(body=12, poses=0, size=384, close=192)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TargetPicture:
-    """A picture that splats shall give back."""
+    """A picture that splats are fitted to."""
 
     camera: Camera
     target: U8  # [H, W, 4] premultiplied, over nothing
-    share: float  # metres a pixel: what an error in it counts, so that close-ups do not count for all
+    metres_per_pixel: float  # weight of its errors, so that close-ups do not dominate
     pose: Pose | None = None  # None: the zero pose
-    trust: F32 | None = None  # [H, W] what an error at a pixel counts; None: all the same
+    trust: F32 | None = None  # [H, W] weight of errors; None: 1
 
 
 class TargetView(NamedTuple):
-    """A camera, and the points that it is about."""
+    """A camera and the points it frames."""
 
     camera: Camera
     points: F64
@@ -106,23 +104,23 @@ def pictures_of(
     progress: Report | None = None,
     context: Context | None = None,
 ) -> list[TargetPicture]:
-    """Pictures of the mesh, unlit, drawn by OpenGL, or in numpy where no context can be made. Deterministic."""
+    """Return pictures of the unlit mesh, drawn by OpenGL or, without a context, in numpy. Deterministic."""
     used = np.unique(mesh.faces)
     strongest = strongest_joint(mesh.joints, mesh.weights)
-    regions = {} if mesh.morphs is None else {name: _stirred(mesh, names)[used] for name, names in _REGIONS.items()}
+    regions = {name: _moved_vertices(mesh, names)[used] for name, names in _REGIONS.items() if mesh.morphs is not None}
     subject = _Subject(
         mesh.skeleton.names, mesh.vertices[used], strongest[used], lambda pose: mesh.posed(pose)[used], regions
     )
     views = list(_views(subject, np.random.default_rng((seed, 17)), config or ViewConfig()))
-    return _taken(views, _drawn_mesh(mesh, views, context), progress)
+    return _cropped_pictures(views, _mesh_pictures(mesh, views, context), progress)
 
 
 def pictures_of_splats(
     avatar: Avatar, seed: int = 0, config: ViewConfig | None = None, progress: Report | None = None
 ) -> list[TargetPicture]:
-    """Pictures of an avatar's own splats, of their colours of degree 0, drawn on the CPU. Deterministic.
+    """Return pictures of an avatar's own splats in their colours of degree 0, drawn on the CPU. Deterministic.
 
-    Raises GlsplatError where none can be drawn.
+    Raises GlsplatError where no splat can be drawn.
     """
     usable = drawable(avatar.splats)
     if not usable.any():
@@ -139,57 +137,57 @@ def pictures_of_splats(
     )
     views = list(_views(subject, np.random.default_rng((seed, 17)), config or ViewConfig()))
     drawing = Rasterizer(len(zero))
-    drawn = (_eight_bits(drawing.draw(placed(shown(view.pose)), view.camera, zero.antialias)) for view in views)
-    return _taken(views, drawn, progress)
+    drawn = (_eight_bit(drawing.draw(placed(shown(view.pose)), view.camera, zero.antialias)) for view in views)
+    return _cropped_pictures(views, drawn, progress)
 
 
-def looks_at(avatar: Avatar) -> Iterator[tuple[PosedSplats, list[Camera]]]:
-    """The avatar's splats in the zero pose with cameras about all of it, head, hands and feet; then faces that move."""
+def consistency_views(avatar: Avatar) -> Iterator[tuple[PosedSplats, list[Camera]]]:
+    """Yield splats and cameras: the zero pose from around, head, hands and feet; then the face in two expressions."""
     skin, usable = avatar.skin, drawable(avatar.splats)
     if not usable.any():
         return
     strongest = strongest_joint(skin.joints, skin.weights)[usable]
     names, means = avatar.skeleton.names, avatar.splats.means[usable].astype(np.float64)
-    views = _views(_Subject(names, means, strongest, lambda pose: means), np.random.default_rng(0), _LOOKS)
+    views = _views(_Subject(names, means, strongest, lambda pose: means), np.random.default_rng(0), _CONSISTENCY_VIEWS)
     yield placed(avatar.splats), [view.camera for view in views]
     head = means[np.array([name.startswith(HEAD) for name in names])[strongest]]
     if avatar.shapes is None or not len(head):
         return
-    cameras = [_camera(head, around, up, _LOOKS.close, 1.5) for around, up in _FACE_FROM]
-    for expression in _OPEN:
+    cameras = [_camera(head, around, up, _CONSISTENCY_VIEWS.close, 1.5) for around, up in _FACE_ANGLES_DEG]
+    for expression in _REVEALING:
         yield placed(posed_splats(avatar, Pose(np.zeros((len(names), 3)), expression=expression))), cameras
 
 
-def _stirred(mesh: RiggedMesh, names: tuple[str, ...]) -> NDArray[np.bool_]:
-    """[V] the vertices that one of these expressions moves."""
+def _moved_vertices(mesh: RiggedMesh, names: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Return True [V] for vertices that one of these expressions moves."""
     assert mesh.morphs is not None
     found = np.zeros(len(mesh.vertices), bool)
     for name in names:
         pose = Pose(np.zeros((len(mesh.skeleton), 3)), expression={name: 1.0})
-        found |= np.linalg.norm(mesh.morphs.moved(pose, len(found)), axis=1) > _STIRRED
+        found |= np.linalg.norm(mesh.morphs.moved(pose, len(found)), axis=1) > _MIN_MOVE_M
     return found
 
 
 class _Subject(NamedTuple):
-    """What is looked at."""
+    """The subject of the pictures: P points of a mesh or of splats."""
 
     names: tuple[str, ...]  # of the joints
-    points: F64  # [P, 3] of it in the zero pose
+    points: F64  # [P, 3] in the zero pose
     strongest: NDArray[np.integer]  # [P] the joint that moves a point most
     posed: Callable[[Pose], NDArray[np.floating]]  # [P, 3]
-    regions: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # [P] of the face, where it has expressions
+    regions: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # [P] of a face with expressions
 
 
-def _taken(views: list[TargetView], drawn: Iterator[U8], progress: Report | None) -> list[TargetPicture]:
+def _cropped_pictures(views: list[TargetView], drawn: Iterator[U8], progress: Report | None) -> list[TargetPicture]:
     out = []
     for index, (view, picture) in enumerate(zip(views, drawn, strict=True)):
         if progress:
-            progress("drawing what to fit to", index / len(views))
+            progress("drawing target pictures", index / len(views))
         out.append(_cropped(view, picture))
     return out
 
 
-def _drawn_mesh(mesh: RiggedMesh, views: list[TargetView], context: Context | None) -> Iterator[U8]:
+def _mesh_pictures(mesh: RiggedMesh, views: list[TargetView], context: Context | None) -> Iterator[U8]:
     own = None
     if context is None:
         try:
@@ -197,7 +195,7 @@ def _drawn_mesh(mesh: RiggedMesh, views: list[TargetView], context: Context | No
         except ContextError:
             for view in views:
                 pose = view.pose or Pose.zero(len(mesh.skeleton))
-                yield _eight_bits(mesh_picture(mesh, mesh.posed(pose), view.camera, 2))
+                yield _eight_bit(mesh_picture(mesh, mesh.posed(pose), view.camera, 2))
             return
     renderers: dict[tuple[int, int], MeshTruth] = {}
     try:
@@ -217,22 +215,21 @@ def _drawn_mesh(mesh: RiggedMesh, views: list[TargetView], context: Context | No
 
 
 def _expressed(mesh: RiggedMesh, pose: Pose) -> RiggedMesh:
-    """The mesh with the pose's expression in its vertices: its renderer has none."""
+    """Return the mesh with the pose's expression in its vertices: its renderer has no expressions."""
     if mesh.morphs is None:
         return mesh
     return replace(mesh, vertices=mesh.vertices + mesh.morphs.moved(pose, len(mesh.vertices)), morphs=None)
 
 
-def _eight_bits(picture: NDArray[np.floating]) -> U8:
+def _eight_bit(picture: NDArray[np.floating]) -> U8:
     return np.asarray(np.clip(picture * 255 + 0.5, 0, 255), np.uint8)
 
 
 def _views(subject: _Subject, rng: np.random.Generator, config: ViewConfig) -> Iterator[TargetView]:
     names, points, strongest, posed_points, regions = subject
     for k in range(config.body):
-        yield TargetView(
-            _camera(points, 360 * k / config.body, config.up[k % len(config.up)], config.size, 3.0), points, None
-        )
+        up = config.elevations[k % len(config.elevations)]
+        yield TargetView(_camera(points, 360 * k / config.body, up, config.size, 3.0), points, None)
     for wanted, sides in _CLOSE_UPS:
         some = points[np.array([name.startswith(wanted) for name in names])[strongest]]
         for around, up in sides if len(some) else ():
@@ -244,11 +241,12 @@ def _views(subject: _Subject, rng: np.random.Generator, config: ViewConfig) -> I
         posed = np.asarray(posed_points(pose), np.float64)
         for j in range(config.each):
             turned = 360 * (k / config.poses + j / config.each) + rng.uniform(-15, 15)
-            yield TargetView(_camera(posed, turned, float(rng.normal(5, config.spread)), config.size, 3.0), posed, pose)
+            up = float(rng.normal(5, config.elevation_spread))
+            yield TargetView(_camera(posed, turned, up, config.size, 3.0), posed, pose)
 
 
 def _faces(subject: _Subject, config: ViewConfig) -> Iterator[TargetView]:
-    """The face in each expression from three sides, and its lids and lips from nearer; the eyes turned likewise."""
+    """Yield views of each expression and gaze: the face from three sides, lids and lips closer."""
     joints = len(subject.names)
     still = np.zeros((joints, 3))
     poses = [Pose(still, expression=one) for one in _EXPRESSIONS]
@@ -260,7 +258,7 @@ def _faces(subject: _Subject, config: ViewConfig) -> Iterator[TargetView]:
     every = np.any(list(subject.regions.values()), axis=0)
     for index, pose in enumerate([None, *poses]):
         posed = subject.points if pose is None else np.asarray(subject.posed(pose), np.float64)
-        for around, up in _FACE_FROM:
+        for around, up in _FACE_ANGLES_DEG:
             yield TargetView(_camera(posed[every], around, up, config.close, 1.5), posed[every], pose)
         for number, mine in enumerate(subject.regions.values()):
             if mine.any():
@@ -269,24 +267,24 @@ def _faces(subject: _Subject, config: ViewConfig) -> Iterator[TargetView]:
 
 
 def _camera(points: F64, around: float, up: float, size: int, distance: float, fill: float = 0.94) -> Camera:
-    """Looks at the middle of the points from so many degrees around and up, which fill that share of the picture."""
+    """Return a camera ``around`` and ``up`` degrees from the front, whose picture the points ``fill``."""
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     turn, lift = np.radians((around, min(max(up, -80.0), 80.0)))
     towards = np.array([np.cos(lift) * np.sin(turn), np.sin(lift), np.cos(lift) * np.cos(turn)])
-    reach = max(distance, 1.5 * float(np.linalg.norm(points - middle, axis=1).max()))
-    viewmat = look_at(middle + reach * towards, middle)
+    away = max(distance, 1.5 * float(np.linalg.norm(points - middle, axis=1).max()))
+    viewmat = look_at(middle + away * towards, middle)
     seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-    half = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), _LEAST)
+    half = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), _MIN_HALF_TAN)
     return Camera(viewmat, pinhole(size, size, float(2 * np.degrees(np.arctan(half / fill)))), size, size)
 
 
 def _cropped(view: TargetView, picture: U8) -> TargetPicture:
-    """The part that shows something, with a rim."""
+    """Return the part of the picture around the subject, with a rim."""
     camera = view.camera
     seen = view.points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     pixels = (seen @ camera.K.T)[:, :2] / seen[:, 2:]
-    low = np.clip(np.floor(pixels.min(axis=0)) - _RIM, 0, camera.width - 16).astype(int)
-    high = np.clip(np.ceil(pixels.max(axis=0)) + _RIM, low + 16, camera.width).astype(int)
+    low = np.clip(np.floor(pixels.min(axis=0)) - _RIM_PX, 0, camera.width - 16).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + _RIM_PX, low + 16, camera.width).astype(int)
     K = camera.K.copy()
     K[:2, 2] -= low
     cut = Camera(camera.viewmat, K, int(high[0] - low[0]), int(high[1] - low[1]), near=camera.near)

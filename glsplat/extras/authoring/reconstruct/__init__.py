@@ -1,4 +1,4 @@
-"""From pictures of a person to an avatar."""
+"""Reconstruct avatars from pictures of a person."""
 
 import lazy_loader
 

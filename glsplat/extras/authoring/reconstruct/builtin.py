@@ -1,4 +1,4 @@
-"""The built-in way: the open body fitted to the pictures, dressed, and painted with what they show."""
+"""The built-in reconstructor: fits the open body to the pictures, dresses it, and paints it with their colours."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from glsplat.extras.authoring.light.captured_light import captured_light, with_c
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
-from glsplat.extras.authoring.optimize.surface_consistency import ready
+from glsplat.extras.authoring.optimize.surface_consistency import load_compiled
 from glsplat.extras.authoring.paint.bake import baked
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
@@ -33,22 +33,21 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
     FittedBody,
     MadeAvatar,
     Mask,
-    MeshReconstructor,
     Options,
     Picture,
-    ReportingReconstructor,
 )
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
 
-__all__ = ["PHONE", "SIDES", "Builtin", "FittedBody", "MadeAvatar", "MeshReconstructor", "ReportingReconstructor"]
+__all__ = ["MIN_TRUST", "PHONE_FOCAL_FACTOR", "SIDES", "Builtin"]
 
 SIDES = ("front", "back", "left", "right")
-_FACED = 8_000  # splats of an avatar that has some to spare for teeth and lashes
-_HARDLY = 0.1  # of a point that a picture shows too flatly to be believed
-_SURE = 0.4  # visibility of an arm that is where the network has it
-_HAND, _NEAR = 0.8, 0.4  # presence of a hand; how far its wrist is from the arm's, in forearms
-_LIT = 20_000  # points that light and unseen share are found on
-PHONE = 1.37
+_MIN_SPLATS_WITH_FACE = 8_000  # below, an avatar has none to spare for teeth and lashes
+_MIN_ARM_VISIBILITY = 0.4
+_MIN_HAND_PRESENCE, _MAX_WRIST_GAP = 0.8, 0.4  # the gap between the wrists of hand and arm, in forearms
+_LIGHT_POINTS = 20_000  # for the light and the unseen fraction of a mesh
+MIN_TRUST = 0.1
+"""Trust below which a point counts as unseen: pictures show it at too grazing an angle."""
+PHONE_FOCAL_FACTOR = 1.37
 """Focal length of a usual phone camera, in heights of an upright picture."""
 
 
@@ -56,24 +55,24 @@ class Builtin:
     """Fits, dresses and paints; needs the networks of ``glsplat models get``."""
 
     def reconstruct(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> Avatar:
-        """An avatar; see ``Reconstructor``."""
-        return self.tell(pictures, masks, options).avatar
+        """Return the avatar; see ``Reconstructor``."""
+        return self.report(pictures, masks, options).avatar
 
-    def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
-        """The avatar with all that led to it."""
+    def report(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
+        """Return the avatar with the fit and the mesh it was made from."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
-        loaded = None if options.keep_light else aside(ready)  # where a core has nothing to do
+        loaded = None if options.keep_light else aside(load_compiled)  # while a core is idle
         shots = with_hair(body, bald)
         mesh = shots[0].mesh
         rng = np.random.default_rng(options.seed)
-        face = aside(lambda: moving_face(mesh)) if options.splats >= _FACED else None
-        strewn = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
-        painter = painter_of(body, shots, strewn.points, looks)
+        face = aside(lambda: moving_face(mesh)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
+        scattered = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
+        painter = painter_of(body, shots, scattered.points, looks)
         captured = None if options.keep_light else aside(lambda: captured_light(mesh, shots, painter.light))
-        painted = painter.paint(strewn.points)
+        painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
-        avatar = strewn.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)
-        unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
+        avatar = scattered.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)
+        unseen = float(np.average(painted.seen < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(
             avatar, mesh, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
@@ -87,28 +86,28 @@ class Builtin:
             loaded()
             avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
-        return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
+        return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
-        """The dressed body with the pictures in its textures."""
+        """Return the dressed body, textured with the pictures."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
         shots = with_hair(body, bald)
         mesh = shots[0].mesh
-        even = even_points(mesh, _LIT)
+        even = even_points(mesh, _LIGHT_POINTS)
         painter = painter_of(body, shots, even, looks)
-        unseen = float((painter.paint(even).seen < _HARDLY).mean())
+        unseen = float((painter.paint(even).seen < MIN_TRUST).mean())
         options.progress("painting textures", 0.5)
         mesh = baked(mesh, painter.colours, options.texture)
         options.progress("painting textures", 1.0)
-        return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
+        return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
 
 class _Fitted(NamedTuple):
-    """The body in the pictures, and what paints it."""
+    """The body fitted to the pictures, and the pictures that paint it."""
 
     body: Body
     fit: BodyFit
-    shots: tuple[FittedPicture, ...]  # no hair hangs behind it yet
+    shots: tuple[FittedPicture, ...]  # before hair is added behind the body
     looks: Mapping[str, EyeLook]
 
 
@@ -131,11 +130,11 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     )
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.seen for look in looks.values()):
-        looks = {}  # closed lids and dark glasses stay what they are
+        looks = {}  # closed lids and dark glasses are painted as pictured
     return _Fitted(body, fit, shots, looks)
 
 
-def _seen(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:
+def _trust(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:
     return np.asarray(np.max([shot.trust for shot in shots], axis=0))
 
 
@@ -147,19 +146,19 @@ def _person(picture: Picture, side: str) -> DetectedPerson:
 
 
 def _arms(person: DetectedPerson) -> NDArray[np.float64]:
-    """[2, 24, 2] pixels of shoulders, elbows, wrists and hands, left and right; NaN where no network believes them."""
+    """Return pixels [2, 24, 2] of shoulders, elbows, wrists and hands, left and right; NaN where not detected."""
     arms = []
     for side, hand in (("left", person.left_hand), ("right", person.right_hand)):
         names = [LANDMARKS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist")]
         arm, fingers = person.body.points[names], hand.points[:, :2]
         long = max(float(np.linalg.norm(arm[2] - arm[1])), 1.0)
-        seen = hand.presence > _HAND and float(np.linalg.norm(fingers[0] - arm[2])) < _NEAR * long
-        sure = person.body.visible[names][:, None] > _SURE
+        seen = hand.presence > _MIN_HAND_PRESENCE and float(np.linalg.norm(fingers[0] - arm[2])) < _MAX_WRIST_GAP * long
+        sure = person.body.visible[names][:, None] > _MIN_ARM_VISIBILITY
         arms.append(np.concatenate([np.where(sure, arm, np.nan), np.where(seen, fingers, np.nan)]))
     return np.stack(arms)
 
 
 def _view(side: str, picture: Picture, mask: Mask, person: DetectedPerson) -> View:
-    focal = picture.focal or PHONE * max(picture.rgb.shape[:2])
+    focal = picture.focal or PHONE_FOCAL_FACTOR * max(picture.rgb.shape[:2])
     face = face_turn(open_body(), person.face, focal, picture.rgb.shape[1] / 2) if side == "front" else None
     return View(mask, person.body.points, person.body.visible, focal, side=side, world=person.body.world, face=face)

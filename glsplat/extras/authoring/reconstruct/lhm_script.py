@@ -1,8 +1,8 @@
-"""One picture to a dump of LHM's Gaussians. Run by the interpreter of LHM's environment, in the folder of its checkout.
+"""Dump LHM's Gaussians for one picture. Run by the interpreter of LHM's environment, in the folder of its checkout.
 
-It is copied and started by lhm.py, knows nothing of glsplat, and writes what
-``authoring.importers.load_lhm_dump`` reads. Names of modules and attributes are those of LHM's public code of
-2025; it was never run against an installation.
+lhm.py copies and starts this script, which imports nothing of glsplat and writes the file that
+``authoring.importers.lhm_dump`` reads. Modules and attributes are those of LHM's public code of 2025; the script was
+never run against an installation.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import sys
 from typing import Any
 
 _MODEL = "human_lrm_sapdino_bh_sd3_5"
-_WIDTH, _PATCH, _ASPECT = 1024, 14, 5 / 3  # of the picture that the encoder takes
-_HEAD = 112  # pixels of the head's picture
+_WIDTH, _PATCH, _ASPECT = 1024, 14, 5 / 3  # of the encoder's picture
+_HEAD_PX = 112  # side of the head's picture
 _POSE = {"root_pose": (3,), "body_pose": (21, 3), "jaw_pose": (3,), "leye_pose": (3,), "reye_pose": (3,)}
 _POSE |= {"lhand_pose": (15, 3), "rhand_pose": (15, 3), "expr": (100,), "trans": (3,)}
 
 
 def main() -> None:
-    """Reads picture.png and mask.png of a folder and writes dump.npz there."""
+    """Read picture.png and mask.png in a folder and write dump.npz there."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--folder", required=True)
     parser.add_argument("--model", required=True)
@@ -29,7 +29,7 @@ def main() -> None:
     sys.argv = sys.argv[:1]  # LHM's modules read the command line, too
     sys.path.insert(0, os.getcwd())
 
-    say(0.0, "loading LHM")
+    print_progress(0.0, "loading LHM")
     import cv2
     import numpy as np
     import torch
@@ -42,21 +42,21 @@ def main() -> None:
     picture = cv2.cvtColor(cv2.imread(path), cv2.COLOR_BGR2RGB)
     mask = cv2.imread(os.path.join(args.folder, "mask.png"), cv2.IMREAD_GRAYSCALE) > 127
 
-    say(0.1, "LHM estimates the body")
+    print_progress(0.1, "LHM estimates the body")
     body = PoseEstimator("./pretrained_models/human_model_files/", device=device)(path)
     if not body.is_full_body:
         sys.exit(f"LHM finds no whole body: {body.msg}")
     betas = torch.as_tensor(np.asarray(body.beta, np.float32).reshape(1, -1)[:, :10], device=device)
 
-    say(0.3, "LHM loads its weights")
+    print_progress(0.3, "LHM loads its weights")
     model = wrap_model_hub(model_dict[_MODEL]).from_pretrained(weights_of(args.model)).to(device).float().eval()
 
-    say(0.6, "LHM makes the avatar")
+    print_progress(0.6, "LHM makes the avatar")
     pose = {key: torch.zeros((1, 1, *shape), device=device) for key, shape in _POSE.items()} | {"betas": betas}
     left, top, right, bottom = args.head
-    head = np.zeros((_HEAD, _HEAD, 3), np.uint8)
+    head = np.zeros((_HEAD_PX, _HEAD_PX, 3), np.uint8)
     if right > left and bottom > top:
-        head = cv2.resize(picture[top:bottom, left:right], (_HEAD, _HEAD), interpolation=cv2.INTER_AREA)
+        head = cv2.resize(picture[top:bottom, left:right], (_HEAD_PX, _HEAD_PX), interpolation=cv2.INTER_AREA)
     with torch.no_grad():
         gaussians, query, neutral = model.infer_single_view(
             as_tensor(framed(picture, mask), device),
@@ -71,7 +71,7 @@ def main() -> None:
         rig = model.renderer.smplx_model
         joints = rig.get_zero_pose_human(shape_param=betas, device=device, face_offset=None, joint_offset=None)
 
-    say(0.95, "LHM is done")
+    print_progress(0.95, "LHM is done")
     made = gaussians[0]
     count = len(made.offset_xyz)
     arrays = {
@@ -93,13 +93,13 @@ def main() -> None:
     np.savez(os.path.join(args.folder, "dump.npz"), **plain)
 
 
-def say(done: float, step: str) -> None:
-    """Progress, as lhm.py looks for it."""
+def print_progress(done: float, step: str) -> None:
+    """Print the progress line that lhm.py parses."""
     print(f"glsplat: {done:.2f} {step}", flush=True)
 
 
 def weights_of(model: str) -> str:
-    """The folder of a model's weights: itself, or where LHM's own table has it."""
+    """Return the folder of a model's weights: ``model`` itself, or that of LHM's table."""
     if os.path.isdir(model):
         return model
     from LHM.utils.model_card import MODEL_PATH
@@ -112,7 +112,7 @@ def weights_of(model: str) -> str:
 
 
 def framed(picture: Any, mask: Any) -> Any:
-    """The person before white in a picture of 5 to 3, a tenth of room about them; RGB uint8."""
+    """Return the person before white in a picture of 5 to 3, with a margin of a tenth; RGB uint8."""
     import cv2
     import numpy as np
 
@@ -127,7 +127,7 @@ def framed(picture: Any, mask: Any) -> Any:
 
 
 def as_tensor(picture: Any, device: str) -> Any:
-    """[1, 1, 3, H, W] from 0 to 1."""
+    """Return the picture as [1, 1, 3, H, W], 0 to 1."""
     import torch
 
     return torch.as_tensor(picture, device=device).permute(2, 0, 1)[None, None].float() / 255

@@ -1,4 +1,4 @@
-"""From files of photographs to an avatar: read, checked, reconstructed, and marked with where it comes from."""
+"""Make an avatar from photographs: read, check, reconstruct, and record the provenance."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ _DEFAULT = Options()
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """An avatar, and what it was made from."""
+    """An avatar and its photographs."""
 
     avatar: Avatar
     shots: Mapping[str, CheckedPhoto]
     made_by: str
     """The reconstructor's name."""
     made: MadeAvatar | None = None
-    """What the built-in reconstructor can tell beside the avatar; None of others."""
+    """The fit, from a ``ReportingReconstructor``; None from others."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshReconstruction:
-    """A textured mesh, and what it was made from."""
+    """A textured mesh and its photographs."""
 
     mesh: RiggedMesh
     shots: Mapping[str, CheckedPhoto]
@@ -78,21 +78,21 @@ def reconstruct(
     anyway: bool = False,
     meta: Mapping[str, Any] | None = None,
 ) -> Reconstruction:
-    """An avatar from photographs that ``check_photos`` read.
+    """Reconstruct an avatar from photographs that ``check_photos`` read.
 
-    ``using`` is a reconstructor or its name. ``anyway`` goes on with pictures in which the check found faults, and
-    keeps a body that does not fit them. ``meta`` goes into the avatar's notes, over what is written there: source,
-    made_by, date (SOURCE_DATE_EPOCH's day, else today's, UTC), consent, body_model, unseen; never a picture or a
-    path. Raises CaptureError, and GlsplatError from reconstructors.
+    ``using`` is a reconstructor or its name. ``anyway`` accepts pictures in which the check found faults, and a body
+    that does not fit them. ``meta`` overrides the avatar's metadata: source, made_by, date (SOURCE_DATE_EPOCH's day,
+    else today's, UTC), consent, body_model, unseen; never a picture or a path. Raises CaptureError, and GlsplatError
+    from reconstructors.
     """
 
-    def work(maker: Reconstructor, *asked: Any) -> tuple[Avatar, MadeAvatar | None]:
+    def work(maker: Reconstructor, *inputs: Any) -> tuple[Avatar, MadeAvatar | None]:
         if isinstance(maker, ReportingReconstructor):
-            made = maker.tell(*asked)
+            made = maker.report(*inputs)
             return made.avatar, made
-        return maker.reconstruct(*asked), None
+        return maker.reconstruct(*inputs), None
 
-    name, day, (avatar, made) = _done(shots, options, using, anyway, work)
+    name, day, (avatar, made) = _run(shots, options, using, anyway, work)
     if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
     if not anyway:
@@ -109,17 +109,17 @@ def reconstruct_mesh(
     anyway: bool = False,
     meta: Mapping[str, Any] | None = None,
 ) -> MeshReconstruction:
-    """As ``reconstruct``, a textured mesh in place of splats: the fitted body with the photographs in its textures.
+    """Reconstruct a textured mesh: the fitted body with the photographs in its textures.
 
-    Raises GlsplatError, too, where the reconstructor makes no meshes.
+    Parameters and errors as of ``reconstruct``; GlsplatError also for a reconstructor that makes no meshes.
     """
 
-    def work(maker: Reconstructor, *asked: Any) -> FittedBody:
+    def work(maker: Reconstructor, *inputs: Any) -> FittedBody:
         if not isinstance(maker, MeshReconstructor):
             raise GlsplatError(f'the reconstructor "{_name_of(using)}" makes splats, no meshes; use "builtin"')
-        return maker.mesh(*asked)
+        return maker.mesh(*inputs)
 
-    name, day, made = _done(shots, options, using, anyway, work)
+    name, day, made = _run(shots, options, using, anyway, work)
     if not isinstance(made, FittedBody) or made.mesh.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {made!r:.100}, not a mesh on the joints of SMPL-X')
     if not anyway:
@@ -133,14 +133,14 @@ def _name_of(using: str | Reconstructor) -> str:
 
 
 @one_blas_thread()
-def _done(
+def _run(
     shots: Mapping[str, CheckedPhoto],
     options: Options | None,
     using: str | Reconstructor,
     anyway: bool,
     work: Callable[[Reconstructor, Mapping[str, Picture], Mapping[str, Mask], Options], T],
 ) -> tuple[str, str, T]:
-    """The reconstructor's name, the day, and what came of its ``work``."""
+    """Run ``work`` with the reconstructor; return its name, the day, and the result."""
     if not anyway or any(shot.capture.person is None for shot in shots.values()):
         refuse(shots)
     day = today()
@@ -161,10 +161,10 @@ def _done(
 
 
 def _notes(
-    given: Mapping[str, Any], shots: Mapping[str, CheckedPhoto], name: str, day: str, made: FittedBody | None
+    meta: Mapping[str, Any], shots: Mapping[str, CheckedPhoto], name: str, day: str, made: FittedBody | None
 ) -> dict[str, Any]:
-    """``given`` with where it comes from."""
-    notes = dict(given)
+    """Return ``meta`` with the provenance."""
+    notes = dict(meta)
     notes["source"] = f"{len(shots)} photograph{'s' * (len(shots) > 1)} ({', '.join(shots)})"
     notes["made_by"] = f"glsplat {version('glsplat')}, {name}"
     notes["date"] = day
@@ -199,10 +199,10 @@ def from_photos(
     meta: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Avatar:
-    """An avatar from one photograph of a person, or several; ``height`` in metres.
+    """Make an avatar from one photograph of a person, or several; ``height`` in metres.
 
-    The pictures are checked before any other work: CaptureError says what is wrong with them. ``check_photos`` and
-    ``reconstruct`` are the two halves, for who wants to know more than the avatar.
+    The pictures are checked first: CaptureError lists their faults. ``check_photos`` and ``reconstruct`` do the two
+    halves and return more than the avatar.
 
     >>> from glsplat.extras.authoring.reconstruct.photos import from_photos
     >>> from_photos("me.jpg", height=1.74)
@@ -228,18 +228,18 @@ def mesh_from_photos(
     meta: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> RiggedMesh:
-    """As ``from_photos``, a mesh with a texture of ``texture`` texels a side in place of splats."""
+    """Make a mesh with a texture of ``texture`` texels a side; other parameters as of ``from_photos``."""
     options = Options(height=height, texture=texture, progress=progress or _DEFAULT.progress)
     shots = check_photos(front, back=back, left=left, right=right, masks=masks, progress=options.progress)
     return reconstruct_mesh(shots, options, using=using, anyway=anyway, meta=meta).mesh
 
 
 def today() -> str:
-    """YYYY-MM-DD in UTC; of SOURCE_DATE_EPOCH, where it is set, so that files can be made again byte for byte."""
-    told = os.environ.get("SOURCE_DATE_EPOCH")
-    if told is None:
+    """Return the date in UTC, YYYY-MM-DD, or that of SOURCE_DATE_EPOCH, for reproducible files."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    if epoch is None:
         return datetime.now(UTC).date().isoformat()
     try:
-        return datetime.fromtimestamp(int(told), UTC).date().isoformat()
+        return datetime.fromtimestamp(int(epoch), UTC).date().isoformat()
     except (ValueError, OverflowError, OSError):
-        raise GlsplatError(f"SOURCE_DATE_EPOCH needs whole seconds since 1970, not {told[:40]!r}") from None
+        raise GlsplatError(f"SOURCE_DATE_EPOCH needs whole seconds since 1970, not {epoch[:40]!r}") from None

@@ -1,4 +1,4 @@
-"""Plugins: what this project brings and what other packages add, by name, through entry points."""
+"""Plugins by name: the project's own and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ __all__ = ["Plugins", "one_line"]
 
 @dataclass(frozen=True)
 class Plugins:
-    """Makers by name. An entry point of ``group`` names what gives one when it is called without arguments."""
+    """Plugins of one kind. An entry point of ``group`` names a class or function that makes one without arguments."""
 
-    what: str
-    """For messages: what one of them is called."""
+    kind: str
+    """The noun in messages."""
     group: str
     method: str
-    """That each must have."""
+    """A method that each must have."""
     own: Mapping[str, str]
     """Name -> "module:attribute" of the project's own; these names cannot be taken by other packages."""
 
     def names(self) -> tuple[str, ...]:
-        """All that ``named`` knows, the project's own first."""
+        """Return all names, the project's own first."""
         return (*self.own, *sorted({entry.name for entry in entry_points(group=self.group)} - set(self.own)))
 
     def named(self, name: str) -> Any:
-        """Load and make the one of that name. Raises GlsplatError, one line, where there is none or it fails."""
+        """Load and make the plugin ``name``. Raises GlsplatError, one line, for an unknown name or a failure."""
         entry = self._entry(name)
         try:
             made = entry.load()()
@@ -38,9 +38,9 @@ class Plugins:
         except Exception as error:
             if name in self.own:
                 raise
-            raise GlsplatError(f'the {self.what} "{name}" ({entry.value}) does not load: {one_line(error)}') from error
+            raise GlsplatError(f'the {self.kind} "{name}" ({entry.value}) does not load: {one_line(error)}') from error
         if not callable(getattr(made, self.method, None)):
-            raise GlsplatError(f'the {self.what} "{name}" ({entry.value}) has no method "{self.method}"')
+            raise GlsplatError(f'the {self.kind} "{name}" ({entry.value}) has no method "{self.method}"')
         return made
 
     def _entry(self, name: str) -> EntryPoint:
@@ -48,13 +48,13 @@ class Plugins:
             return EntryPoint(name, self.own[name], self.group)
         found = sorted({entry.value: entry for entry in entry_points(group=self.group, name=name)}.items())
         if not found:
-            raise GlsplatError(f'no {self.what} is called "{name}"; there are {", ".join(self.names())}')
+            raise GlsplatError(f'no {self.kind} is called "{name}"; there are {", ".join(self.names())}')
         if len(found) > 1:
             places = ", ".join(value for value, _ in found)
-            raise GlsplatError(f'several packages have a {self.what} "{name}" ({places}); uninstall all but one')
+            raise GlsplatError(f'several packages have a {self.kind} "{name}" ({places}); uninstall all but one')
         return found[0][1]
 
 
 def one_line(error: BaseException) -> str:
-    """What somebody else's exception says, short enough for one line."""
+    """Return the text of a foreign exception, shortened to one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

@@ -8,7 +8,7 @@ from .reconstructor import Reconstructor
 __all__ = ["GROUP", "OWN", "named", "names"]
 
 GROUP = "glsplat.reconstructors"
-"""An entry point names a class or function that gives a ``Reconstructor`` when it is called without arguments."""
+"""An entry point names a class or function that makes a ``Reconstructor`` without arguments."""
 
 OWN = {
     "builtin": "glsplat.extras.authoring.reconstruct.builtin:Builtin",
@@ -20,11 +20,11 @@ _PLUGINS = Plugins("reconstructor", GROUP, "reconstruct", OWN)
 
 
 def names() -> tuple[str, ...]:
-    """All that ``named`` knows, the project's own first."""
+    """Return all names, the project's own first."""
     return _PLUGINS.names()
 
 
 def named(name: str) -> Reconstructor:
-    """Load and make a reconstructor. Raises GlsplatError, one line, where there is none or it does not load."""
+    """Load and make a reconstructor. Raises GlsplatError, one line, for an unknown name or a failure."""
     made: Reconstructor = _PLUGINS.named(name)
     return made

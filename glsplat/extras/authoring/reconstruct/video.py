@@ -1,4 +1,4 @@
-"""From a video of somebody who turns, or pictures from all around, to a textured mesh or an avatar of splats."""
+"""Make a textured mesh or an avatar of splats from a video of a turning person, or pictures from all around."""
 
 from __future__ import annotations
 
@@ -24,54 +24,51 @@ from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.video.body import fit_turning, key_views
-from glsplat.extras.authoring.video.film import FEWEST
+from glsplat.extras.authoring.video.film import MIN_FRAMES
 from glsplat.extras.authoring.video.frames import Frame, FramePicture, FrameSource, check_frames, frames_of
 from glsplat.meshes import RiggedMesh
 
-from .builtin import PHONE
+from .builtin import MIN_TRUST, PHONE_FOCAL_FACTOR
 from .photos import today
 from .reconstructor import Options
 
-__all__ = ["FORMS", "FRAMES", "VideoResult", "checked_form", "from_pictures", "from_video", "reconstruct_frames"]
+__all__ = ["FORMS", "FRAMES", "MAX_FRAMES", "VideoResult", "from_pictures", "from_video", "reconstruct_frames"]
 
 FORMS = ("mesh", "splats")
 FRAMES = 30
-"""Frames of a video that are used."""
-_MOST_FRAMES = 120
-_HARDLY = 0.1  # of a point that a frame shows too flatly to be believed
-_MET, _GOOD = 0.85, 0.93  # overlap with the mask below which a frame is not used, and least median of all
-_BLURRED, _MISSED = 0.3, 1.0  # of the cosine between surface and sight
-_LEAST_USED = 0.7  # share of the frames
+"""Frames of a video that are used by default."""
+MAX_FRAMES = 120
+_MIN_OVERLAP, _MIN_MEDIAN_OVERLAP = 0.85, 0.93  # overlap with the mask: of a used frame, and of all
+_BLUR_PENALTY = 0.3  # off the cosine of the viewing angle, for a completely blurred frame
+_MIN_USED_FRACTION = 0.7  # of the frames
 
 
 @dataclass(frozen=True, eq=False)
 class VideoResult:
-    """What a video gave."""
+    """The result of a video."""
 
-    thing: RiggedMesh | Avatar
+    content: RiggedMesh | Avatar
     fit: BodyFit
     mesh: RiggedMesh  # the dressed body in the zero pose, without texture
-    frames: tuple[Frame, ...]  # that were used, the most frontal first; the fit's views in the same order
-    unseen: float  # share of the surface that no frame shows
+    frames: tuple[Frame, ...]  # used frames, the most frontal first, in the order of the fit's views
+    unseen: float  # fraction of the surface that no frame shows
     problem: str  # one line, or empty
-    left_out: tuple[str, ...] = ()  # a line for each frame that would not do
+    left_out: tuple[str, ...] = ()  # a line for each unusable frame
 
 
-def checked_form(form: str) -> str:
-    """FormatError for a form that is none of FORMS."""
+def _check_form(form: str) -> None:
     if form not in FORMS:
         raise FormatError(f'an avatar of a video is made as {" or ".join(FORMS)}, not "{form}"')
-    return form
 
 
 def reconstruct_frames(
     frames: Sequence[Frame], options: Options | None = None, *, form: str = "mesh", anyway: bool = False
 ) -> VideoResult:
-    """A textured mesh or splats of frames that ``check_frames`` chose.
+    """Make a textured mesh or splats of frames that ``check_frames`` chose.
 
-    Raises CaptureError for a body that does not fit them; with ``anyway`` that is in ``problem``.
+    Raises CaptureError for a body that does not fit them; with ``anyway`` it goes to ``problem``.
     """
-    checked_form(form)
+    _check_form(form)
     options = options or Options()
     body = open_body()
     views = [
@@ -81,7 +78,7 @@ def reconstruct_frames(
     fit = fit_turning(views, options.height, body, lambda done: options.progress("fitting the body", 0.4 + 0.3 * done))
     options.progress("fitting face and hands", 0.7)
     fit = fit_details(fit, views, [frame.person for frame in frames], body)
-    used = [index for index, view in enumerate(fit.views) if index == 0 or view.overlap >= _MET]
+    used = [index for index, view in enumerate(fit.views) if index == 0 or view.overlap >= _MIN_OVERLAP]
     problem = _problem(fit, len(used))
     if problem and not anyway:
         raise CaptureError(problem)
@@ -94,27 +91,28 @@ def reconstruct_frames(
         for frame, view in zip(frames, fit.views, strict=True)
     ]
     looks = read_eyes(frames[0].picture, frames[0].person.face)
-    fusion = fusion_of(body, shots, looks, [_doubt(frame, view) for frame, view in zip(frames, fit.views, strict=True)])
-    thing: RiggedMesh | Avatar
+    penalties = [_penalty(frame, view) for frame, view in zip(frames, fit.views, strict=True)]
+    fusion = fusion_of(body, shots, looks, penalties)
+    content: RiggedMesh | Avatar
     if form == "mesh":
         options.progress("baking the texture", 0.85)
-        thing = baked(mesh, fusion.colours, options.texture)
+        content = baked(mesh, fusion.colours, options.texture)
     else:
-        thing = _splats(mesh, fusion, frames, shots, options)
+        content = _splats(mesh, fusion, frames, shots, options)
     options.progress("painting", 1.0)
-    return VideoResult(thing, fit, mesh, frames, _unseen(mesh, fusion), problem)
+    return VideoResult(content, fit, mesh, frames, _unseen_fraction(mesh, fusion), problem)
 
 
 def _splats(
     mesh: RiggedMesh, fusion: Fusion, frames: Sequence[Frame], shots: Sequence[FittedPicture], options: Options
 ) -> Avatar:
     rng = np.random.default_rng(options.seed)
-    strewn = scatter(mesh, options.splats, rng)
-    painted = fusion.paint(strewn.points)
+    scattered = scatter(mesh, options.splats, rng)
+    painted = fusion.paint(scattered.points)
     options.progress("placing splats", 0.85)
-    avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
-    some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
-    shots = [shots[index] for index in some]
+    avatar = scattered.avatar(mesh, painted.rgb, painted.busy, rng)
+    keys = key_views([frame.turn for frame in frames])  # all frames would add little, and take gigabytes
+    shots = [shots[index] for index in keys]
     return fitted_to_photos(
         avatar, mesh, fusion.colours, shots, options.seed, options.steps, options.texture, options.progress
     )
@@ -128,10 +126,10 @@ def from_video(
     anyway: bool = False,
     meta: Mapping[str, Any] | None = None,
 ) -> VideoResult:
-    """A textured mesh, or splats, of one video of somebody who turns on the spot, or of pictures from all around.
+    """Make a textured mesh or splats of one video of a person who turns on the spot, or of pictures from all around.
 
-    ``frames`` of a video are used; ``anyway`` goes on where the check found faults; ``meta`` goes into the notes, over
-    what is written there: source, made_by, date, consent, body_model, unseen. Raises CaptureError for what will not do.
+    ``frames`` of a video are used; ``anyway`` accepts frames in which the check found faults; ``meta`` overrides the
+    metadata: source, made_by, date, consent, body_model, unseen. Raises CaptureError for unusable frames.
 
     >>> from glsplat.extras.authoring.reconstruct.video import from_video
     >>> from_video("turn.mp4")
@@ -139,9 +137,9 @@ def from_video(
     glsplat.errors.FormatError: turn.mp4: cannot be read (No such file or directory)
     """
     options = options or Options()
-    checked_form(form)
-    if not FEWEST <= frames <= _MOST_FRAMES:
-        raise FormatError(f"a turn needs {FEWEST} to {_MOST_FRAMES} frames, not {frames}")
+    _check_form(form)
+    if not MIN_FRAMES <= frames <= MAX_FRAMES:
+        raise FormatError(f"a turn needs {MIN_FRAMES} to {MAX_FRAMES} frames, not {frames}")
     options.progress("reading the frames", 0.0)
     pictures, in_order = frames_of(sources, frames)
     return from_pictures(pictures, in_order=in_order, options=options, form=form, anyway=anyway, meta=meta)
@@ -156,7 +154,7 @@ def from_pictures(
     anyway: bool = False,
     meta: Mapping[str, Any] | None = None,
 ) -> VideoResult:
-    """``from_video`` of pictures that are read; ``in_order`` where they follow each other in time."""
+    """Make a mesh or splats of pictures as ``from_video`` does; ``in_order``: they follow each other in time."""
     options = options or Options()
     show = options.progress
     frames, left_out = check_frames(
@@ -174,30 +172,31 @@ def from_pictures(
         "body_model": "SMPL-X joints (55)",
         "unseen": round(float(made.unseen), 4),
     }
-    thing = replace(made.thing, meta=dict(made.thing.meta) | notes | dict(meta or {}))
-    return replace(made, thing=thing, left_out=tuple(left_out))
+    content = replace(made.content, meta=dict(made.content.meta) | notes | dict(meta or {}))
+    return replace(made, content=content, left_out=tuple(left_out))
 
 
 def _focal(frame: Frame) -> float:
-    return frame.focal or PHONE * max(frame.picture.shape[:2])
+    return frame.focal or PHONE_FOCAL_FACTOR * max(frame.picture.shape[:2])
 
 
-def _doubt(frame: Frame, view: FittedView) -> float:
-    """How much less a frame is worth that is blurred, or that the body does not fit."""
-    return _BLURRED * frame.blur + _MISSED * (1 - view.overlap)
+def _penalty(frame: Frame, view: FittedView) -> float:
+    """Return the penalty on the colours of a frame, for blur and missing overlap."""
+    return _BLUR_PENALTY * frame.blur + (1 - view.overlap)
 
 
 def _problem(fit: BodyFit, used: int) -> str:
-    """One line that says why not to trust a fit, or nothing. Landmarks of sides are too rough to be asked."""
-    met = float(np.median([view.overlap for view in fit.views]))
-    if met < _GOOD:
-        return f"the body covers {met:.1%} of the person in most frames, not {_GOOD:.0%}; stand in an A-pose, and alone"
-    if used < _LEAST_USED * len(fit.views) or used < FEWEST:
+    """Return one line about an unreliable fit, or "". Landmarks of side views are too rough to judge by."""
+    median = float(np.median([view.overlap for view in fit.views]))
+    if median < _MIN_MEDIAN_OVERLAP:
+        covered = f"the body covers {median:.1%} of the person in most frames, not {_MIN_MEDIAN_OVERLAP:.0%}"
+        return f"{covered}; stand in an A-pose, and alone"
+    if used < _MIN_USED_FRACTION * len(fit.views) or used < MIN_FRAMES:
         return f"the body fits {used} of {len(fit.views)} frames; keep the pose while turning, and the camera still"
     return ""
 
 
-def _unseen(mesh: RiggedMesh, fusion: Fusion) -> float:
-    """Share of the skin's area that no frame shows."""
+def _unseen_fraction(mesh: RiggedMesh, fusion: Fusion) -> float:
+    """Return the fraction of the skin's area that no frame shows."""
     faces = mesh.parts[0].faces
-    return float(np.average(fusion.seen[faces].mean(axis=1) < _HARDLY, weights=triangle_areas(mesh.vertices, faces)))
+    return float(np.average(fusion.seen[faces].mean(axis=1) < MIN_TRUST, weights=triangle_areas(mesh.vertices, faces)))

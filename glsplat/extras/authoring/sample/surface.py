@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.geometry.mesh_shapes import unfolded
-from glsplat.extras.authoring.geometry.surface_points import between
-from glsplat.extras.authoring.geometry.visibility import EYES, HEAD, VisiblePart, seen_surface
+from glsplat.extras.authoring.geometry.mesh_shapes import area_factors
+from glsplat.extras.authoring.geometry.surface_points import barycentric_matrix
+from glsplat.extras.authoring.geometry.visibility import EYES, HEAD, VisiblePart, visible_surface
 from glsplat.extras.authoring.sample.cells import Cells, Cloud, SamplerConfig, avatar_of, skin_of, tessellate
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
@@ -46,7 +46,7 @@ def make_avatar(
     report = progress or (lambda stage, done: None)
     rng = np.random.default_rng(seed)
     report("finding the visible surface", 0.0)
-    seen = seen_surface(mesh, config.probe) if config.probe else None
+    seen = visible_surface(mesh, config.probe) if config.probe else None
     zone = face_zones(mesh) if seen is None else np.where(seen.faces, face_zones(mesh), -1)
     chosen: list[Cells] = []
     for index, (label, count) in enumerate(allot(splats, zone, config)):
@@ -92,7 +92,7 @@ def _sample_surface(
     solid = rgba[:, 3] >= 0.5
     normals = surface.face_normals[which]
     if seen is not None:
-        solid &= seen.shows(points, normals, part_of, config.reach)
+        solid &= seen.is_visible(points, normals, part_of, config.reach)
     if not solid.any():
         return None
     points, which, bary, corners, rgba, part_of, normals, detail = (
@@ -106,7 +106,7 @@ def _sample_surface(
         share=1 / drawn,
         density=drawn * (1 + config.detail_boost * np.clip(detail / _BUSY, 0, 1)),
         layer=part_of.astype(np.float64),
-        corners=between(corners, bary, len(mesh.vertices)),
+        corners=barycentric_matrix(corners, bary, len(mesh.vertices)),
         skin=skin_of(mesh),
         area=float(surface.area * solid.mean()),
         faces=original[solid],
@@ -138,7 +138,7 @@ def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float6
         amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
         front = np.clip((mesh.vertices[:, 2] - head[2]) / 0.06, 0, 1)
         density *= 1 + (config.face_boost - 1) * amount * front
-    return np.asarray(density[mesh.faces].mean(axis=1)) * _eye_densities(mesh, config.eye_boost) * unfolded(mesh)
+    return np.asarray(density[mesh.faces].mean(axis=1)) * _eye_densities(mesh, config.eye_boost) * area_factors(mesh)
 
 
 def _eye_densities(mesh: RiggedMesh, boost: float) -> NDArray[np.float64]:

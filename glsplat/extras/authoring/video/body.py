@@ -1,8 +1,8 @@
-"""The open body fitted to many pictures of somebody who turns: some of them tell the shape, the others what is left.
+"""Fit the open body to many pictures of a turning person.
 
-All unknowns of thirty views at once would be thousands of numbers. So eight views from around are solved as one, and
-tell shape, pose and camera; each other view starts from the nearest one that is solved, with the shape held. Then the
-surface is dressed by all outlines, and every view is posed anew to the dressed one, whose outline clothes do not shift.
+Thirty views have thousands of unknowns. So eight views from around are solved jointly for shape, pose and camera; each
+other view starts from the nearest solved one, with the shape fixed. Then all outlines dress the surface, and every view
+is posed again to the dressed surface, whose outline clothes do not shift.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ __all__ = ["fit_turning", "key_views"]
 
 F64 = NDArray[np.float64]
 
-_KEYS = 8  # views that tell the shape
-_DRESSED = 2  # times that the views are posed to the dressed body and it is dressed anew
+_KEY_VIEWS = 8  # solved jointly
+_DRESSING_ROUNDS = 2  # of posing the views to the dressed body and dressing it again
 
 
-def key_views(turns: Sequence[float], count: int = _KEYS) -> list[int]:
-    """Numbers of at most ``count`` of the views with these turns in degrees that look from all around, front first."""
+def key_views(turns: Sequence[float], count: int = _KEY_VIEWS) -> list[int]:
+    """Return the indices of at most ``count`` views from all around, front first; ``turns`` in degrees."""
     keys: list[int] = []
     for wanted in np.arange(count) * 360.0 / count:
         best = min(range(len(turns)), key=lambda index: (apart(turns[index], float(wanted)), index))
@@ -54,13 +54,13 @@ def fit_turning(
     body: Body | None = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> BodyFit:
-    """Fit the open body to pictures of one person in about one pose, whose ``turn`` is known to some 20 degrees.
+    """Fit the open body to pictures of one person in about one pose, with ``turn`` known to some 20 degrees.
 
-    The camera stands still, or was carried around at one height. ``progress`` is told the share that is done. Raises
-    FormatError; a fit that did not converge says so in ``problem``.
+    The camera stands still or moves around at one height. ``progress`` is called with the fraction done. Raises
+    FormatError; ``problem`` of the fit reports that it did not converge.
     """
     if len(views) < 2:
-        raise FormatError("a fit of somebody who turns needs at least two pictures")
+        raise FormatError("a fit of a turning person needs at least two pictures")
     body = body or open_body()
     small = [view.smaller(FIGURE) for view in views]
     keys = key_views([view.turn for view in small])
@@ -73,20 +73,20 @@ def fit_turning(
     camera = float(np.median([first.camera_height(index) for index in range(len(keys))]))
     betas = first.betas.copy()
 
-    def keep(index: int, solver: BodySolver) -> None:
+    def store(index: int, solver: BodySolver) -> None:
         poses[index], angles[index], strays[index] = solver.posed(0), solver.angles(0).copy(), strays_of(solver)[0]
 
     others = [index for index in range(len(views)) if index not in poses]
     for done, index in enumerate(others):
-        near = min(poses, key=lambda known: (apart(small[known].turn, small[index].turn), known))
+        near = min(poses, key=lambda solved: (apart(small[solved].turn, small[index].turn), solved))
         solver = BodySolver(body, landmarks(), [small[index]], height, KnownShape(betas, angles[near], camera))
         converge(solver, 2)
-        keep(index, solver)
+        store(index, solver)
         progress(0.3 + 0.3 * done / len(others))
     bare, joints = body.shaped(betas)
     numbers = range(len(views))
     offsets = dressed(body, bare, [poses[index] for index in numbers], views)
-    for turn in range(_DRESSED):
+    for turn in range(_DRESSING_ROUNDS):
         moved = offsets[:, None] * outward(body, bare)
         about = np.median([angles[index] for index in numbers], axis=0)
         for index in numbers:
@@ -94,8 +94,8 @@ def fit_turning(
             solver.x[BETAS:] = np.concatenate([poses[index].place, angles[index]])
             solver.weigh_landmarks()
             follow_outlines(solver, 2, moved)
-            keep(index, solver)
-            progress(0.6 + 0.4 * (turn + index / len(views)) / _DRESSED)
+            store(index, solver)
+            progress(0.6 + 0.4 * (turn + index / len(views)) / _DRESSING_ROUNDS)
         offsets = dressed(body, bare, [poses[index] for index in numbers], views)
     rotations = [HINGES.rotations(angles[index]) for index in numbers]
     return assembled(

@@ -1,4 +1,4 @@
-"""Video files: all frames, or evenly spread sharp ones, upright, without trust in what its header says."""
+"""Read video files: all frames, or evenly spread sharp ones, upright; the header is not trusted."""
 
 from __future__ import annotations
 
@@ -15,66 +15,65 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.photo.photo_file import MOST_PIXELS, SIDE
 from glsplat.io.files import open_regular
 
-__all__ = ["FEWEST", "each_frame", "is_video", "read_frames"]
+__all__ = ["MIN_FRAMES", "each_frame", "is_video", "read_frames"]
 
-FEWEST = 8
+MIN_FRAMES = 8
 """Frames that a turn needs."""
-_MOST_BYTES = 4_000_000_000
-_MOST_FRAMES = 20_000  # five minutes at sixty a second
-_LOOKED_AT = 5  # frames of which the sharpest is taken
-_MIDDLE = 0.6  # share of the time from one frame to the next in which those lie
-_GREY = 360  # pixels of the shorter side that sharpness is judged by
-_SEE = "give an .mp4, .mov, .webm, .mkv or .avi, or picture files"
+_MAX_BYTES = 4_000_000_000
+_MAX_FRAMES = 20_000  # five minutes at 60 Hz
+_CANDIDATES = 5  # frames for each chosen one, the sharpest
+_CANDIDATE_SPAN = 0.6  # fraction of the interval that these cover
+_SHARPNESS_PX = 360  # shorter side at which sharpness is measured
+_HINT = "give an .mp4, .mov, .webm, .mkv or .avi, or picture files"
 
 
 def is_video(path: str | os.PathLike[str]) -> bool:
-    """Whether a file begins as a video does. Raises FormatError for what cannot be read."""
+    """Return True for a file with the signature of a video. Raises FormatError if it cannot be read."""
     with open_regular(Path(path)) as (file, _):
         head = file.read(64)
-    # playlists and other text that name further files or addresses are none
+    # playlists and other text that name further files or addresses are not accepted
     movie = head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
     return movie or head[:4] == b"\x1aE\xdf\xa3" or (head[:4] == b"RIFF" and head[8:12] == b"AVI ")
 
 
 def read_frames(path: str | os.PathLike[str], count: int) -> list[NDArray[np.uint8]]:
-    """At most ``count`` frames, RGB uint8 [H, W, 3], in order: of each stretch of the video the sharpest of a few.
+    """Return at most ``count`` frames, RGB uint8 [H, W, 3], in order: the sharpest of a few in each interval.
 
-    They are turned as the file says and at most SIDE pixels a side. Raises FormatError, one line that names the file.
+    Frames are upright and at most SIDE pixels a side. Raises FormatError, one line that names the file.
     """
     if not is_video(path):
-        raise FormatError(f"{path}: not a video; {_SEE}")
-    if os.path.getsize(path) > _MOST_BYTES:
-        raise FormatError(f"{path}: a video has at most {_MOST_BYTES // 10**9} GB here; cut out the turn")
+        raise FormatError(f"{path}: not a video; {_HINT}")
+    if os.path.getsize(path) > _MAX_BYTES:
+        raise FormatError(f"{path}: a video has at most {_MAX_BYTES // 10**9} GB here; cut out the turn")
     with _opened(path) as film:
-        told = film.get(cv2.CAP_PROP_FRAME_COUNT)
-        if not (np.isfinite(told) and FEWEST <= told <= _MOST_FRAMES):
-            told = _counted(film, path)
+        reported = film.get(cv2.CAP_PROP_FRAME_COUNT)
+        if not (np.isfinite(reported) and MIN_FRAMES <= reported <= _MAX_FRAMES):
+            reported = _counted(film, path)
     with _opened(path) as film:
-        frames, seen = _chosen(film, path, int(told), count)
-    if seen < told - max(2, 0.02 * told):  # the header promised more
+        frames, counted = _chosen(film, path, int(reported), count)
+    if counted < reported - max(2, 0.02 * reported):  # the header reports more than there is
         with _opened(path) as film:
-            frames, seen = _chosen(film, path, seen, count)
-    if seen < FEWEST:
-        raise FormatError(f"{path}: a video needs at least {FEWEST} frames, this has {seen}; film a whole turn")
+            frames, counted = _chosen(film, path, counted, count)
+    if counted < MIN_FRAMES:
+        raise FormatError(f"{path}: a video needs at least {MIN_FRAMES} frames, this has {counted}; film a whole turn")
     return frames
 
 
 def each_frame(path: str | os.PathLike[str]) -> Iterator[NDArray[np.uint8]]:
-    """All frames, RGB uint8 [H, W, 3], as they are. Raises FormatError for what is no video, or is cut off at once."""
+    """Yield all frames, RGB uint8 [H, W, 3], at full size. Raises FormatError if the first cannot be read."""
     with _opened(path) as film:
         read, picture = film.read()
         if not read or picture is None:
             raise FormatError(f"{path}: the video is damaged; its first frame cannot be read")
         while read and picture is not None:
-            if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
-                raise FormatError(f"{path}: frames of {picture.shape} are not pictures in colour of a usable size")
+            _check_shape(picture, path)
             yield np.ascontiguousarray(picture[..., ::-1])
             read, picture = film.read()
 
 
 @contextmanager
 def _opened(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once: what is wrong is said by us, in one line
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once; errors are reported here, in one line
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         film = cv2.VideoCapture(str(Path(path).absolute()), cv2.CAP_FFMPEG)
@@ -82,7 +81,7 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
         cv2.utils.logging.setLogLevel(level)
     try:
         if not film.isOpened():
-            raise FormatError(f"{path}: the video is damaged or of an unknown kind; {_SEE}")
+            raise FormatError(f"{path}: the video is damaged or of an unknown kind; {_HINT}")
         yield film
     finally:
         film.release()
@@ -92,45 +91,49 @@ def _counted(film: cv2.VideoCapture, path: str | os.PathLike[str]) -> int:
     count = 0
     while film.grab():
         count += 1
-        if count > _MOST_FRAMES:
-            raise FormatError(f"{path}: a video has at most {_MOST_FRAMES} frames here; cut out the turn")
+        if count > _MAX_FRAMES:
+            raise FormatError(f"{path}: a video has at most {_MAX_FRAMES} frames here; cut out the turn")
     return count
 
 
 def _chosen(
     film: cv2.VideoCapture, path: str | os.PathLike[str], total: int, count: int
 ) -> tuple[list[NDArray[np.uint8]], int]:
-    """The frames, and how many there are in the file (at most ``total``)."""
-    pace = max(total / count, 1.0)
-    wanted: dict[int, int] = {}  # number of a frame -> the stretch that it is looked at for
-    for stretch in range(min(count, total)):
-        middle, half = (stretch + 0.5) * pace - 0.5, _MIDDLE * pace / 2
-        for at in np.linspace(middle - half, middle + half, _LOOKED_AT):
-            wanted[min(max(round(float(at)), 0), total - 1)] = stretch
+    """Return the chosen frames and the number of frames in the file, at most ``total``."""
+    spacing = max(total / count, 1.0)
+    candidates: dict[int, int] = {}  # number of a frame -> its interval
+    for interval in range(min(count, total)):
+        middle, half = (interval + 0.5) * spacing - 0.5, _CANDIDATE_SPAN * spacing / 2
+        for at in np.linspace(middle - half, middle + half, _CANDIDATES):
+            candidates[min(max(round(float(at)), 0), total - 1)] = interval
     best: dict[int, tuple[float, NDArray[np.uint8]]] = {}
     for number in range(total):
         if not film.grab():
             return [best[key][1] for key in sorted(best)], number
-        if number in wanted:
+        if number in candidates:
             read, picture = film.retrieve()
             if not read or picture is None:
                 raise FormatError(f"{path}: frame {number} of the video is damaged; convert it to .mp4 anew")
-            if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
-                raise FormatError(f"{path}: frames of {picture.shape} are not pictures in colour of a usable size")
-            sharp, stretch = _sharpness(picture), wanted[number]
-            if stretch not in best or sharp > best[stretch][0]:
-                best[stretch] = sharp, _usable(picture)
+            _check_shape(picture, path)
+            sharp, interval = _sharpness(picture), candidates[number]
+            if interval not in best or sharp > best[interval][0]:
+                best[interval] = sharp, _limited(picture)
     return [best[key][1] for key in sorted(best)], total
 
 
+def _check_shape(picture: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
+        raise FormatError(f"{path}: frames of {picture.shape} are not pictures in colour of a usable size")
+
+
 def _sharpness(picture: NDArray[np.uint8]) -> float:
-    """Of frames of one scene the sharper has the larger number."""
-    scale = min(1.0, _GREY / min(picture.shape[:2]))
+    """Return the variance of the Laplacian: larger for sharper frames of one scene."""
+    scale = min(1.0, _SHARPNESS_PX / min(picture.shape[:2]))
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())
 
 
-def _usable(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _limited(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
     if max(height, width) > SIDE:
         scale = SIDE / max(height, width)

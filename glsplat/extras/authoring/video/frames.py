@@ -1,4 +1,4 @@
-"""The frames that will do: one person in each, whole, and seen from all around."""
+"""Check frames of a turn: one whole person in each, seen from all around."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glsplat.extras.authoring.check.sharpness import blur_of
 from glsplat.extras.authoring.fit.view import apart
 from glsplat.extras.authoring.networks.people import DetectedPerson
 from glsplat.extras.authoring.photo.photo_file import read_photo
-from glsplat.extras.authoring.video.film import FEWEST, is_video, read_frames
+from glsplat.extras.authoring.video.film import MIN_FRAMES, is_video, read_frames
 from glsplat.extras.authoring.video.turns import facing_as, facings
 
 __all__ = [
@@ -32,31 +32,31 @@ __all__ = [
 FrameSource = str | os.PathLike[str]
 """A video, or one of several picture files."""
 
-_WIDEST = 110.0  # degrees; a larger part of the person that no frame shows is a guess
-_FRONT = 35.0  # degrees from the front that the best front may be
+_MAX_GAP_DEG = 110.0  # of the turn without a frame; a larger part of the person would be a guess
+_MAX_FRONT_DEG = 35.0  # of the most frontal frame from the front
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of somebody who turns."""
+    """One picture of a turning person."""
 
     name: str
     """For messages: the file, or "frame 7"."""
     picture: NDArray[np.uint8]
     """RGB uint8 [H, W, 3]."""
     focal: float | None
-    """Pixels; None where nobody knows."""
+    """Pixels; None if unknown."""
     person: DetectedPerson
     mask: NDArray[np.bool_]
     """[H, W] true on the person."""
     blur: float
-    """0 sharp to 1 nothing but blur."""
+    """From 0, sharp, to 1, completely blurred."""
     turn: float = 0.0
     """Degrees that the person has turned to their own left from facing the camera."""
 
 
 class FramePicture(NamedTuple):
-    """A picture that may become a frame."""
+    """A candidate frame."""
 
     name: str
     rgb: NDArray[np.uint8]  # [H, W, 3] sRGB
@@ -71,7 +71,7 @@ class FramePictures(NamedTuple):
 
 
 class CheckedFrames(NamedTuple):
-    """The frames of a turn that will do."""
+    """The usable frames of a turn."""
 
     frames: Sequence[Frame]  # the most frontal first
     left_out: Sequence[str]  # a line for each that was left out
@@ -87,10 +87,10 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> FramePictures:
     if len(sources) == 1 and is_video(sources[0]):
         film = enumerate(read_frames(sources[0], count), 1)
         return FramePictures([FramePicture(f"frame {number}", rgb, None) for number, rgb in film], True)
-    if len(sources) < FEWEST:
+    if len(sources) < MIN_FRAMES:
         few = "neither a video nor several pictures" if len(sources) == 1 else f"only {len(sources)} pictures"
         raise FormatError(
-            f"{sources[0]}: {few}; give a video (.mp4, .mov, .webm, .mkv, .avi), or at least {FEWEST} pictures "
+            f"{sources[0]}: {few}; give a video (.mp4, .mov, .webm, .mkv, .avi), or at least {MIN_FRAMES} pictures "
             "from all around"
         )
     pictures: list[FramePicture] = []
@@ -109,57 +109,57 @@ def check_frames(
     anyway: bool = False,
     progress: Callable[[float], None] = lambda done: None,
 ) -> CheckedFrames:
-    """Return the frames that will do.
+    """Return the usable frames.
 
-    Raises CaptureError where too few are left, nobody turns, or nobody looks into the camera; ``anyway`` keeps frames
-    in which the check found faults, and goes on with a part of a turn.
+    Raises CaptureError for too few frames, or a turn with large gaps or without a front. ``anyway`` keeps frames in
+    which the check found faults, and accepts part of a turn.
     """
     frames: list[Frame] = []
     left_out: list[str] = []
     for index, (name, picture, focal) in enumerate(pictures):
         progress(index / len(pictures))
-        seen = check_capture(picture, None)
-        found = [finding for finding in seen.findings if not anyway or finding.code == "nobody"]
-        if seen.person is None or found:
+        capture = check_capture(picture, None)
+        found = [finding for finding in capture.findings if not anyway or finding.code == "nobody"]
+        if capture.person is None or found:
             left_out.append(f"{name} is left out: {found[0].text if found else 'nobody is found'}")
             continue
-        frames.append(Frame(name, picture, focal, seen.person, seen.mask, blur_of(picture, seen.mask)))
-    _enough(frames, left_out, len(pictures))
+        frames.append(Frame(name, picture, focal, capture.person, capture.mask, blur_of(picture, capture.mask)))
+    _check_count(frames, left_out, len(pictures))
     turns = facings([frame.person for frame in frames], in_order=in_order)
     frames = [
         replace(frame, turn=float(turn), person=facing_as(frame.picture, frame.person, float(turn)))
         for frame, turn in zip(frames, turns, strict=True)
     ]
     if not anyway:
-        _all_around(frames)
+        _check_turn(frames)
     best = min(range(len(frames)), key=lambda index: _frontal(frames[index]))
     return CheckedFrames([frames[best], *frames[:best], *frames[best + 1 :]], left_out)
 
 
-def _enough(frames: Sequence[Frame], left_out: Sequence[str], given: int) -> None:
-    if len(frames) >= FEWEST:
+def _check_count(frames: Sequence[Frame], left_out: Sequence[str], total: int) -> None:
+    if len(frames) >= MIN_FRAMES:
         return
     why = f"; {left_out[0]}" if left_out else ""
-    raise CaptureError(f"{len(frames)} of {given} frames will do, {FEWEST} are needed{why}")
+    raise CaptureError(f"{len(frames)} of {total} frames will do, {MIN_FRAMES} are needed{why}")
 
 
-def _all_around(frames: Sequence[Frame]) -> None:
-    """CaptureError for somebody who does not turn, or whom no frame shows from the front."""
+def _check_turn(frames: Sequence[Frame]) -> None:
+    """Raise CaptureError for a person who does not turn all around, or without a frame from the front."""
     turns = np.sort([frame.turn % 360 for frame in frames])
     gap = float(np.diff(turns, append=turns[0] + 360).max())
     if gap > 360 - 90:
         raise CaptureError(
             f"the person turns by {360 - gap:.0f} degrees only; let them turn on the spot once, all around"
         )
-    if gap > _WIDEST:
+    if gap > _MAX_GAP_DEG:
         raise CaptureError(
             f"no frame shows {gap:.0f} degrees of the turn; let the person turn on the spot once, evenly"
         )
     nearest = min(apart(frame.turn, 0.0) for frame in frames)
-    if nearest > _FRONT:
+    if nearest > _MAX_FRONT_DEG:
         raise CaptureError(f"no frame shows the front: the nearest is turned by {nearest:.0f} degrees")
 
 
 def _frontal(frame: Frame) -> float:
-    """What the best front has least of: turn, and a hidden or blurred face."""
+    """Return a cost, least for the best front: turn, a hidden face, blur."""
     return apart(frame.turn, 0.0) / 10 + 3 * (1 - frame.person.face.presence) + 4 * frame.blur

@@ -1,8 +1,8 @@
-"""Which way somebody faces in each of many pictures, from what the networks say of each and from their order.
+"""Estimate the facing direction in each of many pictures of a turning person.
 
-A network tells the turn of shoulders and hips to some ten degrees, and now and then takes a back for a front; the
-face's own network does not. Who turns on the spot goes on turning: of all even turns, to the left or to the right, that
-is taken which agrees with most frames (Viterbi's way through 72 directions).
+The body network measures the turn of shoulders and hips to about ten degrees, and sometimes mistakes a back for a
+front; the face network does not. A person turns evenly: of all even turns to the left or right, the one that agrees
+with most frames is chosen (Viterbi path through 72 directions).
 """
 
 from __future__ import annotations
@@ -23,37 +23,37 @@ __all__ = ["facing_as", "facings"]
 F64 = NDArray[np.float64]
 
 _DIRECTIONS = 72
-_DOUBT = 15.0  # degrees that the network is off
-_MOST = 16.0  # squared doubts; what is farther off is a mistake of any size
-_BACK_FOR_FRONT = 4.0  # squared doubts that this mistake costs
-_FACE, _FACELESS = 0.9, 0.2  # presence of a face that is seen, and of none
-_SHOWN, _HIDDEN = 110.0, 60.0  # degrees: a face is seen up to the one, and may be missing from the other on
-_AGAINST_FACE, _AGAINST_NONE = 9.0, 2.0  # squared doubts; hair hides faces
-_STEPS = np.concatenate([np.arange(-48.0, -2.9, 3.0), np.arange(3.0, 48.1, 3.0)])  # degrees a frame
-_UNEVEN = 0.5, 6.0  # share of a step, and degrees, that steps differ by
+_SIGMA_DEG = 15.0  # of the network's error; costs are squared errors in sigmas
+_MAX_COST = 16.0  # of an outlier of any size
+_FLIP_COST = 4.0  # of a back taken for a front
+_MIN_FACE, _MAX_FACELESS = 0.9, 0.2  # presence of a visible face, and of none
+_FACE_UP_TO_DEG, _FACELESS_FROM_DEG = 110.0, 60.0  # turns that show a face, and that may hide it
+_FACE_COST, _FACELESS_COST = 9.0, 2.0  # of a contradiction to these; hair hides faces
+_STEPS_DEG = np.concatenate([np.arange(-48.0, -2.9, 3.0), np.arange(3.0, 48.1, 3.0)])  # between frames
+_STEP_TOLERANCE = 0.5, 6.0  # sigma of steps: fraction of a step, plus degrees
 
 
 def facings(people: Sequence[DetectedPerson], *, in_order: bool) -> F64:
-    """[N] degrees, 0 to 360, that each person has turned to their own left from facing the camera.
+    """Return the turn of each person [N], 0 to 360 degrees to their own left from facing the camera.
 
     ``in_order``: the pictures follow each other in time, in steps of less than an eighth of a turn.
     """
     grid = np.arange(_DIRECTIONS) * 360.0 / _DIRECTIONS
     costs = np.stack([_costs(person, grid) for person in people])  # [N, 72]
     if in_order and len(people) > 2:
-        best = min((_way(costs, grid, float(step)) for step in _STEPS), key=lambda found: found[0])[1]
+        best = min((_path(costs, grid, float(step)) for step in _STEPS_DEG), key=lambda found: found[0])[1]
     else:
         best = costs.argmin(axis=1)
-    # within a grid's step of the way, as the network has it
-    told = np.array([_told(person) for person in people])
-    off = (told - grid[best] + 180) % 360 - 180
-    return np.asarray((grid[best] + np.clip(off, -_DOUBT, _DOUBT) / 2) % 360)
+    # pulled towards the measurements, at most half a sigma off the path
+    measured = np.array([_measured_turn(person) for person in people])
+    off = (measured - grid[best] + 180) % 360 - 180
+    return np.asarray((grid[best] + np.clip(off, -_SIGMA_DEG, _SIGMA_DEG) / 2) % 360)
 
 
 def facing_as(picture: NDArray[np.uint8], person: DetectedPerson, turn: float) -> DetectedPerson:
-    """The person as somebody who has turned by so many degrees: left and right put right, and the face found again."""
-    told = _told(person)
-    if apart(told, turn) <= apart(180.0 - told, turn) + _DOUBT:
+    """Return the person for a known turn, degrees: swaps left and right if they disagree, and finds the face again."""
+    measured = _measured_turn(person)
+    if apart(measured, turn) <= apart(180.0 - measured, turn) + _SIGMA_DEG:
         return person
     body = swapped(person.body)
     return DetectedPerson(
@@ -61,8 +61,8 @@ def facing_as(picture: NDArray[np.uint8], person: DetectedPerson, turn: float) -
     )
 
 
-def _told(person: DetectedPerson) -> float:
-    """Degrees: the middle of what shoulders and hips say."""
+def _measured_turn(person: DetectedPerson) -> float:
+    """Return the mean turn of shoulders and hips, degrees."""
     world = person.body.world
     across = np.zeros(2)
     for name in ("shoulder", "hip"):
@@ -72,29 +72,29 @@ def _told(person: DetectedPerson) -> float:
 
 
 def _costs(person: DetectedPerson, grid: F64) -> F64:
-    """[72] squared doubts that the person faces each way."""
-    told = _told(person)
-    off = np.minimum((apart(grid, told) / _DOUBT) ** 2, _MOST)
-    other = np.minimum((apart(grid, 180.0 - told) / _DOUBT) ** 2, _MOST) + _BACK_FOR_FRONT
+    """Return the cost [72] of each facing direction."""
+    measured = _measured_turn(person)
+    off = np.minimum((apart(grid, measured) / _SIGMA_DEG) ** 2, _MAX_COST)
+    other = np.minimum((apart(grid, 180.0 - measured) / _SIGMA_DEG) ** 2, _MAX_COST) + _FLIP_COST
     cost = np.minimum(off, other)
     front = apart(grid, 0.0)
-    if person.face.presence > _FACE:
-        cost = cost + _AGAINST_FACE * (front > _SHOWN)
-    elif person.face.presence < _FACELESS:
-        cost = cost + _AGAINST_NONE * (front < _HIDDEN)
+    if person.face.presence > _MIN_FACE:
+        cost = cost + _FACE_COST * (front > _FACE_UP_TO_DEG)
+    elif person.face.presence < _MAX_FACELESS:
+        cost = cost + _FACELESS_COST * (front < _FACELESS_FROM_DEG)
     return np.asarray(cost)
 
 
-def _way(costs: F64, grid: F64, step: float) -> tuple[float, NDArray[np.intp]]:
-    """The cheapest way [N] through the directions in steps of about ``step`` degrees, and what it costs."""
+def _path(costs: F64, grid: F64, step: float) -> tuple[float, NDArray[np.intp]]:
+    """Return the cost of the cheapest path through the directions, in steps of about ``step`` degrees, and the path."""
     change = (grid[None] - grid[:, None] - step + 180) % 360 - 180  # [from, to]
-    price = (change / (_UNEVEN[0] * abs(step) + _UNEVEN[1])) ** 2
+    price = (change / (_STEP_TOLERANCE[0] * abs(step) + _STEP_TOLERANCE[1])) ** 2
     total, back = costs[0], []
     for row in costs[1:]:
         sums = total[:, None] + price
         back.append(sums.argmin(axis=0))
         total = sums.min(axis=0) + row
-    way = [int(total.argmin())]
+    path = [int(total.argmin())]
     for row in reversed(back):
-        way.append(int(row[way[-1]]))
-    return float(total.min()), np.array(way[::-1], np.intp)
+        path.append(int(row[path[-1]]))
+    return float(total.min()), np.array(path[::-1], np.intp)

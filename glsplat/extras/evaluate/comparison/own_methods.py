@@ -63,8 +63,8 @@ class MeshVideo(_Own):
             made = from_video(participant.video, frames=count, options=options)
         else:
             made = from_pictures(self._drawn(participant, count), in_order=True, options=options)
-        assert isinstance(made.thing, RiggedMesh)
-        return made.thing
+        assert isinstance(made.content, RiggedMesh)
+        return made.content
 
     def _drawn(self, participant: Participant, count: int) -> list[FramePicture]:
         mesh = participant.mesh

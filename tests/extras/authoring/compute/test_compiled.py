@@ -79,7 +79,7 @@ def test_a_fit_comes_closer_and_is_the_same_again(monkeypatch: pytest.MonkeyPatc
     once, again = (fitted_to_mesh(start(), mesh(), 5, 60, lambda stage, _: told.append(stage)) for _ in range(2))
     assert kept(once) > kept(start()) + 3
     assert once.splats.means.tobytes() == again.splats.means.tobytes()
-    assert told[0] == "drawing what to fit to" and told[-1].startswith("fitting splats, error ")
+    assert told[0] == "drawing target pictures" and told[-1].startswith("fitting splats, error ")
 
 
 @pytest.mark.parametrize(("asked", "done"), [(STEPS, STEPS // 2), (7, 7)])

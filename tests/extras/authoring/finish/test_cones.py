@@ -1,4 +1,4 @@
-"""How much of a picture each splat makes is the same compiled and in numpy; cones that hide nothing are left out."""
+"""Each splat's share of a picture is the same compiled and in numpy; useless cones are dropped."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.finish.cones import _far_camera, _weigher, worth_cones
-from glsplat.extras.authoring.geometry.footprints import EPS2D
+from glsplat.extras.authoring.finish.cones import _far_camera, _weigher, without_useless_cones
 from glsplat.splats import Splats
 from tests.extras.authoring.optimize.figures import start
 from tests.extras.authoring.optimize.without import without_numba
@@ -17,16 +16,16 @@ from tests.scenes import cloud
 
 @pytest.fixture
 def scene() -> Splats:
-    """Of all opacities, some scales negative, which means nothing; in no order."""
+    """Return unordered splats of all opacities, some with negative scales."""
     splats = cloud(1500, spread=0.3)
     sign = np.random.default_rng(4).choice([-1, 1], (1500, 3))
     return replace(splats, scales=splats.scales * sign, antialias=True)  # cones are made without
 
 
-def test_weights_are_those_of_numpy(scene: Splats, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled = _weigher(len(scene), EPS2D)
+def test_weights_equal_numpy(scene: Splats, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled = _weigher(len(scene))
     without_numba(monkeypatch)
-    computed = _weigher(len(scene), EPS2D)
+    computed = _weigher(len(scene))
     for direction in ((0.0, 0, 1), (0.6, 0, -0.8), (0, 0.8, 0.6)):
         camera = _far_camera(scene, np.array(direction), 160)
         found, expected = compiled(scene, camera), computed(scene, camera)
@@ -36,9 +35,9 @@ def test_weights_are_those_of_numpy(scene: Splats, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("hiding", [0.0, 0.01, 0.5])
-def test_cones_that_hide_hardly_anything_are_left_out(hiding: float) -> None:
+def test_cones_that_hide_hardly_any_splat_are_dropped(hiding: float) -> None:
     avatar = start()
     cones = np.tile(np.array([0, 0, 127, -127], np.int8), (len(avatar.splats), 1))
     cones[: round(hiding * len(cones)), 3] = 0
-    kept = worth_cones(replace(avatar, splats=replace(avatar.splats, cones=cones, cones_psnr=50.0))).splats
+    kept = without_useless_cones(replace(avatar, splats=replace(avatar.splats, cones=cones, cones_psnr=50.0))).splats
     assert (kept.cones is None, kept.cones_psnr) == ((False, 50.0) if hiding > 0.1 else (True, None))

@@ -1,4 +1,4 @@
-"""Fewer splats fitted to pictures of more: closer to them than merging alone, the same for the same seed."""
+"""Fits of fewer splats to pictures of more: better than merging alone, deterministic."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def finest() -> Avatar:
 
 
 def apart(avatar: Avatar, other: Avatar) -> float:
-    """Mean square over pictures of views that no fit draws, at the size of one."""
+    """Return the mean squared error over views that no fit draws, at the size of the fit."""
     total = 0.0
     for eye in ((0, 1, 1.5), (1.3, 1.5, -0.4), (-0.6, 0.4, 1.0)):
         camera = Camera(look_at(eye, (0, 1, 0)), pinhole(56, 56, 30), 56, 56)
@@ -49,7 +49,7 @@ def test_levels_grow_fewer(finest: Avatar) -> None:
     assert fitted_levels(finest, [], config=QUICK) == ()
 
 
-def test_levels_and_cones_are_left_out(finest: Avatar) -> None:
+def test_levels_and_cones_are_dropped(finest: Avatar) -> None:
     coarse = Level(merged(finest, 100), 50.0)
     coned = replace(finest.splats, cones=np.full((900, 4), 127, np.int8), cones_psnr=45.0)
     small = reduced(replace(finest, splats=coned, levels=(coarse,)), 250, config=QUICK)

@@ -1,4 +1,4 @@
-"""Levels of detail are measured: what counts of a picture, and up to which density a level stands in."""
+"""Measures of levels of detail: PSNR of pictures, and the density up to which a level is used."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.camera import Camera, pinhole
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.finish.level_measure import MeasureConfig, difference, measured
+from glsplat.extras.authoring.finish.level_measure import MeasureConfig, box_psnr, measured
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.renderer.levels import Proxy
@@ -20,21 +20,21 @@ pytestmark = [pytest.mark.usefixtures("gl"), pytest.mark.gl]
 QUICK = MeasureConfig(directions=2, inside=1, size=160)
 
 
-def test_the_box_counts_and_not_the_background() -> None:
+def test_psnr_is_over_the_covered_box() -> None:
     picture = np.zeros((100, 100, 4), np.float32)
     picture[40:50, 40:60] = 1
     other = picture.copy()
     other[40:50, 40:60, :3] = 0.9
-    assert difference(picture, other) == pytest.approx(20, abs=1e-4)
-    assert difference(picture, picture) == 120
-    assert difference(np.zeros_like(picture), np.zeros_like(picture)) == 120
+    assert box_psnr(picture, other) == pytest.approx(20, abs=1e-4)
+    assert box_psnr(picture, picture) == 120
+    assert box_psnr(np.zeros_like(picture), np.zeros_like(picture)) == 120
     gone = np.zeros_like(picture)
     gone[40:50, 40:50] = picture[40:50, 40:50]
-    assert difference(picture, gone) == pytest.approx(-10 * np.log10(0.5), abs=1e-4)  # the box is that of both
+    assert box_psnr(picture, gone) == pytest.approx(-10 * np.log10(0.5), abs=1e-4)  # the box is that of both
 
 
-def test_what_is_measured_is_what_the_renderer_shows(context: Context) -> None:
-    """A picture of another size and place, at the density that was found, keeps what was promised, give or take."""
+def test_the_measured_psnr_holds_in_the_renderer(context: Context) -> None:
+    """A picture from elsewhere, at the measured density, keeps about the measured PSNR."""
     finest = cloud(600, spread=0.3)
     blurred = replace(finest.take(np.arange(599)), scales=finest.scales[:599] * np.float32(1.06))
     (level,) = measured(finest, [blurred], replace(QUICK, psnr=34, size=400), context=context)
@@ -49,10 +49,10 @@ def test_what_is_measured_is_what_the_renderer_shows(context: Context) -> None:
     for scene in (finest, blurred):
         with Renderer(scene, size=(300, 300), context=context) as renderer:
             pictures.append(renderer.render([camera])[0].astype(np.float32) / 255)
-    assert difference(*pictures) > 33
+    assert box_psnr(*pictures) > 33
 
 
-def test_a_level_as_good_as_a_finer_one_takes_its_place(context: Context) -> None:
+def test_a_level_as_good_as_a_finer_one_replaces_it(context: Context) -> None:
     base = limb(300)
     opacities = base.splats.opacities.copy()
     opacities[100:] = 0
@@ -75,7 +75,7 @@ def test_nothing_to_measure(context: Context) -> None:
     assert measured(cloud(50), [], QUICK, context=context) == ()
 
 
-def test_black_on_black_is_seen_before_grey() -> None:
+def test_black_splats_differ_before_grey() -> None:
     picture = np.zeros((8, 8, 4), np.float32)
     picture[..., 3] = 1
-    assert difference(picture, 0 * picture) == pytest.approx(-10 * np.log10(0.25), abs=1e-4)
+    assert box_psnr(picture, 0 * picture) == pytest.approx(-10 * np.log10(0.25), abs=1e-4)

@@ -1,4 +1,4 @@
-"""Fewer splats merged from many: moments, what is kept apart, rigs, and pictures."""
+"""Merges of splats: moments, costs, rigs, pictures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def discs(means: Sequence[Sequence[float]], rgb: Sequence[Sequence[float]], size
 
 
 def test_moments_of_the_whole_are_kept() -> None:
-    """Mean and covariance, weighted with opacity times area, are those of the many: by hand for two splats."""
+    """Mean and covariance, weighted by opacity times area, of two splats, computed by hand."""
     two = Splats.create(
         [[-1.0, 0, 0], [1, 0, 0]], [[1.0, 0, 0, 0]] * 2, [[0.1, 0.2, 0.3]] * 2, [0.2, 0.2], rgb=[[1, 0, 0], [0, 0, 1]]
     )
@@ -46,7 +46,7 @@ def test_areas_of_known_ellipsoids() -> None:
     np.testing.assert_allclose(area_of(np.array([[2.0, 2, 0]])), 2, rtol=0.01)  # a disc, half of it in the mean
 
 
-def test_what_opacity_is_missing_makes_a_splat_larger_in_its_plane() -> None:
+def test_excess_opacity_enlarges_a_splat_in_its_plane() -> None:
     much = Splats.create([[0, 0, 0]], [[1, 0, 0, 0]], [[0.4, 0.3, 0.01]], [3.88], rgb=[[1, 1, 1]])
     done = covered(much, Cover(grow=1.0))
     np.testing.assert_allclose(done.opacities, [0.97])
@@ -56,7 +56,7 @@ def test_what_opacity_is_missing_makes_a_splat_larger_in_its_plane() -> None:
     np.testing.assert_allclose(little.scales, much.scales)
 
 
-def test_one_colour_is_merged_before_two_are() -> None:
+def test_equal_colours_are_merged_first() -> None:
     red, blue = [1, 0, 0], [0, 0, 1]
     few = merged(discs([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], [red, red, blue, blue]), 2)
     np.testing.assert_allclose(sorted(few.means[:, 0]), [0.5, 2.5], atol=1e-6)
@@ -69,7 +69,7 @@ def test_the_sides_of_a_thin_sheet_stay_apart() -> None:
     np.testing.assert_allclose(sorted(few.means[:, 2]), [0, 0.7], atol=1e-6)
 
 
-def test_an_avatar_keeps_its_rig_and_bad_splats_are_left_out() -> None:
+def test_an_avatar_keeps_its_rig_and_bad_splats_are_dropped() -> None:
     avatar = limb(600)
     means = avatar.splats.means.copy()
     means[0] = np.nan
@@ -91,7 +91,7 @@ def test_any_count_is_reached() -> None:
     assert len(merged(heap, 7)) == 7  # all costs are equal
 
 
-def test_what_cannot_be_merged() -> None:
+def test_errors() -> None:
     for counts in ([], [0], [5, 5], [5, 9]):
         with pytest.raises(GlsplatError, match="falling numbers"):
             merged_levels(cloud(20), counts)
@@ -103,13 +103,13 @@ def test_what_cannot_be_merged() -> None:
 
 @pytest.mark.usefixtures("gl")
 @pytest.mark.gl
-def test_levels_are_measured_and_replace_those_that_are_there(context: Context) -> None:
+def test_levels_are_measured_and_replace_old_ones(context: Context) -> None:
     scene = replace(cloud(400, spread=0.2), antialias=True)
     config = MeasureConfig(psnr=24, directions=2, inside=0, size=96)
     stages: list[str] = []
     made = with_merged_levels(scene, [200, 100], config, lambda stage, done: stages.append(stage), context)
     assert made.levels and all(level.psnr is not None and level.psnr >= 24 for level in made.levels)
-    assert {"merging splats", "matching what levels cover", "measuring levels"} == set(stages)
+    assert {"merging splats", "matching the coverage of levels", "measuring levels"} == set(stages)
     again = with_merged_levels(made, [200, 100], config, context=context)
     assert [level.density for level in again.levels] == [level.density for level in made.levels]
     with pytest.raises(GlsplatError, match="fewer splats than the finest, which has 400"):

@@ -16,7 +16,7 @@ from glsplat.extras.authoring.fit.face import face_turn
 from glsplat.extras.authoring.fit.hands import hand_size
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import find_person
-from glsplat.extras.authoring.reconstruct.builtin import PHONE
+from glsplat.extras.authoring.reconstruct.builtin import PHONE_FOCAL_FACTOR
 from glsplat.extras.authoring.segment.mask import person_mask
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -36,7 +36,7 @@ def test_a_photograph(shared_data: Path, name: str) -> None:
         return
     assert not shot.capture.refused
     assert ("face" in [finding.code for finding in findings]) == (name == "11.jpg"), findings
-    body, focal = shot.capture.person.body, PHONE * max(shot.photo.picture.shape[:2])
+    body, focal = shot.capture.person.body, PHONE_FOCAL_FACTOR * max(shot.photo.picture.shape[:2])
     face = face_turn(open_body(), shot.capture.person.face, focal, shot.photo.picture.shape[1] / 2)
     fit = fit_body([View(shot.capture.mask, body.points, body.visible, focal, world=body.world, face=face)])
     assert fit.problem == "" and fit.views[0].overlap > 0.88

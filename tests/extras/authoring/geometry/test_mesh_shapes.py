@@ -1,4 +1,4 @@
-"""Shapes of splats made on a mesh with expressions, and carried over to fewer splats."""
+"""Shapes of splats from a mesh with expressions, and their transfer to other splats."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones
-from glsplat.extras.authoring.geometry.attribute_transfer import carried
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
 from glsplat.extras.authoring.geometry.mesh_shapes import body_morphs, with_shapes
 from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.authoring.optimize.refine import RefineConfig, refine
@@ -59,7 +59,7 @@ def discs(count: int = 400, seed: int = 1) -> Avatar:
     return Avatar(splats, mesh.skeleton, Skin(np.zeros((count, 1), int), np.ones((count, 1))))
 
 
-def test_splats_go_and_bend_as_the_mesh_does() -> None:
+def test_splats_move_and_bend_with_the_mesh() -> None:
     """A linear map of the plane, which triangles follow exactly."""
     linear = np.array([[1.3, 0.4, 0], [-0.1, 0.8, 0], [0.2, -0.3, 1]])
     mesh = sheet()
@@ -78,7 +78,7 @@ def test_splats_go_and_bend_as_the_mesh_does() -> None:
     assert np.abs(got @ got.transpose(0, 2, 1) - sigma @ sigma.transpose(0, 2, 1)).max() < 0.06 * 0.02**2
 
 
-def test_what_hardly_moves_and_what_is_far_is_left_out() -> None:
+def test_small_moves_and_distant_splats_are_dropped() -> None:
     mesh = sheet()
     little = np.zeros_like(mesh.vertices)
     little[:, 2] = 5e-5
@@ -90,7 +90,7 @@ def test_what_hardly_moves_and_what_is_far_is_left_out() -> None:
     assert len(with_shapes(away, sheet({"jawOpen": half})).shapes.targets) == 0  # type: ignore[union-attr]
 
 
-def test_cones_of_a_still_face_are_left_out_and_levels_have_shapes() -> None:
+def test_cones_of_a_still_face_are_dropped_and_levels_get_shapes() -> None:
     avatar = discs()
     cones = np.tile(np.int8([0, 0, 127, 0]), (len(avatar.splats), 1))
     avatar = replace(avatar, splats=replace(avatar.splats, cones=cones), levels=(Level(discs(60), 100.0),))
@@ -99,7 +99,7 @@ def test_cones_of_a_still_face_are_left_out_and_levels_have_shapes() -> None:
     assert made.levels[0].content.shapes is not None and len(made.levels[0].content.shapes.targets) == 60
 
 
-def test_shapes_follow_splats_that_were_turned_and_moved() -> None:
+def test_shapes_transfer_to_turned_and_moved_splats() -> None:
     linear = np.array([[1.2, 0.3, 0], [0.0, 0.9, 0], [0.3, -0.2, 1]])
     mesh = sheet()
     face = sheet({"jawOpen": mesh.vertices @ (linear - np.eye(3)).T})
@@ -109,7 +109,7 @@ def test_shapes_follow_splats_that_were_turned_and_moved() -> None:
     splats = replace(after.splats, quats=turned, means=moved)
     wanted = with_shapes(replace(after, splats=splats), face).shapes
     assert before.shapes is not None and wanted is not None
-    found = carried(before.shapes, before.splats, splats)
+    found = transferred_shapes(before.shapes, before.splats, splats)
     one, other = (reference.expressed(splats, shapes, np.ones(1)) for shapes in (found, wanted))
     assert np.abs(one.means - other.means).max() < 2e-3  # the gradient is rounded to 0.024
     assert np.abs(one.shapes - other.shapes).max() < 0.06 * 0.02
@@ -127,7 +127,7 @@ def body_file(path: Path, **changes: Any) -> Path:
     return path
 
 
-def test_a_body_brings_its_expressions(tmp_path: Path) -> None:
+def test_a_body_file_has_expressions(tmp_path: Path) -> None:
     morphs = read_body(body_file(tmp_path / "body.npz")).morphs
     assert morphs is not None and morphs.names == ("jawOpen", "cheekPuff") and morphs.vertices.tolist() == [5, 6, 7]
 
@@ -145,7 +145,7 @@ def test_a_body_brings_its_expressions(tmp_path: Path) -> None:
         {"expr_names": np.array(["a", "a"])},
     ],
 )
-def test_a_body_whose_expressions_lie_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
+def test_invalid_expressions_of_a_body_are_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
     path = body_file(tmp_path / "body.npz", **changes)
     with pytest.raises(FormatError) as caught:
         read_body(path)
@@ -180,7 +180,7 @@ def test_cones_hide_nothing_that_a_face_moves_or_uncovers() -> None:
 
 
 @pytest.mark.check
-def test_the_fit_without_compiled_loops_carries_shapes_and_surface() -> None:
+def test_the_fit_without_numba_transfers_shapes_and_surface() -> None:
     mesh = rigged(ball(0.3))
     moves = np.zeros_like(mesh.vertices)
     moves[:, 2] = 0.4 * (mesh.vertices[:, 1] - mesh.vertices[:, 1].mean())

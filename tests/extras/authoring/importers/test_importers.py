@@ -1,4 +1,4 @@
-"""Avatars from elsewhere: LHM dumps, splats bound to a mesh, rigged glTF; and posed exports."""
+"""Imports of LHM dumps, splats bound to a mesh, rigged glTF; and posed exports."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ LEFT_HIP = JOINT_NAMES.index("left_hip")
 
 
 def dump(rng, n=20, **changes):
-    """Splats of which the first half rides the left hip, which the canonical pose turns by 20 degrees."""
+    """Return splats of which the first half is bound to the left hip, turned by 20 degrees in the canonical pose."""
     joints = rng.normal(0, 0.3, (55, 3))
     turn = Rotation.from_euler("z", -20, degrees=True).as_matrix()
     transform = np.tile(np.eye(4), (55, 1, 1))
@@ -141,7 +141,7 @@ def test_posed_splats_look_like_the_posed_avatar(rng, degree):
     assert static == pytest.approx(skinned, abs=2e-5)
 
 
-def test_no_points_have_no_places() -> None:
+def test_no_points_have_no_nearest_ones() -> None:
     triangle, faces = np.eye(3), np.array([[0, 1, 2]])
     at, far, face, bary = nearest_on(triangle, faces, np.zeros((0, 3)))
     assert [len(one) for one in (at, far, face, bary)] == [0] * 4

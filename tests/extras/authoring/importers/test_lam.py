@@ -1,4 +1,4 @@
-"""LAM zips: splats that ride the vertices of a skinned mesh."""
+"""LAM zips: splats attached to the vertices of a skinned mesh."""
 
 import json
 import tracemalloc
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.importers import lam
-from glsplat.extras.authoring.importers.lam import FOLLOW, is_lam_zip, load_lam_zip, read_lam_zip
+from glsplat.extras.authoring.importers.lam import FOLLOW_MODES, is_lam_zip, load_lam_zip
 from glsplat.formats.gltf import morphs
 from glsplat.formats.ply import save_ply
 from glsplat.splats import SH_C0, Splats
@@ -78,7 +78,7 @@ def offsets(rng) -> Splats:
 
 @pytest.fixture
 def packed(tmp_path, offsets):
-    """Writes a zip; changes replace members by name, None leaves one out."""
+    """Return a function that writes a zip; changes replace members by name, None drops one."""
 
     def write(changes=None, folder="", splats=None, extra=()):
         save_ply(splats or offsets, tmp_path / "offset.ply")
@@ -101,8 +101,8 @@ def packed(tmp_path, offsets):
     return write
 
 
-def test_splat_i_rides_vertex_i(packed, offsets):
-    """vertex_order.json is a permutation and means nothing here."""
+def test_splat_i_belongs_to_vertex_i(packed, offsets):
+    """vertex_order.json is a permutation and is not read."""
     avatar = load_lam_zip(packed(folder="arkitWithBSData/"))
     assert avatar.splats.means == pytest.approx(VERTICES + offsets.means, abs=1e-6)
     assert avatar.skin.dense(2) == pytest.approx(WEIGHTS, abs=1e-6)
@@ -114,7 +114,7 @@ def test_splat_i_rides_vertex_i(packed, offsets):
     assert avatar.meta["source"] == "LAM, lam.zip"
 
 
-def test_all_splats_follow_the_head_where_asked(packed, offsets):
+def test_follow_head_binds_all_splats_to_the_head(packed, offsets):
     avatar = load_lam_zip(packed(), follow="head")
     assert avatar.skin.dense(2).tolist() == [[0, 1]] * 4
     assert avatar.splats.means == pytest.approx(VERTICES + offsets.means, abs=1e-6)
@@ -123,23 +123,24 @@ def test_all_splats_follow_the_head_where_asked(packed, offsets):
     refused(packed({"skin.glb": skin}), 'no joint called "head"', follow="head")
 
 
-def test_morph_targets_are_kept(packed):
-    morphs = read_lam_zip(packed()).morphs
-    assert morphs.names == ("mouthSmileLeft", "eyeBlinkLeft") and len(morphs) == 2
-    assert morphs.starts.tolist() == [0, 2, 3] and morphs.vertices.tolist() == [1, 3, 2]
-    assert morphs.offsets == pytest.approx(np.array([*SMILE.values(), BLINK[2]]), abs=1e-9)
+def test_morph_targets_become_shapes(packed):
+    shapes = load_lam_zip(packed()).shapes
+    assert shapes.names == ("mouthSmileLeft", "eyeBlinkLeft")
+    assert shapes.rows.tolist() == [1, 2, 3] and shapes.targets.tolist() == [0, 1, 0]
+    assert shapes.metres == pytest.approx(np.array([SMILE[1], BLINK[2], SMILE[3]]), abs=1e-6)
+    assert not shapes.bends.any()
 
     def unnamed(document):
         document["meshes"][0]["extras"] = {"targetNames": ["one"]}
         document["meshes"][0]["primitives"][0]["targets"].append({"NORMAL": 4})
 
-    again = read_lam_zip(packed({"skin.glb": skin_glb(unnamed)})).morphs
-    assert again.names == ("target_0", "target_1", "target_2") and again.starts.tolist() == [0, 2, 3, 3]
+    again = load_lam_zip(packed({"skin.glb": skin_glb(unnamed)})).shapes
+    assert again.names == ("target_0", "target_1", "target_2") and again.targets.tolist() == [0, 1, 0]
 
     def none(document):
         del document["meshes"][0]["primitives"][0]["targets"], document["meshes"][0]["extras"]
 
-    assert read_lam_zip(packed({"skin.glb": skin_glb(none)})).morphs.starts.tolist() == [0]
+    assert load_lam_zip(packed({"skin.glb": skin_glb(none)})).shapes is None
 
 
 def sparse(**values):
@@ -175,7 +176,7 @@ def test_hostile_morph_targets(packed, change, words):
 
 
 def test_shared_offsets_stay_bounded(packed, monkeypatch):
-    """Targets may name one accessor many times: what comes of it is bounded, not only what is read."""
+    """Targets may name one accessor many times: their total is bounded too."""
     monkeypatch.setattr(morphs, "_MAX_ROWS", 100)
 
     def shared(document):
@@ -233,7 +234,7 @@ def test_hostile_zips(packed, tmp_path, monkeypatch):
 
     bomb = packed({"skin.glb": b" " * ((1 << 20) + 1)})
     assert bomb.stat().st_size < 1 << 14
-    monkeypatch.setitem(lam._MEMBERS, "skin.glb", 1 << 20)
+    monkeypatch.setitem(lam._MAX_MEMBER_BYTES, "skin.glb", 1 << 20)
     monkeypatch.setattr(zipfile.ZipFile, "read", lambda *_: pytest.fail("unpacked"))
     refused(bomb, "skin.glb", "1 MiB")
     monkeypatch.undo()
@@ -283,8 +284,8 @@ def test_mutated_members(packed, data):
     path = packed(changes)
     tracemalloc.start()
     try:
-        head = read_lam_zip(path, follow=data.draw(st.sampled_from(FOLLOW)))
-        assert int(head.morphs.vertices.max(initial=0)) < max(len(head.avatar.splats), 1)
+        avatar = load_lam_zip(path, follow=data.draw(st.sampled_from(FOLLOW_MODES)))
+        assert avatar.shapes is None or avatar.shapes.splats == len(avatar.splats)
     except FormatError as error:
         assert str(error).startswith(f"{path}: ") and "\n" not in str(error) and "glsplat-" not in str(error)
     finally:

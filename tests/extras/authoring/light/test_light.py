@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.attribute_transfer import surface_carried
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_surface
 from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
 from glsplat.extras.authoring.light.captured_light import CapturedLight, with_captured_light
 from glsplat.extras.authoring.light.cloth_normals import cloth_normals
@@ -68,14 +68,14 @@ def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
     splats = cloud(50)
     moved = replace(splats, means=splats.means + 1e-4)
     surface = random_surface(50)
-    found = surface_carried(surface, splats, moved)
+    found = transferred_surface(surface, splats, moved)
     assert found is not None and np.abs(found.units - surface.units).max() < 0.02
     assert np.array_equal(found.occlusion, surface.occlusion)
     means = np.array(splats.means)
     means[3] = np.nan
-    hurt = surface_carried(surface, replace(splats, means=means), moved)
+    hurt = transferred_surface(surface, replace(splats, means=means), moved)
     assert hurt is not None and len(hurt) == 50 and np.isfinite(hurt.units).all()
-    assert surface_carried(None, splats, moved) is None
+    assert transferred_surface(None, splats, moved) is None
 
 
 def test_colours_that_no_photograph_gave_hold_no_light() -> None:

@@ -1,4 +1,4 @@
-"""A ball to fit splats to, and how far apart pictures are."""
+"""A ball to fit splats to, and the PSNR of pictures of it."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tests.extras.authoring.sample.test_surface import ball, rigged
 __all__ = ["HELD_OUT", "camera_at", "decibel", "kept", "mesh", "start"]
 
 HELD_OUT = ((0.0, 1.0, 1.5), (1.3, 1.5, -0.4), (-0.6, 0.4, 1.0))
-"""Places that no picture is taken from."""
+"""Camera positions that no fit uses."""
 
 
 @cache
 def mesh() -> RiggedMesh:
-    """A ball on two joints in colours that change all over it, and are the same at both ends of the texture."""
+    """Return a ball on two joints in smooth colours that continue across the seam of the texture."""
     v, u = np.mgrid[:64, :64] / 64
     texture = np.full((64, 64, 4), 255, np.uint8)
     texture[..., 0] = 40 + 180 * v
@@ -36,22 +36,22 @@ def mesh() -> RiggedMesh:
 
 @cache
 def start(splats: int = 400) -> Avatar:
-    """Splats on it that nothing was fitted to."""
+    """Return splats on the ball before any fit."""
     return make_avatar(mesh(), splats, 3, SamplerConfig(probe=128))
 
 
 def camera_at(eye: tuple[float, float, float], size: int = 80) -> Camera:
-    """Looks at the ball from there."""
+    """Return a camera that looks at the ball."""
     return Camera(look_at(eye, (0, 1, 0)), pinhole(size, size, 30), size, size)
 
 
 def decibel(picture: NDArray[np.floating], other: NDArray[np.floating]) -> float:
-    """PSNR."""
+    """Return the PSNR, dB."""
     return float(-10 * np.log10(max(((picture.astype(np.float64) - other) ** 2).mean(), 1e-30)))
 
 
 def kept(avatar: Avatar, pose: Pose | None = None) -> float:
-    """PSNR of the avatar against the ball from the places that no picture is taken from."""
+    """Return the PSNR of the avatar against the ball from positions that no fit uses."""
     pose = pose or Pose.zero(2)
     splats, vertices = posed_splats(avatar, pose), mesh().posed(pose)
     cameras = [camera_at(eye) for eye in HELD_OUT]

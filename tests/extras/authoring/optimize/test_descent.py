@@ -1,4 +1,4 @@
-"""What a descent changes: splats of their numbers, Adam's steps, and the bounds."""
+"""Descent: splats composed of parameters, steps of Adam, bounds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def gradients_of(rng: np.random.Generator) -> np.ndarray:
 
 
 class State:
-    """What ``descent.step`` changes."""
+    """The state that ``descent.step`` changes."""
 
     parts: tuple[tuple[int, int], ...] = ((0, COUNT),)
 
@@ -49,7 +49,7 @@ class State:
             descent.step(first, last, gradients, *changed, self.cells, RATES * decay, SHRINK * shrink, bounds)
 
 
-def test_splats_are_composed_of_their_numbers(rng: np.random.Generator, values: np.ndarray) -> None:
+def test_splats_are_composed_of_their_parameters(rng: np.random.Generator, values: np.ndarray) -> None:
     means, logs, cells = rng.normal(size=(COUNT, 3)), rng.normal(-3, 1, (COUNT, 3)), rng.uniform(0.01, 0.1, COUNT)
     turned = Rotation.random(COUNT, rng=rng)
     placed = tuple(np.zeros((COUNT, *shape)) for shape in ((3,), (3, 3), (3,), (), (3,)))
@@ -82,7 +82,7 @@ def test_steps_are_those_of_adam(rng: np.random.Generator, values: np.ndarray) -
     assert (np.abs(state.values - values)[~unseen] > 1e-3).mean() > 0.9
 
 
-def test_scales_shrink_of_themselves_where_that_is_asked_for(rng: np.random.Generator, values: np.ndarray) -> None:
+def test_decoupled_decay_shrinks_scales(rng: np.random.Generator, values: np.ndarray) -> None:
     plain, thrifty = State(values), State(values)
     gradients = gradients_of(rng)
     plain.step(gradients, decay=0.5)

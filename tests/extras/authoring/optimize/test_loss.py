@@ -1,4 +1,4 @@
-"""The loss goes down where its slope says, by another SSIM's measure."""
+"""The slope of the loss against finite differences and another implementation of SSIM."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SHARE = 0.7
 
 @pytest.fixture
 def pair() -> tuple[np.ndarray, np.ndarray]:
-    """A picture, and what it should look like."""
+    """Return a picture and its target."""
     rng = np.random.default_rng(1)
     target = gaussian_filter(rng.normal(0.5, 1.5, (40, 52, 4)), (2, 2, 0)).clip(0, 1) * 255
     missed = gaussian_filter(rng.normal(0, 0.6, target.shape), (1.5, 1.5, 0))
@@ -60,14 +60,14 @@ def test_the_slope_is_that_of_finite_differences(
 
 
 @pytest.mark.parametrize("structure", [0.0, 0.03])
-def test_what_is_wrong(pair: tuple[np.ndarray, np.ndarray], structure: float) -> None:
+def test_errors(pair: tuple[np.ndarray, np.ndarray], structure: float) -> None:
     picture, target = pair
     found, missed = loss_of(picture, target, SHARE, structure), picture - target / 255
     assert found.squares == pytest.approx((missed**2).mean(), rel=1e-5)
     np.testing.assert_allclose(found.error, np.abs(missed).sum(axis=2), atol=1e-5)
 
 
-def test_nothing_is_asked_where_nobody_is_trusted_to_be(pair: tuple[np.ndarray, np.ndarray]) -> None:
+def test_untrusted_pixels_have_no_slope(pair: tuple[np.ndarray, np.ndarray]) -> None:
     trust = np.zeros((40, 52), np.float32)
     trust[10:20] = 1
     slope = loss_of(*pair, SHARE, 0.03, trust).slope

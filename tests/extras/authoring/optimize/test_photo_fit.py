@@ -1,4 +1,4 @@
-"""Splats fitted to the photographs they were made from, and elsewhere to the painted body."""
+"""Fits of splats to their photographs, and elsewhere to the painted body."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def painted(scene: Scene) -> tuple[Avatar, Colours]:
-    """The avatar as it is painted, and what paints it."""
+    """Return the painted avatar and the colours."""
     rng = np.random.default_rng(0)
     strewn = scatter(scene.mesh, 4000, rng)
     painter = painter_of(scene.body, scene.shots, strewn.points)
@@ -51,7 +51,7 @@ def drawn(avatar: Avatar, picture: Any) -> np.ndarray:
 
 
 def missed(avatar: Avatar, picture: Any) -> float:
-    """Root of the mean squared error where the photograph is trusted."""
+    """Return the RMS error where the photograph is trusted."""
     away = (drawn(avatar, picture) - picture.target / 255)[picture.trust > 0]
     return float(np.sqrt((away**2).mean()))
 
@@ -68,7 +68,7 @@ def off(alpha: np.ndarray, mask: np.ndarray) -> float:
     return float(np.abs(shift).max())
 
 
-def test_a_photograph_is_where_the_avatar_is_seen(scene: Scene, painted: tuple[Avatar, Colours]) -> None:
+def test_a_photograph_aligns_with_the_avatar(scene: Scene, painted: tuple[Avatar, Colours]) -> None:
     shot = scene.shots[0]
     picture, mask = _picture(painted[0], shot), cut(shot)
     assert picture.target.shape == (*mask.shape, 4) and (picture.target[..., 3] == 255).all()
@@ -78,16 +78,16 @@ def test_a_photograph_is_where_the_avatar_is_seen(scene: Scene, painted: tuple[A
     alpha = drawn(painted[0], picture)[..., 3]
     assert alpha[picture.trust > 0].mean() > 0.97
     assert off(alpha, mask) < 0.5
-    assert picture.share == pytest.approx(shot.view.pelvis[2] / shot.focal)
+    assert picture.metres_per_pixel == pytest.approx(shot.view.pelvis[2] / shot.focal)
 
 
-def test_large_photographs_are_looked_at_smaller(scene: Scene, painted: tuple[Avatar, Colours], monkeypatch) -> None:
+def test_large_photographs_are_resampled(scene: Scene, painted: tuple[Avatar, Colours], monkeypatch) -> None:
     whole = _picture(painted[0], scene.shots[0])
-    monkeypatch.setattr(module, "_FIGURE", 300)
+    monkeypatch.setattr(module, "_PERSON_HEIGHT_PX", 300)
     small = _picture(painted[0], scene.shots[0])
     scale = small.target.shape[0] / whole.target.shape[0]
     assert small.target.shape[0] == pytest.approx(300, abs=2) and scale < 0.7
-    assert small.share == pytest.approx(whole.share / scale, rel=0.01)
+    assert small.metres_per_pixel == pytest.approx(whole.metres_per_pixel / scale, rel=0.01)
     height, width = small.target.shape[:2]
     mask = cv2.resize(cut(scene.shots[0]).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
     assert off(drawn(painted[0], small)[..., 3], mask) < 1
@@ -96,7 +96,7 @@ def test_large_photographs_are_looked_at_smaller(scene: Scene, painted: tuple[Av
 
 @pytest.mark.check
 @pytest.mark.gl
-def test_the_photograph_comes_back(
+def test_the_fit_reproduces_the_photograph(
     scene: Scene, painted: tuple[Avatar, Colours], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in FEW.items():
@@ -109,19 +109,19 @@ def test_the_photograph_comes_back(
     picture = _picture(avatar, scene.shots[0])
     assert missed(done, picture) < 0.8 * missed(avatar, picture)
     assert len(done.splats) == len(avatar.splats) and np.isfinite(done.splats.means).all()
-    assert list(dict.fromkeys(told)) == ["painting the body", "drawing what to fit to", "fitting splats"]
+    assert list(dict.fromkeys(told)) == ["painting the body", "drawing target pictures", "fitting splats"]
 
 
-def test_no_steps_leave_it_as_it_is(scene: Scene, painted: tuple[Avatar, Colours]) -> None:
+def test_zero_steps_change_nothing(scene: Scene, painted: tuple[Avatar, Colours]) -> None:
     avatar, colours = painted
     assert fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 0, 256, silent) is avatar
 
 
-def test_without_numba_colours_alone_are_fitted(
+def test_without_numba_only_colours_are_fitted(
     scene: Scene, painted: tuple[Avatar, Colours], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_numba(monkeypatch)
     avatar, colours = painted
-    monkeypatch.setattr(module, "sharpened", lambda *words: words)
+    monkeypatch.setattr(module, "fit_colours", lambda *words: words)
     made = fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 400, 256, silent)
     assert made == (avatar, scene.shots, 8)

@@ -1,4 +1,4 @@
-"""Compiled drawing gives the pictures and the slopes of its numpy twin, on any number of threads."""
+"""The compiled rasterizer against footprints.py in numpy, on any number of threads."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ AMONG = Camera(look_at((0.2, 0.1, 0.4), (0, 0, 0)), pinhole(230, 150, 70), 230, 
 
 
 def smooth(view: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """A slope by the picture, and an error of it."""
+    """Return a slope by the picture, and its error."""
     y, x = np.mgrid[: view.height, : view.width].astype(np.float32)
     slope = np.stack([np.sin(x / 9 + k) + np.cos(y / 7 - k) for k in range(4)], axis=-1)
     return slope, np.abs(slope[..., 0]) + np.float32(0.5)
 
 
 def crowd() -> Splats:
-    """Some of them opaque, where the cap of opacity takes the slope away."""
+    """Return splats, some of them opaque: capped opacities have no slope."""
     splats = cloud(600)
     return replace(splats, opacities=np.where(np.arange(600) % 5, splats.opacities, 1.0))
 
 
 def large() -> Splats:
-    """Seen from among them: many lie far beside the picture and reach into it."""
+    """Return splats around the camera: many lie far outside the picture and reach into it."""
     splats = cloud(60)
     return replace(splats, scales=splats.scales * 6)
 
 
 def needles() -> Splats:
-    """Ten thousand times as long as wide."""
+    """Return splats ten thousand times as long as wide."""
     splats = cloud(200)
     return replace(splats, scales=np.tile([0.5, 5e-5, 5e-5], (200, 1)) * np.exp(splats.means[:, :1]))
 
@@ -56,7 +56,7 @@ def twin(splats: PosedSplats, view: Camera, antialias: bool) -> Footprints:
 
 
 def slopes(prints: Footprints, splats: PosedSplats, view: Camera) -> dict[str, np.ndarray]:
-    """What Gradients say, by the twin."""
+    """Return the gradients of footprints.py."""
     slope, error = smooth(view)
     found = prints.backward(slope.astype(np.float64), splats.rgb, splats.opacities, splats.scales)
     weight = prints.alpha * prints.transmittance
@@ -80,7 +80,7 @@ def slopes(prints: Footprints, splats: PosedSplats, view: Camera) -> dict[str, n
         (large, AMONG, False, 1e-4),
     ],
 )
-def test_pictures_and_slopes_are_those_of_the_twin(scene: Any, view: Camera, antialias: bool, off: float) -> None:
+def test_pictures_and_slopes_equal_footprints(scene: Any, view: Camera, antialias: bool, off: float) -> None:
     splats = placed(scene())
     drawing = Rasterizer(len(splats.means))
     picture, prints = drawing.draw(splats, view, antialias), twin(splats, view, antialias)
@@ -96,7 +96,7 @@ def zeros(splats: PosedSplats) -> tuple[np.ndarray, ...]:
     return np.zeros((VIEW.height, VIEW.width, 4)), splats.rgb, splats.opacities, splats.scales
 
 
-def test_many_layers_are_cut_short_by_a_ten_thousandth() -> None:
+def test_many_layers_end_at_a_transmittance_of_1e_4() -> None:
     splats = placed(cloud(20_000))
     picture = Rasterizer(20_000).draw(splats, VIEW, antialias=False)
     off = np.abs(picture - twin(splats, VIEW, antialias=False).picture(splats.rgb))
@@ -155,7 +155,7 @@ TURNED = [[0.5, 0.3, 0.2, 0.7]]
         ({"rgb": [[1.5, -0.4, 0.5]]}, True),  # as 1 and 0
     ],
 )
-def test_one_splat_is_drawn_as_the_contract_says(changes: dict[str, Any], shown: bool, antialias: bool) -> None:
+def test_one_splat_follows_the_pixel_contract(changes: dict[str, Any], shown: bool, antialias: bool) -> None:
     splat, view = one_splat(**changes), camera(64)
     drawing = Rasterizer(1)
     picture = drawing.draw(placed(splat), view, antialias)
@@ -182,7 +182,7 @@ def expect_all_but_the_seventh(splats: PosedSplats, others: PosedSplats) -> None
 
 @pytest.mark.parametrize("value", [np.nan, -np.inf])
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
-def test_splats_that_are_not_finite_are_left_out(name: str, value: float) -> None:
+def test_splats_that_are_not_finite_are_not_drawn(name: str, value: float) -> None:
     scene = cloud(50)
     broken = getattr(scene, name).copy()
     broken[7, ...] = value
@@ -193,14 +193,14 @@ def test_splats_that_are_not_finite_are_left_out(name: str, value: float) -> Non
     ("name", "value"),
     [("opacities", 0.0), ("opacities", np.nan), *(("means", value) for value in (np.nan, np.inf, -np.inf))],
 )
-def test_what_was_not_sorted_out_before_is_not_drawn_either(name: str, value: float) -> None:
+def test_invalid_splats_are_not_drawn(name: str, value: float) -> None:
     scene = cloud(50)
     splats = placed(scene)
     getattr(splats, name)[7] = value
     expect_all_but_the_seventh(splats, placed(scene.take(np.arange(50) != 7)))
 
 
-def test_nothing_at_all() -> None:
+def test_no_splats() -> None:
     drawing = Rasterizer(0)
     assert not drawing.draw(placed(cloud(0)), VIEW, antialias=False).any()
     assert all(len(one) == 0 for one in drawing.backward(*smooth(VIEW)))

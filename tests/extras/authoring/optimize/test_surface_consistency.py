@@ -1,4 +1,4 @@
-"""Normals and occlusion that agree with what is seen: what shows through a skin is lit as the skin is."""
+"""Normals and occlusion consistent with the visible surface: splats that show through a skin are lit as the skin."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.optimize.surface_consistency import as_seen
+from glsplat.extras.authoring.optimize.surface_consistency import view_consistent
 from glsplat.rotations import matrix_quaternions
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
@@ -42,9 +42,9 @@ def cheek() -> tuple[Avatar, F64, F64, F64]:
     return Avatar(splats, skeleton, skin), ways, normals, occlusion
 
 
-def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
+def test_deviating_splats_take_the_visible_surface_and_visible_ones_stay() -> None:
     avatar, ways, normals, occlusion = cheek()
-    found, opened, shade = as_seen(avatar, normals, occlusion, np.repeat([0.5, 1.0], [700, 400]))
+    found, opened, shade = view_consistent(avatar, normals, occlusion, np.repeat([0.5, 1.0], [700, 400]))
     before, after = ((some * ways).sum(axis=1) for some in (normals, found))
     outer = slice(0, 700)
     assert after[outer].min() > 0.95 and opened[outer].min() > 0.8
@@ -53,12 +53,12 @@ def test_what_shows_through_takes_what_is_seen_and_what_is_seen_stays() -> None:
     assert (before[level] < -0.99).all() and (after[level] > 0.9).mean() > 0.95 and np.median(opened[level]) > 0.8
     assert np.allclose(np.linalg.norm(found, axis=1), 1)
     assert np.allclose(shade[outer], 0.5, rtol=0.1) and np.median(shade[level]) < 0.6
-    unlit, _, ones = as_seen(avatar, normals, occlusion)
+    unlit, _, ones = view_consistent(avatar, normals, occlusion)
     assert (ones == 1).all() and (unlit * found).sum(axis=1)[outer].min() > 0.95
 
 
-def test_without_numba_all_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     avatar, _, normals, occlusion = cheek()
     without_numba(monkeypatch)
-    same, opened, shade = as_seen(avatar, normals, occlusion)
+    same, opened, shade = view_consistent(avatar, normals, occlusion)
     assert same is normals and opened is occlusion and (shade == 1).all()

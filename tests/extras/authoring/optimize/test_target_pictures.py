@@ -52,7 +52,7 @@ def test_opengl_and_numpy_draw_the_same(context: Context, monkeypatch: pytest.Mo
     computed = pictures_of(figure, 3, config)
     assert len(drawn) == len(computed) == 3 + 2 * 2
     for ours, theirs in zip(drawn, computed, strict=True):
-        assert np.array_equal(ours.camera.K, theirs.camera.K) and ours.share == theirs.share
+        assert np.array_equal(ours.camera.K, theirs.camera.K) and ours.metres_per_pixel == theirs.metres_per_pixel
         mine, other = ours.target / 255, theirs.target / 255
         assert decibel(mine, other) > 35
         inner = cv2.erode((mine[..., 3] == 1).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
@@ -69,7 +69,7 @@ def test_opengl_and_numpy_draw_the_same(context: Context, monkeypatch: pytest.Mo
         (("left_thumb3", "right_wrist", "jaw"), 20),
     ],
 )
-def test_close_ups_are_taken_where_the_rig_has_such_joints(
+def test_close_ups_need_the_joints_of_the_rig(
     names: tuple[str, ...], close_ups: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "create_context", no_context)
@@ -78,7 +78,7 @@ def test_close_ups_are_taken_where_the_rig_has_such_joints(
     assert len(found) == 1 + close_ups + 1
     for picture in found[1:-1]:
         assert picture.pose is None and max(picture.target.shape) <= 48
-        assert picture.share < 0.85 * found[0].share  # metres a pixel
+        assert picture.metres_per_pixel < 0.85 * found[0].metres_per_pixel
     if names[2] == "head":
         upper = figure.vertices[figure.joints[:, 0] == 2]
         for picture in found[1:-1]:
@@ -86,7 +86,7 @@ def test_close_ups_are_taken_where_the_rig_has_such_joints(
             assert (at > 0).all() and (at < (picture.camera.width, picture.camera.height)).all()
 
 
-def test_the_figure_fills_the_pictures_and_is_nowhere_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_figure_fills_the_pictures_and_is_not_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "create_context", no_context)
     figure = named(*ARMED)
     found = pictures_of(figure, 3, replace(FEW, size=160))
@@ -100,7 +100,7 @@ def test_the_figure_fills_the_pictures_and_is_nowhere_cut(monkeypatch: pytest.Mo
         assert not any(edge.any() for edge in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
         shown = np.flatnonzero(alpha.any(axis=1))
         assert np.ptp(shown) == pytest.approx(np.ptp(at[:, 1]), abs=2) and np.ptp(shown) > 0.7 * 160
-        assert np.ptp(at[:, 1]) * picture.share == pytest.approx(0.6, rel=0.25)
+        assert np.ptp(at[:, 1]) * picture.metres_per_pixel == pytest.approx(0.6, rel=0.25)
     poses = [picture.pose for picture in found]
     assert poses[:3] == [None] * 3 and poses[3] is poses[4] and poses[5] is poses[6] and poses[3] is not poses[5]
     assert np.abs(poses[3].rotations - poses[5].rotations).max() > 0.1
@@ -122,7 +122,7 @@ def on_three_joints() -> Avatar:
 
 
 @pytest.mark.parametrize("antialias", [False, True])
-def test_pictures_of_splats_are_those_of_the_renderer(antialias: bool) -> None:
+def test_pictures_of_splats_equal_the_renderer(antialias: bool) -> None:
     avatar = on_three_joints()
     avatar = replace(avatar, splats=replace(avatar.splats, antialias=antialias))
     found = pictures_of_splats(avatar, 3, FEW)

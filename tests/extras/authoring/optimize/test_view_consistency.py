@@ -1,4 +1,4 @@
-"""What pictures of splats' own values say of each splat, against the drawing of colours and its way back."""
+"""Values gathered from pictures, against the drawing of colours and its gradients."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.geometry.posed import PosedSplats, placed
 from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
-from glsplat.extras.authoring.optimize.view_consistency import SUMS, agreed
+from glsplat.extras.authoring.optimize.view_consistency import SUMS, gather_visible
 from tests.scenes import cloud
 
 VIEW = Camera(look_at((0.3, 1, 3), (0, 0, 0)), pinhole(150, 90), 150, 90)
@@ -43,11 +43,11 @@ def sums(splats: PosedSplats, values: np.ndarray, towards: np.ndarray) -> tuple[
     drawing = Rasterizer(count + 100)
     drawing.place(splats, VIEW, True)
     shares, found = drawing.shares(), np.empty((count, SUMS))
-    agreed(*shares, VIEW.width * VIEW.height, values.astype(np.float32), towards.astype(np.float32), found)
+    gather_visible(*shares, VIEW.width * VIEW.height, values.astype(np.float32), towards.astype(np.float32), found)
     return found, np.bincount(np.repeat(shares.splat, np.diff(shares.first)), shares.weight, count)
 
 
-def test_sums_are_those_of_pictures_of_the_values() -> None:
+def test_sums_equal_those_of_pictures_of_the_values() -> None:
     splats = placed(cloud(400))
     rng = np.random.default_rng(5)
     values = rng.normal(size=(400, 6))
@@ -63,11 +63,11 @@ def test_sums_are_those_of_pictures_of_the_values() -> None:
     assert np.allclose(weights, whole, rtol=1e-4, atol=1e-4)
 
 
-def test_shares_make_the_picture_and_end_where_too_little_passes() -> None:
+def test_shares_sum_to_the_picture_and_end_at_min_transmittance() -> None:
     splats = placed(cloud(400))
     counts = []
     for least in (0.4, 1e-4):
-        drawing = Rasterizer(400, least=least)
+        drawing = Rasterizer(400, min_transmittance=least)
         drawing.place(splats, VIEW, True)
         shares = drawing.shares()
         picture = np.bincount(shares.pixel, shares.weight, VIEW.width * VIEW.height).reshape(VIEW.height, VIEW.width)

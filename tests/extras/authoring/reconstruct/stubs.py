@@ -1,4 +1,4 @@
-"""Reconstructors that need no work: they note what they are given and hand back the embedded avatar, or fail."""
+"""Trivial reconstructors: they record their inputs and return the embedded avatar, or fail."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Detailed", "Meshed", "Plain", "fitting", "misfitting", "replace_chec
 
 
 def replace_check(monkeypatch: Any) -> dict[str, tuple[Finding, ...]]:
-    """The check says what stands in the dictionary for each side, and no network is asked."""
+    """Replace the check by the findings of a dictionary for each side; no network runs."""
     findings: dict[str, tuple[Finding, ...]] = {}
 
     def check(picture: Any, view: str = "front", config: Any = None, given: Any = None) -> Capture:
@@ -59,7 +59,7 @@ def small_avatar(count: int = 200) -> Avatar:
 
 @dataclass
 class Plain:
-    """Does what the protocol says and no more."""
+    """A minimal reconstructor."""
 
     result: Any = field(default_factory=small_avatar)
     calls: list[tuple[Any, Any, Any]] = field(default_factory=list)
@@ -74,12 +74,12 @@ class Plain:
 
 @dataclass
 class Detailed(Plain):
-    """Tells more, as the built-in one does; with ``fitted`` from a real fit."""
+    """A reconstructor that returns the fitted body too; with ``fitted`` from a real fit."""
 
     problem: str = ""
     fitted: bool = False
 
-    def tell(self, pictures: Any, masks: Any, options: Any) -> MadeAvatar:
+    def report(self, pictures: Any, masks: Any, options: Any) -> MadeAvatar:
         self.calls.append((pictures, masks, options))
         view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
         mesh, fit = None, SimpleNamespace(views=[view] * len(pictures), stature=1.7)
@@ -96,7 +96,7 @@ class Detailed(Plain):
 
 @dataclass
 class Meshed(Detailed):
-    """Makes meshes, too: a made-up body in one colour."""
+    """A reconstructor that makes meshes too: a synthetic body in one colour."""
 
     def mesh(self, pictures: Any, masks: Any, options: Any) -> FittedBody:
         self.calls.append((pictures, masks, options))
@@ -113,5 +113,5 @@ def fitting() -> Detailed:
 
 
 def misfitting() -> Detailed:
-    """One whose body is far off."""
+    """A reconstructor whose body does not fit."""
     return Detailed(problem="far off")

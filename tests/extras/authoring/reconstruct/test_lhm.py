@@ -67,7 +67,7 @@ def run(lhm: Lhm, **wishes):
     return lhm.reconstruct({"front": Picture(PICTURE)}, {"front": MASK}, Options(**wishes))
 
 
-def test_it_runs_apart_and_its_dump_is_read(installation, monkeypatch, tmp_path) -> None:
+def test_lhm_runs_in_its_own_process_and_its_dump_is_read(installation, monkeypatch, tmp_path) -> None:
     heard = tmp_path / "heard"
     monkeypatch.setenv("PYTHONPATH", "/nowhere")
     lhm = installation(
@@ -113,13 +113,13 @@ def test_it_runs_apart_and_its_dump_is_read(installation, monkeypatch, tmp_path)
         ("open(out, 'wb').write(b'PK' + bytes(500))", "what LHM wrote: an LHM dump is an .npz of numbers"),
     ],
 )
-def test_its_failures_are_one_line(installation, lines, message) -> None:
+def test_failures_are_one_line(installation, lines, message) -> None:
     with pytest.raises(GlsplatError, match=message) as caught:
         run(installation(lines))
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
 
 
-def test_it_is_ended_after_its_time_with_all_it_started(installation, tmp_path, monkeypatch) -> None:
+def test_a_timeout_kills_the_process_group(installation, tmp_path, monkeypatch) -> None:
     mark = tmp_path / "pid"
     hours = SimpleNamespace(monotonic=lambda: 4.0 if mark.exists() else 0.0)  # which are over once it has begun
     monkeypatch.setattr("glsplat.extras.authoring.reconstruct.lhm.time", hours)
@@ -146,7 +146,7 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_it_is_ended_when_the_user_interrupts(installation) -> None:
+def test_an_interrupt_kills_the_process(installation) -> None:
     def interrupt(step: str, done: float) -> None:
         raise KeyboardInterrupt
 
@@ -154,7 +154,7 @@ def test_it_is_ended_when_the_user_interrupts(installation) -> None:
         run(installation("time.sleep(600)"), progress=interrupt)
 
 
-def test_what_it_does_not_take_is_said(installation) -> None:
+def test_unsupported_inputs_are_refused(installation) -> None:
     lhm = installation("pass")
     pictures = {"front": Picture(PICTURE), "back": Picture(PICTURE)}
     with pytest.raises(GlsplatError, match="front picture alone, not back"):
@@ -170,7 +170,7 @@ def test_an_interpreter_that_cannot_run(installation) -> None:
         run(lhm)
 
 
-def test_the_installation_is_named_by_the_environment(tmp_path, monkeypatch) -> None:
+def test_the_environment_names_the_installation(tmp_path, monkeypatch) -> None:
     for name in ("GLSPLAT_LHM", "GLSPLAT_LHM_PYTHON", "GLSPLAT_LHM_TIMEOUT", "GLSPLAT_LHM_MODEL"):
         monkeypatch.delenv(name, raising=False)
 
@@ -276,7 +276,7 @@ def stand_ins(folder: Path, whole: bool = True, weights: str = "weights") -> Lhm
     return Lhm(folder, Path(sys.executable))
 
 
-def test_the_script_finds_its_way_among_stand_ins(tmp_path) -> None:
+def test_the_script_runs_with_stand_ins(tmp_path) -> None:
     avatar = run(stand_ins(tmp_path))
     assert len(avatar.splats) == 120 and avatar.splats.finite().all()
 
@@ -288,6 +288,6 @@ def test_the_script_finds_its_way_among_stand_ins(tmp_path) -> None:
         ({"weights": "elsewhere"}, "the weights of LHM-500M are not in elsewhere"),
     ],
 )
-def test_the_script_says_what_is_missing(tmp_path, changes, message) -> None:
+def test_the_script_reports_missing_parts(tmp_path, changes, message) -> None:
     with pytest.raises(GlsplatError, match=f"exit code 1.: {message}"):
         run(stand_ins(tmp_path, **changes))

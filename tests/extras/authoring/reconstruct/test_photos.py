@@ -1,4 +1,4 @@
-"""From picture files to an avatar, by reconstructors that are called by name."""
+"""Avatars from picture files, by reconstructors chosen by name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DARK = Finding("dark", "the person is underexposed")
 
 @pytest.fixture
 def seen(monkeypatch) -> dict[str, tuple[Finding, ...]]:
-    """What the check says of each side."""
+    """Return the findings of the check for each side."""
     return replace_check(monkeypatch)
 
 
@@ -35,7 +35,7 @@ def front(tmp_path) -> Path:
     return path
 
 
-def test_pictures_masks_and_wishes_arrive(seen, front, tmp_path) -> None:
+def test_pictures_masks_and_options_arrive(seen, front, tmp_path) -> None:
     side = tmp_path / "side.png"
     cv2.imwrite(str(side), np.full((80, 50, 3), 99, np.uint8))
     mask = np.zeros((90, 60), bool)
@@ -74,7 +74,7 @@ def test_findings_refuse_before_any_other_work(seen, front) -> None:
     assert from_photos(front, using=maker, anyway=True).splats is not None and len(maker.calls) == 1
 
 
-def test_without_a_person_nothing_helps(seen, front) -> None:
+def test_without_a_person_anyway_does_not_help(seen, front) -> None:
     seen["front"] = (Finding("nobody", "nobody is found"),)
     with pytest.raises(CaptureError, match="nobody is found"):
         from_photos(front, using=Plain(), anyway=True)
@@ -87,7 +87,7 @@ def test_a_body_that_does_not_fit_is_refused(seen, front) -> None:
     assert from_photos(front, using=maker, anyway=True).meta["unseen"] == 0.43
 
 
-def test_notes_say_where_it_comes_from_and_nothing_of_the_picture(seen, front, monkeypatch, tmp_path) -> None:
+def test_metadata_has_the_provenance_and_no_picture(seen, front, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     shots = check_photos(front, back=front)
     done = reconstruct(shots, using=Detailed(), meta={"consent": "my own", "licence": "mine"})
@@ -111,7 +111,7 @@ def test_notes_say_where_it_comes_from_and_nothing_of_the_picture(seen, front, m
     assert plain.meta["source"] == "1 photograph (front)"
 
 
-def test_the_day_is_told_or_today(seen, front, monkeypatch) -> None:
+def test_the_date_is_source_date_epoch_or_today(seen, front, monkeypatch) -> None:
     monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
     day = from_photos(front, using=Plain()).meta["date"]
     assert len(day) == 10 and day[:2] == "20" and day[4] == day[7] == "-"
@@ -133,7 +133,7 @@ def test_the_day_is_told_or_today(seen, front, monkeypatch) -> None:
         ({"seed": -1}, "seed needs 0 or more"),
     ],
 )
-def test_wishes_that_nobody_can_have(wishes, message) -> None:
+def test_options_out_of_range(wishes, message) -> None:
     with pytest.raises(FormatError, match=message):
         Options(**wishes)
     with pytest.raises(FormatError, match=message):
@@ -149,7 +149,7 @@ def test_wishes_that_nobody_can_have(wishes, message) -> None:
         ("avatar", "gave 'avatar', not an avatar"),
     ],
 )
-def test_reconstructors_of_others_may_fail(seen, front, result, message) -> None:
+def test_failures_of_plugins(seen, front, result, message) -> None:
     with pytest.raises(GlsplatError, match=message):
         from_photos(front, using=Plain(result))
 
@@ -175,7 +175,7 @@ HERE = "tests.extras.authoring.reconstruct.stubs"
 
 @pytest.fixture
 def installed(monkeypatch):
-    """Entry points as if packages had brought them."""
+    """Replace the installed entry points."""
 
     def install(**values: str | list[str]) -> None:
         entries = EntryPoints(
@@ -188,7 +188,7 @@ def installed(monkeypatch):
     return install
 
 
-def test_others_are_found_and_ours_cannot_be_taken(installed) -> None:
+def test_plugins_are_found_and_own_names_are_reserved(installed) -> None:
     installed(other=f"{HERE}:Plain", builtin="nowhere:nothing", lhm="nowhere:nothing")
     assert registry.names() == ("builtin", "lhm", "other")
     assert isinstance(registry.named("other"), Plain)
@@ -206,7 +206,7 @@ def test_others_are_found_and_ours_cannot_be_taken(installed) -> None:
         ([f"{HERE}:Plain", f"{HERE}:Detailed"], r'several packages have a reconstructor "other" \(tests.*Detailed, '),
     ],
 )
-def test_what_is_wrong_is_one_line(installed, value, message) -> None:
+def test_errors_of_plugins_are_one_line(installed, value, message) -> None:
     installed(other=value)
     with pytest.raises(GlsplatError, match=message) as caught:
         registry.named("other")

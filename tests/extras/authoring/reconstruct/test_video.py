@@ -45,12 +45,14 @@ def test_a_participant_on_a_turntable(monkeypatch: pytest.MonkeyPatch) -> None:
     made = from_pictures(pictures, in_order=True, options=Options(height=1.66, texture=512), anyway=True)
     assert made.problem == "" and made.left_out == () and len(made.frames) == 12
     assert np.mean([seen.overlap for seen in made.fit.views]) > 0.955 and abs(made.fit.stature - 1.66) < 0.03
-    assert made.unseen < 0.1 and isinstance(made.thing, RiggedMesh)
-    assert made.thing.meta["source"] == "12 pictures of a turn" and made.thing.meta["unseen"] == round(made.unseen, 4)
+    assert made.unseen < 0.1 and isinstance(made.content, RiggedMesh)
+    assert made.content.meta["source"] == "12 pictures of a turn" and made.content.meta["unseen"] == round(
+        made.unseen, 4
+    )
     true = np.array([shown[int(frame.name.split()[1])].turn for frame in made.frames])
     told = np.array([frame.turn for frame in made.frames])
     assert np.abs((told - true + 180) % 360 - 180).max() < 25 and abs((told[0] + 180) % 360 - 180) < 20
     for name, value in FEW.items():
         monkeypatch.setitem(ViewConfig.__init__.__kwdefaults__, name, value)
     again = reconstruct_frames(made.frames, options=Options(height=1.66, splats=2000, steps=1), form="splats")
-    assert 1980 < len(again.thing.splats) <= 2000
+    assert 1980 < len(again.content.splats) <= 2000

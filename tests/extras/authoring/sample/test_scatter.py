@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.body.open_face import with_expressions
-from glsplat.extras.authoring.optimize.colour_fit import _equations, sharpened
+from glsplat.extras.authoring.optimize.colour_fit import _equations, fit_colours
 from glsplat.extras.authoring.paint.painter import paint
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.skinning.pose import Pose
@@ -64,7 +64,7 @@ def test_the_picture_comes_back() -> None:
     def miss(colours: np.ndarray) -> float:
         return float(np.sqrt(((matrix @ (colours[:, 0] * SH_C0 + 0.5) - target) ** 2).mean()))
 
-    sharp = sharpened(avatar, scene.shots, 8)
+    sharp = fit_colours(avatar, scene.shots, 8)
     assert miss(sharp.splats.sh) < 0.6 * miss(avatar.splats.sh)
     hidden = np.asarray(matrix.sum(axis=0)).ravel() < 0.1  # pixels
     change = np.abs(sharp.splats.sh - avatar.splats.sh)[:, 0].max(axis=1) * SH_C0

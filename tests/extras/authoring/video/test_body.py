@@ -1,4 +1,4 @@
-"""Somebody who turns is found again in all pictures, though their turns are told roughly."""
+"""The fit of a turning person recovers shape and poses from rough turns."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_turn_is_a_number() -> None:
         fit_turning([blank()])
 
 
-def test_derivatives_of_what_is_known(rng: np.random.Generator) -> None:
+def test_derivatives_with_a_known_shape(rng: np.random.Generator) -> None:
     known = KnownShape(rng.normal(0, 1, BETAS), prior.MEAN + 0.1, 0.7)
     solver = BodySolver(open_body(), landmarks(), [posed_view(turn=57.0)[0]], None, known)
     assert (solver.betas == known.betas).all() and (solver.angles(0) == known.angles).all()
@@ -52,13 +52,13 @@ def test_derivatives_of_what_is_known(rng: np.random.Generator) -> None:
     assert solver.camera_height(0) != 0.7  # it is asked for, not set
 
 
-def test_keys_look_from_all_around() -> None:
+def test_key_views_are_from_all_around() -> None:
     turns = [170.0, 10.0, 104.0, 355.0, 80.0, 190.0, 260.0]
     assert [turns[key] for key in key_views(turns, 4)] == [355, 80, 170, 260]
 
 
 @pytest.mark.check
-def test_somebody_who_turns_is_found_again() -> None:
+def test_a_turning_person_is_fitted() -> None:
     turns = np.arange(0, 360, 60.0)
     off = np.array([0, 9, -8, 4, -10, 8.0])
     scenes = [posed_view(turn=float(turn), told=float(turn + more)) for turn, more in zip(turns, off, strict=True)]

@@ -1,4 +1,4 @@
-"""Videos are read as they are, not as their headers say; what is none is refused in one line."""
+"""Video files are read regardless of wrong headers; other files are refused in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIZE = 96, 64  # width, height
 
 
 def picture(number: int, *, blurred: bool = False) -> np.ndarray:
-    """A chequered frame whose upper left corner tells its number."""
+    """Return a chequered frame with its number in the upper left corner."""
     tiles = np.indices(SIZE[::-1]) // 4
     frame = np.repeat((tiles.sum(axis=0) % 2 * 200 + 20)[..., None], 3, axis=2).astype(np.uint8)
     if blurred:
@@ -51,14 +51,14 @@ def test_frames_are_spread_evenly(tmp_path: Path, name: str, code: str) -> None:
     assert all(6 * index - 1 <= number <= 6 * index + 6 for index, number in enumerate(found)), found
 
 
-def test_the_sharpest_of_a_stretch_is_taken(tmp_path: Path) -> None:
+def test_the_sharpest_of_an_interval_is_chosen(tmp_path: Path) -> None:
     sharp = {3, 14, 26, 36, 43, 56, 66, 73}
     frames = [picture(number % 60, blurred=number not in sharp) for number in range(80)]
     path = write(tmp_path / "a.avi", frames, "MJPG")
     assert numbers(read_frames(path, 8)) == [3, 14, 26, 36, 43, 56, 6, 13]
 
 
-def test_a_phone_that_was_held_upright(tmp_path: Path) -> None:
+def test_upright_phone_videos_are_rotated(tmp_path: Path) -> None:
     """The matrix in the track's header turns the picture by a quarter."""
     path = write(tmp_path / "a.mp4", [picture(number) for number in range(12)])
     data = bytearray(path.read_bytes())
@@ -72,7 +72,7 @@ def test_a_phone_that_was_held_upright(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("told", [0, 9, 3_000, 2**31 - 1])
-def test_a_header_that_lies_about_the_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: int) -> None:
+def test_a_header_with_a_wrong_number_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: int) -> None:
     path = write(tmp_path / "a.avi", [picture(number) for number in range(40)], "MJPG")
 
     class Lying:
@@ -100,7 +100,7 @@ HUGE = struct.pack(">I4sQ", 1, b"ftyp", 1 << 33) + b"isom" * 8  # eight gigabyte
 @pytest.mark.parametrize(
     "data", [b"", TEXT, PLAYLIST, CONCAT, b"\x89PNG\r\n\x1a\n" + b"\0" * 64, b"RIFF\0\0\0\0WAVEfmt "]
 )
-def test_what_is_no_video(tmp_path: Path, data: bytes) -> None:
+def test_files_that_are_not_videos(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(data)
     with pytest.raises(FormatError, match=r"a\.mp4: not a video; give an \.mp4") as error:
@@ -109,14 +109,14 @@ def test_what_is_no_video(tmp_path: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("data", [HUGE, b"\0\0\0\x18ftypisom" + b"\0" * 400, b"\x1aE\xdf\xa3" + b"\xff" * 400])
-def test_a_head_and_nothing_else(tmp_path: Path, data: bytes) -> None:
+def test_a_header_without_frames(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(data)
     with pytest.raises(FormatError, match=r"a\.mp4: the video is damaged or of an unknown kind"):
         read_frames(path, 8)
 
 
-def test_a_video_that_was_cut_off(tmp_path: Path) -> None:
+def test_a_truncated_video(tmp_path: Path) -> None:
     path = write(tmp_path / "a.avi", [picture(number) for number in range(40)], "MJPG")
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
@@ -130,7 +130,7 @@ def test_too_short_too_large_missing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     path = write(tmp_path / "a.avi", [picture(0), picture(1)], "MJPG")
     with pytest.raises(FormatError, match=r"a\.avi: a video needs at least 8 frames, this has 2; film a whole turn"):
         read_frames(path, 8)
-    monkeypatch.setattr(film, "_MOST_BYTES", 10)
+    monkeypatch.setattr(film, "_MAX_BYTES", 10)
     with pytest.raises(FormatError, match="at most 0 GB"):
         read_frames(path, 8)
     with pytest.raises(FormatError, match=r"b\.mp4: .*No such file"):
@@ -140,13 +140,13 @@ def test_too_short_too_large_missing(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.mp4")
     with pytest.raises(FormatError):
         read_frames(tmp_path / "a.mp4", 8)
 
 
-def test_large_frames_are_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_frames_are_resized(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(film, "SIDE", 48)
     path = write(tmp_path / "a.avi", [picture(number) for number in range(9)], "MJPG")
     assert {frame.shape for frame in read_frames(path, 9)} == {(32, 48, 3)}

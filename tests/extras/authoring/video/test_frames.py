@@ -1,4 +1,4 @@
-"""Which frames are kept, and which way people face in them."""
+"""Checks of frames, and facing directions."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_the_front_comes_first_and_the_rest_in_order(seen: Any) -> None:
     assert (rest > 0).all()
 
 
-def test_frames_without_a_person_are_left_out_and_said(seen: Any) -> None:
+def test_frames_without_a_person_are_reported(seen: Any) -> None:
     pictures = seen(np.arange(0, 360, 30), {2: NOBODY, 7: CUT})
     frames, left_out = check_frames(pictures, in_order=True)
     assert len(frames) == 10
@@ -70,7 +70,7 @@ def test_frames_without_a_person_are_left_out_and_said(seen: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("turns", "said"),
+    ("turns", "message"),
     [
         (np.linspace(-4, 4, 10), r"the person turns by \d+ degrees only; let them turn on the spot once"),
         (np.linspace(0, 200, 10), r"no frame shows 1\d\d degrees of the turn"),
@@ -78,14 +78,14 @@ def test_frames_without_a_person_are_left_out_and_said(seen: Any) -> None:
         (np.linspace(50, 310, 12), r"no frame shows the front: the nearest is turned by \d+ degrees"),
     ],
 )
-def test_who_does_not_turn_all_around(seen: Any, turns: np.ndarray, said: str) -> None:
-    with pytest.raises(CaptureError, match=said) as error:
+def test_incomplete_turns_are_refused(seen: Any, turns: np.ndarray, message: str) -> None:
+    with pytest.raises(CaptureError, match=message) as error:
         check_frames(seen(turns), in_order=True)
     assert "\n" not in str(error.value)
     assert check_frames(seen(turns), in_order=True, anyway=True)[0]
 
 
-def test_pictures_and_videos_are_told_apart(tmp_path: Path) -> None:
+def test_pictures_and_videos_are_distinguished(tmp_path: Path) -> None:
     films = [write(tmp_path / "a.avi", [picture(number) for number in range(9)], "MJPG")]
     pictures, in_order = frames_of(films, 30)
     assert in_order and [name for name, *_ in pictures] == [f"frame {number}" for number in range(1, 10)]
@@ -108,7 +108,7 @@ def test_pictures_and_videos_are_told_apart(tmp_path: Path) -> None:
 
 
 def person(turn: float, face: float | None = None) -> Any:
-    """What the networks would say of somebody who has turned by so many degrees."""
+    """Return the person that networks detect after a turn, degrees."""
     world = np.zeros((33, 3))
     for name, half in (("shoulder", 0.18), ("hip", 0.12)):
         across = half * np.array([np.cos(np.radians(turn)), 0.0, np.sin(np.radians(turn))])
@@ -123,18 +123,18 @@ def off(found: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("whole", [1.0, -1.0, 2.5, -0.6])
 @pytest.mark.parametrize("start", [0.0, 140.0])
-def test_noise_and_mistakes_are_put_right(rng: np.random.Generator, whole: float, start: float) -> None:
+def test_noise_and_flips_are_corrected(rng: np.random.Generator, whole: float, start: float) -> None:
     turns = start + np.arange(30) * 360 * whole / 30 + rng.normal(0, 3, 30)
-    said = turns + rng.normal(0, 8, 30)
-    people = [person(turn, float(apart(true, 0) < 75)) for turn, true in zip(said, turns, strict=True)]
+    measured = turns + rng.normal(0, 8, 30)
+    people = [person(turn, float(apart(true, 0) < 75)) for turn, true in zip(measured, turns, strict=True)]
     for index in (3, 12, 20):  # a back for a front
-        people[index] = person(180 - said[index], 0.5)
+        people[index] = person(180 - measured[index], 0.5)
     people[8] = person(float(rng.uniform(0, 360)), 0.5)
     assert off(facings(people, in_order=True), turns).max() < 25
 
 
 def test_hair_before_a_face() -> None:
-    """The face is not found in the front, where the body network takes it for a back; those beside it know better."""
+    """No face is found in the front, which the body network takes for a back; neighbouring frames correct it."""
     turns = np.arange(-60, 61, 12.0)
     people = [person(180 - turn, 0.0) if abs(turn) < 20 else person(turn) for turn in turns]
     assert off(facings(people, in_order=True), turns).max() < 20
