@@ -12,8 +12,8 @@ from typing import Any
 
 from glsplat.errors import CaptureError, FormatError
 from glsplat.extras.authoring.check.photos import CheckedPhoto, check_photos, refuse
-from glsplat.extras.authoring.compute.compiled import MISSING, available
-from glsplat.extras.authoring.compute.threads import aside, one_heap
+from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
+from glsplat.extras.authoring.compute.threads import run_in_background, share_heap
 from glsplat.extras.authoring.reconstruct.photos import (
     MeshReconstruction,
     Reconstruction,
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _one(args: argparse.Namespace) -> int:
     began = time.perf_counter()
-    one_heap()
+    share_heap()
     if args.debug is not None:
         _make_folder(args.debug)
     if args.check:
@@ -126,7 +126,7 @@ def _one(args: argparse.Namespace) -> int:
     mesh = args.kind == "mesh"
     with progress_bar() as show:
         options = _options(args, show)
-        maker = aside(lambda: named(args.using))  # much to import, beside the networks
+        maker = run_in_background(lambda: named(args.using))  # much to import, beside the networks
         # what others name is looked for before the pictures are
         if args.using != "builtin" and not isinstance(maker(), MeshReconstructor) and mesh:
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
@@ -166,7 +166,7 @@ def _one(args: argparse.Namespace) -> int:
     if not args.json:
         _notes(shots, guessed=True)
         if not mesh and options.steps and args.using == "builtin" and not available():
-            print(f"glsplat avatar photo: {MISSING}", file=sys.stderr)
+            print(f"glsplat avatar photo: {NUMBA_MISSING}", file=sys.stderr)
     return code
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
-from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Progress
 from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, VideoResult, from_video
 
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         code = write_mesh(made.thing, args, began, _facts(made), words)
     if isinstance(made.thing, Avatar) and options.steps and not available():
-        print(f"glsplat avatar video: {MISSING}", file=sys.stderr)
+        print(f"glsplat avatar video: {NUMBA_MISSING}", file=sys.stderr)
     if not args.json:
         for line in made.left_out:
             print(line)

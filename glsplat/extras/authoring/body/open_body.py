@@ -13,7 +13,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from glsplat.arrays import frozen
-from glsplat.extras.authoring.compute.threads import found_once
+from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
@@ -64,25 +64,25 @@ class Body:
         own = joints[:, None], np.ones((len(joints), 1))
         return Points(self.joints[joints], self.shape_joints[joints], *own)
 
-    @found_once
+    @locked_cached_property
     def stature(self) -> tuple[float, F64]:
         """Crown to sole of the zero shape in metres, and what a unit of each number of shape adds [BETAS]."""
         top, sole = int(self.vertices[:, 1].argmax()), int(self.vertices[:, 1].argmin())
         return float(self.vertices[top, 1] - self.vertices[sole, 1]), self.shape[top, 1] - self.shape[sole, 1]
 
-    @found_once
+    @locked_cached_property
     def hip_height(self) -> tuple[float, F64]:
         """The pelvis above the sole of the zero shape in metres, and what a unit of each number of shape adds."""
         sole = int(self.vertices[:, 1].argmin())
         return float(self.joints[0, 1] - self.vertices[sole, 1]), self.shape_joints[0, 1] - self.shape[sole, 1]
 
-    @found_once
+    @locked_cached_property
     def skin(self) -> NDArray[np.bool_]:
         """[V] the vertices of the one closed surface; not the eyes and the mouth's inside, which nothing else holds."""
         label = connected_components(self.neighbours)[1]
         return np.asarray(label == np.bincount(label).argmax())
 
-    @found_once
+    @locked_cached_property
     def neighbours(self) -> csr_matrix:
         """[V, V] one where an edge joins two vertices."""
         ends = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
@@ -91,7 +91,7 @@ class Body:
         count = len(self.vertices)
         return coo_matrix((np.ones(len(both)), both.T), (count, count)).tocsr()
 
-    @found_once
+    @locked_cached_property
     def part(self) -> Indices:
         """[V] the joint that holds most of each vertex."""
         return strongest_joint(self.skin_joints, self.skin_weights)

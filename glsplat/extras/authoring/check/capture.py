@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.check.finding import Finding, note
 from glsplat.extras.authoring.check.posture import LYING, VIEWS, PostureConfig, arms, cut_off, lying, turned
 from glsplat.extras.authoring.check.sharpness import blur_of
-from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.networks.face import shows_face
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import DetectedBody, body_in, bounds, people_mask, whole
@@ -104,7 +104,7 @@ def check_capture(
     if person is None or not sure:
         nothing = np.zeros(picture.shape[:2], bool)
         return Capture((_instead(picture, person, people, config),), None, nothing)
-    outline = aside(lambda: person_mask(picture, person.body) if given is None else given)
+    outline = run_in_background(lambda: person_mask(picture, person.body) if given is None else given)
     several = _several(picture, person, people, config)
     mask = outline()
     cut = cut_off(person, mask, view, config.posture)

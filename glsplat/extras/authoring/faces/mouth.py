@@ -12,7 +12,7 @@ from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.open_face import of_open_body, open_face, with_mouth
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.lashes_and_hair import Extra, added, frames, joined
 from glsplat.extras.authoring.faces.tiles import Tiles, tiled
 from glsplat.extras.authoring.geometry.nearest import nearest_on
@@ -154,7 +154,7 @@ def _darkened(avatar: Avatar, mesh: RiggedMesh) -> tuple[Avatar, NDArray[np.inte
     if not len(near) or not within.any() or not len(outside):
         return avatar, near[:0]
     places = splats.means[near].astype(np.float64)
-    found = abreast(lambda some: nearest_on(mesh.vertices, some, places), (faces, outside))
+    found = map_threads(lambda some: nearest_on(mesh.vertices, some, places), (faces, outside))
     (_, distance, which, bary), (_, apart, _, _) = found
     mine = within[which] & (apart > distance + _APART)
     deep = ((bary[mine] * lining.far[faces[which[mine]]]).sum(axis=1, keepdims=True) / _WITHIN).clip(0, 1) ** 0.5

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.kinematics import PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import landmarks
 from glsplat.extras.authoring.fit.offsets import face_of, outward, smooth_offsets, soles_of
@@ -123,7 +123,7 @@ def fit_body(views: Sequence[View], height: float | None = None, body: Body | No
     if height is not None and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
         raise FormatError(f"a height needs metres from {_HEIGHTS[0]} to {_HEIGHTS[1]}, not {height:g}")
     body = body or open_body()
-    fits = abreast(lambda stance: _begun_with(stance, views, height, body), stances_of(views[0], body))
+    fits = map_threads(lambda stance: _begun_with(stance, views, height, body), stances_of(views[0], body))
     fit = min(fits, key=lambda fitted: fitted[1])[0]
     missing = [line for seen, view in zip(fit.views, views, strict=True) if (line := unseen(seen.doubts, view.side))]
     return replace(fit, problem="; ".join([fit.problem] * bool(fit.problem) + missing))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse import diags
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.compute.conjugate_gradients import solved
+from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -83,5 +83,5 @@ def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights:
     scale = pull + _STIFF * degree + shy
     matrix = diags(scale) - _STIFF * body.neighbours
     begin = np.zeros(len(target)) if start is None else start
-    offsets = solved(matrix.tocsr(), target[:, None], begin[:, None])[:, 0]
+    offsets = conjugate_gradients(matrix.tocsr(), target[:, None], begin[:, None])[:, 0]
     return np.asarray(np.where(body.skin, offsets, 0.0).clip(least, most))

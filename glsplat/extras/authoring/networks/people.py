@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.compute.threads import run_in_background
 
 from .face import Face, find_face, shows_face
 from .hand import Hand, find_hand
@@ -53,7 +53,7 @@ def find_person(picture: NDArray[np.uint8], people: NDArray[np.float32] | None =
     mirrored = body.point("left_shoulder")[0] < body.point("right_shoulder")[0]
     if mirrored and shows_face(picture, body) > _SURE:
         body = swapped(body)  # hair over the face, and the body network takes the person for one seen from behind
-    hands = aside(lambda: [find_hand(picture, body, side) for side in ("left", "right")])
+    hands = run_in_background(lambda: [find_hand(picture, body, side) for side in ("left", "right")])
     face = find_face(picture, body)
     left, right = hands()
     return DetectedPerson(_with_head(body, face) if face.elsewhere else body, face, left, right)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.compute.compiled import available
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.geometry.posed import PosedSplats
 from glsplat.io.cores import cores
 
@@ -105,11 +105,11 @@ def as_seen(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | None = No
         agreed(*look.shares, look.pixels, mixed.astype(np.float32), look.towards.astype(np.float32), found)
         return found
 
-    looks = abreast(looked, ((splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras))
+    looks = map_threads(looked, ((splats, camera) for splats, cameras in looks_at(avatar) for camera in cameras))
     values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
     for _ in range(_ROUNDS):
         sums = np.zeros((len(values), SUMS))
-        for look, found in zip(looks, abreast(sums_of, looks), strict=True):
+        for look, found in zip(looks, map_threads(sums_of, looks), strict=True):
             sums[look.some] += found
         weight, whole = sums[:, 5:6] + _OWN, sums[:, 6:7]
         total = values * _OWN + sums[:, :5]

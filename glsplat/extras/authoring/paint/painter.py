@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import half_width, trunk_of, twins_across
-from glsplat.extras.authoring.compute.threads import abreast, aside
+from glsplat.extras.authoring.compute.threads import map_threads, run_in_background
 from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.fit.offsets import face_of
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
@@ -68,7 +68,7 @@ class Painter:
         """What is known and guessed of the points; what is seen squarely is not guessed."""
         starts = range(0, max(len(points.corners), 1), _BLOCK)
         blocks = [points.take(slice(first, first + _BLOCK)) for first in starts]
-        parts = abreast(self._painted, blocks)
+        parts = map_threads(self._painted, blocks)
         return Paint(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def _painted(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
@@ -144,12 +144,12 @@ def painter_of(
     Light and cloth are found on ``points``, which should lie evenly over the surface.
     """
     front = shots[0]
-    seen_from_afar = aside(lambda: Front(front.mesh))
+    seen_from_afar = run_in_background(lambda: Front(front.mesh))
     sight = front.look(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
     cloth = cloth_of(body, front, points, sight, light.shade(normals))
-    head = aside(lambda: back_of_head(body, front, light, cloth.nape))
+    head = run_in_background(lambda: back_of_head(body, front, light, cloth.nape))
     plain, seen = _smooth_colours(body, shots, light, cloth), seen_from_afar()
     twins, span = find_twins(front.mesh, trunk_of(body), seen), cloth.patterned
     sleeves = None if span is None else cut_sleeves(front.mesh, seen, span)

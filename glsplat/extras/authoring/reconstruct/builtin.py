@@ -12,7 +12,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.extras.authoring.body.segments import segments_of
-from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.dress.skirt import dress
 from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, moving_face, with_face
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
@@ -62,14 +62,14 @@ class Builtin:
     def tell(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """The avatar with all that led to it."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
-        loaded = None if options.keep_light else aside(ready)  # where a core has nothing to do
+        loaded = None if options.keep_light else run_in_background(ready)  # where a core has nothing to do
         shots = with_hair(body, bald)
         mesh = shots[0].mesh
         rng = np.random.default_rng(options.seed)
-        face = aside(lambda: moving_face(mesh)) if options.splats >= _FACED else None
+        face = run_in_background(lambda: moving_face(mesh)) if options.splats >= _FACED else None
         strewn = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
         painter = painter_of(body, shots, strewn.points, looks)
-        captured = None if options.keep_light else aside(lambda: captured_light(mesh, shots, painter.light))
+        captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(strewn.points)
         options.progress("placing splats", 0.0)
         avatar = strewn.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)

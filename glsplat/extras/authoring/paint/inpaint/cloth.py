@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import HANDS, half_width, trunk_of
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.offsets import face_of
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.ground import BARE, Ground
@@ -197,7 +197,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
             these = replace(these, pattern=pattern)
         return these
 
-    rows = abreast(row_of, range(len(_REGIONS)))
+    rows = map_threads(row_of, range(len(_REGIONS)))
     for left, right in _PAIRS:  # both sleeves, or both legs of trousers, are of the same cloth
         one, other_one = rows[left], rows[right]
         if one is not None and other_one is not None:
