@@ -13,9 +13,15 @@ from glsplat.extras.authoring.check.finding import Finding, note
 from glsplat.extras.authoring.check.posture import LYING, VIEWS, PostureConfig, arms, cut_off, lying, turned
 from glsplat.extras.authoring.check.sharpness import blur_of
 from glsplat.extras.authoring.compute.threads import run_in_background
-from glsplat.extras.authoring.networks.face import shows_face
+from glsplat.extras.authoring.networks.face import face_probability
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
-from glsplat.extras.authoring.networks.person import DetectedBody, body_in, bounds, people_mask, whole
+from glsplat.extras.authoring.networks.person import (
+    DetectedBody,
+    bounds,
+    enclosing_square,
+    find_body_in_box,
+    people_mask,
+)
 from glsplat.extras.authoring.segment.mask import person_mask
 
 __all__ = ["VIEWS", "Capture", "CaptureConfig", "Finding", "check_capture", "is_outline"]
@@ -174,8 +180,8 @@ def _faces(picture: NDArray[np.uint8], people: NDArray[np.float32], config: Capt
 
 def _faced(picture: NDArray[np.uint8], start: float, end: float, config: CaptureConfig) -> DetectedBody | None:
     """Somebody between two columns of the picture who surely shows their face."""
-    body = body_in(picture, np.array([start, 0.0, end, len(picture)]))
-    if body.presence < config.half_presence or shows_face(picture, body) < config.sure_face:
+    body = find_body_in_box(picture, np.array([start, 0.0, end, len(picture)]))
+    if body.presence < config.half_presence or face_probability(picture, body) < config.sure_face:
         return None
     return body
 
@@ -229,7 +235,7 @@ _SEVERAL = Finding("several", "more than one person is in the picture; show one 
 
 def _seen(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> NDArray[np.bool_]:
     """[H, W] where the first network sees people."""
-    return whole(picture).paste(people, picture.shape[:2]) > 0.5
+    return enclosing_square(picture).paste(people, picture.shape[:2]) > 0.5
 
 
 def _is_second(
@@ -244,7 +250,7 @@ def _is_second(
     for index in np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:3] + 1:
         if stats[index, cv2.CC_STAT_AREA] < config.other * own.sum():
             break
-        second = body_in(picture, bounds(labels == index))
+        second = find_body_in_box(picture, bounds(labels == index))
         theirs = second.mask > 0.5
         if second.presence > config.other_presence and (theirs & ~near).sum() > 0.5 * theirs.sum():
             return True
@@ -297,7 +303,7 @@ def _face(person: DetectedPerson, view: str | None, config: CaptureConfig) -> Fi
     """A face that is hidden is guessed; dolls have neither face nor hands."""
     if view != "front" or person.body.point("nose")[1] < 0:
         return None
-    if person.face.elsewhere:
+    if person.face.displaced:
         return note("face", "the face is covered in part, what that hides is guessed; take mask, hand and hair off it")
     if person.face.presence > config.face:
         return None

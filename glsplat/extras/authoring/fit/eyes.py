@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.networks.eye import EyeLook, look_of_eye
+from glsplat.extras.authoring.networks.eye import EyeLook, read_eye
 from glsplat.extras.authoring.networks.face import Face, eye_of
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["EYE_SIDES", "EyeLook", "Eyeball", "eyeball", "iris_angle", "look_of_eye", "read_eyes"]
+__all__ = ["EYE_SIDES", "EyeLook", "Eyeball", "eyeball", "iris_angle", "read_eyes"]
 
 F64 = NDArray[np.float64]
 
@@ -57,9 +57,9 @@ def eyeball(body: Body, side: str) -> Eyeball:
 
 def read_eyes(picture: NDArray[np.uint8], face: Face) -> dict[str, EyeLook]:
     """Both eyes of a face in an RGB picture; an eye that is not seen has the other's colours, else usual ones."""
-    looks = {side: look_of_eye(picture, eye_of(picture, face, side)) for side in EYE_SIDES}
+    looks = {side: read_eye(picture, eye_of(picture, face, side)) for side in EYE_SIDES}
     for side, other in zip(EYE_SIDES, reversed(EYE_SIDES), strict=True):
-        if not looks[side].seen and looks[other].seen:
+        if not looks[side].visible and looks[other].visible:
             nothing = np.full(2, np.nan)
             looks[side] = EyeLook(False, nothing, np.nan, looks[other].iris_colour, looks[other].white_colour)
     return looks
@@ -70,5 +70,5 @@ def iris_angle(looks: Mapping[str, EyeLook], ball: Eyeball, metre: float) -> flo
 
     ``metre``: pixels of a metre at the face. The usual angle where no eye was seen.
     """
-    seen = [look.radius / metre / ball.radius for look in looks.values() if look.seen]
+    seen = [look.radius / metre / ball.radius for look in looks.values() if look.visible]
     return float(np.arcsin(np.clip(np.mean(seen), *np.sin(_IRIS[1:])))) if seen else _IRIS[0]

@@ -146,9 +146,9 @@ def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face)
         pulls = [_solved(root, away[:, k]) for k, root in enumerate(roots)]
         met = np.stack([each @ pull for each, pull in zip(likely, pulls, strict=True)], axis=1)
         noise = np.sqrt(1 + (np.linalg.norm(away - met, axis=1) / (_OUTLIER * table.strays)) ** 2)
-    if face.presence < _SURE or np.median(np.linalg.norm(away, axis=1)) > (_ODD if face.elsewhere else _STRANGE):
+    if face.presence < _SURE or np.median(np.linalg.norm(away, axis=1)) > (_ODD if face.displaced else _STRANGE):
         return None
-    return turned(x), _field(body, spots, pulls, _MOST_ODD if face.elsewhere else _MOST)
+    return turned(x), _field(body, spots, pulls, _MOST_ODD if face.displaced else _MOST)
 
 
 def _field(body: Body, spots: F64, pulls: list[F64], most: float) -> F64:

@@ -130,7 +130,7 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
         for side, view, fitted in zip(sides, views, seen, strict=True)
     )
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
-    if not any(look.seen for look in looks.values()):
+    if not any(look.visible for look in looks.values()):
         looks = {}  # closed lids and dark glasses stay what they are
     return _Fitted(body, fit, shots, looks)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.fit.view import apart
 from glsplat.extras.authoring.networks.face import find_face
 from glsplat.extras.authoring.networks.hand import find_hand
-from glsplat.extras.authoring.networks.people import DetectedPerson, swapped
+from glsplat.extras.authoring.networks.people import DetectedPerson, swap_sides
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
 __all__ = ["facing_as", "facings"]
@@ -55,7 +55,7 @@ def facing_as(picture: NDArray[np.uint8], person: DetectedPerson, turn: float) -
     told = _told(person)
     if apart(told, turn) <= apart(180.0 - told, turn) + _DOUBT:
         return person
-    body = swapped(person.body)
+    body = swap_sides(person.body)
     return DetectedPerson(
         body, find_face(picture, body), find_hand(picture, body, "left"), find_hand(picture, body, "right")
     )
