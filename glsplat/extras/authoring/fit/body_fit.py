@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.body.segments import arm_layers
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.kinematics import PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import landmarks
@@ -27,7 +28,7 @@ from glsplat.extras.authoring.fit.outline import (
 from glsplat.extras.authoring.fit.prior import HINGES, POSED, PosePrior
 from glsplat.extras.authoring.fit.solver import BodySolver
 from glsplat.extras.authoring.fit.standing.doubt import doubts_of, unseen
-from glsplat.extras.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, hands, hidden_arms, layers
+from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hands, hidden_arms
 from glsplat.extras.authoring.fit.standing.stances import ASIDE, metres_of, misread, stances_of
 from glsplat.extras.authoring.fit.view import View, apart
 from glsplat.meshes import vertex_normals
@@ -167,7 +168,7 @@ def follow_outlines(solver: BodySolver, rounds: int, moved: F64 | None = None) -
     ``moved`` [V, 3] metres is how far the surface lies off the bare body at rest, where that is known.
     """
     trust = _trust_of_parts(solver.body) if moved is None else np.ones(len(solver.body.vertices))
-    cloth = np.where(layers(solver.body) == TRUNK, _CLOTH, solver.sleeve)
+    cloth = np.where(arm_layers(solver.body) == 0, _CLOTH, solver.sleeve)
     for _ in range(rounds):
         for index, view in enumerate(solver.views):
             rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, cloth, view)
@@ -206,7 +207,7 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
         gaps = np.where(np.isfinite(gaps), gaps, half_gaps(view.mask, drawn, rim.pixels, rim.normals, reach))
     around = (_ARM_REACH if moved is None else _ARM_REACH_DRESSED) * view.figure
     column, row = np.floor(rim.pixels).astype(int).T
-    by_arm = layers(body)[rim.vertices] == TRUNK
+    by_arm = arm_layers(body)[rim.vertices] == 0
     by_arm &= beside_arms(body, pixels, view.mask.shape, around)[row, column]
     gaps[by_arm] = np.nan
     if moved is not None:  # before arms are in their place, sleeves would make somebody stout

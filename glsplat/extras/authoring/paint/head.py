@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import trunk_of
+from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.fit.offsets import face_of
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.strands import Strands, strands_of
@@ -96,7 +96,7 @@ def back_of_head(
     hair, skin = np.median(look[crown], axis=0), np.median(look[face], axis=0)
     nearer_skin = _away(look, hair) > _away(look, skin)
     unlike_skin = _away(look, skin) > _HALF * _away(hair, skin)  # hair below a hat is not like the hat
-    chest = trunk_of(body) & (shot.trust > 0.5)
+    chest = trunk_vertices(body) & (shot.trust > 0.5)
     cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)  # unlike all
     unlike_cloth = ~(_away(look, hair) > _SURE * _away(look, cloth))
     beside = (rest[:, 2] < ear + 0.02) & seen
@@ -154,7 +154,7 @@ def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 def _fallen(body: Body, shot: FittedPicture, look: F64, hair: F64, skin: F64, ends: float, nape: float) -> F64:
     """[V] where long hair lies on the back: as far down and aside as it is seen on the chest and shoulders."""
-    rest, trunk = shot.mesh.vertices, trunk_of(body)
+    rest, trunk = shot.mesh.vertices, trunk_vertices(body)
     chest = trunk & (shot.trust > _SEEN) & (rest[:, 1] < ends)
     out = np.zeros(len(rest))
     if not chest.any():

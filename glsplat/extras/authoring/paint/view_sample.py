@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.segments import half_width, trunk_of
+from glsplat.extras.authoring.body.segments import trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
@@ -206,12 +206,12 @@ class FittedPicture:
         if self.segment is None:
             return front.picture
         body = open_body()
-        trunk = trunk_of(body)
+        trunk = trunk_vertices(body)
         rest = self.mesh.vertices
         faces = self.mesh.faces[trunk[self.mesh.faces].all(axis=1)]
         scale = min(1.0, _MIDDLE / self.parts.height)
         ids, bary = drawn(self.mesh, self.view.vertices, self.focal, self.mask.shape, faces, scale)
-        place = np.stack([rest[:, 0] / np.maximum(half_width(rest, trunk), 1e-3), rest[:, 1]], axis=1)
+        place = np.stack([rest[:, 0] / np.maximum(trunk_half_width(rest, trunk), 1e-3), rest[:, 1]], axis=1)
         at = np.full((*ids.shape, 2), np.nan)
         at[ids >= 0] = np.einsum("nk,nkc->nc", bary[ids >= 0], place[faces[ids[ids >= 0]]])
         size = ids.shape[::-1]

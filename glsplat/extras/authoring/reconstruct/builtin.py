@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
-from glsplat.extras.authoring.body.segments import segments_of
+from glsplat.extras.authoring.body.segments import arm_segments
 from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.dress.skirt import dress
 from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, moving_face, with_face
@@ -126,7 +126,9 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     options.progress("painting", 0.35)
     mesh, seen = dress(body, fit, views)
     shots = tuple(
-        FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
+        FittedPicture(
+            pictures[side].rgb, masks[side], view.focal, fitted, mesh, arm_segments(body), _arms(people[side])
+        )
         for side, view, fitted in zip(sides, views, seen, strict=True)
     )
     looks = read_eyes(pictures["front"].rgb, people["front"].face)

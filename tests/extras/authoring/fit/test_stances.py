@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.body.open_body import BETAS, open_body
+from glsplat.extras.authoring.body.segments import arm_layers, forearms
 from glsplat.extras.authoring.fit.body_fit import BodyFit, dressed, fit_body
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
 from glsplat.extras.authoring.fit.offsets import outward
@@ -13,7 +14,7 @@ from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver
 from glsplat.extras.authoring.fit.standing.doubt import LIMBS, doubts_of
-from glsplat.extras.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, forearms, hidden_arms, layers
+from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hidden_arms
 from glsplat.extras.authoring.fit.standing.stances import metres_of, stances_of
 from glsplat.extras.authoring.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -102,7 +103,7 @@ def test_forearms_that_are_seen_may_not_be_as_deep_as_the_trunk() -> None:
     body, seen = open_body(), np.array([1.0, 0.2])
     before, behind = (surface(posed_view(bent=bent)[1]) for bent in (OVER, BACK))
     vertices, depths = before_trunk(body, *before, FOCAL, (480, 320), seen)
-    assert len(vertices) > 10 and (layers(body)[vertices] == 1).all() and forearms(body)[vertices].all()
+    assert len(vertices) > 10 and (arm_layers(body)[vertices] == 1).all() and forearms(body)[vertices].all()
     assert (before[0][vertices, 2] < depths).mean() > 0.9
     vertices, depths = before_trunk(body, *behind, FOCAL, (480, 320), seen)
     assert (behind[0][vertices, 2] > depths).mean() > 0.9
@@ -147,7 +148,7 @@ def test_what_is_held_dresses_no_hip() -> None:
     view, posed, _ = posed_view(bent=bent)
     _, pixels = surface(posed)
     hand = pixels[body.part == JOINT_NAMES.index("left_wrist")].mean(axis=0)
-    side = pixels[(layers(body) == TRUNK) & (np.abs(pixels[:, 1] - hand[1]) < 6)][:, 0].max()
+    side = pixels[(arm_layers(body) == 0) & (np.abs(pixels[:, 1] - hand[1]) < 6)][:, 0].max()
     y, x = np.mgrid[: view.mask.shape[0], : view.mask.shape[1]] + 0.5
     ball = (x - side - 6) ** 2 + ((y - hand[1]) * 0.6) ** 2 < 8**2
     bare, _ = body.shaped(posed.betas)
@@ -155,7 +156,7 @@ def test_what_is_held_dresses_no_hip() -> None:
         dressed(body, bare, [posed], [View(mask, view.landmarks, view.visibility, FOCAL)])
         for mask in (view.mask, view.mask | ball)
     )
-    near = (layers(body) == TRUNK) & (np.linalg.norm(pixels - (side, hand[1]), axis=1) < 20)
+    near = (arm_layers(body) == 0) & (np.linalg.norm(pixels - (side, hand[1]), axis=1) < 20)
     assert near.sum() > 20 and np.abs(held - plain)[near].max() < 0.012  # metres; 0.065 where a ball is cloth
 
 
@@ -164,7 +165,7 @@ def test_cloth_between_an_arm_and_the_trunk_is_the_trunks() -> None:
     body = open_body()
     view, posed, _ = posed_view(bent=DOWN | {("left_shoulder", 2): -1.47, ("right_shoulder", 2): 1.47})
     bare, _ = body.shaped(posed.betas)
-    waist = (layers(body) == TRUNK) & body.skin & (np.abs(body.vertices[:, 1] - 0.1) < 0.12)
+    waist = (arm_layers(body) == 0) & body.skin & (np.abs(body.vertices[:, 1] - 0.1) < 0.12)
     cloth = 0.03 * waist[:, None] * outward(body, bare)
     where = posed.points(body.points(np.arange(len(bare)), cloth))
     worn = projected_mask(where[:, :2] / where[:, 2:] * FOCAL + (160, 240), body.faces, view.mask.shape)

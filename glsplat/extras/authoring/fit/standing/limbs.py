@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.body.segments import HANDS, arm_layers, forearms, joint_weights
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
@@ -17,16 +18,10 @@ from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["TRUNK", "before_trunk", "beside_arms", "forearms", "hands", "hidden_arms", "layers"]
+__all__ = ["before_trunk", "beside_arms", "hands", "hidden_arms"]
 
 F64 = NDArray[np.float64]
 
-TRUNK = 0
-"""In ``layers``: everything that is no arm, legs and head included. The left arm is 1 and the right one 2."""
-
-_SIDES = ("left", "right")
-_DISTAL = 0.35  # share of the upper arm that goes with the trunk, since sleeves begin there
-_FOREARM = ("elbow", "wrist", "index", "middle", "pinky", "ring", "thumb")
 _COARSE = 300.0  # pixels of the person's height that depths are compared with
 _BEHIND = 0.01  # metres
 _SHOWN = 0.6  # visibility of a wrist from which on its forearm is taken to lie before the trunk
@@ -35,33 +30,9 @@ _WITHIN = 0.015  # of the person's height that it lies within the trunk's outlin
 
 
 @lru_cache(maxsize=1)
-def layers(body: Body) -> NDArray[np.intp]:
-    """[V] TRUNK, 1 or 2: what a picture can show one over the other."""
-    out = np.full(len(body.vertices), TRUNK, np.intp)
-    for layer, side in enumerate(_SIDES, 1):
-        shoulder, elbow = (body.joints[JOINT_NAMES.index(f"{side}_{name}")] for name in ("shoulder", "elbow"))
-        along = (body.vertices - shoulder) @ (elbow - shoulder) / ((elbow - shoulder) @ (elbow - shoulder))
-        upper = _held(body, side, (*_FOREARM, "shoulder")) > 0.5
-        out[(_held(body, side, _FOREARM) > 0.5) | (upper & (along > _DISTAL))] = layer
-    return out
-
-
-@lru_cache(maxsize=1)
-def forearms(body: Body) -> NDArray[np.bool_]:
-    """[V] what hangs on the elbows."""
-    return np.asarray(sum(_held(body, side, _FOREARM) for side in _SIDES) > 0.5)
-
-
-def _held(body: Body, side: str, parts: tuple[str, ...]) -> F64:
-    """[V] how much these joints of a side hold of each vertex."""
-    own = np.array([name.startswith(f"{side}_") and any(part in name for part in parts) for name in JOINT_NAMES])
-    return np.asarray((body.skin_weights * own[body.skin_joints]).sum(axis=1))
-
-
-@lru_cache(maxsize=1)
 def hands(body: Body) -> NDArray[np.bool_]:
-    """[V] what hangs on the wrists."""
-    return np.asarray(sum(_held(body, side, _FOREARM[1:]) for side in _SIDES) > 0.5)
+    """Return a mask [V] of the hands."""
+    return np.asarray(sum(joint_weights(body, side, *HANDS) for side in ("left", "right")) > 0.5)
 
 
 def beside_arms(
@@ -71,7 +42,7 @@ def beside_arms(
 
     What a mask's edge says there is said of an arm, whether it lies before the trunk, behind it or along it.
     """
-    own = ((layers(body) != TRUNK) if some is None else some)[body.faces].all(axis=1)
+    own = ((arm_layers(body) > 0) if some is None else some)[body.faces].all(axis=1)
     arms = projected_mask(pixels, body.faces[own], shape).astype(np.uint8)
     return np.asarray(cv2.distanceTransform(1 - arms, cv2.DIST_L2, 3) <= reach)
 
@@ -84,7 +55,7 @@ def hidden_arms(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[
     """
     behind = where[:, 2] > _trunk_depth(body, where, pixels, focal, shape) + _BEHIND
     turned = (vertex_normals(where, body.faces) * where).sum(axis=1) < 0
-    arms = [(layers(body) == layer) & forearms(body) & turned for layer in (1, 2)]
+    arms = [(arm_layers(body) == layer) & forearms(body) & turned for layer in (1, 2)]
     left, right = (float(behind[arm].mean()) if arm.any() else 0.0 for arm in arms)
     return left, right
 
@@ -99,7 +70,7 @@ def before_trunk(
     depth = _trunk_depth(body, where, pixels, focal, shape, _WITHIN)
     chosen = [np.zeros(0, np.intp)]
     for layer in np.flatnonzero(visible > _SHOWN) + 1:
-        arm = np.flatnonzero((layers(body) == layer) & forearms(body))
+        arm = np.flatnonzero((arm_layers(body) == layer) & forearms(body))
         total = np.cumsum(_areas(body)[arm])  # a hand has as many vertices as a leg
         arm = arm[np.unique(np.searchsorted(total, np.linspace(0, total[-1], _SOME)))]
         chosen.append(arm[np.isfinite(depth[arm])])
@@ -137,7 +108,7 @@ def _areas(body: Body) -> F64:
 
 @lru_cache(maxsize=1)
 def _trunk(body: Body) -> RiggedMesh:
-    own = (layers(body)[body.faces] == TRUNK).any(axis=1)
+    own = (arm_layers(body)[body.faces] == 0).any(axis=1)
     part = MeshPart("trunk", body.faces[own], body.uv[own], np.full((1, 1, 4), 255, np.uint8))
     skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), body.joints)
     return RiggedMesh(body.vertices, skeleton, body.skin_joints.astype(np.int64), body.skin_weights, (part,))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import HANDS, half_width, trunk_of
+from glsplat.extras.authoring.body.segments import HANDS, trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.offsets import face_of
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
@@ -160,7 +160,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     where, trust = part.at(rest), sight.trust[some]
     look = np.sqrt(np.maximum(sight.linear[some] / shade[some, None], 0))
     mine = region[part.corners[:, 0]]
-    share = np.abs(where[:, 0]) / np.maximum(part.at(half_width(rest, trunk_of(body))[:, None])[:, 0], 1e-3)
+    share = np.abs(where[:, 0]) / np.maximum(part.at(trunk_half_width(rest, trunk_vertices(body))[:, None])[:, 0], 1e-3)
     beside = (share > _SIDES[0]) & (share < _SIDES[1])
     trust = trust * np.where((mine == _TRUNK) & ~beside, _MIDDLE, 1.0)
     pixels = shot.project(part.at(shot.view.vertices))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.extras.authoring.body.segments import FOREARMS, HANDS, LAYERS, layer_of
+from glsplat.extras.authoring.body.segments import FOREARMS, HANDS, LAYER_COUNT, layer_of
 from glsplat.extras.authoring.compute.threads import locked_cached_property, map_threads
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.geometry.raster import visible_faces
@@ -147,7 +147,7 @@ class ShownLayers:
             carried = np.where((picture == seen.picture).all(axis=2), seen.far, np.float32(0))
             return replace(seen, picture=picture, far=carried)
 
-        return map_threads(cut, range(LAYERS))
+        return map_threads(cut, range(LAYER_COUNT))
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> Layer:
         nearest, row, column = sources(own)
@@ -185,7 +185,7 @@ class ShownLayers:
         size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
         label = np.where(self.mask, 0 if self.segment is None else self.label, -1).astype(np.int16)
         small = cv2.resize(label, size, interpolation=cv2.INTER_NEAREST)
-        shown = [(small == number).astype(np.uint8) for number in range(1 if self.segment is None else LAYERS)]
+        shown = [(small == number).astype(np.uint8) for number in range(1 if self.segment is None else LAYER_COUNT)]
         return scale, [
             np.asarray(cv2.distanceTransform(some, cv2.DIST_L2, 3) / (scale * self.height), np.float32)
             for some in shown
