@@ -50,8 +50,8 @@ def paint_teeth(
         tile = enamel(across, along) * light_at(np.array([middle]))
         texture[:, number * _TOOTH_WIDTH_PX : (number + 1) * _TOOTH_WIDTH_PX, :3] = np.rint(tile)
     gums = np.flatnonzero(~tooth)
-    inset = 0.5 / _TOOTH_WIDTH_PX  # half a texel, so that tiles do not mix
-    share = ((turn / np.pi + 0.5).clip(0, 1) * (_GUM_TILES - 2 * inset) + inset + len(teeth)) / tiles
+    half_texel = 0.5 / _TOOTH_WIDTH_PX  # so that tiles do not mix
+    share = ((turn / np.pi + 0.5).clip(0, 1) * (_GUM_TILES - 2 * half_texel) + half_texel + len(teeth)) / tiles
     uv[gums] = np.stack([share, np.full(count, 0.5)], axis=1)[faces[gums]]
     turns = (np.linspace(0, 1, _GUM_TILES * _TOOTH_WIDTH_PX) - 0.5) * np.pi
     texture[:, len(teeth) * _TOOTH_WIDTH_PX :, :3] = np.rint(np.array(_GUM_RGB) * light_at(turns))

@@ -15,13 +15,13 @@ from glsplat.extras.authoring.compute.threads import one_blas_thread
 from glsplat.extras.authoring.networks.people import find_person
 from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
 from glsplat.extras.authoring.segment.mask import person_mask
-from glsplat.extras.authoring.segment.mask_file import MaskSource, mask_of
+from glsplat.extras.authoring.segment.mask_file import MaskSource, read_mask
 
 __all__ = ["CheckedPhoto", "PhotoSource", "check_photos", "refuse"]
 
 Mask = NDArray[np.bool_]
 PhotoSource = str | os.PathLike[str] | Photo
-"""A picture file, or what ``read_photo`` or ``photo_of`` made of one."""
+"""A picture file, or what ``read_photo`` or ``decode_photo`` made of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def check_photos(
         progress("reading the pictures", index / len(sources))
         photo = photos[side] = source if isinstance(source, Photo) else read_photo(source)
         if masks is not None and side in masks:
-            outlines[side] = mask_of(masks[side], photo)
+            outlines[side] = read_mask(masks[side], photo)
     shots = {}
     for index, (side, photo) in enumerate(photos.items()):
         progress(f"checking the {side}", index / len(photos))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.photo.photo_file import MOST_PIXELS, SIDE
+from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS, MAX_SIDE_PX
 from glsplat.io.files import open_regular
 
 __all__ = ["FEWEST", "each_frame", "is_video", "read_frames"]
@@ -39,7 +39,7 @@ def is_video(path: str | os.PathLike[str]) -> bool:
 def read_frames(path: str | os.PathLike[str], count: int) -> list[NDArray[np.uint8]]:
     """At most ``count`` frames, RGB uint8 [H, W, 3], in order: of each stretch of the video the sharpest of a few.
 
-    They are turned as the file says and at most SIDE pixels a side. Raises FormatError, one line that names the file.
+    Upright, reduced to MAX_SIDE_PX. Raises FormatError, one line that names the file.
     """
     if not is_video(path):
         raise FormatError(f"{path}: not a video; {_SEE}")
@@ -66,7 +66,7 @@ def each_frame(path: str | os.PathLike[str]) -> Iterator[NDArray[np.uint8]]:
         if not read or picture is None:
             raise FormatError(f"{path}: the video is damaged; its first frame cannot be read")
         while read and picture is not None:
-            if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
+            if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MAX_PIXELS:
                 raise FormatError(f"{path}: frames of {picture.shape} are not pictures in colour of a usable size")
             yield np.ascontiguousarray(picture[..., ::-1])
             read, picture = film.read()
@@ -115,7 +115,7 @@ def _chosen(
             read, picture = film.retrieve()
             if not read or picture is None:
                 raise FormatError(f"{path}: frame {number} of the video is damaged; convert it to .mp4 anew")
-            if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
+            if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MAX_PIXELS:
                 raise FormatError(f"{path}: frames of {picture.shape} are not pictures in colour of a usable size")
             sharp, stretch = _sharpness(picture), wanted[number]
             if stretch not in best or sharp > best[stretch][0]:
@@ -132,8 +132,8 @@ def _sharpness(picture: NDArray[np.uint8]) -> float:
 
 def _usable(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
-    if max(height, width) > SIDE:
-        scale = SIDE / max(height, width)
+    if max(height, width) > MAX_SIDE_PX:
+        scale = MAX_SIDE_PX / max(height, width)
         size = max(round(width * scale), 1), max(round(height * scale), 1)
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
     return np.ascontiguousarray(picture[..., ::-1])
