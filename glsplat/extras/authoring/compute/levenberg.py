@@ -15,11 +15,11 @@ _START_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-9, 1e6
 _MAX_TRIALS = 6  # dampings for one step
 
 
-def least_squares(rows: Callable[[F64, bool], tuple[F64, F64]], start: F64, steps: int) -> F64:
+def least_squares(rows: Callable[[F64, bool], tuple[F64, F64]], start: F64, steps: int, tolerance: float = 1e-4) -> F64:
     """Return the unknowns [P] that minimise the sum of squares, after at most ``steps`` steps from ``start``.
 
     ``rows(x, True)`` returns residuals [R] and derivatives [R, P]; ``rows(x, False)`` may leave the derivatives empty.
-    Stops when a step lowers the sum by less than 1e-4 of it. The result is never worse than ``start``.
+    Stops when a step lowers the sum by less than ``tolerance`` of it. The result is never worse than ``start``.
     """
     x, damping = start.copy(), _START_DAMPING
     for _ in range(steps):
@@ -37,6 +37,6 @@ def least_squares(rows: Callable[[F64, bool], tuple[F64, F64]], start: F64, step
             damping = min(damping * 6, _MAX_DAMPING)
         else:
             return x
-        if gain < 1e-4 * cost:
+        if gain < tolerance * cost:
             return x
     return x

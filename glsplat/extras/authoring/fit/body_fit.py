@@ -30,7 +30,8 @@ from glsplat.extras.authoring.fit.solver import BodySolver
 from glsplat.extras.authoring.fit.standing.doubt import doubts_of, unseen
 from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hands, hidden_arms
 from glsplat.extras.authoring.fit.standing.stances import ASIDE, metres_of, misread, stances_of
-from glsplat.extras.authoring.fit.view import View, apart
+from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -173,7 +174,7 @@ def follow_outlines(solver: BodySolver, rounds: int, moved: F64 | None = None) -
         for index, view in enumerate(solver.views):
             rim, weights = _pulled(_rim(solver.body, solver.posed(index), view, moved), trust, cloth, view)
             solver.pull_to(index, rim, moved, weights)
-            if apart(view.turn, 0.0) <= _FRONT and view.world is not None:  # from aside arms hide each other
+            if degrees_between(view.turn, 0.0) <= _FRONT and view.world is not None:  # from aside arms hide each other
                 solver.keep_before(index, *_shown_arms(solver.body, solver.posed(index), view))
         solver.solve(2)
         solver.weigh_landmarks()

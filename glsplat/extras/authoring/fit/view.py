@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -12,14 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import own
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
+from glsplat.extras.authoring.networks.people import SIDES, degrees_between
 
-__all__ = ["SIDES", "View", "apart", "facing"]
+__all__ = ["View", "facing"]
 
 F64 = NDArray[np.float64]
-Degrees = TypeVar("Degrees", float, NDArray[np.float64])
-
-SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
-"""Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
 
 _LEAST_FIGURE = 64  # pixels
 
@@ -28,11 +24,6 @@ def facing(turn: float) -> F64:
     """[3, 3] left, up and front of somebody who has turned by so many degrees: columns, in camera axes (z away)."""
     cos, sin = np.round([np.cos(np.radians(turn)), np.sin(np.radians(turn))], 15)
     return np.array([[cos, 0.0, sin], [0.0, -1.0, 0.0], [sin, 0.0, -cos]])
-
-
-def apart(first: Degrees, second: float) -> Degrees:
-    """Degrees between two directions, or between each of many and one, 0 to 180."""
-    return abs((first - second + 180) % 360 - 180)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -97,7 +88,7 @@ class View:
         if turn is not None:
             if not np.isfinite(turn):
                 raise FormatError(f"a view's turn needs degrees, not {turn}")
-            side = min(SIDES, key=lambda name: apart(turn, SIDES[name]))
+            side = min(SIDES, key=lambda name: degrees_between(turn, SIDES[name]))
         if face is not None and not np.isfinite(face):
             raise FormatError(f"a face's turn needs degrees, not {face}")
         keep = object.__setattr__

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,12 @@ from .face import Face, face_probability, find_face
 from .hand import Hand, find_hand
 from .person import LANDMARKS, DetectedBody, find_body
 
-__all__ = ["DetectedPerson", "find_person", "swap_sides"]
+__all__ = ["SIDES", "DetectedPerson", "degrees_between", "find_person", "swap_sides"]
+
+Degrees = TypeVar("Degrees", float, NDArray[np.float64])
+
+SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
+"""Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
 
 _MIN_FACE_PROBABILITY = 0.9  # fronts have at least 0.98, backs at most 0.01
 _HEAD_FROM_FACE = (  # points of the face mesh whose means replace the head's LANDMARKS, in their order
@@ -64,6 +70,11 @@ def _with_head(body: DetectedBody, face: Face) -> DetectedBody:
     points = body.points.copy()
     points[: len(_HEAD_FROM_FACE)] = [face.points[list(marks), :2].mean(axis=0) for marks in _HEAD_FROM_FACE]
     return replace(body, points=points)
+
+
+def degrees_between(first: Degrees, second: float) -> Degrees:
+    """Return the angle between two directions in degrees, or between each of many and one, 0 to 180."""
+    return abs((first - second + 180) % 360 - 180)
 
 
 def swap_sides(body: DetectedBody) -> DetectedBody:

@@ -28,7 +28,8 @@ from glsplat.extras.authoring.fit.landmarks import landmarks
 from glsplat.extras.authoring.fit.offsets import outward
 from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver, KnownShape
-from glsplat.extras.authoring.fit.view import View, apart
+from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.networks.people import degrees_between
 
 __all__ = ["fit_turning", "key_views"]
 
@@ -42,7 +43,7 @@ def key_views(turns: Sequence[float], count: int = _KEYS) -> list[int]:
     """Numbers of at most ``count`` of the views with these turns in degrees that look from all around, front first."""
     keys: list[int] = []
     for wanted in np.arange(count) * 360.0 / count:
-        best = min(range(len(turns)), key=lambda index: (apart(turns[index], float(wanted)), index))
+        best = min(range(len(turns)), key=lambda index: (degrees_between(turns[index], float(wanted)), index))
         if best not in keys:
             keys.append(best)
     return keys
@@ -78,7 +79,7 @@ def fit_turning(
 
     others = [index for index in range(len(views)) if index not in poses]
     for done, index in enumerate(others):
-        near = min(poses, key=lambda known: (apart(small[known].turn, small[index].turn), known))
+        near = min(poses, key=lambda known: (degrees_between(small[known].turn, small[index].turn), known))
         solver = BodySolver(body, landmarks(), [small[index]], height, KnownShape(betas, angles[near], camera))
         converge(solver, 2)
         keep(index, solver)

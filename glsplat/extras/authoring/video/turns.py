@@ -12,10 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.view import apart
 from glsplat.extras.authoring.networks.face import find_face
 from glsplat.extras.authoring.networks.hand import find_hand
-from glsplat.extras.authoring.networks.people import DetectedPerson, swap_sides
+from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between, swap_sides
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
 __all__ = ["facing_as", "facings"]
@@ -53,7 +52,7 @@ def facings(people: Sequence[DetectedPerson], *, in_order: bool) -> F64:
 def facing_as(picture: NDArray[np.uint8], person: DetectedPerson, turn: float) -> DetectedPerson:
     """The person as somebody who has turned by so many degrees: left and right put right, and the face found again."""
     told = _told(person)
-    if apart(told, turn) <= apart(180.0 - told, turn) + _DOUBT:
+    if degrees_between(told, turn) <= degrees_between(180.0 - told, turn) + _DOUBT:
         return person
     body = swap_sides(person.body)
     return DetectedPerson(
@@ -74,10 +73,10 @@ def _told(person: DetectedPerson) -> float:
 def _costs(person: DetectedPerson, grid: F64) -> F64:
     """[72] squared doubts that the person faces each way."""
     told = _told(person)
-    off = np.minimum((apart(grid, told) / _DOUBT) ** 2, _MOST)
-    other = np.minimum((apart(grid, 180.0 - told) / _DOUBT) ** 2, _MOST) + _BACK_FOR_FRONT
+    off = np.minimum((degrees_between(grid, told) / _DOUBT) ** 2, _MOST)
+    other = np.minimum((degrees_between(grid, 180.0 - told) / _DOUBT) ** 2, _MOST) + _BACK_FOR_FRONT
     cost = np.minimum(off, other)
-    front = apart(grid, 0.0)
+    front = degrees_between(grid, 0.0)
     if person.face.presence > _FACE:
         cost = cost + _AGAINST_FACE * (front > _SHOWN)
     elif person.face.presence < _FACELESS:

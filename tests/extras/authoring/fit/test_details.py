@@ -18,11 +18,11 @@ from glsplat.extras.authoring.fit.kinematics import PosedBody, fully_posed, proj
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES, MEAN
-from glsplat.extras.authoring.fit.view import SIDES, View, facing
+from glsplat.extras.authoring.fit.view import View, facing
 from glsplat.extras.authoring.networks.face import Face
 from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.extras.authoring.networks.network import Crop
-from glsplat.extras.authoring.networks.people import DetectedPerson
+from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson
 from glsplat.extras.authoring.networks.person import DetectedBody as Readings
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -13,7 +13,8 @@ from glsplat.extras.authoring.fit.kinematics import PLACE, Hinges, PosedBody, pr
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
 from glsplat.extras.authoring.fit.offsets import MOST, smooth_offsets
 from glsplat.extras.authoring.fit.outline import brimless, edge_distances, lengths_inside, overlap, projected_mask
-from glsplat.extras.authoring.fit.view import SIDES, View, facing
+from glsplat.extras.authoring.fit.view import View, facing
+from glsplat.extras.authoring.networks.people import SIDES
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 

@@ -14,7 +14,8 @@ from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
 from glsplat.extras.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior
 from glsplat.extras.authoring.fit.standing.arms import arm_mixture
-from glsplat.extras.authoring.fit.view import View, apart
+from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -97,7 +98,7 @@ def metres_of(view: View) -> F64 | None:
         return None
     across = _at(view.world, "left_shoulder") - _at(view.world, "right_shoulder")
     turn = float(np.degrees(np.arctan2(across[2], across[0])))
-    return view.world if apart(turn, view.turn) <= _TURNED else None
+    return view.world if degrees_between(turn, view.turn) <= _TURNED else None
 
 
 def misread(world: F64, joints: F64) -> float:
