@@ -249,8 +249,8 @@ def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
         views = done.made.fit.views
         facts["stature"] = round(float(done.made.fit.stature), 4)
         facts["overlap"] = [round(view.overlap, 4) for view in views]  # with the mask, a picture each
-        facts["strays"] = [round(view.strays, 3) for view in views]  # of landmarks, percent of the height
-        facts["doubts"] = [{limb: round(doubt, 3) for limb, doubt in view.doubts.items()} for view in views]
+        facts["strays"] = [round(view.landmark_error, 3) for view in views]  # of landmarks, percent of the height
+        facts["doubts"] = [{limb: round(doubt, 3) for limb, doubt in view.uncertainty.items()} for view in views]
         facts["problem"] = done.made.problem
     return facts
 

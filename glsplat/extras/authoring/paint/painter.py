@@ -12,7 +12,7 @@ from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import mirror_vertices, trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.compute.threads import map_threads, run_in_background
 from glsplat.extras.authoring.fit.eyes import EyeLook
-from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, Twins, find_twins
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head
@@ -160,7 +160,7 @@ def painter_of(
 def _aside(body: Body, shot: FittedPicture) -> F64:
     """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
     trunk, rest = trunk_vertices(body), shot.mesh.vertices
-    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
+    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_vertices(body)
     share = np.abs(rest[:, 0]) / np.maximum(trunk_half_width(rest, trunk), 1e-3)
     return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
 

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, Body, open_body
 from glsplat.extras.authoring.fit.body_fit import (
-    FIGURE,
+    MAX_FIGURE_PX,
     BodyFit,
-    assembled,
+    assemble_fit,
     converge,
-    dressed,
+    fit_clothes,
     follow_outlines,
-    strays_of,
+    landmark_errors,
 )
 from glsplat.extras.authoring.fit.kinematics import PosedBody
 from glsplat.extras.authoring.fit.landmarks import landmarks
-from glsplat.extras.authoring.fit.offsets import outward
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver, KnownShape
 from glsplat.extras.authoring.fit.view import View
@@ -63,19 +63,20 @@ def fit_turning(
     if len(views) < 2:
         raise FormatError("a fit of somebody who turns needs at least two pictures")
     body = body or open_body()
-    small = [view.smaller(FIGURE) for view in views]
+    small = [view.smaller(MAX_FIGURE_PX) for view in views]
     keys = key_views([view.turn for view in small])
     first = BodySolver(body, landmarks(), [small[key] for key in keys], height)
     converge(first)
     progress(0.3)
     poses: dict[int, PosedBody] = {key: first.posed(index) for index, key in enumerate(keys)}
     angles = {key: first.angles(index).copy() for index, key in enumerate(keys)}
-    strays = dict(zip(keys, strays_of(first), strict=True))
+    strays = dict(zip(keys, landmark_errors(first), strict=True))
     camera = float(np.median([first.camera_height(index) for index in range(len(keys))]))
     betas = first.betas.copy()
 
     def keep(index: int, solver: BodySolver) -> None:
-        poses[index], angles[index], strays[index] = solver.posed(0), solver.angles(0).copy(), strays_of(solver)[0]
+        poses[index], angles[index] = solver.posed(0), solver.angles(0).copy()
+        strays[index] = landmark_errors(solver)[0]
 
     others = [index for index in range(len(views)) if index not in poses]
     for done, index in enumerate(others):
@@ -86,9 +87,9 @@ def fit_turning(
         progress(0.3 + 0.3 * done / len(others))
     bare, joints = body.shaped(betas)
     numbers = range(len(views))
-    offsets = dressed(body, bare, [poses[index] for index in numbers], views)
+    offsets = fit_clothes(body, bare, [poses[index] for index in numbers], views)
     for turn in range(_DRESSED):
-        moved = offsets[:, None] * outward(body, bare)
+        moved = offsets[:, None] * offset_directions(body, bare)
         about = np.median([angles[index] for index in numbers], axis=0)
         for index in numbers:
             solver = BodySolver(body, landmarks(), [small[index]], height, KnownShape(betas, about, camera))
@@ -97,9 +98,9 @@ def fit_turning(
             follow_outlines(solver, 2, moved)
             keep(index, solver)
             progress(0.6 + 0.4 * (turn + index / len(views)) / _DRESSED)
-        offsets = dressed(body, bare, [poses[index] for index in numbers], views)
+        offsets = fit_clothes(body, bare, [poses[index] for index in numbers], views)
     rotations = [HINGES.rotations(angles[index]) for index in numbers]
-    return assembled(
+    return assemble_fit(
         body,
         bare,
         joints,

@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, Points, open_body
-from glsplat.extras.authoring.fit.body_fit import BodyFit, assembled
+from glsplat.extras.authoring.fit.body_fit import BodyFit, assemble_fit
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import eyeball
 from glsplat.extras.authoring.fit.face import face_places, fit_face
@@ -59,7 +59,7 @@ def fitted(*sides: str) -> tuple[BodyFit, tuple[View, ...]]:
         mask = projected_mask(everywhere(made, bare), body.faces, SIZE)
         views.append(View(mask, np.full((LANDMARK_COUNT, 2), 320.0), np.ones(LANDMARK_COUNT), FOCAL, CENTRE, side))
     zero = np.zeros(len(bare))
-    fit = assembled(body, bare, joints, zero, poses, [body_pose()] * len(sides), views, [0.0] * len(sides))
+    fit = assemble_fit(body, bare, joints, zero, poses, [body_pose()] * len(sides), views, [0.0] * len(sides))
     return fit, tuple(views)
 
 

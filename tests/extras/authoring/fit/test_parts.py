@@ -11,7 +11,7 @@ from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, Hinges, PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
-from glsplat.extras.authoring.fit.offsets import MOST, smooth_offsets
+from glsplat.extras.authoring.fit.offsets import OFFSET_RANGE_M, smooth_offsets
 from glsplat.extras.authoring.fit.outline import brimless, edge_distances, lengths_inside, overlap, projected_mask
 from glsplat.extras.authoring.fit.view import View, facing
 from glsplat.extras.authoring.networks.people import SIDES
@@ -95,7 +95,7 @@ def test_offsets_meet_what_is_known_and_are_smooth_elsewhere() -> None:
     offsets = smooth_offsets(body, chest, np.full(len(chest), 0.02), np.ones(len(chest)))
     assert abs(np.median(offsets[chest]) - 0.02) < 0.002 and np.abs(offsets[body.vertices[:, 1] < -0.7]).max() < 0.005
     assert offsets.min() >= -1e-9 and offsets.max() <= 0.0205
-    assert smooth_offsets(body, chest, np.full(len(chest), 9.0), np.ones(len(chest))).max() <= MOST[1]
+    assert smooth_offsets(body, chest, np.full(len(chest), 9.0), np.ones(len(chest))).max() <= OFFSET_RANGE_M[1]
 
 
 FIGURE, NECK = 480.0, 100  # rows; below it nobody asks

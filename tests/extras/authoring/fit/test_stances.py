@@ -7,15 +7,15 @@ import pytest
 
 from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.body.segments import arm_layers, forearms
-from glsplat.extras.authoring.fit.body_fit import BodyFit, dressed, fit_body
+from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body, fit_clothes
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
-from glsplat.extras.authoring.fit.offsets import outward
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver
-from glsplat.extras.authoring.fit.standing.doubt import LIMBS, doubts_of
+from glsplat.extras.authoring.fit.standing.doubt import LIMBS, limb_uncertainty
 from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hidden_arms
-from glsplat.extras.authoring.fit.standing.stances import metres_of, stances_of
+from glsplat.extras.authoring.fit.standing.stances import stances_of, trusted_world
 from glsplat.extras.authoring.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.authoring.made_up import FOCAL, posed_view
@@ -54,7 +54,7 @@ def test_a_hand_on_the_belly() -> None:
     fit = fit_body([view], 1.7)
     assert fit.problem == "" and fit.views[0].overlap > 0.97
     assert arms_off(fit, posed) < 35  # millimetres; above 150 without metres
-    assert set(fit.views[0].doubts) == set(LIMBS) and max(fit.views[0].doubts.values()) < 0.3
+    assert set(fit.views[0].uncertainty) == set(LIMBS) and max(fit.views[0].uncertainty.values()) < 0.3
 
 
 @pytest.mark.check
@@ -92,10 +92,10 @@ def test_without_metres_there_is_one_stance() -> None:
 
 def test_metres_that_take_the_front_for_another_side_are_not_believed() -> None:
     view = posed_view()[0]
-    assert view.world is not None and metres_of(view) is view.world and metres_of(blind(view)) is None
+    assert view.world is not None and trusted_world(view) is view.world and trusted_world(blind(view)) is None
     behind = view.world * (-1.0, 1.0, -1.0)  # the network saw a back
     wrong = View(view.mask, view.landmarks, view.visibility, view.focal, world=behind)
-    assert metres_of(wrong) is None
+    assert trusted_world(wrong) is None
     assert [stance.name for stance in stances_of(wrong, open_body())] == ["posed", "at ease"]
 
 
@@ -116,7 +116,7 @@ def test_an_arm_that_is_too_deep_comes_forward_and_the_body_stays() -> None:
     vertices, depths = before_trunk(open_body(), *deep, FOCAL, (480, 320), np.array([1.0, 0.0]))
     x = solver.x.copy()
     bare = solver._rows(x, True)
-    solver.keep_before(0, vertices, depths)
+    solver.keep_in_front(0, vertices, depths)
     residual, slope = solver._rows(x, True)
     pushed = len(bare[0])
     assert residual[pushed:].max() > 0.1 and (residual[pushed:] >= 0).all()
@@ -153,7 +153,7 @@ def test_what_is_held_dresses_no_hip() -> None:
     ball = (x - side - 6) ** 2 + ((y - hand[1]) * 0.6) ** 2 < 8**2
     bare, _ = body.shaped(posed.betas)
     plain, held = (
-        dressed(body, bare, [posed], [View(mask, view.landmarks, view.visibility, FOCAL)])
+        fit_clothes(body, bare, [posed], [View(mask, view.landmarks, view.visibility, FOCAL)])
         for mask in (view.mask, view.mask | ball)
     )
     near = (arm_layers(body) == 0) & (np.linalg.norm(pixels - (side, hand[1]), axis=1) < 20)
@@ -166,10 +166,10 @@ def test_cloth_between_an_arm_and_the_trunk_is_the_trunks() -> None:
     view, posed, _ = posed_view(bent=DOWN | {("left_shoulder", 2): -1.47, ("right_shoulder", 2): 1.47})
     bare, _ = body.shaped(posed.betas)
     waist = (arm_layers(body) == 0) & body.skin & (np.abs(body.vertices[:, 1] - 0.1) < 0.12)
-    cloth = 0.03 * waist[:, None] * outward(body, bare)
+    cloth = 0.03 * waist[:, None] * offset_directions(body, bare)
     where = posed.points(body.points(np.arange(len(bare)), cloth))
     worn = projected_mask(where[:, :2] / where[:, 2:] * FOCAL + (160, 240), body.faces, view.mask.shape)
-    offsets = dressed(body, bare, [posed], [View(view.mask | worn, view.landmarks, view.visibility, FOCAL)])
+    offsets = fit_clothes(body, bare, [posed], [View(view.mask | worn, view.landmarks, view.visibility, FOCAL)])
     flank = waist & (np.abs(body.vertices[:, 0]) > 0.9 * np.abs(body.vertices[waist, 0]).max())
     assert flank.sum() > 10 and 0.013 < np.median(offsets[flank]) < 0.035  # 0.010 where it is nobody's
 
@@ -178,7 +178,7 @@ def test_doubts_by_limb() -> None:
     view, _, _ = posed_view(bent=DOWN)
     dim = view.visibility.copy()
     dim[[14, 16]] = 0.9, 0.2  # the right elbow and wrist
-    found = doubts_of(View(view.mask, view.landmarks, dim, FOCAL), (0.1, 0.0))
+    found = limb_uncertainty(View(view.mask, view.landmarks, dim, FOCAL), (0.1, 0.0))
     assert found == pytest.approx({"head": 0, "left arm": 0.1, "right arm": 0.8, "left leg": 0, "right leg": 0})
 
 

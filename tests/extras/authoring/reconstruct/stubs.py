@@ -81,7 +81,7 @@ class Detailed(Plain):
 
     def tell(self, pictures: Any, masks: Any, options: Any) -> MadeAvatar:
         self.calls.append((pictures, masks, options))
-        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
+        view = SimpleNamespace(overlap=0.5, landmark_error=9.0, uncertainty={})
         mesh, fit = None, SimpleNamespace(views=[view] * len(pictures), stature=1.7)
         if self.fitted:
             views = []
@@ -102,7 +102,7 @@ class Meshed(Detailed):
         self.calls.append((pictures, masks, options))
         person = photographed("front")
         mesh = baked(person.mesh, lambda points: np.full((len(points.corners), 3), 0.3), options.texture)
-        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
+        view = SimpleNamespace(overlap=0.5, landmark_error=9.0, uncertainty={})
         fit: Any = SimpleNamespace(views=[view] * len(pictures), stature=1.7)
         return FittedBody(fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)
 

@@ -1,4 +1,4 @@
-"""How much a fit doubts its own limbs, by what the networks saw of them and where the fit has put them."""
+"""Estimate the uncertainty of a fit's limbs from the networks' visibility and from arms behind the trunk."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from glsplat.extras.authoring.fit.view import View
 
-__all__ = ["LIMBS", "doubts_of", "unseen"]
+__all__ = ["LIMBS", "limb_uncertainty", "missing_part"]
 
 LIMBS: dict[str, tuple[int, ...]] = {
     "head": (0,),
@@ -15,27 +15,27 @@ LIMBS: dict[str, tuple[int, ...]] = {
     "left leg": (25, 27),
     "right leg": (26, 28),
 }
-"""Each limb's landmarks in the network's order; the head's is the nose."""
+"""Numbers of each limb's landmarks; the head's is the nose."""
 
-_TOO_MUCH = 0.6  # of both legs, or of the head: nothing holds them
+_MAX_UNCERTAINTY = 0.6  # of one leg, or of the head
 
 
-def doubts_of(view: View, hidden: tuple[float, float]) -> dict[str, float]:
-    """Of each limb from 0 (seen whole) to 1 (a guess).
+def limb_uncertainty(view: View, hidden: tuple[float, float]) -> dict[str, float]:
+    """Return the uncertainty of each limb, from 0 (fully visible) to 1 (a guess).
 
-    That is what its least visible landmark lacks of being seen; of an arm also the share of it that the fit has
-    ``hidden`` behind the trunk, left and right, where that is more.
+    It is 1 minus the visibility of the limb's least visible landmark; for an arm at least the fraction ``hidden``
+    (left, right) behind the trunk.
     """
-    doubts = {limb: float(1 - view.visibility[list(marks)].min()) for limb, marks in LIMBS.items()}
+    uncertainty = {limb: float(1 - view.visibility[list(marks)].min()) for limb, marks in LIMBS.items()}
     for limb, share in zip(("left arm", "right arm"), hidden, strict=True):
-        doubts[limb] = max(doubts[limb], share)
-    return doubts
+        uncertainty[limb] = max(uncertainty[limb], share)
+    return uncertainty
 
 
-def unseen(doubts: Mapping[str, float], side: str) -> str:
-    """One line that says which part of somebody the ``side`` picture does not show, or nothing."""
-    if min(doubts.get(f"{each} leg", 0.0) for each in ("left", "right")) > _TOO_MUCH:
+def missing_part(uncertainty: Mapping[str, float], side: str) -> str:
+    """Return one line that names a part of the person that the ``side`` picture does not show, or an empty one."""
+    if min(uncertainty.get(f"{each} leg", 0.0) for each in ("left", "right")) > _MAX_UNCERTAINTY:
         return f"the legs are not seen in the {side} picture"
-    if side == "front" and doubts.get("head", 0.0) > _TOO_MUCH:
+    if side == "front" and uncertainty.get("head", 0.0) > _MAX_UNCERTAINTY:
         return f"the head is not seen in the {side} picture"
     return ""

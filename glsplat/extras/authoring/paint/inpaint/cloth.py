@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import HANDS, trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.compute.threads import map_threads
-from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.ground import BARE, Ground
 from glsplat.extras.authoring.paint.inpaint.pattern import goes_around
@@ -166,7 +166,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     pixels = shot.project(part.at(shot.view.vertices))
     deep = shot.shallow(pixels, shot.layers_at(part)) >= _SHALLOW
     trust = trust * np.where(deep, 1.0, _MIDDLE)
-    face = (face_of(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
+    face = (face_vertices(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
     skin = _bright(look[face]) if face.sum() > 2 * FEWEST else None
     shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
     armpit = float(shoulder.mean()) - _ARMPIT
