@@ -27,9 +27,9 @@ from glsplat.extras.authoring.fit.outline import (
 )
 from glsplat.extras.authoring.fit.prior import HINGES, POSED, PosePrior
 from glsplat.extras.authoring.fit.solver import BodySolver
-from glsplat.extras.authoring.fit.standing.doubt import limb_uncertainty, missing_part
 from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hands, hidden_arms
 from glsplat.extras.authoring.fit.standing.stances import MIN_ASIDE_RAD, arm_direction_error, stances_of, trusted_world
+from glsplat.extras.authoring.fit.standing.uncertainty import limb_uncertainty, missing_part
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.meshes import vertex_normals
