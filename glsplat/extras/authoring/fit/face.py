@@ -99,7 +99,7 @@ def face_turn(body: Body, face: Face, focal: float, middle: float) -> float | No
     return float(np.degrees(np.arctan2(right[2], -np.cross(right, down)[2]) - bearing))
 
 
-def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face) -> tuple[F64, F64] | None:
+def fit_face(body: Body, fit: BodyFit, fitted: FittedView, view: View, face: Face) -> tuple[F64, F64] | None:
     """Return the view's rotations [55, 3] with neck and head turned, and offsets [V, 3] in metres in the zero pose.
 
     Both move the body's face to the landmarks; None if the face is not credible. The turn is the most likely one over
@@ -113,13 +113,13 @@ def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face)
     columns = [derivative_column(name, axis) for name in _TURNED_JOINTS for axis in range(3)]
 
     def turned(x: F64) -> F64:
-        rotations = seen.rotations.copy()
+        rotations = fitted.rotations.copy()
         rotations[rows] = x.reshape(-1, 3)
         return rotations
 
     def residuals(x: F64, derive: bool) -> tuple[F64, F64]:
         """Return metres [L, 2] in the head's frontal plane from points to landmarks, and derivatives [L, 2, 6]."""
-        posed = fully_posed(body, fit.betas, seen.root, seen.pelvis, turned(x))
+        posed = fully_posed(body, fit.betas, fitted.root, fitted.pelvis, turned(x))
         where, moves = posed.derivatives(points) if derive else (posed.points(points), None)
         at, slopes = projected(where, view.focal, view.centre, None if moves is None else moves[..., columns])
         frame = posed.frames[JOINT_NAMES.index("head")]
@@ -127,7 +127,7 @@ def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face)
         plane = frame[:2, :2] - ratio[:, :, None] * frame[2:, :2]  # from the head's plane to the picture's
         return np.linalg.solve(plane, (marks - at)[..., None] * size)[..., 0], np.linalg.solve(plane, -slopes * size)
 
-    x = seen.rotations[rows].ravel()
+    x = fitted.rotations[rows].ravel()
     noise = np.ones(len(spots))
     for _ in range(_WEIGHT_ROUNDS):
         roots = [cholesky(each + np.diag((table.errors * noise) ** 2), lower=True) for each in covariances]

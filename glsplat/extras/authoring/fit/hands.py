@@ -77,28 +77,28 @@ def hand_size(joints: F64) -> float:
     return float(np.linalg.norm(joints[JOINT_NAMES.index("left_middle1")] - joints[JOINT_NAMES.index("left_wrist")]))
 
 
-def fit_hand(body: Body, fit: BodyFit, seen: FittedView, view: View, hand: Hand, side: str) -> F64 | None:
+def fit_hand(body: Body, fit: BodyFit, fitted: FittedView, view: View, hand: Hand, side: str) -> F64 | None:
     """Return the view's rotations [55, 3] with one forearm and hand fitted, or None if the hand is not credible.
 
     A hand is credible if the network finds it near the body's hand and a bend of the fingers explains it. The
     network's rough depths are not used.
     """
     points = _landmark_points(fit, side)
-    size_px = view.focal * hand_size(fit.joints) / float(seen.joints[JOINT_NAMES.index(f"{side}_wrist"), 2])
+    size_px = view.focal * hand_size(fit.joints) / float(fitted.joints[JOINT_NAMES.index(f"{side}_wrist"), 2])
     sign = np.where(_AXES == 0, 1.0, 1.0 if side == "left" else -1.0)  # unknowns are those of a left hand
     rows = np.array([JOINT_NAMES.index(f"{side}_{name}") for name in _NAMES], np.intp)
     columns = [derivative_column(f"{side}_{name}", int(axis)) for name, axis in zip(_NAMES, _AXES, strict=True)]
-    mean = np.where(_ARM, seen.rotations[rows, _AXES] * sign, _MEAN)
+    mean = np.where(_ARM, fitted.rotations[rows, _AXES] * sign, _MEAN)
     weights = 1 / (hand_places().errors * size_px)
 
     def turned(x: F64) -> F64:
-        rotations = seen.rotations.copy()
+        rotations = fitted.rotations.copy()
         rotations[rows, _AXES] = x * sign
         return rotations
 
     def away(x: F64, derive: bool) -> tuple[F64, F64]:
         """Return pixels [21, 2] from the landmarks to the hand's points, and derivatives [21, 2, P] if asked."""
-        posed = fully_posed(body, fit.betas, seen.root, seen.pelvis, turned(x))
+        posed = fully_posed(body, fit.betas, fitted.root, fitted.pelvis, turned(x))
         where, moves = posed.derivatives(points) if derive else (posed.points(points), None)
         at, slopes = projected(where, view.focal, view.centre, None if moves is None else moves[..., columns] * sign)
         return at - hand.points, slopes

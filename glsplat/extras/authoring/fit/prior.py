@@ -116,7 +116,7 @@ _ARMS = tuple(
 )  # for each arm its columns, and the signs that mirror it to the left
 
 POSED = PosePrior("posed", MEAN, SPREAD)
-"""A person who stands in the pose that is asked for."""
+"""A person in the requested pose."""
 
 STATURE_M: tuple[float, float] = 1.70, 0.10
 """Mean and standard deviation if no height is given."""
